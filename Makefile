@@ -1,0 +1,32 @@
+# Every target makes its own Python environment first (tools/bootstrap.sh): nothing has to be installed beforehand.
+BIN := .venv/bin
+.DEFAULT_GOAL := help
+.PHONY: help env demo test lint test-slow bench clean
+
+help: ## this list
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
+
+env: ## the Python environment in .venv and nothing else
+	@sh tools/bootstrap.sh
+
+demo: env ## the seven tasks once, and an HTML report in runs/demo
+	@$(BIN)/carecontact demo
+
+test: env lint ## style, types, import walls and the fast tests
+	$(BIN)/python -m pytest
+
+lint: env ## style, types and import walls only
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/lint-imports
+
+test-slow: env ## the long simulations
+	$(BIN)/python -m pytest -m slow
+
+bench: env ## how fast a trial runs on this machine
+	@$(BIN)/python benchmarks/trial_speed.py
+
+clean: ## what the other targets made, runs/demo included
+	rm -rf .venv .venv-uv runs/demo .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	find src tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,3 @@
+"""carecontact: does a robot policy touch people well?"""
+
+__version__ = "0.1.0"

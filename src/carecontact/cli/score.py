@@ -1,0 +1,133 @@
+"""``carecontact score`` and ``report``: from recordings to numbers, without a simulator."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carecontact.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from carecontact.scoring.result import TrialScore
+    from carecontact.scoring.run import RunScores
+
+RESULTS = "results.json"
+
+
+def score(folder: Path) -> int:
+    rescore(folder)
+    return 0
+
+
+def rescore(folder: Path, *, compare: bool = True) -> RunScores:
+    """Score every recording, say what differs from results.json (``compare``), write it and print the table."""
+    from carecontact.scoring import score_run, write_scores
+
+    _need_recordings(folder)
+    before = _results(folder) if compare else None
+    run = score_run(folder)
+    path = write_scores(folder, run)
+    for line in differences(before, _results(folder)):
+        print(line)
+    print_table(run.scores)
+    for name, why in run.skipped.items():
+        print(f"skipped {name}: {why}")
+    print(f"scores: {path}")
+    return run
+
+
+def report(folder: Path, *, run: RunScores | None = None) -> int:
+    """``run``: the folder's scores if they are known already."""
+    from carecontact.recording import read_recording
+    from carecontact.reports.html import write_report
+    from carecontact.scoring import score_run
+
+    _need_recordings(folder)
+    run = run or score_run(folder)
+    path = write_report(
+        folder,
+        scores=run.scores,
+        recordings=lambda trial_id: read_recording(folder / f"{trial_id}.h5"),
+        skipped=run.skipped,
+    )
+    print(f"report: {path}")
+    return 0
+
+
+def print_table(scores: Sequence[TrialScore]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for header in ("task", "trials", "success", "region-correct", "safety-gated"):
+        table.add_column(header, justify="left" if header == "task" else "right")
+    table.add_column("peak force [N]", justify="right")
+    table.add_column("failures")
+    for task in sorted({s.task_id for s in scores}):
+        rows = [s for s in scores if s.task_id == task]
+        peaks = sorted(s.c1_peak_force_n for s in rows if s.c1_peak_force_n is not None)
+        modes = sorted({s.failure_mode for s in rows if s.failure_mode})
+        table.add_row(
+            f"{task} {rows[0].action} {rows[0].region}",
+            str(len(rows)),
+            str(sum(s.c3_success for s in rows)),
+            str(sum(s.region_correct for s in rows)),
+            str(sum(s.safety_gated for s in rows)),
+            "NA" if not peaks else f"{peaks[0]:.1f}" if len(peaks) == 1 else f"{peaks[0]:.1f} to {peaks[-1]:.1f}",
+            ", ".join(f"{sum(s.failure_mode == mode for s in rows)} {mode}" for mode in modes),
+        )
+    Console(highlight=False, width=None if Console().is_terminal else 120).print(table)
+
+
+def differences(before: object, after: object) -> list[str]:
+    """What a rescoring changed, in lines; empty if there was nothing before."""
+    if before is None:
+        return []
+    changed = sorted(_changed("", before, after))
+    if not changed:
+        return [f"nothing differs from the {RESULTS} that was there"]
+    shown = [f"  {line}" for line in changed[:20]]
+    more = [f"  and {len(changed) - 20} more"] if len(changed) > 20 else []
+    return [f"{len(changed)} value(s) differ from the {RESULTS} that was there:", *shown, *more]
+
+
+def _changed(place: str, before: object, after: object) -> list[str]:
+    if isinstance(before, dict) and isinstance(after, dict):
+        keys = [*before, *(key for key in after if key not in before)]
+        return [line for key in keys for line in _changed(f"{place}.{key}", before.get(key), after.get(key))]
+    if isinstance(before, list) and isinstance(after, list):
+        named = _by_trial(before), _by_trial(after)
+        if named[0] is not None and named[1] is not None:
+            return _changed(place, *named)
+    return [] if before == after else [f"{place.lstrip('.')}: {_short(before)} -> {_short(after)}"]
+
+
+def _by_trial(rows: list) -> dict | None:
+    """Rows keyed by trial, so that a trial more does not make every later one look changed."""
+    if rows and all(isinstance(row, dict) and "trial_id" in row for row in rows):
+        return {row["trial_id"]: row for row in rows}
+    return None
+
+
+def _short(value: object) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _results(folder: Path) -> object:
+    try:
+        return json.loads((folder / RESULTS).read_bytes())
+    except FileNotFoundError:
+        return None
+    except ValueError:
+        return f"unreadable {RESULTS}"
+
+
+def _need_recordings(folder: Path) -> None:
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder; name the --out of a run")
+    if not any(folder.glob("*.h5")):
+        raise ConfigError(f"{folder}: holds no recordings (*.h5); name the --out of a run")

@@ -1,0 +1,201 @@
+"""Schema of a protocol file: the one home of every number that decides a trial or a score."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Positive = Annotated[float, Field(gt=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Vec3 = tuple[float, float, float]
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Physics(Section):
+    dt_s: Positive
+    """Physics step; scorer streams are sampled at every step."""
+    integrator: Literal["implicitfast"]
+    target_period_s: Positive
+    """The impedance target moves this often, along a straight line to the policy's last target."""
+    max_tcp_speed_m_s: Positive
+    max_tcp_rotation_rad_s: Positive
+
+
+class Phases(Section):
+    settle_min_s: Positive
+    settle_max_s: Positive
+    settle_speed_m_s: Positive
+    settle_hold_s: Positive
+    time_limit_s: Positive
+    truncation_over_pain: Positive
+    """The trial is cut when a segment's force exceeds this multiple of F_pain."""
+    first_call_deadline_s: Positive
+    call_deadline_s: Positive
+
+
+class Randomization(Section):
+    seeds: list[int]
+    comfort_arm_deg: tuple[float, float]
+    """Humerus long axis against trunk long axis in the frontal plane, uniform."""
+
+
+class Impedance(Section):
+    translational_n_m: Positive
+    rotational_nm_rad: Positive
+    translational_bounds: tuple[float, float]
+    rotational_bounds: tuple[float, float]
+    effective_mass_kg: Positive
+    """Translational damping is 2 sqrt(K m)."""
+    effective_inertia_kgm2: Positive
+    force_clamp_n: Positive
+    torque_clamp_nm: Positive
+    workspace_low_m: Vec3
+    workspace_high_m: Vec3
+
+
+class Tissue(Section):
+    """One region's shell. Area-specific anchor law p = a x + b x^2 + c x^3 for inward displacement x."""
+
+    a_n_m3: float
+    """[N/m per m^2 of shell]"""
+    b_n_m4: float
+    c_n_m5: float
+    damping_ns_m3: Positive
+    """[N s/m per m^2]"""
+    areal_mass_kg_m2: Positive
+    spacing_m: Positive
+    """Vertex spacing on the patch that the tool can reach."""
+    coarse_spacing_m: Positive
+    """Spacing away from it."""
+    off_target_spacing_m: Positive
+    """Spacing of the whole shell where the task's target is another region."""
+    thickness_m: Positive
+    """Depth of the rigid core under the surface."""
+    measured_depth_m: Positive
+    """Results deeper than this are extrapolated."""
+    friction: Positive
+    source: str
+
+
+class Person(Section):
+    body: str
+    tissue_set: str
+    tissue: dict[Literal["forearm", "upper_arm", "abdomen"], Tissue]
+
+
+class Task(Section):
+    id: str
+    name: str
+    action: Literal["touch", "push", "scrub"]
+    region: Literal["forearm", "upper_arm", "abdomen"]
+    prompt: str
+
+
+class ContactDefinition(Section):
+    version: Literal["contact-v1"]
+    on_n: Positive
+    off_n: Positive
+    filter_hz: Positive
+    filter_order: Literal[2]
+    valid_total_s: Positive
+    episode_gap_s: Positive
+    stroke_sample_hz: Positive
+    stroke_filter_hz: Positive
+    reversal_m: Positive
+    active_speed_m_s: Positive
+    active_rotation_rad_s: Positive
+    peak_filter_hz: Positive
+    neighbourhood: dict[str, list[str]]
+    """Region -> segments on which C3 may be earned."""
+
+
+class TouchGate(Section):
+    duration_s: Positive
+
+
+class PushGate(Section):
+    force_n: Positive
+    duration_s: Positive
+    wrist_displacement_m: Positive
+
+
+class ScrubGate(Section):
+    on_share: Fraction
+    stroke_m: Positive
+    extent_m: Positive
+    reversals: int
+
+
+class Gates(Section):
+    version: Literal["gates-v1"]
+    touch: TouchGate
+    push: PushGate
+    scrub: ScrubGate
+    region_share: Fraction
+    """Region-correct: C3 and at least this share of contact impulse on the named region."""
+
+
+class ForceLimits(Section):
+    pack: str
+    source: str
+    gamma: Positive
+    f_pain_n: dict[str, float]
+    """Segment -> F_pain; segments not named take the strictest entry and are flagged."""
+
+
+class Camera(Section):
+    position_m: Vec3
+    look_at_m: Vec3
+    up: Vec3
+    fovy_deg: Positive
+    width: int
+    height: int
+    mount: Literal["world", "hand"] = "world"
+
+
+class Scene(Section):
+    mattress_top_m: float
+    robot_base_m: Vec3
+    robot_yaw_deg: float
+    parked_joint_rad: tuple[float, float, float, float, float, float, float]
+    board_low_m: tuple[float, float]
+    """Arm board: low corner (x, y), world."""
+    board_high_m: tuple[float, float]
+    board_friction: Positive
+
+
+class Protocol(Section):
+    id: str
+    description: str
+    frozen: bool
+    physics: Physics
+    phases: Phases
+    randomization: Randomization
+    scene: Scene
+    cameras: dict[Literal["overhead", "bedside", "exterior", "wrist"], Camera]
+    impedance: Impedance
+    person: Person
+    tasks: list[Task]
+    contact: ContactDefinition
+    gates: Gates
+    limits: ForceLimits
+
+    def task(self, task_id: str) -> Task:
+        """Raises KeyError; callers that face users check the id first."""
+        return {t.id: t for t in self.tasks}[task_id]
+
+    def f_pain(self, segment: str) -> float:
+        """F_pain [N] of a segment; ``right_forearm`` and ``left_forearm`` are both ``forearm``."""
+        limits = self.limits.f_pain_n
+        return limits.get(segment.removeprefix("right_").removeprefix("left_"), min(limits.values()))
+
+    @property
+    def sha256(self) -> str:
+        """Of the canonical JSON, so that spelling and comments in the TOML do not count."""
+        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()

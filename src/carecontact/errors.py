@@ -1,0 +1,79 @@
+"""Every exception carecontact raises on purpose.
+
+CarecontactError
+├── ConfigError              a protocol, option or file that the user gave is wrong
+│   └── UnknownNameError     a name that no registry row has
+├── DependencyError          a package or system library is missing; says what installs it
+├── AssetError               a shipped body or mesh is missing or does not match its hash
+├── SceneError               the world could not be built
+│   └── SettleError          the person did not come to rest before t = 0 (harness, not policy)
+├── ContractError            a message does not fit the observation / action contract
+│   ├── ObservationError
+│   └── ActionError
+├── PolicyError              the policy process died, hung or answered wrongly: its process failure
+└── RecordingError           a trial file is corrupt, truncated or foreign
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class CarecontactError(Exception):
+    """Base of all; its message is meant to be read by a user without a traceback."""
+
+
+class ConfigError(CarecontactError):
+    pass
+
+
+class UnknownNameError(ConfigError):
+    """A name that is not registered; the message lists those that are."""
+
+    def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
+        self.kind, self.name, self.valid = kind, name, sorted(valid)
+        super().__init__(f"no {kind} named {name!r}; valid: {', '.join(self.valid) or '(none)'}")
+
+
+class DependencyError(CarecontactError):
+    pass
+
+
+class AssetError(CarecontactError):
+    pass
+
+
+class SceneError(CarecontactError):
+    pass
+
+
+class SettleError(SceneError):
+    pass
+
+
+class ContractError(CarecontactError):
+    pass
+
+
+class ObservationError(ContractError):
+    pass
+
+
+class ActionError(ContractError):
+    pass
+
+
+class PolicyError(CarecontactError):
+    """A policy process failed; ``kind`` is one of KINDS and goes into the recording as evidence."""
+
+    KINDS = ("start", "handshake", "died", "timeout", "garbage", "oversize", "exception", "action")
+
+    def __init__(self, kind: str, message: str) -> None:
+        if kind not in self.KINDS:
+            raise ValueError(f"unknown policy failure kind {kind!r}; valid: {', '.join(self.KINDS)}")
+        self.kind = kind
+        super().__init__(message)
+
+
+class RecordingError(CarecontactError):
+    pass

@@ -1,0 +1,177 @@
+"""The one place where an observation is made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.geometry import quat_from_matrix
+from carecontact.contract.observation import CameraView, Observation
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.protocol import Protocol
+from carecontact.errors import ObservationError
+from carecontact.observation.keypoints import KeypointEstimator
+from carecontact.observation.pointcloud import coloured_cloud, organised_points, surface_under
+from carecontact.observation.segmentation import segment
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from carecontact.sim.rendering import SceneRenderer
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+U8 = npt.NDArray[np.uint8]
+
+IMAGES_FOR = {
+    "rgb": ("rgb",),
+    "depth": ("depth",),
+    "points": ("rgb", "depth"),
+    "masks": ("rgb", "depth", "robot_depth"),
+    "landmarks": ("rgb", "depth"),
+}
+"""Modality -> images that it is made of; nothing else is rendered."""
+
+ALLOWED = frozenset(
+    (
+        "instruction",
+        "sim_time_s",
+        "joint_position",
+        "joint_velocity",
+        "gripper_position",
+        "pose_tcp_in_base",
+        "cameras",
+    )
+)
+"""Written out rather than read off the dataclass, so that a new field needs a second, deliberate edit."""
+ALLOWED_IN_VIEW = frozenset(
+    (
+        "intrinsics",
+        "pose_camera_in_base",
+        "rgb",
+        "depth",
+        "points",
+        "point_colors",
+        "masks",
+        "landmarks",
+        "landmarks_in_base",
+    )
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RawView:
+    """What one camera delivered; every derived modality is a function of this alone."""
+
+    intrinsics: F64
+    pose_camera_in_base: F64
+    rgb: U8 | None = None
+    depth: F32 | None = None
+    robot_depth: F32 | None = None
+
+
+def assemble(values: Mapping[str, Any], views: Mapping[str, Mapping[str, Any]]) -> Observation:
+    """The allowlist: the only caller of Observation's constructor in a trial.
+
+    Raises ObservationError naming any key that a policy may not see.
+    """
+    for place, keys, allowed in [
+        ("observation", set(values) | {"cameras"}, ALLOWED),
+        *((f"camera {name}", set(view), ALLOWED_IN_VIEW) for name, view in views.items()),
+    ]:
+        forbidden = sorted(keys - allowed)
+        if forbidden:
+            raise ObservationError(f"{place}: {', '.join(forbidden)} must not reach a policy; valid: {sorted(allowed)}")
+    return Observation(**values, cameras={name: CameraView(**view) for name, view in views.items()})
+
+
+def derive_view(
+    raw: RawView, *, modalities: tuple[str, ...], keypoints: KeypointEstimator, bed_height_in_base_m: float
+) -> dict[str, Any]:
+    """Every modality named, from one camera's images; a pure function if the estimator is one.
+
+    Raises ObservationError if an image that a modality needs is missing.
+    """
+    missing = sorted({i for m in modalities for i in IMAGES_FOR[m] if getattr(raw, i) is None})
+    if missing:
+        raise ObservationError(f"modalities {list(modalities)} need the image(s) {', '.join(missing)}")
+    view: dict[str, Any] = {"intrinsics": raw.intrinsics, "pose_camera_in_base": raw.pose_camera_in_base}
+    points = found = masks = None
+    if raw.depth is not None:
+        points = organised_points(raw.depth, raw.intrinsics, raw.pose_camera_in_base)
+    if raw.rgb is not None and {"masks", "landmarks"} & set(modalities):
+        found = keypoints.estimate(raw.rgb)
+    if "rgb" in modalities:
+        view["rgb"] = raw.rgb
+    if "depth" in modalities:
+        view["depth"] = raw.depth
+    if "points" in modalities and points is not None and raw.rgb is not None:
+        view["points"], view["point_colors"] = coloured_cloud(points, raw.rgb)
+    if "masks" in modalities and found and points is not None and raw.depth is not None and raw.robot_depth is not None:
+        masks = view["masks"] = segment(
+            person=found.person,
+            depth=raw.depth,
+            robot_depth=raw.robot_depth,
+            height_in_base=points[..., 2],
+            bed_height_in_base_m=bed_height_in_base_m,
+        )
+    if "landmarks" in modalities and found and raw.depth is not None:
+        view["landmarks"] = found.landmarks
+        view["landmarks_in_base"] = surface_under(
+            found.landmarks,
+            raw.depth,
+            raw.intrinsics,
+            raw.pose_camera_in_base,
+            where=None if masks is None else masks["human"],
+        )
+    return view
+
+
+class ObservationBuilder:
+    """Builds the observation of one policy: renders what its card names, derives the rest, and reads the encoders."""
+
+    def __init__(
+        self, renderer: SceneRenderer, card: PolicyCard, protocol: Protocol, keypoints: KeypointEstimator
+    ) -> None:
+        self._renderer, self._card, self._keypoints = renderer, card, keypoints
+        self._bed_height_in_base_m = protocol.scene.mattress_top_m - protocol.scene.robot_base_m[2]
+        self._images = {image for modality in card.modalities for image in IMAGES_FOR[modality]}
+
+    def build(self, data: mujoco.MjData, *, instruction: str, sim_time_s: float) -> Observation:
+        """``data`` is only read. Images show the last computed kinematics."""
+        robot = self._renderer.proprioception
+        pose = robot.pose_tcp_in_base(data)
+        values = {
+            "instruction": instruction,
+            "sim_time_s": sim_time_s,
+            "joint_position": robot.joint_position(data),
+            "joint_velocity": robot.joint_velocity(data),
+            # The gripper is closed for good and has no actuator to read.
+            "gripper_position": np.zeros(1),
+            "pose_tcp_in_base": np.concatenate([pose[:3, 3], quat_from_matrix(pose[:3, :3])]),
+        }
+        views = {}
+        if self._card.modalities:
+            for camera in self._card.cameras:
+                views[camera] = derive_view(
+                    self.raw_view(data, camera),
+                    modalities=self._card.modalities,
+                    keypoints=self._keypoints,
+                    bed_height_in_base_m=self._bed_height_in_base_m,
+                )
+        return assemble(values, views)
+
+    def raw_view(self, data: mujoco.MjData, camera: str) -> RawView:
+        renderer, images = self._renderer, self._images
+        angles = renderer.proprioception.joint_position(data)
+        return RawView(
+            intrinsics=renderer.intrinsics(camera),
+            pose_camera_in_base=renderer.pose_camera_in_base(data, camera),
+            rgb=renderer.rgb(data, camera) if "rgb" in images else None,
+            depth=renderer.depth(data, camera) if "depth" in images else None,
+            robot_depth=renderer.robot_depth(angles, camera) if "robot_depth" in images else None,
+        )

@@ -1,0 +1,152 @@
+"""Where the joints of a person are in an image: an estimator protocol and its default, MediaPipe Pose."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+from typing import Protocol as TypingProtocol
+
+import numpy as np
+import numpy.typing as npt
+
+F32 = npt.NDArray[np.float32]
+U8 = npt.NDArray[np.uint8]
+
+LANDMARK_COUNT = 33
+
+ROTATIONS = (0, 1, 3)
+"""Quarter turns that are tried: the detector was trained on upright people, a patient lies at any angle to a camera."""
+CROP_MARGIN = 0.15
+"""Added round the first pass's person, as a share of its larger side."""
+MIN_DETECTION_CONFIDENCE = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeyPoints:
+    landmarks: F32
+    """(33, 3): u [px], v [px], visibility in [0, 1]; MediaPipe Pose order; all NaN when nobody was found."""
+    person: F32
+    """(H, W) probability that a pixel shows the person."""
+
+
+class KeypointEstimator(TypingProtocol):
+    def estimate(self, rgb: U8) -> KeyPoints:
+        """From one (H, W, 3) image alone."""
+        ...
+
+
+def nobody(height: int, width: int) -> KeyPoints:
+    return KeyPoints(
+        landmarks=np.full((LANDMARK_COUNT, 3), np.nan, np.float32), person=np.zeros((height, width), np.float32)
+    )
+
+
+@contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """MediaPipe's C++ side writes start-up notices to file descriptor 2 whatever its log level is."""
+    sys.stderr.flush()
+    saved = os.dup(2)
+    sink = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(sink, 2)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(sink)
+
+
+def unrotate(uv: npt.NDArray[np.float64], quarter_turns: int, height: int, width: int) -> npt.NDArray[np.float64]:
+    """(N, 2) pixels of ``np.rot90(image, quarter_turns)`` -> pixels of the (height, width) image."""
+    u, v = uv[:, 0], uv[:, 1]
+    match quarter_turns % 4:
+        case 0:
+            pair = (u, v)
+        case 1:
+            pair = (width - 1 - v, u)
+        case 2:
+            pair = (width - 1 - u, height - 1 - v)
+        case _:
+            pair = (v, height - 1 - u)
+    return np.stack(pair, -1)
+
+
+class MediaPipePose:
+    """MediaPipe Pose 0.10.21, the model its wheel carries: median over three rotations, then again on a crop.
+
+    The person lies, so single views scatter: the median and the second pass at higher resolution steady them.
+    The graph is built at the first image. Raises nothing when nobody is found: landmarks are NaN then.
+    """
+
+    def __init__(self) -> None:
+        self._graph: Any = None
+
+    def estimate(self, rgb: U8) -> KeyPoints:
+        height, width = rgb.shape[:2]
+        coarse = self._vote(rgb)
+        if coarse is None:
+            return nobody(height, width)
+        left, top, right, bottom = _crop_box(coarse.landmarks[:, :2], height, width)
+        fine = self._vote(rgb[top:bottom, left:right])
+        if fine is None:
+            return coarse
+        landmarks = fine.landmarks.copy()
+        landmarks[:, :2] += np.array([left, top], np.float32)
+        person = np.zeros((height, width), np.float32)
+        person[top:bottom, left:right] = fine.person
+        return KeyPoints(landmarks=landmarks, person=person)
+
+    def close(self) -> None:
+        if self._graph is not None:
+            self._graph.close()
+            self._graph = None
+
+    def _vote(self, rgb: U8) -> KeyPoints | None:
+        found = [result for turns in ROTATIONS if (result := self._single(rgb, turns)) is not None]
+        if not found:
+            return None
+        return KeyPoints(
+            landmarks=np.median([f.landmarks for f in found], axis=0).astype(np.float32),
+            person=np.median([f.person for f in found], axis=0).astype(np.float32),
+        )
+
+    def _single(self, rgb: U8, turns: int) -> KeyPoints | None:
+        turned = np.ascontiguousarray(np.rot90(rgb, turns))
+        result = self._process(turned)
+        if result.pose_landmarks is None:
+            return None
+        scale = np.array([turned.shape[1], turned.shape[0]])
+        raw = np.array([[mark.x, mark.y, mark.visibility] for mark in result.pose_landmarks.landmark])
+        # MediaPipe counts from the image's edge, we count from the centre of the first pixel.
+        uv = unrotate(raw[:, :2] * scale - 0.5, turns, rgb.shape[0], rgb.shape[1])
+        landmarks = np.column_stack([uv, raw[:, 2]]).astype(np.float32)
+        return KeyPoints(landmarks=landmarks, person=np.rot90(result.segmentation_mask, -turns).astype(np.float32))
+
+    def _process(self, rgb: U8) -> Any:
+        if self._graph is not None:
+            return self._graph.process(rgb)
+        os.environ.setdefault("GLOG_minloglevel", "3")
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+        with _quiet_stderr():
+            from mediapipe.python.solutions.pose import Pose
+
+            self._graph = Pose(
+                static_image_mode=True,
+                model_complexity=1,
+                enable_segmentation=True,
+                min_detection_confidence=MIN_DETECTION_CONFIDENCE,
+            )
+            return self._graph.process(rgb)
+
+
+def _crop_box(uv: F32, height: int, width: int) -> tuple[int, int, int, int]:
+    """left, top, right, bottom [px] round the landmarks, inside the image."""
+    low, high = uv.min(0), uv.max(0)
+    margin = CROP_MARGIN * float((high - low).max())
+    left, top = np.clip(np.floor(low - margin), 0, [width - 2, height - 2]).astype(int)
+    right, bottom = np.clip(np.ceil(high + margin), [left + 2, top + 2], [width, height]).astype(int)
+    return int(left), int(top), int(right), int(bottom)

@@ -1,0 +1,1 @@
+"""Policies and the process boundary they live behind. Imports the contract and nothing of the world."""

@@ -1,0 +1,55 @@
+"""What a language backend answers, and the protocol that every one of them follows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from pydantic import BaseModel, ConfigDict
+
+ActionVerb = Literal["touch", "push", "scrub"]
+RegionName = Literal["forearm", "upper_arm", "abdomen"]
+Side = Literal["right", "left", "none"]
+Manner = Literal["gentle", "firm", "none"]
+Approach = Literal["above", "near_side", "far_side"]
+
+
+class Intent(BaseModel):
+    """Everything that an instruction may mean."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    action: ActionVerb
+    region: RegionName
+    side: Side
+    """Of the body, the person's own; ``none`` for the abdomen."""
+    manner: Manner
+
+
+@dataclass(frozen=True, kw_only=True)
+class Option:
+    """One thing that a policy can do, in words and numbers a language model can weigh."""
+
+    primitive: ActionVerb
+    approach: Approach
+    """``near_side`` faces the robot."""
+    key_point: float
+    """Place along the region: 0 proximal (abdomen: caudal), 1 distal (abdomen: cranial)."""
+    depth_m: float
+    """Commanded beyond the surface that is seen."""
+    speed_m_s: float
+    """Of the tool while it touches or is about to."""
+
+
+class LanguageBackend(Protocol):
+    """Deterministic for rules and replays. Both methods raise ContractError rather than guess."""
+
+    name: str
+    """``rules-v1``, ``replay:<hash>`` or ``live:<model>``; travels with every result."""
+
+    def parse(self, instruction: str) -> Intent: ...
+
+    def choose(self, intent: Intent, options: Sequence[Option]) -> int:
+        """Index of the option to execute."""
+        ...

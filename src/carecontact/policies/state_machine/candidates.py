@@ -1,0 +1,100 @@
+"""The bounded set that a language backend chooses from: primitives x key points x sides x depths x speeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.action import ActionBounds
+from carecontact.contract.geometry import matrix_from_quat
+from carecontact.errors import ContractError
+from carecontact.policies.language.backend import Option
+from carecontact.policies.state_machine import fixed_values as fixed
+from carecontact.policies.state_machine.geometry import RegionGeometry
+from carecontact.policies.state_machine.primitives import Leg, push, scrub, touch, travel
+
+F64 = npt.NDArray[np.float64]
+
+
+class PlanningFailure(ContractError):
+    """Nothing that the state machine can do is within the arm's reach and the workspace."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    option: Option
+    legs: list[Leg]
+
+
+def candidates(
+    geometry: RegionGeometry, *, start_pose: F64, travel_height_m: float, bounds: ActionBounds | None
+) -> list[Candidate]:
+    """All options that the arm reaches in comfort and whose way stays inside the workspace, in a fixed order.
+
+    Raises PlanningFailure if there is none.
+    """
+    found = [
+        Candidate(option=option, legs=legs)
+        for option, contact in _options(geometry)
+        if reachable(contact) and _inside(legs := travel(start_pose, contact, travel_height_m=travel_height_m), bounds)
+    ]
+    if not found:
+        place = np.round(geometry.centre_m, 3).tolist()
+        raise PlanningFailure(
+            f"no way to the {geometry.region.replace('_', ' ')} at {place} m is in reach and in the workspace"
+        )
+    return found
+
+
+def _options(geometry: RegionGeometry) -> Iterator[tuple[Option, list[Leg]]]:
+    for key, depth, speed in product(fixed.TOUCH_KEY_POINTS, fixed.TOUCH_DEPTHS_M, fixed.TOUCH_SPEEDS_M_S):
+        option = Option(primitive="touch", approach="above", key_point=key, depth_m=depth, speed_m_s=speed)
+        yield option, touch(geometry, key_point=key, depth_m=depth, speed_m_s=speed)
+    for key, depth, speed in product(fixed.SCRUB_KEY_POINTS, fixed.SCRUB_DEPTHS_M, fixed.SCRUB_SPEEDS_M_S):
+        option = Option(primitive="scrub", approach="above", key_point=key, depth_m=depth, speed_m_s=speed)
+        yield option, scrub(geometry, key_point=key, depth_m=depth, speed_m_s=speed)
+    support = geometry.support_height_m
+    if geometry.region == "abdomen" or support is None:
+        return
+    sides = ("near_side", "far_side")
+    for side, key, depth, speed in product(
+        sides, fixed.PUSH_KEY_POINTS, fixed.PUSH_OVERTRAVEL_M, fixed.PUSH_SPEEDS_M_S
+    ):
+        option = Option(primitive="push", approach=side, key_point=key, depth_m=depth, speed_m_s=speed)
+        legs = push(
+            geometry,
+            key_point=key,
+            depth_m=depth,
+            speed_m_s=speed,
+            support_height_m=support,
+            towards_base=side == "near_side",
+        )
+        yield option, legs
+
+
+def reachable(contact: list[Leg]) -> bool:
+    """Whether the elbow is neither folded nor straight anywhere on the way, from the distance shoulder to wrist."""
+    nearest, farthest = fixed.SHOULDER_TO_WRIST_M
+    shoulder = np.array([0.0, 0.0, fixed.SHOULDER_HEIGHT_M])
+    for leg in contact:
+        tool_axis = matrix_from_quat(leg.quat_wxyz)[:, 2]
+        outward = leg.points * [1.0, 1.0, 0.0]
+        outward -= (outward @ tool_axis)[:, None] * tool_axis
+        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+        wrist = leg.points - fixed.FLANGE_TO_TCP_M * tool_axis - fixed.WRIST_OFFSET_M * outward
+        distance = np.linalg.norm(wrist - shoulder, axis=1)
+        if distance.min() < nearest or distance.max() > farthest:
+            return False
+    return True
+
+
+def _inside(legs: list[Leg], bounds: ActionBounds | None) -> bool:
+    """Straight lines between points of a box stay in the box."""
+    if bounds is None:
+        return True
+    low, high = np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m)
+    return all(bool(((leg.points >= low) & (leg.points <= high)).all()) for leg in legs)

@@ -1,0 +1,219 @@
+"""Where a body region is, from one observation: "joint + column".
+
+Key points give the limb's joints, a little under the surface that the camera sees; the line between them is moved onto
+the middle of the visible limb; the top surface above it is read from the person's cloud.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.observation import CameraView, Observation
+from carecontact.errors import ContractError
+from carecontact.policies.language.backend import RegionName
+
+F64 = npt.NDArray[np.float64]
+
+LANDMARK = {
+    "left shoulder": 11,
+    "right shoulder": 12,
+    "left elbow": 13,
+    "right elbow": 14,
+    "left wrist": 15,
+    "right wrist": 16,
+    "left hip": 23,
+    "right hip": 24,
+}
+"""MediaPipe Pose order."""
+JOINT_DEPTH_M = {"shoulder": 0.045, "elbow": 0.040, "wrist": 0.025, "hip": 0.090}
+"""From the skin in front to the joint's centre, along the line of sight; adult, rounded, assumed."""
+LIMB_JOINTS = {"forearm": ("elbow", "wrist"), "upper_arm": ("shoulder", "elbow")}
+
+ABDOMEN_FRACTION = 0.27
+"""Middle of the abdomen from hips to shoulders: the umbilicus is at 0.61 of stature, hip and shoulder joints at 0.53
+and 0.82 (Drillis and Contini 1966)."""
+ABDOMEN_LENGTH_FRACTION = 0.40
+"""Length of the soft belly, symphysis to lower ribs, as a share of the distance from hips to shoulders; assumed."""
+
+UPPER_ARM_FREE_FROM = 0.33
+"""Share of the line from shoulder to elbow above the fold of the armpit, where arm and trunk are one; assumed."""
+
+MIN_VISIBILITY = 0.5
+LIMB_LENGTH_M = (0.15, 0.40)
+TRUNK_LENGTH_M = (0.30, 0.70)
+"""Outside these a skeleton is not a person's: small children to very tall adults."""
+MIN_COLUMN_POINTS = 5
+COLUMN_RADIUS_M = 0.012
+SEARCH_HALF_WIDTH_M = 0.07
+"""Of the strip round a limb's line in which its silhouette is looked for."""
+MAX_SHIFT_M = 0.04
+PROFILE = np.linspace(0.1, 0.9, 17)
+"""Fractions of the region's length at which the top surface is read."""
+MIN_PROFILE = 9
+
+
+class PerceptionFailure(ContractError):
+    """The region cannot be found in what was seen; the message says why."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionGeometry:
+    """One region as seen, in base. The axis runs proximal to distal (abdomen: caudal to cranial)."""
+
+    region: RegionName
+    centre_m: F64
+    """(3,) on the skin, above the middle of the axis"""
+    axis: F64
+    """(3,) unit, along the skin"""
+    normal: F64
+    """(3,) unit, out of the skin, orthogonal to the axis"""
+    lateral: F64
+    """(3,) unit, horizontal, normal x axis"""
+    radius_m: float
+    """Half the visible width."""
+    half_length_m: float
+    profile_m: F64
+    """(K, 2): distance along the axis from the centre, height of the skin above the line through centre along axis"""
+    support_height_m: float | None
+    """z in base of what the limb lies on, seen beside it; None if hidden."""
+
+    def surface(self, along_m: float) -> F64:
+        """(3,) point of the skin at a distance along the axis from the centre, held constant beyond what was seen."""
+        rise = float(np.interp(along_m, self.profile_m[:, 0], self.profile_m[:, 1]))
+        return self.centre_m + along_m * self.axis + np.array([0.0, 0.0, rise])
+
+
+def region_from_observation(
+    observation: Observation, region: RegionName, *, side: str = "right", camera: str = "overhead"
+) -> RegionGeometry:
+    """Raises PerceptionFailure when key points are missing, hidden or absurd, or the surface has too few points.
+
+    Needs the modalities depth, points, masks and landmarks of ``camera``.
+    """
+    view = observation.cameras.get(camera)
+    if view is None or view.landmarks is None or view.masks is None or view.points is None or view.depth is None:
+        raise PerceptionFailure(f"camera {camera}: depth, points, masks and landmarks are needed")
+    person = person_points(view)
+    if region == "abdomen":
+        hips = (_joint(view, "left hip") + _joint(view, "right hip")) / 2
+        shoulders = (_joint(view, "left shoulder") + _joint(view, "right shoulder")) / 2
+        trunk = _checked_length(shoulders - hips, TRUNK_LENGTH_M, "trunk")
+        middle = hips + ABDOMEN_FRACTION * (shoulders - hips)
+        half = 0.5 * ABDOMEN_LENGTH_FRACTION * trunk
+        along = (shoulders - hips) / trunk
+        start, end = middle - half * along, middle + half * along
+        search = 0.25
+    else:
+        first, second = LIMB_JOINTS[region]
+        start, end = _joint(view, f"{side} {first}"), _joint(view, f"{side} {second}")
+        _checked_length(end - start, LIMB_LENGTH_M, f"{side} {region.replace('_', ' ')}")
+        if region == "upper_arm":
+            start = start + UPPER_ARM_FREE_FROM * (end - start)
+        search = SEARCH_HALF_WIDTH_M
+    return _fit(region, person, _points_of(view, "bed"), start, end, search)
+
+
+def person_points(view: CameraView) -> F64:
+    """(N, 3) the person's surface in base [m]."""
+    return _points_of(view, "human")
+
+
+def _points_of(view: CameraView, name: str) -> F64:
+    """(N, 3) cloud of one mask; ``points`` are the pixels with a depth, row by row."""
+    assert view.points is not None
+    assert view.depth is not None
+    assert view.masks is not None
+    return view.points[view.masks[name][np.isfinite(view.depth)]].astype(np.float64)
+
+
+def _joint(view: CameraView, name: str) -> F64:
+    """(3,) joint centre: the surface under the key point, then further along the line of sight."""
+    assert view.landmarks is not None
+    index = LANDMARK[name]
+    visibility = float(view.landmarks[index, 2])
+    if not np.isfinite(visibility):
+        raise PerceptionFailure("nobody was found in the image")
+    if visibility < MIN_VISIBILITY:
+        raise PerceptionFailure(f"{name} is hidden (visibility {visibility:.2f} < {MIN_VISIBILITY})")
+    surface = np.full(3, np.nan) if view.landmarks_in_base is None else view.landmarks_in_base[index].astype(np.float64)
+    if not np.isfinite(surface).all():
+        raise PerceptionFailure(f"{name} has no depth")
+    sight = surface - view.pose_camera_in_base[:3, 3]
+    return surface + JOINT_DEPTH_M[name.split()[1]] * sight / np.linalg.norm(sight)
+
+
+def _checked_length(vector: F64, limits: tuple[float, float], what: str) -> float:
+    length = float(np.linalg.norm(vector))
+    if not limits[0] <= length <= limits[1]:
+        raise PerceptionFailure(f"{what} seems {length:.2f} m long, expected {limits[0]} to {limits[1]} m")
+    return length
+
+
+def _fit(region: RegionName, person: F64, bed: F64, start: F64, end: F64, search: float) -> RegionGeometry:
+    length = float(np.linalg.norm((end - start)[:2]))
+    if length < 0.5 * float(np.linalg.norm(end - start)):
+        raise PerceptionFailure(f"the {region.replace('_', ' ')} points up at the camera")
+    direction = np.append((end - start)[:2] / length, 0.0)
+    lateral = np.array([-direction[1], direction[0], 0.0])
+    radius, shift = _silhouette(region, person, start, direction, lateral, length, search)
+    if region != "abdomen":
+        # Key points stray across a limb less than along it, but its outline is surer still.
+        start = start + shift * lateral
+    heights = np.array([_column(person, start + f * length * direction) for f in PROFILE])
+    seen = np.isfinite(heights)
+    if seen.sum() < MIN_PROFILE:
+        raise PerceptionFailure(
+            f"the {region.replace('_', ' ')}'s top is seen at {seen.sum()} of {len(PROFILE)} places"
+        )
+    distance = (PROFILE - 0.5) * length
+    slope, _ = np.polyfit(distance[seen], heights[seen], 1)
+    middle = np.interp(0.0, distance[seen], heights[seen])
+    centre = np.append((start + 0.5 * length * direction)[:2], middle)
+    axis = direction + np.array([0.0, 0.0, slope])
+    axis /= np.linalg.norm(axis)
+    rise = heights[seen] - (middle + slope * distance[seen])
+    normal = np.cross(axis, lateral)
+    return RegionGeometry(
+        region=region,
+        centre_m=centre,
+        axis=axis,
+        normal=normal,
+        lateral=lateral,
+        radius_m=radius,
+        half_length_m=0.5 * length,
+        profile_m=np.column_stack([distance[seen] / (axis @ direction), rise]),
+        support_height_m=_support(bed, start, direction, lateral, length, radius),
+    )
+
+
+def _silhouette(
+    region: RegionName, person: F64, start: F64, direction: F64, lateral: F64, length: float, search: float
+) -> tuple[float, float]:
+    """Half width of the visible limb round its middle, and how far its middle line is from the joints' line [m]."""
+    offset = person - start
+    along, across = offset @ direction, offset @ lateral
+    strip = across[(np.abs(along - 0.5 * length) < 0.2 * length) & (np.abs(across) < search)]
+    if len(strip) < MIN_COLUMN_POINTS:
+        raise PerceptionFailure(f"no surface near the {region.replace('_', ' ')} ({len(strip)} points)")
+    low, high = np.percentile(strip, [2, 98])
+    shift = float(low + high) / 2
+    if region != "abdomen" and abs(shift) > MAX_SHIFT_M:
+        raise PerceptionFailure(f"key points miss the {region.replace('_', ' ')} by {abs(shift) * 1000:.0f} mm")
+    return float(high - low) / 2, shift
+
+
+def _column(person: F64, place: F64) -> float:
+    """Height of the top surface above a place: median of the upper third within COLUMN_RADIUS_M; NaN if too few."""
+    near = np.hypot(person[:, 0] - place[0], person[:, 1] - place[1]) < COLUMN_RADIUS_M
+    heights = np.sort(person[near, 2])
+    return float(np.median(heights[-max(1, len(heights) // 3) :])) if len(heights) >= MIN_COLUMN_POINTS else np.nan
+
+
+def _support(bed: F64, start: F64, direction: F64, lateral: F64, length: float, radius: float) -> float | None:
+    offset = bed - start
+    along, across = offset @ direction, np.abs(offset @ lateral)
+    beside = (along > 0) & (along < length) & (across > radius) & (across < radius + 0.10)
+    return float(np.median(bed[beside, 2])) if beside.sum() >= MIN_COLUMN_POINTS else None

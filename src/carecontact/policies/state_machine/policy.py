@@ -1,0 +1,90 @@
+"""The policy itself: one observation in, one open-loop plan out."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.action import MAX_CHUNK, Action, ActionBounds
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard, Session
+from carecontact.errors import ContractError
+from carecontact.policies.language.backend import Intent, LanguageBackend
+from carecontact.policies.language.rules import Rules
+from carecontact.policies.state_machine import fixed_values as fixed
+from carecontact.policies.state_machine.candidates import Candidate, PlanningFailure, candidates
+from carecontact.policies.state_machine.geometry import person_points, region_from_observation
+from carecontact.policies.state_machine.primitives import sample
+
+F64 = npt.NDArray[np.float64]
+CAMERA = "overhead"
+logger = logging.getLogger(__name__)
+
+
+class StateMachine:
+    """Looks once with the robot parked, lets the language backend choose, and executes without looking again.
+
+    If the region cannot be found or reached it ends the trial without touching, and logs why.
+    """
+
+    def __init__(self, *, language: LanguageBackend | None = None) -> None:
+        self._language: LanguageBackend = language or Rules()
+        self.card = PolicyCard(
+            name="state_machine",
+            modalities=("rgb", "depth", "points", "masks", "landmarks"),
+            cameras=(CAMERA,),
+            control_hz=fixed.CONTROL_HZ,
+            language_backend=self._language.name,
+        )
+        self._bounds: ActionBounds | None = None
+        self._intent: Intent | None = None
+
+    def configure(self, session: Session) -> None:
+        """Without it the workspace is taken as unlimited."""
+        self._bounds = session.action_bounds
+
+    def reset(self, instruction: str) -> None:
+        """Raises ContractError if the instruction is not understood."""
+        self._intent = self._language.parse(instruction)
+
+    def act(self, observation: Observation) -> Sequence[Action]:
+        """The whole plan as one chunk, at most MAX_CHUNK actions, the last of them done."""
+        try:
+            chosen = self.choose(observation)
+            poses = list(sample(chosen.legs, observation.pose_tcp_in_base, control_hz=fixed.CONTROL_HZ))
+            if len(poses) > MAX_CHUNK:
+                raise PlanningFailure(f"the plan has {len(poses)} actions, at most {MAX_CHUNK} fit one chunk")
+        except ContractError as error:
+            logger.warning("state machine ends without touching: %s", error)
+            return [Action(done=True)]
+        return [Action(pose_tcp_in_base=pose, done=k == len(poses) - 1) for k, pose in enumerate(poses)]
+
+    def choose(self, observation: Observation) -> Candidate:
+        """Raises PerceptionFailure or PlanningFailure, or ContractError before ``reset``."""
+        intent = self._intent
+        if intent is None:
+            raise ContractError("act() before reset()")
+        side = "right" if intent.side == "none" else intent.side
+        geometry = region_from_observation(observation, intent.region, side=side, camera=CAMERA)
+        height = _travel_height(observation, geometry.centre_m)
+        options = candidates(
+            geometry, start_pose=observation.pose_tcp_in_base, travel_height_m=height, bounds=self._bounds
+        )
+        chosen = options[self._language.choose(intent, [option.option for option in options])]
+        logger.info("state machine chose %s of %d options", chosen.option, len(options))
+        return chosen
+
+
+def _travel_height(observation: Observation, goal: F64) -> float:
+    """Height in base [m] that clears the person between the parked tool and the goal."""
+    person = person_points(observation.cameras[CAMERA])
+    start = observation.pose_tcp_in_base[:2]
+    way = goal[:2] - start
+    offset = person[:, :2] - start
+    share = np.clip(offset @ way / max(float(way @ way), 1e-9), 0.0, 1.0)
+    near = np.linalg.norm(offset - share[:, None] * way, axis=1) < fixed.TRAVEL_CORRIDOR_M
+    top = float(person[near, 2].max()) if near.any() else float(goal[2])
+    return top + fixed.TRAVEL_CLEARANCE_M

@@ -1,0 +1,1 @@
+"""The native wire: msgpack over WebSocket, decoded defensively, no pickle."""

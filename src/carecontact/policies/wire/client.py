@@ -1,0 +1,147 @@
+"""The harness's end of a conversation with a policy, wherever that policy runs."""
+
+from __future__ import annotations
+
+import hashlib
+import socket
+import threading
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+from carecontact.contract.action import Action, ActionBounds, check_action
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard, Session
+from carecontact.errors import ActionError, ContractError, PolicyError
+from carecontact.policies.wire import codec
+from carecontact.policies.wire.packing import MAX_REPLY_BYTES, is_map, pack, unpack
+
+MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA = 1009, 1002, 1007
+"""Close codes of RFC 6455, section 7.4.1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActReply:
+    actions: list[Action]
+    """1 to MAX_CHUNK, each through ``check_action``."""
+    sent_sha256: bytes
+    """(32,) digest of the message that carried the observation: everything the policy was shown at this step."""
+    sent_bytes: int
+
+
+class PolicyClient:
+    """Speaks the native wire. Every failure is a PolicyError whose kind says what the policy did."""
+
+    def __init__(self, *, port: int, deadline_s: float) -> None:
+        """Connect and read nothing yet. Raises PolicyError ``handshake`` or ``timeout``."""
+        self._stack = ExitStack()
+        self._bounds: ActionBounds | None = None
+        try:
+            # A socket of our own: no proxy from the environment may come between the harness and the loopback.
+            sock = socket.create_connection(("127.0.0.1", port), timeout=deadline_s)
+            sock.settimeout(None)
+            self._connection: ClientConnection = self._stack.enter_context(
+                connect(
+                    f"ws://127.0.0.1:{port}",
+                    sock=sock,
+                    compression=None,
+                    ping_interval=None,
+                    max_size=MAX_REPLY_BYTES,
+                    open_timeout=deadline_s,
+                    close_timeout=1,
+                )
+            )
+        except TimeoutError:
+            raise PolicyError("timeout", f"policy server did not answer within {deadline_s:g} s") from None
+        except Exception as error:
+            # Beside its own classes websockets raises AssertionError for some bytes that are not HTTP.
+            raise PolicyError("handshake", f"no WebSocket conversation with the policy server: {error!r}") from None
+
+    def card(self, *, deadline_s: float) -> PolicyCard:
+        return codec.decode_card(self._receive("card", "card", deadline_s=deadline_s))
+
+    def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
+        message = pack({"type": "reset", "instruction": instruction, "session": codec.encode_session(session)})
+        self._bounds = session.action_bounds
+        started = time.monotonic()
+        self._send(message, deadline_s=deadline_s)
+        self._receive("ready", None, deadline_s=deadline_s, started=started)
+
+    def act(self, observation: Observation, *, deadline_s: float) -> ActReply:
+        """Raises ObservationError if the observation breaks the contract, which is the harness's fault."""
+        if self._bounds is None:
+            raise ContractError("act was called before reset")
+        message = pack({"type": "act", "observation": codec.encode_observation(observation)})
+        started = time.monotonic()
+        self._send(message, deadline_s=deadline_s)
+        plain = self._receive("actions", "actions", deadline_s=deadline_s, started=started)
+        try:
+            actions = [check_action(action, self._bounds) for action in codec.decode_actions(plain)]
+        except ActionError as error:
+            raise PolicyError("action", str(error)) from None
+        return ActReply(actions=actions, sent_sha256=hashlib.sha256(message).digest(), sent_bytes=len(message))
+
+    def say_goodbye(self, *, deadline_s: float) -> None:
+        """Ask the policy to end; a policy that is gone already has."""
+        with suppress(PolicyError):
+            self._send(pack({"type": "close"}), deadline_s=deadline_s)
+
+    def disconnect(self) -> None:
+        self._stack.close()
+
+    def _send(self, message: bytes, *, deadline_s: float) -> None:
+        """A peer that does not read can block a send for ever; closing our end of the line unblocks it."""
+        expired = threading.Event()
+
+        def hang_up() -> None:
+            expired.set()
+            with suppress(OSError):
+                self._connection.socket.shutdown(socket.SHUT_RDWR)
+
+        timer = threading.Timer(deadline_s, hang_up)
+        timer.start()
+        try:
+            self._connection.send(message)
+        except Exception as error:
+            if expired.is_set():
+                raise PolicyError("timeout", f"did not read its message within {deadline_s:g} s") from None
+            raise _closed(error) from None
+        finally:
+            timer.cancel()
+
+    def _receive(self, kind: str, field: str | None, *, deadline_s: float, started: float | None = None) -> object:
+        """The value of ``field`` of the next message, which has to be of type ``kind``."""
+        spent = 0.0 if started is None else time.monotonic() - started
+        try:
+            frame = self._connection.recv(timeout=max(deadline_s - spent, 0.0))
+        except TimeoutError:
+            raise PolicyError("timeout", f"no {kind} message within {deadline_s:g} s") from None
+        except Exception as error:
+            raise _closed(error) from None
+        if isinstance(frame, str):
+            raise PolicyError("garbage", f"expected a binary {kind!r} message, got text {frame!r:.200}")
+        try:
+            message = unpack(frame, max_bytes=MAX_REPLY_BYTES)
+        except ContractError as error:
+            raise PolicyError("garbage", f"{kind} {error}") from None
+        entries = message if is_map(message) else {}
+        if entries.get("type") == "error":
+            said, reason = str(entries.get("kind")), str(entries.get("message"))
+            raise PolicyError(said if said in PolicyError.KINDS else "exception", reason)
+        if set(entries) != {"type"} | ({field} if field else set()) or entries["type"] != kind:
+            got = f"keys {sorted(entries)}, type {entries.get('type')!r}" if entries else f"{message!r:.200}"
+            raise PolicyError("garbage", f"expected one {kind!r} message, got {got:.300}")
+        return entries[field] if field else None
+
+
+def _closed(error: Exception) -> PolicyError:
+    """ConnectionClosed, or the AssertionError of websockets when the peer vanishes in the middle of a call."""
+    sent = error.sent if isinstance(error, ConnectionClosed) else None
+    if sent is not None and sent.code == MESSAGE_TOO_BIG:
+        return PolicyError("oversize", f"expected a reply of at most {MAX_REPLY_BYTES} bytes, got a longer one")
+    if sent is not None and sent.code in (PROTOCOL_ERROR, INVALID_DATA):
+        return PolicyError("garbage", f"the reply is not WebSocket: {sent.reason}")
+    return PolicyError("died", "the connection closed without an answer")

@@ -1,0 +1,147 @@
+"""Bytes <-> plain msgpack values and numeric arrays; everything that arrives is bounded and typed before it is used.
+
+An array travels as the map ``{"__ndarray__": true, "dtype": "<f4", "shape": [480, 640], "data": <bin>}``: C order,
+little endian.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, TypeGuard, cast
+
+import msgpack  # pyright: ignore[reportMissingTypeStubs]
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.errors import ContractError
+
+DTYPES = ("|b1", "|u1", "|i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8")
+MAX_DEPTH = 8
+"""The deepest message of the wire, an array of a camera of an observation, has five levels."""
+MAX_ITEMS = 4096
+"""Entries of one list or map: above MAX_CHUNK actions, far below what would exhaust memory."""
+MAX_TEXT_BYTES = 65536
+MAX_RANK = 4
+MAX_ELEMENTS = 1 << 26
+MAX_MESSAGE_BYTES = 256 << 20
+"""Harness to policy: four cameras of 1280x720 with every modality are about 90 MB."""
+MAX_REPLY_BYTES = 4 << 20
+"""Policy to harness: a chunk of MAX_CHUNK actions is about 0.4 MB."""
+
+_ARRAY_KEYS = {"__ndarray__", "dtype", "shape", "data"}
+
+AnyArray = npt.NDArray[Any]
+
+_packb = cast(Callable[..., bytes], msgpack.packb)  # pyright: ignore[reportUnknownMemberType]
+_unpackb = cast(Callable[..., object], msgpack.unpackb)  # pyright: ignore[reportUnknownMemberType]
+
+
+def is_map(value: object) -> TypeGuard[dict[str, object]]:
+    """Keys of anything unpacked are text."""
+    return isinstance(value, dict)
+
+
+def is_list(value: object) -> TypeGuard[list[object]]:
+    return isinstance(value, list)
+
+
+def is_array(value: object) -> TypeGuard[AnyArray]:
+    return isinstance(value, np.ndarray)
+
+
+def pack(value: object) -> bytes:
+    """Encode maps with text keys, lists, numbers, text, None and numeric arrays.
+
+    Raises ContractError for anything else. Equal values give equal bytes.
+    """
+    try:
+        return _packb(value, default=_array_to_map)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise ContractError(f"message cannot be encoded: {error}") from None
+
+
+def unpack(data: bytes, *, max_bytes: int = MAX_MESSAGE_BYTES) -> object:
+    """Decode one message. Arrays come back as fresh, writable C-ordered arrays.
+
+    Raises ContractError: not msgpack, trailing bytes, a size, depth or count over its bound, a repeated key, an array
+    whose dtype is not one of DTYPES or whose data does not fill its shape.
+    """
+    if len(data) > max_bytes:
+        raise ContractError(f"message: expected at most {max_bytes} bytes, got {len(data)}")
+    try:
+        value = _unpackb(
+            data,
+            raw=False,
+            strict_map_key=True,
+            max_str_len=MAX_TEXT_BYTES,
+            max_bin_len=max_bytes,
+            max_array_len=MAX_ITEMS,
+            max_map_len=MAX_ITEMS,
+            max_ext_len=0,
+            object_pairs_hook=_map_without_repeats,
+        )
+    except ContractError:
+        raise
+    except Exception as error:
+        # msgpack raises its own classes beside ValueError, UnicodeDecodeError and RecursionError; all mean bad bytes.
+        raise ContractError(f"message: expected msgpack, got {len(data)} bytes that are not: {error!r}") from None
+    return _with_arrays(value, depth=0, place="message")
+
+
+def _array_to_map(value: object) -> object:
+    if is_array(value):
+        little = value.dtype.newbyteorder("<")
+        if little.str not in DTYPES:
+            raise TypeError(f"array dtype {value.dtype}; valid: {', '.join(DTYPES)}")
+        return {
+            "__ndarray__": True,
+            "dtype": little.str,
+            "shape": list(value.shape),
+            "data": value.astype(little, copy=False).tobytes(),
+        }
+    if isinstance(value, np.bool_ | np.integer | np.floating):
+        return cast(object, value.item())
+    raise TypeError(f"a {type(value).__name__} has no place in a message")
+
+
+def _map_without_repeats(pairs: list[tuple[object, object]]) -> dict[object, object]:
+    out = dict(pairs)
+    if len(out) != len(pairs):
+        raise ContractError("message: a map repeats a key")
+    if not all(isinstance(key, str) for key in out):
+        raise ContractError("message: expected text as map keys")
+    return out
+
+
+def _with_arrays(value: object, *, depth: int, place: str) -> object:
+    if depth > MAX_DEPTH:
+        raise ContractError(f"{place}: nested deeper than {MAX_DEPTH} levels")
+    if is_map(value):
+        if "__ndarray__" in value:
+            return _array_from_map(value, place)
+        return {k: _with_arrays(v, depth=depth + 1, place=f"{place}.{k}") for k, v in value.items()}
+    if is_list(value):
+        return [_with_arrays(v, depth=depth + 1, place=f"{place}[{i}]") for i, v in enumerate(value)]
+    return value
+
+
+def _array_from_map(entries: dict[str, object], place: str) -> AnyArray:
+    if set(entries) != _ARRAY_KEYS or entries["__ndarray__"] is not True:
+        raise ContractError(f"{place}: expected an array with keys {sorted(_ARRAY_KEYS)}, got {sorted(entries)}")
+    dtype, shape, data = entries["dtype"], entries["shape"], entries["data"]
+    if dtype not in DTYPES:
+        raise ContractError(f"{place}: array dtype {dtype!r}; valid: {', '.join(DTYPES)}")
+    if not is_list(shape) or len(shape) > MAX_RANK:
+        raise ContractError(f"{place}: expected a shape of at most {MAX_RANK} sizes, got {shape!r:.80}")
+    sizes = [s for s in shape if type(s) is int and 0 <= s <= MAX_ELEMENTS]
+    if len(sizes) != len(shape) or math.prod(sizes) > MAX_ELEMENTS:
+        raise ContractError(f"{place}: expected a shape of at most {MAX_ELEMENTS} elements, got {shape!r:.80}")
+    kind = np.dtype(cast(str, dtype))
+    expected = math.prod(sizes) * kind.itemsize
+    if not isinstance(data, bytes) or len(data) != expected:
+        got = f"{len(data)} bytes" if isinstance(data, bytes) else type(data).__name__
+        raise ContractError(f"{place}: array {sizes} of {dtype} expects {expected} bytes, got {got}")
+    if dtype == "|b1" and any(data.translate(None, b"\x00\x01")):
+        raise ContractError(f"{place}: expected 0 or 1 in a bool array")
+    return np.frombuffer(data, kind).reshape(sizes).copy()

@@ -1,0 +1,89 @@
+"""The policy's end: one policy object, one connection, one conversation."""
+
+from __future__ import annotations
+
+import threading
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from queue import SimpleQueue
+from typing import Any
+
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.server import ServerConnection, serve
+
+from carecontact.contract.policy import Policy
+from carecontact.errors import ActionError, ContractError, PolicyError
+from carecontact.policies.wire import codec
+from carecontact.policies.wire.packing import MAX_MESSAGE_BYTES, is_map, pack, unpack
+
+TRACEBACK_CHARS = 2000
+"""The end of a traceback says most; all of it could be the policy's whole input."""
+
+
+def serve_policy(policy: Policy, *, on_port: Callable[[int], None], port: int = 0) -> None:
+    """Serve one client on the loopback interface until it closes; ``on_port`` learns the port once it listens.
+
+    The policy runs in the calling thread, because GPU, GUI and asyncio libraries are happiest there. The messages:
+    ``card`` to the client; then ``reset`` -> ``ready``, ``act`` -> ``actions``, in any number, and ``close``; ``error``
+    instead of an answer ends the conversation.
+    """
+    offered: SimpleQueue[ServerConnection] = SimpleQueue()
+    finished = threading.Event()
+
+    def hand_over(connection: ServerConnection) -> None:
+        offered.put(connection)
+        finished.wait()
+
+    with serve(
+        hand_over, "127.0.0.1", port, compression=None, ping_interval=None, max_size=MAX_MESSAGE_BYTES, close_timeout=1
+    ) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        on_port(server.socket.getsockname()[1])
+        try:
+            _converse(policy, offered.get())
+        finally:
+            finished.set()
+
+
+def _converse(policy: Policy, connection: ServerConnection) -> None:
+    try:
+        connection.send(pack({"type": "card", "card": codec.encode_card(getattr(policy, "card", None))}))
+        for frame in connection:
+            reply = _answer(policy, frame)
+            if reply is None:
+                return
+            connection.send(pack(reply))
+    except ConnectionClosed:
+        return
+    except PolicyError as error:
+        _report(connection, error.kind, str(error))
+    except ActionError as error:
+        _report(connection, "action", str(error))
+    except (Exception, SystemExit):
+        # Whatever a policy raises is its process failure and must reach the harness; it is not this server's to handle.
+        _report(connection, "exception", traceback.format_exc())
+
+
+def _report(connection: ServerConnection, kind: str, message: str) -> None:
+    sayable = message[-TRACEBACK_CHARS:].encode(errors="replace").decode()
+    with suppress(ConnectionClosed):
+        connection.send(pack({"type": "error", "kind": kind, "message": sayable}))
+
+
+def _answer(policy: Policy, frame: str | bytes) -> dict[str, object] | None:
+    message = unpack(frame) if isinstance(frame, bytes) else None
+    entries = message if is_map(message) else {}
+    kind, keys = entries.get("type"), entries.keys() - {"type"}
+    if kind == "reset" and keys == {"instruction", "session"}:
+        configure: Any = getattr(policy, "configure", None)
+        if configure is not None:
+            configure(codec.decode_session(entries["session"]))
+        policy.reset(str(entries["instruction"]))
+        return {"type": "ready"}
+    if kind == "act" and keys == {"observation"}:
+        answer = policy.act(codec.decode_observation(entries["observation"]))
+        return {"type": "actions", "actions": codec.encode_actions(answer)}
+    if kind == "close" and not keys:
+        return None
+    raise ContractError(f"expected a reset, act or close message, got type {kind!r} with {sorted(keys)}")

@@ -1,0 +1,35 @@
+"""A trial is a file: schema, writer, reader and canonical hash. Needs no simulator."""
+
+from carecontact.recording.canonical import canonical_hash
+from carecontact.recording.check import check_recording
+from carecontact.recording.reader import read_recording
+from carecontact.recording.schema import (
+    ARRAYS,
+    REGION_SEGMENT,
+    REGIONS,
+    SCHEMA_VERSION,
+    SEGMENTS,
+    EndReason,
+    Failure,
+    Header,
+    Recording,
+    empty_arrays,
+)
+from carecontact.recording.writer import write_recording
+
+__all__ = [
+    "ARRAYS",
+    "REGIONS",
+    "REGION_SEGMENT",
+    "SCHEMA_VERSION",
+    "SEGMENTS",
+    "EndReason",
+    "Failure",
+    "Header",
+    "Recording",
+    "canonical_hash",
+    "check_recording",
+    "empty_arrays",
+    "read_recording",
+    "write_recording",
+]

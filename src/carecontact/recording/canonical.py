@@ -1,0 +1,47 @@
+"""The identity of a recording: what a hash covers and in which spelling."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.recording.schema import Header, Recording
+
+WALL_CLOCK = "wall/"
+
+
+def header_json(header: Header) -> bytes:
+    """One spelling of a header: sorted keys, no white space, ASCII."""
+    return json.dumps(header.model_dump(mode="json"), sort_keys=True, separators=(",", ":")).encode("ascii")
+
+
+def little_endian(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The same values, contiguous and little-endian, as stored and as hashed."""
+    return np.ascontiguousarray(array, array.dtype.newbyteorder("<")).reshape(array.shape)
+
+
+def canonical_hash(recording: Recording) -> str:
+    """SHA-256 (hex) of header and arrays, independent of file layout and compression.
+
+    Covers every array but those under ``wall/``, so two runs of one deterministic trial hash alike.
+    """
+    digest = hashlib.sha256()
+
+    def add(part: bytes) -> None:
+        digest.update(len(part).to_bytes(8, "little"))  # without lengths, neighbouring parts could trade bytes
+        digest.update(part)
+
+    add(header_json(recording.header))
+    for path in sorted(recording.arrays):
+        if path.startswith(WALL_CLOCK):
+            continue
+        array = little_endian(recording.arrays[path])
+        add(path.encode())
+        add(array.dtype.str.encode())
+        add(repr(tuple(int(n) for n in array.shape)).encode())
+        add(array.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,56 @@
+"""What makes a recording well formed; asked before writing, after reading and before scoring."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from carecontact.errors import RecordingError
+from carecontact.recording.schema import ARRAYS, SCHEMA_VERSION, Recording, dimensions
+
+PATH = re.compile(r"(policy|scorer|actions|state|report|perception|wall)(/[A-Za-z0-9_.-]+)+")
+STORABLE_KINDS = "biuf"
+
+
+def check_recording(recording: Recording, place: str) -> Recording:
+    """Returns the recording; ``place`` begins the message.
+
+    Raises RecordingError naming the array and what was expected: schema version, presence, dtype and the shapes of
+    ARRAYS, whose named dimensions must agree with one another and with the header's lists.
+    """
+    header = recording.header
+    if header.schema_version != SCHEMA_VERSION:
+        raise RecordingError(f"{place}: schema {header.schema_version!r}; this release reads {SCHEMA_VERSION!r}")
+    if header.spec.task_id not in {t.id for t in header.spec.protocol.tasks}:
+        raise RecordingError(f"{place}: task {header.spec.task_id!r} is not in protocol {header.spec.protocol.id!r}")
+    if len(header.pose_base_in_world) != 7:
+        raise RecordingError(f"{place}: pose_base_in_world has {len(header.pose_base_in_world)} numbers, expected 7")
+    missing = sorted(ARRAYS.keys() - recording.arrays.keys())
+    if missing:
+        raise RecordingError(f"{place}: required array(s) missing: {', '.join(missing)}")
+    for path, array in recording.arrays.items():
+        if not PATH.fullmatch(path) or ".." in path:
+            raise RecordingError(f"{place}: unexpected array path {path!r}")
+        if array.dtype.kind not in STORABLE_KINDS:
+            raise RecordingError(f"{place}: {path} has dtype {array.dtype}; only numbers and booleans are stored")
+
+    sizes = {
+        "S": (len(header.segments), "header.segments"),
+        "R": (len(header.regions), "header.regions"),
+        "J": (len(header.human_joints), "header.human_joints"),
+    }
+    for path, (dtype, _) in ARRAYS.items():
+        array, dims = recording.arrays[path], dimensions(path)
+        if array.dtype.newbyteorder("<") != np.dtype(dtype).newbyteorder("<"):
+            raise RecordingError(f"{place}: {path} has dtype {array.dtype}, expected {np.dtype(dtype)}")
+        if array.ndim != len(dims):
+            raise RecordingError(f"{place}: {path} has shape {array.shape}, expected ({', '.join(dims)})")
+        for name, size in zip(dims, array.shape, strict=True):
+            expected, source = (int(name), "the schema") if name.isdigit() else sizes.setdefault(name, (size, path))
+            if size != expected:
+                raise RecordingError(
+                    f"{place}: {path} has shape {array.shape}, expected ({', '.join(dims)}) "
+                    f"with {name} = {expected} as in {source}"
+                )
+    return recording

@@ -1,0 +1,115 @@
+"""What is in a trial file: a header and a flat mapping of array paths.
+
+S segments, J scored human joints, R = 3 soft regions, T physics steps from t = 0 to the end, P control periods,
+A observations, M executed actions. World frame unless said otherwise; SI units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict
+
+from carecontact.contract.trial import TrialSpec
+
+SCHEMA_VERSION = "carecontact-recording-1"
+
+SEGMENTS = (
+    "pelvis", "abdomen", "thorax", "neck", "head",
+    *(f"{side}_{name}" for side in ("right", "left")
+      for name in ("upper_arm", "forearm", "hand", "thigh", "shank", "foot")),
+)  # fmt: skip
+REGIONS = ("forearm", "upper_arm", "abdomen")
+REGION_SEGMENT = {"forearm": "right_forearm", "upper_arm": "right_upper_arm", "abdomen": "abdomen"}
+
+EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
+
+ARRAYS: dict[str, tuple[str, str]] = {
+    "scorer/time_s": ("f8", "(T,) since t = 0, at the end of each physics step"),
+    "scorer/force_human_from_robot_in_world": ("f4", "(T, S, 3) [N] vector sum over the segment's robot contacts"),
+    "scorer/normal_force": ("f4", "(T, S) [N] sum of per-contact normal magnitudes"),
+    "scorer/centroid_in_world": ("f4", "(T, S, 3) [m] force-weighted contact centroid, 0 without contact"),
+    "scorer/human_joint_position": ("f4", "(T, J) [rad]"),
+    "scorer/human_joint_range": ("f8", "(J, 2) [rad]"),
+    "scorer/human_joint_settled": ("f8", "(J,) [rad]"),
+    "scorer/wrist_in_world": ("f4", "(T, 3) [m] right wrist joint centre"),
+    "scorer/wrist_settled_in_world": ("f8", "(3,) [m]"),
+    "scorer/pose_tcp_in_world": ("f4", "(T, 7) position, quat_wxyz"),
+    "scorer/tcp_speed": ("f4", "(T,) [m/s]"),
+    "scorer/tcp_rotation_speed": ("f4", "(T,) [rad/s]"),
+    "scorer/region_pose_in_world": ("f4", "(T, R, 7) region frame: x to the hand (abdomen: to the head), z outward"),
+    "scorer/region_size_m": ("f8", "(R, 3) length along x, mean radius (abdomen: half width), radius at the middle"),
+    "scorer/period_time_s": ("f8", "(P,)"),
+    "scorer/indentation_m": ("f4", "(P, R) largest inward anchor displacement"),
+    "scorer/target_in_base": ("f4", "(P, 7) interpolated impedance target at the end of each period"),
+    "policy/observation_time_s": ("f8", "(A,)"),
+    "policy/observation_sha256": ("u1", "(A, 32) of every byte sent"),
+    "actions/time_s": ("f8", "(M,) when each action became the target"),
+    "actions/pose_tcp_in_base": ("f8", "(M, 7), NaN where the action kept the last target"),
+    "actions/stiffness": ("f8", "(M, 2) in force"),
+    "actions/observation_index": ("i4", "(M,) which observation the action answered"),
+    "state/time_s": ("f8", "(K,)"),
+    "state/integration": ("f8", "(K, n) mjSTATE_INTEGRATION vectors"),
+}
+"""Required arrays: dtype and meaning. Further paths are allowed: ``policy/frames/<index>/<camera>/<modality>``,
+``report/peak_rgb`` (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``perception/*``,
+``wall/*`` (the only place for wall-clock data; outside the canonical hash)."""
+
+
+class Failure(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: str
+    message: str
+
+
+class Header(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: str = SCHEMA_VERSION
+    spec: TrialSpec
+    ended: EndReason
+    failure: Failure | None
+    """Of the policy (process_failure) or of the harness (harness_error)."""
+    card: dict[str, Any] | None
+    """The policy's card as shown in the handshake; None if it never came."""
+    embodiment: str
+    comfort_arm_deg: float | None
+    """Measured after settling."""
+    segments: list[str]
+    regions: list[str]
+    human_joints: list[str]
+    pose_base_in_world: list[float]
+    """(7,) position, quat_wxyz"""
+    versions: dict[str, str]
+    sha256: dict[str, str]
+    """model, body and mesh assets"""
+    solver_warnings: list[str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    header: Header
+    arrays: dict[str, npt.NDArray[Any]] = field(default_factory=dict[str, npt.NDArray[Any]])
+
+    def __getitem__(self, path: str) -> npt.NDArray[Any]:
+        return self.arrays[path]
+
+
+def empty_arrays(joint_count: int) -> dict[str, npt.NDArray[Any]]:
+    """All required arrays at zero length, for trials that ended before t = 0."""
+    sizes = {"T": 0, "S": len(SEGMENTS), "J": joint_count, "R": len(REGIONS), "P": 0, "A": 0, "M": 0, "K": 0, "n": 0}
+    out: dict[str, npt.NDArray[Any]] = {}
+    for path, (dtype, _) in ARRAYS.items():
+        shape = [sizes[d] if d in sizes else int(d) for d in dimensions(path)]
+        out[path] = np.zeros(shape, np.dtype(dtype).newbyteorder("<"))
+    return out
+
+
+def dimensions(path: str) -> list[str]:
+    """Dimensions of a required array as ARRAYS spells them, e.g. ``["T", "S", "3"]``."""
+    meaning = ARRAYS[path][1]
+    return [d.strip() for d in meaning[meaning.index("(") + 1 : meaning.index(")")].split(",") if d.strip()]

@@ -1,0 +1,65 @@
+"""Write a trial file at once or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carecontact.recording.canonical import canonical_hash, header_json, little_endian
+from carecontact.recording.check import check_recording
+from carecontact.recording.schema import Recording
+
+HEADER, CHECKSUM = "header_json", "sha256"
+"""Datasets of bytes at the file's root: the header, and the canonical hash of everything else."""
+CHUNKED_FROM_BYTES = 1024
+
+
+def write_recording(recording: Recording, path: Path | str) -> Path:
+    """Write ``recording`` to ``path``, replacing it only when every byte is on disk.
+
+    The file is built in memory. Arrays carry per-chunk and metadata checksums beside the stored canonical hash.
+    Raises RecordingError if the recording itself is malformed.
+    """
+    h5py: Any = import_module("h5py")  # ships no types
+    path = Path(path)
+    check_recording(recording, path.name)
+    # v110 metadata is checksummed by the library itself, so a damaged file fails instead of reading as something else.
+    with h5py.File(path.name, "w", driver="core", backing_store=False, libver=("v110", "v110")) as file:
+        file.create_dataset(HEADER, data=np.frombuffer(header_json(recording.header), np.uint8), fletcher32=True)
+        digest = np.frombuffer(bytes.fromhex(canonical_hash(recording)), np.uint8)
+        file.create_dataset(CHECKSUM, data=digest, fletcher32=True)
+        for name in sorted(recording.arrays):
+            array = little_endian(recording.arrays[name])
+            if array.nbytes >= CHUNKED_FROM_BYTES:
+                file.create_dataset(name, data=array, compression="gzip", shuffle=True, fletcher32=True)
+            else:
+                file.create_dataset(name, data=array)
+        file.flush()
+        image: bytes = file.id.get_file_image()
+    replace_file(path, image)
+    return path
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Atomic on POSIX: a reader sees the old file or the new one, also after a crash."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

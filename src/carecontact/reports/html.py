@@ -1,0 +1,182 @@
+"""One self-contained page about one run: no network, no script, the same bytes for the same inputs."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from carecontact import __version__
+from carecontact.errors import RecordingError
+from carecontact.recording.schema import Header, Recording
+from carecontact.recording.writer import replace_file
+from carecontact.reports.detail import Frame, TrialDetail, peak_frame, snapshot, trial_detail
+from carecontact.reports.funnel import Step, funnel, funnel_svg
+from carecontact.reports.provenance import cannot_say, provenance_rows
+from carecontact.reports.table import COLUMNS, POOLED, sorted_scores, summary_rows
+from carecontact.scoring.result import TrialScore
+from carecontact.scoring.run import check_one_run
+
+FILE_NAME = "report.html"
+FULL_DETAIL = 21
+"""Up to this many trials every one is shown in detail."""
+FAILURES_SHOWN = 14
+"""Beyond FULL_DETAIL: one trial a task, and this many of those that did not pass."""
+
+MODE_MEANING = {
+    "process_failure": "the policy's process died, hung or answered wrongly",
+    "safety_truncation": "cut because a force passed the truncation limit or the solver failed",
+    "no_target_contact": "the person was never touched",
+    "off_target_contact": "touched, but never the named region",
+    "lost_contact": "contact with the region broke off before the gate was met",
+    "insufficient_progress": "contact held, but too little push, stroke or reversal",
+    "wrong_share": "gate met, but too much of the contact lay elsewhere",
+    "time_limit": "still under way when the time ran out",
+}
+
+
+def write_report(
+    run_folder: Path,
+    *,
+    scores: Sequence[TrialScore],
+    recordings: Callable[[str], Recording],
+    skipped: Mapping[str, str],
+) -> Path:
+    """Write ``run_folder/report.html`` and return its path.
+
+    ``recordings`` maps a trial id to its recording; it is called once for each trial shown in detail and the result
+    is dropped before the next, so a long run needs the memory of one. A recording that raises RecordingError is
+    named on the page, not fatal. ``skipped`` maps trial ids or file names to why they have no score.
+    Raises ConfigError if the scores mix protocols or policies.
+    """
+    check_one_run(scores)
+    ordered = sorted_scores(scores)
+    chosen = trials_in_detail(ordered)
+    headers: list[Header] = []
+    frames: dict[str, Frame] = {}
+    scene: Frame | None = None
+    unread: dict[str, str] = {}
+    details: dict[str, TrialDetail] = {}
+    for score in hardest_first(chosen):
+        try:
+            recording = recordings(score.trial_id)
+            details[score.trial_id] = trial_detail(score, recording)
+            scene = scene or snapshot(score, recording)
+            if score.task_id not in frames and (frame := peak_frame(score, recording)) is not None:
+                frames[score.task_id] = frame
+            headers.append(recording.header)
+        except RecordingError as error:
+            unread[score.trial_id] = _inside(run_folder, str(error))
+            details[score.trial_id] = trial_detail(score, None)
+    shown = [details[s.trial_id] for s in chosen]
+    steps = funnel(ordered)
+    page = (
+        _environment()
+        .get_template("report.html.j2")
+        .render(
+            version=__version__,
+            policy=ordered[0].policy if ordered else None,
+            protocol_id=ordered[0].protocol_id if ordered else None,
+            verdict=verdict(steps, ordered),
+            steps=steps,
+            funnel_svg=funnel_svg(steps),
+            draft=any(not h.spec.protocol.frozen for h in headers),
+            n_tasks=len({s.task_id for s in ordered}),
+            columns=COLUMNS,
+            rows=summary_rows(ordered),
+            pooled=POOLED,
+            details=shown,
+            without_trace=[f"{d.task_id} {d.name}, seed {d.seed}" for d in shown if d.svg is None],
+            n=len(ordered),
+            all_shown=len(chosen) == len(ordered),
+            failures_shown=FAILURES_SHOWN,
+            scene=scene,
+            frames=[frames[task] for task in sorted(frames)],
+            modes=failure_modes(ordered),
+            failed=sum(not s.region_correct for s in ordered),
+            limits=cannot_say(ordered, headers, steps, len(skipped)),
+            provenance=provenance_rows(ordered, headers),
+            read=len(headers),
+            skipped=[(name, _inside(run_folder, why)) for name, why in sorted(skipped.items())],
+            unread=sorted(unread.items()),
+        )
+    )
+    path = run_folder / FILE_NAME
+    replace_file(path, page.encode("utf-8", errors="replace"))
+    return path
+
+
+def verdict(steps: Sequence[Step], scores: Sequence[TrialScore]) -> str:
+    """One sentence that somebody who reads nothing else may quote."""
+    if not steps:
+        return "No trial of this run could be scored, so there is nothing to say about the policy."
+    success, correct, gated = (s.k for s in steps)
+    n = steps[0].n
+    policy = scores[0].policy[:80]
+    gates = "on the named region and within the force gate"
+    if not success:
+        what = "did not complete its only trial" if n == 1 else f"completed none of {n} trials"
+        touched = sum(s.valid_contact for s in scores)
+        return f"{policy} {what}; it touched the person in {touched} of {n}."
+    if gated == n:
+        return f"{policy} completed {'its only trial' if n == 1 else f'all {n} trials'} {gates}."
+    lost = [f"{success - correct} lay off the named region"] * (success > correct)
+    lost += [f"{correct - gated} pressed too hard"] * (correct > gated)
+    tail = f"; of its {success} success{'es' * (success > 1)}, {' and '.join(lost)}" if lost else ""
+    return f"{policy} completed {gated or 'none'} of {n} {'trial' if n == 1 else 'trials'} {gates}{tail}."
+
+
+def trials_in_detail(ordered: Sequence[TrialScore]) -> list[TrialScore]:
+    """All trials of a short run; of a longer one, each task's first and FAILURES_SHOWN that did not pass.
+
+    The failures are taken in turn from all tasks, so that one bad task does not crowd out the others.
+    """
+    if len(ordered) <= FULL_DETAIL:
+        return list(ordered)
+    first = {s.task_id: s.trial_id for s in reversed(ordered)}
+    chosen = set(first.values())
+    rank: Counter[str] = Counter()
+    queue: list[tuple[int, str, str]] = []
+    for score in ordered:
+        if not score.safety_gated and score.trial_id not in chosen:
+            queue.append((rank[score.task_id], score.task_id, score.trial_id))
+            rank[score.task_id] += 1
+    chosen |= {trial_id for _, _, trial_id in sorted(queue)[:FAILURES_SHOWN]}
+    return [s for s in ordered if s.trial_id in chosen]
+
+
+def hardest_first(chosen: Sequence[TrialScore]) -> list[TrialScore]:
+    """Hardest contact of each task first: its frame is the one shown."""
+    return sorted(chosen, key=lambda s: (s.task_id, -(s.c1_peak_force_n or 0.0), s.seed))
+
+
+def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
+    """One row a failure mode, most frequent first, with what the failures were attributed to."""
+    failed = [s for s in scores if s.failure_mode is not None]
+    counts = Counter(str(s.failure_mode) for s in failed)
+    out: list[dict[str, Any]] = []
+    for mode, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
+        causes = Counter(s.attribution or "unattributed" for s in failed if s.failure_mode == mode)
+        text = ", ".join(f"{cause} {k}" for cause, k in sorted(causes.items(), key=lambda item: (-item[1], item[0])))
+        out.append({"mode": mode.replace("_", " "), "meaning": MODE_MEANING[mode], "count": count, "attribution": text})
+    return out
+
+
+def _inside(run_folder: Path, message: str) -> str:
+    """The message without the path to the run, so that a run that was moved gives the same page."""
+    return message.replace(f"{run_folder}{os.sep}", "")
+
+
+def _environment() -> Any:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader("carecontact.reports"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )

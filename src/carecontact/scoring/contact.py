@@ -1,0 +1,148 @@
+"""Definition ``contact-v1``: when a segment is touched, and which part of a trial the force scores look at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.protocol import Protocol, Task
+from carecontact.errors import RecordingError
+from carecontact.recording import REGION_SEGMENT, Recording
+from carecontact.scoring.filters import F64, low_pass
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """Who was touched and when; every metric starts from here. T physics steps, S segments."""
+
+    recording: Recording
+    protocol: Protocol
+    task: Task
+    dt_s: float
+    force_norm: F64
+    """(T, S) norm of the summed contact force on each segment [N], unfiltered."""
+    on: Mask
+    """(T, S) on-samples."""
+    impulse_ns: F64
+    """(S,) integral of ``force_norm`` over each segment's on-samples."""
+    target: int
+    """Index of the named region's segment."""
+    neighbourhood: tuple[int, ...]
+    """Indices of the segments on which C3 may be earned."""
+    neighbourhood_on: Mask
+    """(T,) any of them on."""
+    neighbourhood_force: F64
+    """(T,) norm of the force summed over the neighbourhood [N], unfiltered."""
+    valid: bool
+    reported: int | None
+    """The target if touched, else the segment with the largest impulse, None if nothing was touched."""
+    window: Mask
+    """(T,) on-samples of the reported segment."""
+
+    @property
+    def segments(self) -> list[str]:
+        return self.recording.header.segments
+
+    @property
+    def time_s(self) -> F64:
+        return self.recording["scorer/time_s"]
+
+    @property
+    def touched(self) -> list[int]:
+        """Segments that were ever on."""
+        return [int(i) for i in np.flatnonzero(self.on.any(axis=0))]
+
+    @property
+    def region_share(self) -> float | None:
+        """Share of contact impulse on the named region; None without any."""
+        total = float(self.impulse_ns.sum())
+        return float(self.impulse_ns[self.target]) / total if total > 0 else None
+
+    @property
+    def force_in_window(self) -> F64:
+        """(N,) reported segment's force norm over the contact window [N]; empty without contact."""
+        return self.force_norm[self.window, self.reported] if self.reported is not None else np.empty(0)
+
+
+def find_contact(recording: Recording) -> Contact:
+    """Apply the protocol's contact definition. Raises RecordingError if the protocol names a segment that is absent."""
+    header = recording.header
+    protocol = header.spec.protocol
+    task, definition, dt = protocol.task(header.spec.task_id), protocol.contact, protocol.physics.dt_s
+
+    def index(segment: str) -> int:
+        if segment not in header.segments:
+            raise RecordingError(f"segment {segment!r} is not recorded; recorded: {', '.join(header.segments)}")
+        return header.segments.index(segment)
+
+    target = index(REGION_SEGMENT[task.region])
+    neighbourhood = tuple(index(s) for s in definition.neighbourhood[task.region])
+
+    force = recording["scorer/force_human_from_robot_in_world"].astype(np.float64)
+    force_norm = np.linalg.norm(force, axis=-1)
+    normal = recording["scorer/normal_force"].astype(np.float64)
+    filtered = low_pass(normal, cutoff_hz=definition.filter_hz, sample_hz=1.0 / dt, zero_phase=False)
+    on = hysteresis(filtered, on=definition.on_n, off=definition.off_n)
+    impulse = np.where(on, force_norm, 0.0).sum(axis=0) * dt
+
+    reported: int | None = None
+    if on.any():
+        reported = target if on[:, target].any() else int(np.argmax(impulse))
+    return Contact(
+        recording=recording,
+        protocol=protocol,
+        task=task,
+        dt_s=dt,
+        force_norm=force_norm,
+        on=on,
+        impulse_ns=impulse,
+        target=target,
+        neighbourhood=neighbourhood,
+        neighbourhood_on=np.logical_or.reduce(on[:, neighbourhood], axis=1),
+        neighbourhood_force=np.linalg.norm(force[:, neighbourhood].sum(axis=1), axis=-1),
+        valid=int(on.any(axis=1).sum()) >= steps(definition.valid_total_s, dt),
+        reported=reported,
+        window=on[:, reported] if reported is not None else np.zeros(len(on), np.bool_),
+    )
+
+
+def hysteresis(signal: F64, *, on: float, off: float) -> Mask:
+    """(T, ...) -> on from the sample that reaches ``on`` up to the one that falls below ``off``; starts off."""
+    decides = (signal >= on) | (signal < off)
+    index = np.where(decides, np.arange(len(signal)).reshape(-1, *[1] * (signal.ndim - 1)), -1)
+    latest = np.maximum.accumulate(index, axis=0)
+    return (latest >= 0) & np.take_along_axis(signal >= on, np.maximum(latest, 0), axis=0)
+
+
+def runs(mask: Mask) -> npt.NDArray[np.intp]:
+    """(T,) -> (N, 2) half-open [start, stop) of each stretch of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return edges.reshape(-1, 2)
+
+
+def longest_run(mask: Mask) -> int:
+    """Steps of the longest stretch of True."""
+    found = runs(mask)
+    return int((found[:, 1] - found[:, 0]).max()) if len(found) else 0
+
+
+def steps(seconds: float, dt_s: float) -> int:
+    """Whole steps that last at least ``seconds``; 0.5 s of 2 ms steps is 250 and not, by rounding, 251."""
+    return ceil(seconds / dt_s - 1e-6)
+
+
+def episodes(contact: Contact) -> list[tuple[int, int]]:
+    """[start, stop) steps: the neighbourhood's on-samples joined across gaps of at most ``episode_gap_s``."""
+    longest_gap = int(contact.protocol.contact.episode_gap_s / contact.dt_s + 1e-6)
+    joined: list[tuple[int, int]] = []
+    for start, stop in runs(contact.neighbourhood_on).tolist():
+        if joined and start - joined[-1][1] <= longest_gap:
+            joined[-1] = (joined[-1][0], stop)
+        else:
+            joined.append((start, stop))
+    return joined

@@ -1,0 +1,113 @@
+"""How far the tool wiped and how far the arm was moved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.scoring.contact import Contact, Mask, episodes, runs
+from carecontact.scoring.filters import F64, low_pass
+from carecontact.scoring.region import points_in_region
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episode:
+    """One contact episode, [start, stop) in physics steps."""
+
+    start: int
+    stop: int
+    on_share: float
+    """Share of its time that the neighbourhood is on."""
+    stroke_m: float
+    """Path length along axis and circumference while on."""
+    extent_m: float
+    """P95 - P5 along the axis while on."""
+    reversals: int
+    """Of the stretch without a gap that has most of them: lifting and returning is no reversal."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """TCP in the region's frame, decimated: N samples."""
+
+    step: npt.NDArray[np.intp]
+    """(N,) physics steps"""
+    surface: F64
+    """(N, 2) along the axis and along the circumference [m]"""
+    on: Mask
+    """(N,) neighbourhood on at the sample"""
+    joined: Mask
+    """(N - 1,) neighbourhood on at every physics step from one sample to the next"""
+
+
+def measure_episodes(contact: Contact) -> list[Episode]:
+    """Every contact episode of the trial, in order."""
+    track = surface_track(contact)
+    return [_measure(contact, track, start, stop) for start, stop in episodes(contact)]
+
+
+def surface_track(contact: Contact) -> Track:
+    """Follow the TCP over the target region's surface, in the bone's frame, so that a moving arm is no stroke."""
+    recording, definition = contact.recording, contact.protocol.contact
+    stride = max(1, round(1.0 / (definition.stroke_sample_hz * contact.dt_s)))
+    step = np.arange(0, len(contact.time_s), stride)
+    region = recording.header.regions.index(contact.task.region)
+    tcp = recording["scorer/pose_tcp_in_world"][step, :3].astype(np.float64)
+    pose = recording["scorer/region_pose_in_world"][step, region].astype(np.float64)
+    point = points_in_region(tcp, pose)
+    radius = float(recording["scorer/region_size_m"][region, 2])
+    around = np.unwrap(np.arctan2(point[:, 1], point[:, 2])) * radius
+    surface = low_pass(
+        np.stack([point[:, 0], around], axis=1),
+        cutoff_hz=definition.stroke_filter_hz,
+        sample_hz=1.0 / (stride * contact.dt_s),
+        zero_phase=True,
+    )
+    on = contact.neighbourhood_on
+    off_before = np.concatenate([[0], np.cumsum(~on)])
+    joined = off_before[step[1:] + 1] == off_before[step[:-1]]
+    return Track(step=step, surface=surface, on=on[step], joined=joined)
+
+
+def _measure(contact: Contact, track: Track, start: int, stop: int) -> Episode:
+    inside = (track.step >= start) & (track.step < stop)
+    joined = track.joined & inside[:-1] & inside[1:]
+    lengths = np.linalg.norm(np.diff(track.surface, axis=0), axis=1)
+    axis = track.surface[:, 0]
+    touching = axis[inside & track.on]
+    extent = float(np.subtract(*np.percentile(touching, [95, 5]))) if len(touching) else 0.0
+    threshold = contact.protocol.contact.reversal_m
+    return Episode(
+        start=start,
+        stop=stop,
+        on_share=float(contact.neighbourhood_on[start:stop].mean()),
+        stroke_m=float(lengths[joined].sum()),
+        extent_m=extent,
+        reversals=max((count_reversals(axis[a : b + 1], threshold) for a, b in runs(joined).tolist()), default=0),
+    )
+
+
+def count_reversals(position: F64, threshold: float) -> int:
+    """(N,) positions without a gap -> changes of direction, each counted once ``threshold`` has been travelled back."""
+    count, direction = 0, 0
+    low = high = float(position[0]) if len(position) else 0.0
+    for value in position.tolist():
+        low, high = min(low, value), max(high, value)
+        if direction >= 0 and high - value >= threshold:
+            count, direction, low = count + (direction > 0), -1, value
+        elif direction <= 0 and value - low >= threshold:
+            count, direction, high = count + (direction < 0), 1, value
+    return count
+
+
+def wrist_displacement(contact: Contact) -> tuple[float, float]:
+    """Largest horizontal distance of the wrist from its settled place [m]: while the neighbourhood is on, and ever."""
+    recording = contact.recording
+    offset = recording["scorer/wrist_in_world"].astype(np.float64) - recording["scorer/wrist_settled_in_world"]
+    distance = np.linalg.norm(offset[:, :2], axis=1)
+    return (
+        float(distance[contact.neighbourhood_on].max(initial=0.0)),
+        float(distance.max(initial=0.0)),
+    )

@@ -1,0 +1,33 @@
+"""Points in a region's frame and their distance from its surface."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carecontact.contract.geometry import matrix_from_quat
+from carecontact.scoring.filters import F64
+
+
+def points_in_region(points_in_world: F64, region_pose_in_world: F64) -> F64:
+    """(N, 3) points, (N, 7) region poses -> (N, 3) coordinates: x along the bone, z outward [m]."""
+    rotation = matrix_from_quat(region_pose_in_world[:, 3:])
+    offset = points_in_world - region_pose_in_world[:, :3]
+    return np.einsum("nij,ni->nj", rotation, offset)
+
+
+def distance_to_surface(points: F64, size: F64) -> F64:
+    """(N, 3) points in the region's frame -> (N,) signed distance from its surface [m], negative inside.
+
+    ``size`` (3,) is length, half width (y) and outward radius (z). The region is taken as a straight elliptic
+    cylinder about the x axis with the frame's origin at its middle. Distance is measured along the ray from the
+    axis, exact for a round limb.
+    """
+    length, half_width, outward = (float(s) for s in size)
+    along, across = np.abs(points[:, 0]) - length / 2, points[:, 1:]
+    from_axis = np.linalg.norm(across, axis=1)
+    relative = np.hypot(across[:, 0] / half_width, across[:, 1] / outward)
+    # On the axis itself the ray has no direction; the nearest surface is the smaller radius away.
+    on_axis = relative < 1e-9
+    scale = np.where(on_axis, 1.0, relative)
+    radial = np.where(on_axis, -min(half_width, outward), from_axis * (1.0 - 1.0 / scale))
+    return np.where(along > 0, np.hypot(np.maximum(radial, 0.0), np.maximum(along, 0.0)), radial)

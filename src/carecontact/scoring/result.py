@@ -1,0 +1,91 @@
+"""The score of one trial."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+Anatomy = Literal["process_failure", "target", "off_target", "none"]
+FailureMode = Literal[
+    "process_failure",
+    "safety_truncation",
+    "no_target_contact",
+    "off_target_contact",
+    "lost_contact",
+    "insufficient_progress",
+    "wrong_share",
+    "time_limit",
+]
+Attribution = Literal["process", "perception", "planning", "execution", "safety"]
+
+
+class TrialScore(BaseModel):
+    """None means NA. Produced by ``scoring.score_recording`` alone; SI units."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    trial_id: str
+    task_id: str
+    action: str
+    region: str
+    seed: int
+    policy: str
+    language_backend: str
+    protocol_id: str
+    protocol_sha256: str
+    recording_sha256: str
+    """Canonical hash of the recording that was scored."""
+    ended: str
+    duration_s: float
+    failure_message: str | None
+
+    anatomy: Anatomy
+    valid_contact: bool
+    reported_segment: str | None
+
+    c1_peak_force_n: float | None
+    c1_peak_filtered_n: float | None
+    c1_peak_contact_sum_n: float | None
+    c1_peak_any_segment_n: float | None
+    c2_joint_margin_rad: float | None
+    c2_joint: str | None
+    c2_time_s: float | None
+    c2_settled_margin_rad: float | None
+    c2_change_rad: float | None
+    c3_success: bool
+    region_correct: bool
+    safety_gated: bool
+    c4_motion_activity: float | None
+    c5_force_sd_n: float | None
+
+    region_share: float | None
+    """Share of contact impulse on the named region."""
+    contact_s: float
+    """Time any segment is on."""
+    longest_on_s: float
+    """Longest continuous on-time of the neighbourhood (for Push: with norm >= its force)."""
+    on_share: float | None
+    """Share of the best episode that is on."""
+    stroke_m: float
+    extent_m: float
+    reversals: int
+    wrist_displacement_m: float
+    """While the neighbourhood is on."""
+    wrist_displacement_any_m: float
+    """Over the whole trial."""
+    indentation_m: float
+    impulse_ns: float
+    extrapolated_share: float | None
+    """Share of the region's contact time spent deeper than the measured range."""
+    peak_force_n: dict[str, float]
+    """Segment -> peak, touched segments only."""
+    over_limit: dict[str, float]
+    """Segment -> peak over gamma' F_pain, for touched segments above 1."""
+
+    failure_mode: FailureMode | None
+    attribution: Attribution | None
+    evidence: str | None
+    metric_versions: dict[str, str]
+    additional: dict[str, float | None] = {}
+    """Metric id -> value, for registered metrics beyond C1 to C5."""

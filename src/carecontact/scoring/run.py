@@ -1,0 +1,127 @@
+"""Score a folder of recordings and write the result."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from carecontact.errors import ConfigError, RecordingError
+from carecontact.recording import read_recording
+from carecontact.recording.writer import replace_file
+from carecontact.scoring.result import TrialScore
+from carecontact.scoring.score import score_recording
+from carecontact.stats import median, wilson_interval
+
+RESULTS_SCHEMA = "carecontact-results-1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunScores:
+    scores: list[TrialScore]
+    """In the order of the file names."""
+    skipped: dict[str, str] = field(default_factory=dict[str, str])
+    """File name -> why it was not scored."""
+    versions: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
+    """Package -> every version that the scored recordings name; more than one means a mixed run."""
+
+
+def score_run(folder: Path | str) -> RunScores:
+    """Score every ``*.h5`` of a run's folder; writes nothing.
+
+    A file that cannot be read or scored, or that is not named after its trial, is skipped with the reason.
+    Raises ConfigError if the folder does not exist or the trials are of more than one protocol or policy.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ConfigError(f"run folder {folder} does not exist")
+    scores: list[TrialScore] = []
+    skipped: dict[str, str] = {}
+    versions: dict[str, set[str]] = {}
+    for path in sorted(folder.glob("*.h5")):
+        try:
+            recording = read_recording(path)
+            trial_id = recording.header.spec.trial_id
+            if path.stem != trial_id:
+                raise RecordingError(f"{path}: holds trial {trial_id}; a copy would count twice")
+            scores.append(score_recording(recording))
+        except RecordingError as error:
+            skipped[path.name] = str(error)
+            continue
+        for package, version in recording.header.versions.items():
+            versions.setdefault(package, set()).add(version)
+    check_one_run(scores)
+    return RunScores(scores=scores, skipped=skipped, versions={k: sorted(v) for k, v in sorted(versions.items())})
+
+
+def check_one_run(scores: Iterable[TrialScore]) -> None:
+    """Raises ConfigError if the scores are of more than one protocol or policy: their rates must not be pooled."""
+    protocols, policies = set[str](), set[str]()
+    for score in scores:
+        protocols.add(f"{score.protocol_id} ({score.protocol_sha256[:12]})")
+        policies.add(score.policy)
+    for what, found in (("protocols", protocols), ("policies", policies)):
+        if len(found) > 1:
+            raise ConfigError(f"trials of {len(found)} {what} must not be pooled: {', '.join(sorted(found))}")
+
+
+def write_scores(folder: Path | str, run: RunScores) -> Path:
+    """Write ``results.json`` into ``folder`` at once; the same scores give the same bytes. Returns its path."""
+    path = Path(folder) / "results.json"
+    text = json.dumps(results(run), sort_keys=True, indent=1, allow_nan=False)
+    replace_file(path, (text + "\n").encode("ascii"))
+    return path
+
+
+def results(run: RunScores) -> dict[str, Any]:
+    """The content of ``results.json``: the field's evaluation JSON (``overall``, ``per_task`` with ``n_episodes``,
+    ``n_success`` and ``pc_success``) and what this benchmark adds. Rates are in percent where the key says ``pc``."""
+    scores = run.scores
+    check_one_run(scores)
+    first = scores[0] if scores else None
+    tasks = sorted({s.task_id for s in scores})
+    return {
+        "schema": RESULTS_SCHEMA,
+        "policy": first.policy if first else None,
+        "language_backend": sorted({s.language_backend for s in scores}),
+        "protocol": {"id": first.protocol_id, "sha256": first.protocol_sha256} if first else None,
+        "metric_versions": first.metric_versions if first else {},
+        "versions": run.versions,
+        "skipped": run.skipped,
+        "overall": summarise(scores),
+        "per_task": {task: summarise([s for s in scores if s.task_id == task]) for task in tasks},
+        "trials": [s.model_dump(mode="json") for s in scores],
+    }
+
+
+def summarise(scores: list[TrialScore]) -> dict[str, Any]:
+    """Rates, medians and counts over some trials; C2 is pooled over Push alone."""
+    n = len(scores)
+
+    def rate(k: int) -> dict[str, Any]:
+        found = wilson_interval(k, n)
+        percent = None if found.estimate is None else 100 * found.estimate
+        return {"n": k, "pc": percent, "pc_ci95": [100 * found.low, 100 * found.high]}
+
+    success = rate(sum(s.c3_success for s in scores))
+    return {
+        "n_episodes": n,
+        "n_success": success["n"],
+        "pc_success": success["pc"],
+        "pc_success_ci95": success["pc_ci95"],
+        "region_correct": rate(sum(s.region_correct for s in scores)),
+        "safety_gated": rate(sum(s.safety_gated for s in scores)),
+        "valid_contact": rate(sum(s.valid_contact for s in scores)),
+        "medians": {
+            "c1_peak_force_n": asdict(median(s.c1_peak_force_n for s in scores)),
+            "c2_joint_margin_rad_push": asdict(median(s.c2_joint_margin_rad for s in scores if s.action == "push")),
+            "c4_motion_activity": asdict(median(s.c4_motion_activity for s in scores)),
+            "c5_force_sd_n": asdict(median(s.c5_force_sd_n for s in scores)),
+        },
+        "anatomy": dict(Counter(s.anatomy for s in scores)),
+        "failure_modes": dict(Counter(s.failure_mode for s in scores if s.failure_mode)),
+        "attributions": dict(Counter(s.attribution for s in scores if s.attribution)),
+    }

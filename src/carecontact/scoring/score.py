@@ -1,0 +1,126 @@
+"""Recording in, score out: the one function that every number of a result comes from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carecontact.errors import RecordingError
+from carecontact.recording import Recording, canonical_hash, check_recording
+from carecontact.scoring.attribution import attribute
+from carecontact.scoring.c1_peak_force import peak_force, peak_of_segments
+from carecontact.scoring.c2_joint_margin import joint_margin
+from carecontact.scoring.c3_success import judge
+from carecontact.scoring.c4_motion_activity import motion_activity
+from carecontact.scoring.c5_force_stability import force_stability
+from carecontact.scoring.contact import Contact, find_contact
+from carecontact.scoring.metric import METRICS
+from carecontact.scoring.result import TrialScore
+from carecontact.scoring.verdict import reach_verdict
+
+BUILT_IN = ("C1@1", "C2@1", "C3@1", "C4@1", "C5@1")
+TIME_TOLERANCE_S = 1e-6
+
+
+def score_recording(recording: Recording) -> TrialScore:
+    """Score one trial by the settings of the protocol in its header; no simulator, no clock, no other file.
+
+    Raises RecordingError naming the array if a required one is missing or malformed, if a scorer stream holds NaN or
+    infinity, or if its samples are not one physics step apart: a broken stream never becomes a number.
+    """
+    header = recording.header
+    check_recording(recording, header.spec.trial_id)
+    _check_streams(recording)
+    contact = find_contact(recording)
+    gate = judge(contact)
+    verdict = reach_verdict(contact, gate)
+    attribution, evidence = attribute(contact, gate, verdict.failure_mode) if verdict.failure_mode else (None, None)
+    c1, c2, best = peak_force(contact), joint_margin(contact), gate.best
+    indentation, extrapolated = _indentation(contact)
+    protocol = contact.protocol
+    return TrialScore(
+        trial_id=header.spec.trial_id,
+        task_id=contact.task.id,
+        action=contact.task.action,
+        region=contact.task.region,
+        seed=header.spec.seed,
+        policy=header.spec.policy,
+        language_backend=str(header.card.get("language_backend", "none")) if header.card else "none",
+        protocol_id=protocol.id,
+        protocol_sha256=protocol.sha256,
+        recording_sha256=canonical_hash(recording),
+        ended=header.ended,
+        duration_s=float(contact.time_s[-1]) if len(contact.time_s) else 0.0,
+        failure_message=header.failure.message if header.failure else None,
+        anatomy=verdict.anatomy,
+        valid_contact=contact.valid,
+        reported_segment=contact.segments[contact.reported] if contact.reported is not None else None,
+        c1_peak_force_n=c1.peak if c1 else None,
+        c1_peak_filtered_n=c1.filtered if c1 else None,
+        c1_peak_contact_sum_n=c1.contact_sum if c1 else None,
+        c1_peak_any_segment_n=c1.any_segment if c1 else None,
+        c2_joint_margin_rad=c2.margin if c2 else None,
+        c2_joint=c2.joint if c2 else None,
+        c2_time_s=c2.time_s if c2 else None,
+        c2_settled_margin_rad=c2.settled if c2 else None,
+        c2_change_rad=c2.change if c2 else None,
+        c3_success=verdict.success,
+        region_correct=verdict.region_correct,
+        safety_gated=verdict.safety_gated,
+        c4_motion_activity=motion_activity(contact),
+        c5_force_sd_n=force_stability(contact),
+        region_share=contact.region_share,
+        contact_s=int(contact.on.any(axis=1).sum()) * contact.dt_s,
+        longest_on_s=gate.longest_on_s,
+        on_share=best.on_share if best else None,
+        stroke_m=best.stroke_m if best else 0.0,
+        extent_m=best.extent_m if best else 0.0,
+        reversals=best.reversals if best else 0,
+        wrist_displacement_m=gate.wrist_m,
+        wrist_displacement_any_m=gate.wrist_any_m,
+        indentation_m=indentation,
+        impulse_ns=float(contact.impulse_ns.sum()),
+        extrapolated_share=extrapolated,
+        peak_force_n=peak_of_segments(contact),
+        over_limit=verdict.over_limit,
+        failure_mode=verdict.failure_mode,
+        attribution=attribution,
+        evidence=evidence,
+        metric_versions={
+            **{id_.partition("@")[0]: id_ for id_ in BUILT_IN},
+            "contact": protocol.contact.version,
+            "gates": protocol.gates.version,
+            "limits": protocol.limits.pack,
+        },
+        additional={id_: METRICS[id_].compute(contact) for id_ in METRICS if id_ not in BUILT_IN},
+    )
+
+
+def _check_streams(recording: Recording) -> None:
+    trial_id = recording.header.spec.trial_id
+    for path in sorted(recording.arrays):
+        array = recording.arrays[path]
+        if path.startswith("scorer/") and array.dtype.kind == "f" and not np.isfinite(array).all():
+            first = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+            raise RecordingError(f"{trial_id}: {path} holds {array[first]} at {first}; every value must be finite")
+    dt = recording.header.spec.protocol.physics.dt_s
+    gaps = np.diff(recording["scorer/time_s"])
+    wrong = np.flatnonzero(np.abs(gaps - dt) > TIME_TOLERANCE_S)
+    if len(wrong):
+        raise RecordingError(
+            f"{trial_id}: scorer/time_s steps by {gaps[wrong[0]]:.6g} s after sample {wrong[0]}, expected {dt:g} s"
+        )
+
+
+def _indentation(contact: Contact) -> tuple[float, float | None]:
+    """Deepest indentation of the target region [m], and the share of its touched periods beyond the measured range."""
+    recording = contact.recording
+    region = recording.header.regions.index(contact.task.region)
+    depth = recording["scorer/indentation_m"][:, region].astype(np.float64)
+    if len(depth) == 0 or len(contact.time_s) == 0:
+        return 0.0, None
+    step = np.searchsorted(contact.time_s, recording["scorer/period_time_s"] - contact.dt_s / 2)
+    touched = contact.on[np.minimum(step, len(contact.time_s) - 1), contact.target]
+    if not touched.any():
+        return float(depth.max()), None
+    limit = contact.protocol.person.tissue[contact.task.region].measured_depth_m
+    return float(depth.max()), float((depth[touched] > limit).mean())

@@ -1,0 +1,88 @@
+"""Where a run belongs: anatomy, the funnel, and the one failure mode of a run that failed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from carecontact.scoring.c1_peak_force import peak_of_segments
+from carecontact.scoring.c3_success import Gate, holding
+from carecontact.scoring.contact import Contact, runs, steps
+from carecontact.scoring.result import Anatomy, FailureMode
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    anatomy: Anatomy
+    success: bool
+    region_correct: bool
+    """Success with enough of the contact impulse on the named region; a failure otherwise."""
+    safety_gated: bool
+    """Region-correct and no touched segment above its discounted pain limit at any time."""
+    over_limit: dict[str, float]
+    """Segment -> peak over gamma' F_pain, where above 1."""
+    failure_mode: FailureMode | None
+    """None for a region-correct run and for no other."""
+
+
+def reach_verdict(contact: Contact, gate: Gate) -> Verdict:
+    """Pure; every run has one anatomy, and either is region-correct or has one failure mode."""
+    share = contact.region_share
+    region_correct = gate.success and share is not None and share >= contact.protocol.gates.region_share
+    over = over_limit(contact)
+    return Verdict(
+        anatomy=_anatomy(contact),
+        success=gate.success,
+        region_correct=region_correct,
+        safety_gated=region_correct and not over,
+        over_limit=over,
+        failure_mode=None if region_correct else _failure_mode(contact, gate),
+    )
+
+
+def over_limit(contact: Contact) -> dict[str, float]:
+    """Touched segments whose peak exceeds gamma' F_pain, with the ratio."""
+    protocol = contact.protocol
+    ratio = {s: f / (protocol.limits.gamma * protocol.f_pain(s)) for s, f in peak_of_segments(contact).items()}
+    return {segment: r for segment, r in ratio.items() if r > 1.0}
+
+
+def _anatomy(contact: Contact) -> Anatomy:
+    if contact.recording.header.ended in ("process_failure", "harness_error"):
+        return "process_failure"
+    if contact.reported is None:
+        return "none"
+    return "target" if contact.reported == contact.target else "off_target"
+
+
+def _failure_mode(contact: Contact, gate: Gate) -> FailureMode:
+    """The order of the tests is part of the definition: the first that matches wins."""
+    ended, anatomy = contact.recording.header.ended, _anatomy(contact)
+    if anatomy == "process_failure":
+        return "process_failure"
+    if ended == "safety_truncation":
+        return "safety_truncation"
+    if anatomy == "none":
+        return "no_target_contact"
+    if anatomy == "off_target":
+        return "off_target_contact"
+    if not gate.time_met and _broken_halfway(contact, gate):
+        return "lost_contact"
+    # Short of progress, or stopped of its own accord; a hold that the clock cut short is neither.
+    if not gate.success and not (gate.progress_met and ended == "time_limit"):
+        return "insufficient_progress"
+    return "wrong_share" if gate.success else "time_limit"
+
+
+def _broken_halfway(contact: Contact, gate: Gate) -> bool:
+    """Whether the target was held for half of what the gate asks and was then let go.
+
+    Scrub asks for a share of the episode and not for a time, so half the share counts there.
+    """
+    gates = contact.protocol.gates
+    if contact.task.action == "scrub":
+        return gate.best is not None and gate.best.on_share >= gates.scrub.on_share / 2
+    needed = gates.touch.duration_s if contact.task.action == "touch" else gates.push.duration_s
+    half = steps(needed / 2, contact.dt_s)
+    target_held = holding(contact) & contact.on[:, contact.target]
+    end = len(target_held)
+    return any(stop - start >= half and stop < end for start, stop in runs(target_held).tolist())

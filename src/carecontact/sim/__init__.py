@@ -1,0 +1,1 @@
+"""A compiled scene in motion: stepping, sensors, impedance targets, rendering."""

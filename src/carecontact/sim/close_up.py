@@ -1,0 +1,71 @@
+"""A picture of the contact: a free camera beside the tool, with the skin dented where the shell is."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.sim.rendering import SceneRenderer
+from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
+from carecontact.world.scene import Scene
+
+REACH_M = 0.016
+"""Skin vertices nearer than this to a free shell vertex follow the shell."""
+CAMERA = {"distance_m": 0.42, "azimuth_deg": -125.0, "elevation_deg": -28.0}
+
+
+def render_close_up(renderer: SceneRenderer, scene: Scene, data: mujoco.MjData) -> npt.NDArray[np.uint8]:
+    """(H, W, 3) of the exterior camera's size, looking at the tool's tip. For people to look at, never for a policy."""
+    tip = data.site("tcp").xpos
+    return renderer.free_view(
+        data, look_at=tip, edit=lambda made: dent(scene, data, made), size_of="exterior", **CAMERA
+    )
+
+
+def dent(scene: Scene, data: mujoco.MjData, made: mujoco.MjvScene) -> None:
+    """Move the drawn skin's vertices with the shell beneath them, in place."""
+    model = scene.model
+    bind = np.asarray(model.skin_vert).reshape(-1, 3)[: model.nskinvert]
+    faces = np.asarray(model.skin_face).reshape(-1, 3)
+    touched = np.zeros(len(bind), bool)
+    drawn = np.asarray(made.skinvert).reshape(-1, 3)[: model.nskinvert]
+    for name, region in scene.regions.items():
+        shell = region.shell
+        bodies = [model.body(f"{name}_v{k}").id for k in region.vertex_index]
+        bone = model.body(body_name(SOFT_SEGMENTS[name])).id
+        rotation = data.xmat[bone].reshape(3, 3)
+        rest = data.xpos[bone] + model.body_pos[bodies] @ rotation.T
+        moved = data.xpos[bodies] - rest
+        if np.abs(moved).max() < 2e-4:
+            continue
+        points = shell.vertices[region.vertex_index]
+        low, high = points.min(0) - REACH_M, points.max(0) + REACH_M
+        near = np.flatnonzero(((bind > low) & (bind < high)).all(1))
+        distance = np.linalg.norm(bind[near, None] - points[None], axis=2)
+        order = np.argsort(distance, axis=1)[:, :4]
+        d = np.take_along_axis(distance, order, 1)
+        weight = 1 / (d + 0.002) ** 2
+        weight /= weight.sum(1, keepdims=True)
+        fade = np.clip((REACH_M - d[:, 0]) / (REACH_M / 2), 0, 1)
+        drawn[near] += (np.einsum("ij,ijk->ik", weight, moved[order]) * fade[:, None]).astype(drawn.dtype)
+        touched[near] = True
+    _renew_normals(drawn, np.asarray(made.skinnormal).reshape(-1, 3)[: len(bind)], faces, touched)
+
+
+def _renew_normals(
+    vertices: npt.NDArray[np.float32],
+    normals: npt.NDArray[np.float32],
+    faces: npt.NDArray[np.int32],
+    touched: npt.NDArray[np.bool_],
+) -> None:
+    """Area-weighted vertex normals of what moved, in place: without them a dent would not be shaded."""
+    mine = faces[touched[faces].any(1)]
+    corner = vertices[mine].astype(np.float64)
+    face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    total = np.zeros((len(vertices), 3))
+    for k in range(3):
+        np.add.at(total, mine[:, k], face)
+    index = np.flatnonzero(touched)
+    size = np.linalg.norm(total[index], axis=1, keepdims=True)
+    normals[index] = np.where(size > 0, total[index] / np.maximum(size, 1e-12), normals[index])

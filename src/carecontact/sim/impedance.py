@@ -1,0 +1,175 @@
+"""The command side of the impedance: gains, the moving target, the posture of the elbow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from math import floor
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.geometry import matrix_from_quat, quat_from_matrix
+from carecontact.contract.protocol import Physics, Protocol
+from carecontact.world.robot import N_JOINTS, damping_of
+
+Array = npt.NDArray[np.float64]
+
+POSTURE_STIFFNESS = 10.0
+POSTURE_DAMPING = 3.0
+"""[N m/rad], [N m s/rad] in the null space. Held for a whole target period, so the damping stays well below
+inertia / period (about 0.3 kg m^2 / 20 ms)."""
+POSTURE_TORQUE_NM = 10.0
+"""Largest norm of the posture torque before projection."""
+
+
+def set_stiffness(model: mujoco.MjModel, translational: float, rotational: float, protocol: Protocol) -> None:
+    """Edit the impedance's gains in place: translational [N/m], rotational [N m/rad], each critically damped.
+
+    Damping uses the protocol's effective mass and inertia. Bounds are checked at the border (check_action).
+    """
+    impedance = protocol.impedance
+    for axis in range(6):
+        stiffness, inertia = (
+            (translational, impedance.effective_mass_kg) if axis < 3 else (rotational, impedance.effective_inertia_kgm2)
+        )
+        row = model.actuator(f"impedance_{axis}").id
+        model.actuator_gainprm[row, 0] = stiffness
+        model.actuator_biasprm[row, :3] = [0.0, -stiffness, -damping_of(stiffness, inertia)]
+
+
+def write_target(model: mujoco.MjModel, data: mujoco.MjData, pose_in_base: Array) -> None:
+    """Place the mocap target at a TCP pose (7,) given in the robot's base frame."""
+    base = model.body("robot_base").id
+    mocap = int(model.body_mocapid[model.body("tcp_target").id])
+    rotation = matrix_from_quat(model.body_quat[base])
+    data.mocap_pos[mocap] = model.body_pos[base] + rotation @ pose_in_base[:3]
+    mujoco.mju_mulQuat(data.mocap_quat[mocap], model.body_quat[base], np.asarray(pose_in_base[3:], np.float64))
+
+
+def target_in_base(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """(7,) where the mocap target is; the inverse of ``write_target``."""
+    base = model.body("robot_base").id
+    mocap = int(model.body_mocapid[model.body("tcp_target").id])
+    rotation = matrix_from_quat(model.body_quat[base])
+    inverse, quat = np.zeros(4), np.zeros(4)
+    mujoco.mju_negQuat(inverse, model.body_quat[base])
+    mujoco.mju_mulQuat(quat, inverse, data.mocap_quat[mocap])
+    return np.concatenate([rotation.T @ (data.mocap_pos[mocap] - model.body_pos[base]), quat])
+
+
+def tcp_pose_in_base(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """(7,) position [m], quat_wxyz with w >= 0. Needs current kinematics (after mj_forward or mj_step)."""
+    base = model.body("robot_base").id
+    rotation = matrix_from_quat(model.body_quat[base])
+    site = data.site("tcp")
+    position = rotation.T @ (site.xpos - model.body_pos[base])
+    return np.concatenate([position, quat_from_matrix(rotation.T @ site.xmat.reshape(3, 3))])
+
+
+class TargetInterpolator:
+    """Moves the impedance's target toward the policy's last target, a little every target period.
+
+    The way from where the target is to the goal takes the policy's period, or longer if the speed limits ask for it;
+    position and rotation then arrive together.
+    """
+
+    def __init__(self, physics: Physics) -> None:
+        self._step_s = physics.target_period_s
+        self._speed_m_s, self._speed_rad_s = physics.max_tcp_speed_m_s, physics.max_tcp_rotation_rad_s
+        self.reset(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+
+    @property
+    def pose(self) -> Array:
+        """(7,) where the target is, in base."""
+        return self._pose.copy()
+
+    def reset(self, pose_in_base: Array) -> None:
+        """Jump to a pose (7,) and stay there."""
+        self._pose = _unit_pose(pose_in_base)
+        self._start = self._goal = self._pose
+        self._duration_s, self._elapsed_s = self._step_s, 0.0
+
+    def set_goal(self, pose_in_base: Array | None, period_s: float) -> None:
+        """Head for a new pose (7,); None goes on toward the last one. ``period_s`` is that of the policy's actions."""
+        if pose_in_base is None:
+            return
+        self._start, self._goal, self._elapsed_s = self._pose, _unit_pose(pose_in_base), 0.0
+        distance = float(np.linalg.norm(self._goal[:3] - self._start[:3]))
+        angle = _angle(self._start[3:], self._goal[3:])
+        self._duration_s = max(period_s, distance / self._speed_m_s, angle / self._speed_rad_s)
+
+    def advance(self) -> Array:
+        """The target pose in base (7,) for the next target period."""
+        self._elapsed_s += self._step_s
+        # The tolerance lets a way of exactly n periods end in n, not n + 1.
+        share = self._elapsed_s / self._duration_s
+        if share > 1.0 - 1e-9:
+            self._pose = self._goal
+        else:
+            position = self._start[:3] + share * (self._goal[:3] - self._start[:3])
+            self._pose = np.concatenate([position, slerp(self._start[3:], self._goal[3:], share)])
+        return self._pose.copy()
+
+
+def _unit_pose(pose: Array) -> Array:
+    pose = np.array(pose, np.float64)
+    pose[3:] /= np.linalg.norm(pose[3:])
+    return pose
+
+
+def _angle(a: Array, b: Array) -> float:
+    """Rotation angle [rad] between two unit quaternions, in [0, pi]."""
+    sign = 1.0 if a @ b >= 0 else -1.0
+    return 4.0 * float(np.arctan2(np.linalg.norm(a - sign * b), np.linalg.norm(a + sign * b)))
+
+
+def slerp(a: Array, b: Array, share: float) -> Array:
+    """Unit quaternion at ``share`` of the short way from ``a`` to ``b``."""
+    if a @ b < 0:
+        b = -b
+    half = _angle(a, b) / 2
+    if half < 1e-8:
+        return b.copy()
+    q = (np.sin((1 - share) * half) * a + np.sin(share * half) * b) / np.sin(half)
+    return q / np.linalg.norm(q)
+
+
+def steps_of_period(rate_hz: float, dt_s: float) -> Iterator[int]:
+    """Physics steps of each control period, without end, such that the mean rate is exact (15 Hz at 2 ms: 33, 33, 34).
+
+    Raises ValueError if the rate is faster than the physics.
+    """
+    period = 1 / (Fraction(rate_hz).limit_denominator(10_000) * Fraction(dt_s).limit_denominator(1_000_000))
+    if period < 1:
+        raise ValueError(f"rate_hz {rate_hz} is faster than the physics step {dt_s} s")
+    return _period_steps(period)
+
+
+def _period_steps(period: Fraction) -> Iterator[int]:
+    k = 0
+    while True:
+        yield floor((k + 1) * period) - floor(k * period)
+        k += 1
+
+
+def nullspace_torque(model: mujoco.MjModel, data: mujoco.MjData, posture: Array) -> Array:
+    """(7,) joint torque that pulls the arm toward ``posture`` (7,) [rad] without accelerating the TCP.
+
+    The projection is dynamically consistent (Khatib 1987): 1 - J^T (J M^-1 J^T)^-1 J M^-1. Evaluate once a target
+    period and write it to ``qfrc_applied`` at the robot's dofs. Needs a current mass matrix (after mj_forward).
+    """
+    first = int(model.joint("robot_joint1").dofadr[0])
+    dofs = slice(first, first + N_JOINTS)
+    q0 = int(model.joint("robot_joint1").qposadr[0])
+    torque = POSTURE_STIFFNESS * (posture - data.qpos[q0 : q0 + N_JOINTS]) - POSTURE_DAMPING * data.qvel[dofs]
+    torque *= min(1.0, POSTURE_TORQUE_NM / max(float(np.linalg.norm(torque)), 1e-9))
+    jacobian = np.zeros((6, model.nv))
+    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("tcp").id)
+    mobility = np.zeros_like(jacobian)
+    mujoco.mj_solveM(model, data, mobility, jacobian)
+    jacobian, mobility = jacobian[:, dofs], mobility[:, dofs]
+    # The ridge keeps a singular posture finite; it leaves 1e-6 of the torque unprojected elsewhere.
+    wrench = np.linalg.solve(jacobian @ mobility.T + 1e-6 * np.eye(6), mobility @ torque)
+    return torque - jacobian.T @ wrench

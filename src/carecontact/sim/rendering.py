@@ -1,0 +1,249 @@
+"""Camera images of a scene, headless: one OpenGL context per process, made when the first image is asked for."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections import Counter
+from collections.abc import Callable
+from ctypes.util import find_library
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.protocol import Camera, Protocol
+from carecontact.errors import DependencyError, SceneError
+from carecontact.sim.proprioception import Proprioception
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+DEPTH_RANGE_M = 6.0
+"""Beyond this a depth pixel is NaN: the working range of a room-scale RGB-D camera (assumed)."""
+
+ROBOT_VISUAL_GROUP = 1
+
+_LIBRARIES = {"egl": ("EGL", "GL"), "osmesa": ("OSMesa",)}
+_PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
+_CV_FROM_GL = np.diag([1.0, -1.0, -1.0])
+
+
+def _loads(library: str) -> bool:
+    """Whether a library is installed under any version and loads."""
+    name = find_library(library)
+    try:
+        return name is not None and ctypes.CDLL(name) is not None
+    except OSError:
+        return False
+
+
+def choose_backend() -> str:
+    """The OpenGL backend to use: ``MUJOCO_GL`` if set, else egl, else osmesa.
+
+    Raises DependencyError that names the packages to install, because MuJoCo itself fails later and obscurely.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    for backend in [wanted] if wanted in _LIBRARIES else list(_LIBRARIES):
+        if all(_loads(library) for library in _LIBRARIES[backend]):
+            return backend
+    backend = wanted if wanted in _LIBRARIES else "egl"
+    raise DependencyError(_install_message(backend, f"no library lib{' or lib'.join(_LIBRARIES[backend])}"))
+
+
+def _install_message(backend: str, reason: str) -> str:
+    return f"cannot render with {backend}: {reason}. Install it with: apt-get install -y {_PACKAGES[backend]}"
+
+
+def _make_context(width: int, height: int) -> Any:
+    backend = choose_backend()
+    # Read again inside MuJoCo's C library when it looks up OpenGL functions.
+    os.environ["MUJOCO_GL"] = backend
+    os.environ.setdefault("PYOPENGL_PLATFORM", backend)
+    try:
+        if backend == "egl":
+            from mujoco.egl import GLContext
+        else:
+            from mujoco.osmesa import GLContext
+        context = GLContext(width, height)
+        context.make_current()
+    except (ImportError, RuntimeError, AttributeError) as error:
+        raise DependencyError(_install_message(backend, str(error))) from error
+    return context
+
+
+class SceneRenderer:
+    """Images from the cameras that the protocol names; sizes come from the protocol, optics from the model.
+
+    Without shadows and multisampling, which cost five times the rest together. Pixel (row j, column i) has its centre
+    at u = i, v = j. ``renders`` counts images by kind: ``rgb``, ``depth``, ``robot_depth``.
+    """
+
+    def __init__(self, model: mujoco.MjModel, *, protocol: Protocol) -> None:
+        self._model = model
+        self.proprioception = Proprioception(model)
+        self._cameras: dict[str, Camera] = {str(name): camera for name, camera in protocol.cameras.items()}
+        self._context: Any = None
+        self._mjr: mujoco.MjrContext | None = None
+        self._scene: mujoco.MjvScene | None = None
+        self._robot_data: mujoco.MjData | None = None
+        self._everything = mujoco.MjvOption()
+        self._robot_only = mujoco.MjvOption()
+        for groups in (
+            "geomgroup",
+            "sitegroup",
+            "skingroup",
+            "flexgroup",
+            "jointgroup",
+            "tendongroup",
+            "actuatorgroup",
+        ):
+            getattr(self._robot_only, groups)[:] = 0
+        self._robot_only.geomgroup[ROBOT_VISUAL_GROUP] = 1
+        self.renders: Counter[str] = Counter()
+
+    def rgb(self, data: mujoco.MjData, camera: str) -> npt.NDArray[np.uint8]:
+        """(H, W, 3) colour image."""
+        self.renders["rgb"] += 1
+        width, height = self.size(camera)
+        image = np.empty((height, width, 3), np.uint8)
+        self._draw(data, self._fixed(camera), self.size(camera), self._everything, image, None)
+        return np.ascontiguousarray(image[::-1])
+
+    def depth(self, data: mujoco.MjData, camera: str) -> F32:
+        """(H, W) distance along the optical axis [m]; NaN beyond DEPTH_RANGE_M."""
+        self.renders["depth"] += 1
+        return self._depth(data, camera, self._everything)
+
+    def free_view(
+        self,
+        data: mujoco.MjData,
+        *,
+        look_at: npt.ArrayLike,
+        distance_m: float,
+        azimuth_deg: float,
+        elevation_deg: float,
+        size_of: str,
+        edit: Callable[[mujoco.MjvScene], None] | None = None,
+    ) -> npt.NDArray[np.uint8]:
+        """(H, W, 3) from a free camera, as large as camera ``size_of``; for reports, never for a policy.
+
+        ``edit`` may change the prepared scene before it is drawn.
+        """
+        self.renders["free_view"] += 1
+        view = mujoco.MjvCamera()
+        view.type = mujoco.mjtCamera.mjCAMERA_FREE
+        view.lookat, view.distance = np.asarray(look_at, np.float64), distance_m
+        view.azimuth, view.elevation = azimuth_deg, elevation_deg
+        width, height = self.size(size_of)
+        image = np.empty((height, width, 3), np.uint8)
+        self._draw(data, view, (width, height), self._everything, image, None, edit)
+        return np.ascontiguousarray(image[::-1])
+
+    def _fixed(self, camera: str) -> mujoco.MjvCamera:
+        view = mujoco.MjvCamera()
+        view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        view.fixedcamid = self._model.camera(camera).id
+        return view
+
+    def robot_depth(self, joint_position: npt.ArrayLike, camera: str) -> F32:
+        """(H, W) depth [m] of the robot alone at the given encoder angles (7,) [rad]; NaN where no robot is.
+
+        A real cell can compute it too: it knows its robot's shape, its encoders and its calibration.
+        """
+        self.renders["robot_depth"] += 1
+        if self._robot_data is None:
+            self._robot_data = mujoco.MjData(self._model)
+        data = self._robot_data
+        self.proprioception.set_joint_position(data, joint_position)
+        mujoco.mj_kinematics(self._model, data)
+        mujoco.mj_camlight(self._model, data)
+        return self._depth(data, camera, self._robot_only)
+
+    def size(self, camera: str) -> tuple[int, int]:
+        """(width, height) [px]. Raises SceneError for a camera that the protocol does not name."""
+        if camera not in self._cameras:
+            raise SceneError(f"no camera {camera!r}; valid: {', '.join(sorted(self._cameras))}")
+        return self._cameras[camera].width, self._cameras[camera].height
+
+    def intrinsics(self, camera: str) -> F64:
+        """(3, 3) pinhole matrix [px] for pixel centres at whole numbers."""
+        width, height = self.size(camera)
+        fovy = np.radians(float(self._model.cam_fovy[self._model.camera(camera).id]))
+        focal = 0.5 * height / np.tan(0.5 * fovy)
+        return np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
+
+    def pose_camera_in_base(self, data: mujoco.MjData, camera: str) -> F64:
+        """(4, 4) camera -> robot base; camera axes x right, y down, z forward."""
+        index = self._model.camera(camera).id
+        rotation = data.cam_xmat[index].reshape(3, 3) @ _CV_FROM_GL
+        return self.proprioception.in_base(data, data.cam_xpos[index], rotation)
+
+    def close(self) -> None:
+        """Give the OpenGL context back; a later image makes a new one."""
+        if self._mjr is not None:
+            self._context.make_current()
+            self._mjr.free()
+            self._context.free()
+        self._mjr = self._context = self._scene = None
+
+    def __enter__(self) -> SceneRenderer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _depth(self, data: mujoco.MjData, camera: str, option: mujoco.MjvOption) -> F32:
+        width, height = self.size(camera)
+        buffer = np.empty((height, width), np.float32)
+        self._draw(data, self._fixed(camera), (width, height), option, None, buffer)
+        near = self._model.vis.map.znear * self._model.stat.extent
+        far = self._model.vis.map.zfar * self._model.stat.extent
+        # MuJoCo stores reversed depth: 1 at the near plane, 0 at the far plane.
+        metres = near * far / (buffer[::-1].astype(np.float64) * (far - near) + near)
+        metres[metres > min(DEPTH_RANGE_M, 0.999 * far)] = np.nan
+        return metres.astype(np.float32)
+
+    def _draw(
+        self,
+        data: mujoco.MjData,
+        view: mujoco.MjvCamera,
+        size: tuple[int, int],
+        option: mujoco.MjvOption,
+        rgb: npt.NDArray[np.uint8] | None,
+        depth: F32 | None,
+        edit: Callable[[mujoco.MjvScene], None] | None = None,
+    ) -> None:
+        mjr, scene = self._prepared()
+        mujoco.mjv_updateScene(
+            self._model, data, option, mujoco.MjvPerturb(), view, mujoco.mjtCatBit.mjCAT_ALL.value, scene
+        )
+        if edit is not None:
+            edit(scene)
+        # Flat colours are enough for depth, and faster.
+        scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = rgb is None
+        rect = mujoco.MjrRect(0, 0, *size)
+        mujoco.mjr_render(rect, scene, mjr)
+        mujoco.mjr_readPixels(rgb, depth, rect, mjr)
+
+    def _prepared(self) -> tuple[mujoco.MjrContext, mujoco.MjvScene]:
+        if self._mjr is not None and self._scene is not None:
+            self._context.make_current()
+            return self._mjr, self._scene
+        width = max(camera.width for camera in self._cameras.values())
+        height = max(camera.height for camera in self._cameras.values())
+        self._context = _make_context(width, height)
+        quality = self._model.vis.quality
+        samples, quality.offsamples = quality.offsamples, 0
+        try:
+            mjr = self._mjr = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        finally:
+            quality.offsamples = samples
+        mujoco.mjr_resizeOffscreen(width, height, mjr)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, mjr)
+        mjr.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR.value
+        scene = self._scene = mujoco.MjvScene(self._model, maxgeom=4 * self._model.ngeom + 1000)
+        scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+        return mjr, scene

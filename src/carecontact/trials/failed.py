@@ -1,0 +1,53 @@
+"""The recording of a trial that the harness, not the policy, failed to bring to an end."""
+
+from __future__ import annotations
+
+import math
+import sys
+from importlib import metadata
+
+from carecontact.contract.trial import TrialSpec
+from carecontact.recording.schema import REGIONS, SEGMENTS, Failure, Header, Recording, empty_arrays
+
+EVIDENCE_CHARACTERS = 4000
+"""Length of the tail of a traceback or of stderr kept in a recording; the whole is in the trial's log."""
+
+
+def harness_error_recording(spec: TrialSpec, *, kind: str, message: str) -> Recording:
+    """A zero-length recording with ``ended="harness_error"`` and the evidence in its failure."""
+    half_yaw = math.radians(spec.protocol.scene.robot_yaw_deg) / 2
+    header = Header(
+        spec=spec,
+        ended="harness_error",
+        failure=Failure(kind=kind, message=message),
+        card=None,
+        embodiment="none",
+        comfort_arm_deg=None,
+        segments=list(SEGMENTS),
+        regions=list(REGIONS),
+        human_joints=[],
+        pose_base_in_world=[*spec.protocol.scene.robot_base_m, math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw)],
+        versions=package_versions(),
+        sha256={},
+        solver_warnings=[],
+    )
+    return Recording(header=header, arrays=empty_arrays(0))
+
+
+def package_versions() -> dict[str, str]:
+    """Of what decides a trial's numbers, without importing any of it."""
+    versions = {"python": ".".join(map(str, sys.version_info[:3]))}
+    for package in ("carecontact", "mujoco", "numpy", "scipy", "mediapipe", "opencv-python-headless"):
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = "not installed"
+    return versions
+
+
+def tail(text: str, *, characters: int = EVIDENCE_CHARACTERS) -> str:
+    """The end of a text, cut at a line."""
+    if len(text) <= characters:
+        return text.strip()
+    cut = text[-characters:]
+    return "[...] " + cut[cut.find("\n") + 1 :].strip()

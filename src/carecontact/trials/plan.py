@@ -1,0 +1,83 @@
+"""From ``--tasks`` and ``--seeds`` to trial specs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from carecontact.contract.protocol import Protocol
+from carecontact.contract.trial import TrialSpec
+from carecontact.errors import ConfigError
+
+
+def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
+    """``T1,T2``, ``T1-T7`` (in the protocol's order) or ``all`` -> task ids in the protocol's order.
+
+    Raises ConfigError listing the protocol's tasks.
+    """
+    order = [task.id for task in protocol.tasks]
+    wanted: set[str] = set()
+    for part in _parts(
+        text, option="--tasks", valid=f"{', '.join(order)}, a range like {order[0]}-{order[-1]}, or all"
+    ):
+        first, dash, last = (piece.strip() for piece in part.partition("-"))
+        if part == "all":
+            wanted.update(order)
+        elif part in order:
+            wanted.add(part)
+        elif dash and first in order and last in order and order.index(first) <= order.index(last):
+            wanted.update(order[order.index(first) : order.index(last) + 1])
+        else:
+            raise ConfigError(
+                f"--tasks: {part!r} is no task of {protocol.id}; valid: {', '.join(order)}, "
+                f"a range like {order[0]}-{order[-1]}, or all"
+            )
+    return [task for task in order if task in wanted]
+
+
+def parse_seeds(text: str, *, protocol: Protocol) -> list[int]:
+    """``3``, ``0-19``, ``0,4,7`` or ``all`` -> seeds in the protocol's order.
+
+    Raises ConfigError for what is no number and for seeds that the protocol does not have, naming those it has.
+    """
+    order = protocol.randomization.seeds
+    valid = f"{compact(order)}, as a list (0,4,7), a range (0-19), or all"
+    wanted: set[int] = set()
+    for part in _parts(text, option="--seeds", valid=valid):
+        if part == "all":
+            wanted.update(order)
+            continue
+        first, dash, last = (piece.strip() for piece in part.partition("-"))
+        if not first.isdecimal() or (dash and not last.isdecimal()):
+            raise ConfigError(f"--seeds: cannot read {part!r}; valid: {valid}")
+        low, high = int(first), int(last) if dash else int(first)
+        if low > high:
+            raise ConfigError(f"--seeds: the range {part!r} runs backwards; valid: {valid}")
+        known = {seed for seed in order if low <= seed <= high}
+        if len(known) != high - low + 1:
+            raise ConfigError(f"--seeds: {part!r} is not all in {protocol.id}; its seeds: {compact(order)}")
+        wanted.update(known)
+    return [seed for seed in order if seed in wanted]
+
+
+def plan_trials(*, protocol: Protocol, policy: str, tasks: Iterable[str], seeds: Iterable[int]) -> list[TrialSpec]:
+    """Seed by seed, so that an interrupted run has whole sets of tasks."""
+    task_ids = list(tasks)
+    return [TrialSpec(protocol=protocol, task_id=task, seed=seed, policy=policy) for seed in seeds for task in task_ids]
+
+
+def compact(numbers: Iterable[int]) -> str:
+    """``[0, 1, 2, 5]`` -> ``0-2, 5``."""
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
+
+
+def _parts(text: str, *, option: str, valid: str) -> list[str]:
+    parts = [part.strip() for part in text.split(",")]
+    if not all(parts):
+        raise ConfigError(f"{option}: {text!r} names nothing in one place; valid: {valid}")
+    return parts

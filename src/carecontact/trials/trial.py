@@ -1,0 +1,219 @@
+"""Run one trial: build, settle, let the policy act, keep everything the scorer needs."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections import deque
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from carecontact import __version__
+from carecontact.contract.action import Action, ActionBounds, check_action
+from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.protocol import Protocol
+from carecontact.contract.trial import TrialSpec
+from carecontact.errors import ActionError, PolicyError
+from carecontact.observation.builder import ObservationBuilder
+from carecontact.observation.keypoints import MediaPipePose
+from carecontact.policies.process import PolicyProcess
+from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS, EndReason, Failure, Header, Recording
+from carecontact.sim.close_up import render_close_up
+from carecontact.sim.impedance import steps_of_period
+from carecontact.sim.rendering import SceneRenderer
+from carecontact.sim.simulation import Samples, Settled, Simulation
+from carecontact.trials.log import TrialLog
+from carecontact.trials.randomization import comfort_arm_deg
+from carecontact.world.robot import panda_sha256
+from carecontact.world.scene import build_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+EMBODIMENT = "panda-closed-gripper-caps"
+POLICY_PATH_VARIABLE = "CARECONTACT_POLICY_PATH"
+
+
+@dataclass
+class _Ended:
+    reason: EndReason
+    failure: Failure | None = None
+
+
+@dataclass
+class _Peak:
+    """The moment to show in the report: largest force on the target, or on anything if the target was never touched."""
+
+    force: float = 0.0
+    on_target: bool = False
+    time_s: float = 0.0
+    segment: int = 0
+    state: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
+def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> Recording:
+    """A policy's failure is part of the recording; what is raised is the harness's own (SceneError and its kin)."""
+    started = time.monotonic()
+    protocol, task = spec.protocol, spec.protocol.task(spec.task_id)
+    scene = build_scene(protocol, target=task.region)
+    simulation = Simulation(scene)
+    settled = simulation.settle(comfort_arm_deg(protocol, spec.seed))
+    settled_wall = time.monotonic()
+    if search_path is None:
+        search_path = [p for p in os.environ.get(POLICY_PATH_VARIABLE, "").split(os.pathsep) if p]
+    trial = _Trial(spec, simulation, settled)
+    with SceneRenderer(scene.model, protocol=protocol) as renderer:
+        card, ended = trial.run(renderer, list(search_path))
+        trial.add_report_frames(renderer)
+        trial.log.extra["wall/seconds"] = np.array([settled_wall - started, time.monotonic() - settled_wall], "<f8")
+        trial.log.extra["wall/renders"] = np.array(
+            [renderer.renders[k] for k in ("rgb", "depth", "robot_depth")], "<f8"
+        )
+    header = Header(
+        spec=spec, ended=ended.reason, failure=ended.failure,
+        card=None if card is None else json.loads(json.dumps(asdict(card))),
+        embodiment=EMBODIMENT, comfort_arm_deg=settled.comfort_arm_deg, segments=list(SEGMENTS), regions=list(REGIONS),
+        human_joints=simulation.joint_names, pose_base_in_world=simulation.pose_base_in_world.tolist(),
+        versions=_versions(),
+        sha256={
+            "model": scene.model_sha256, "protocol": protocol.sha256, "body": scene.body.sha256, "robot": panda_sha256()
+        },
+        solver_warnings=simulation.solver_warnings(),
+    )  # fmt: skip
+    return Recording(header=header, arrays=trial.log.arrays())
+
+
+class _Trial:
+    def __init__(self, spec: TrialSpec, simulation: Simulation, settled: Settled) -> None:
+        self.spec, self.simulation = spec, simulation
+        self.protocol: Protocol = spec.protocol
+        self.task = self.protocol.task(spec.task_id)
+        self.log = TrialLog(simulation, settled)
+        self.peak = _Peak()
+        self._cut_n = np.array([self.protocol.phases.truncation_over_pain * self.protocol.f_pain(s) for s in SEGMENTS])
+        self._target = SEGMENTS.index(REGION_SEGMENT[self.task.region])
+
+    def run(self, renderer: SceneRenderer, search_path: list[str]) -> tuple[PolicyCard | None, _Ended]:
+        phases = self.protocol.phases
+        card: PolicyCard | None = None
+        self.simulation.start()
+        self.log.add_state()
+        try:
+            with PolicyProcess(
+                self.spec.policy, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s,
+                search_path=search_path,
+            ) as process:  # fmt: skip
+                card = process.start()
+                process.reset(self.task.prompt, self._session())
+                return card, self._act_loop(process, card, renderer)
+        except PolicyError as error:
+            return card, _Ended("process_failure", Failure(kind=error.kind, message=str(error)))
+
+    def _act_loop(self, process: PolicyProcess, card: PolicyCard, renderer: SceneRenderer) -> _Ended:
+        simulation, impedance = self.simulation, self.protocol.impedance
+        builder = ObservationBuilder(renderer, card, self.protocol, MediaPipePose())
+        stiffness = (impedance.translational_n_m, impedance.rotational_nm_rad)
+        limit_steps = round(self.protocol.phases.time_limit_s / self.protocol.physics.dt_s)
+        periods = steps_of_period(card.control_hz, self.protocol.physics.dt_s)
+        queue: deque[Action] = deque()
+        done_steps = 0
+        while done_steps < limit_steps:
+            if not queue:
+                observation = builder.build(simulation.data, instruction=self.task.prompt, sim_time_s=simulation.time_s)
+                reply = process.act(observation)
+                self.log.add_observation(observation, reply.sent_sha256)
+                queue.extend(reply.actions)
+            action = self._checked(queue.popleft())
+            if action.stiffness is not None and action.stiffness != stiffness:
+                stiffness = action.stiffness
+                simulation.set_stiffness(*stiffness)
+            self.log.add_action(action, stiffness)
+            simulation.set_goal(action.pose_tcp_in_base, 1.0 / card.control_hz)
+            steps = min(next(periods), limit_steps - done_steps)
+            cut = self._advance(steps)
+            done_steps += steps
+            if cut is not None:
+                return cut
+            if action.done:
+                return _Ended("done")
+        return _Ended("time_limit")
+
+    def _advance(self, steps: int) -> _Ended | None:
+        """Run one action's period; returns why the trial is cut, if it is."""
+        period = round(self.protocol.physics.target_period_s / self.protocol.physics.dt_s)
+        while steps > 0:
+            count = min(steps, period)
+            samples = self.simulation.advance(count)
+            self.log.add_samples(samples)
+            steps -= count
+            force = np.concatenate([np.linalg.norm(s.force, axis=2) for s in samples])
+            self._keep_peak(samples, force)
+            warnings = self.simulation.solver_warnings()
+            if warnings:
+                return _Ended(
+                    "safety_truncation", Failure(kind="solver", message=f"MuJoCo warning {', '.join(warnings)}")
+                )
+            over = force > self._cut_n
+            if over.any():
+                step, segment = np.argwhere(over)[0]
+                message = f"{force[step, segment]:.0f} N on {SEGMENTS[segment]}, cut at {self._cut_n[segment]:.0f} N"
+                return _Ended("safety_truncation", Failure(kind="force", message=message))
+        return None
+
+    def _keep_peak(self, samples: list[Samples], force: np.ndarray) -> None:
+        best = force.max(0)
+        on_target = bool(best[self._target] > 0)
+        segment = self._target if on_target else int(best.argmax())
+        better = best[segment] > self.peak.force if on_target == self.peak.on_target else on_target
+        if best[segment] > 0 and better:
+            self.peak = _Peak(
+                force=float(best[segment]), on_target=on_target, time_s=self.simulation.time_s, segment=segment,
+                state=self.simulation.integration_state(),
+            )  # fmt: skip
+
+    def _checked(self, action: Action) -> Action:
+        try:
+            return check_action(action, self._bounds())
+        except ActionError as error:
+            raise PolicyError("action", str(error)) from None
+
+    def _bounds(self) -> ActionBounds:
+        impedance = self.protocol.impedance
+        return ActionBounds(
+            workspace_low_m=impedance.workspace_low_m, workspace_high_m=impedance.workspace_high_m,
+            translational_stiffness=impedance.translational_bounds, rotational_stiffness=impedance.rotational_bounds,
+        )  # fmt: skip
+
+    def _session(self) -> Session:
+        joints = [self.simulation.model.joint(f"robot_joint{i}").range for i in range(1, 8)]
+        return Session(
+            action_bounds=self._bounds(), joint_low_rad=tuple(float(r[0]) for r in joints),
+            joint_high_rad=tuple(float(r[1]) for r in joints),
+            camera_sizes_px={name: (c.width, c.height) for name, c in self.protocol.cameras.items()},
+            time_limit_s=self.protocol.phases.time_limit_s,
+        )  # fmt: skip
+
+    def add_report_frames(self, renderer: SceneRenderer) -> None:
+        """Two pictures for the report: the room at the trial's end state of interest, and the contact close up."""
+        data = mujoco.MjData(self.simulation.model)
+        state = self.peak.state if self.peak.state.size else self.simulation.integration_state()
+        mujoco.mj_setState(self.simulation.model, data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
+        mujoco.mj_forward(self.simulation.model, data)
+        self.log.extra["report/snapshot_rgb"] = renderer.rgb(data, "exterior")
+        self.log.extra["report/peak_rgb"] = render_close_up(renderer, self.simulation.scene, data)
+        self.log.extra["report/peak_time_s"] = np.array([self.peak.time_s], "<f8")
+
+
+def _versions() -> dict[str, str]:
+    out = {"carecontact": __version__}
+    for package in ("mujoco", "numpy", "mediapipe", "scipy"):
+        try:
+            out[package] = version(package)
+        except PackageNotFoundError:
+            out[package] = "missing"
+    return out

@@ -1,0 +1,1 @@
+"""Builders of the compiled model: person, tissue, furniture, robot, cameras, sensors."""

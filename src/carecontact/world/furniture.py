@@ -1,0 +1,75 @@
+"""Bed, pillow, knee roll, arm board, room and light."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from carecontact.contract.protocol import Scene
+
+BED_TOUCH = {"contype": 0, "conaffinity": 3}
+LOOK_ONLY = {"contype": 0, "conaffinity": 0}
+BOARD_HEIGHT_M = 0.022
+"""Padded board above the mattress: it bends the elbow a little, so that every arm joint rests inside its range."""
+PILLOW_HEIGHT_M = 0.045
+
+BOX, CYLINDER, ELLIPSOID = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_ELLIPSOID
+
+
+def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float) -> None:
+    world = spec.worldbody
+    top = scene.mattress_top_m
+    linen, wood, steel = [0.80, 0.86, 0.90, 1], [0.62, 0.50, 0.38, 1], [0.42, 0.44, 0.48, 1]
+    soft = {
+        "solref": [0.02, 1.0],
+        "solimp": [0.98, 0.99, 0.004, 0.5, 2.0],
+        "friction": [0.8, 0.005, 0.0001],
+        "condim": 3,
+    }
+
+    def add(name: str, kind: mujoco.mjtGeom, size: list[float], pos: list[float], rgba: list[float], **kwargs) -> None:
+        world.add_geom(name=name, type=kind, size=size, pos=pos, rgba=rgba, **{"group": 0, **LOOK_ONLY, **kwargs})
+
+    add("floor", mujoco.mjtGeom.mjGEOM_PLANE, [6, 6, 0.1], [0, 0, 0], [0.66, 0.63, 0.58, 1])
+    add("wall", BOX, [0.05, 3.5, 1.4], [2.2, 0, 1.4], [0.86, 0.86, 0.82, 1])
+    # One contact plane under everything keeps the count of bed contacts, and so the cost, low.
+    add("bed_mattress", BOX, [1.0, 0.45, 0.08], [0, 0, top - 0.08], linen, **soft, **BED_TOUCH)
+    add("bed_frame", BOX, [1.03, 0.47, 0.03], [0, 0, top - 0.19], steel)
+    add("bed_head", BOX, [0.02, 0.47, 0.30], [1.05, 0, top + 0.02], wood)
+    add("bed_foot", BOX, [0.02, 0.47, 0.16], [-1.05, 0, top - 0.08], wood)
+    for a in (-0.95, 0.95):
+        for b in (-0.40, 0.40):
+            add(f"bed_leg_{a}_{b}", CYLINDER, [0.025, (top - 0.22) / 2, 0], [a, b, (top - 0.22) / 2], steel)
+    add("bed_pillow", ELLIPSOID, [0.16, 0.27, 0.045], [head_x + 0.02, 0, top + 0.012], [0.95, 0.95, 0.93, 1])
+    add("bed_pillow_contact", BOX, [0.12, 0.2, PILLOW_HEIGHT_M / 2], [head_x + 0.02, 0, top + PILLOW_HEIGHT_M / 2],
+        [0, 0, 0, 0], group=3, **soft, **BED_TOUCH)  # fmt: skip
+    low, high = np.array(scene.board_low_m), np.array(scene.board_high_m)
+    middle, half = (low + high) / 2, (high - low) / 2
+    board = {**soft, "friction": [scene.board_friction, 0.005, 0.0001], "priority": 2}
+    thickness = BOARD_HEIGHT_M / 2
+    add(
+        "bed_armboard", BOX, [*half, thickness], [*middle, top + thickness], [0.30, 0.46, 0.52, 1], **board, **BED_TOUCH
+    )
+    add("bed_armboard_arm", BOX, [0.03, half[1] * 0.6, 0.015], [middle[0], middle[1], top - 0.015], steel)
+
+
+def add_light(spec: mujoco.MjSpec) -> None:
+    """Soft headlight and one directional light without shadows: shadows cost more than the rest of a frame."""
+    light = spec.visual.headlight
+    light.ambient, light.diffuse, light.specular = [0.30] * 3, [0.18] * 3, [0.0] * 3
+    for position, direction, strength in (
+        ([0.4, 0.8, 2.8], [-0.2, -0.35, -1], 0.50),
+        ([-1.0, -1.2, 2.6], [0.4, 0.5, -1], 0.22),
+    ):
+        spec.worldbody.add_light(
+            pos=position, dir=direction, diffuse=[strength] * 3, specular=[0.08] * 3, castshadow=False,
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        )  # fmt: skip
+    spec.add_texture(
+        name="room", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.93, 0.93, 0.90], rgb2=[0.74, 0.75, 0.74], width=128, height=768,
+    )  # fmt: skip
+    spec.visual.map.znear, spec.visual.map.zfar = 0.01, 8.0
+    spec.visual.quality.offsamples = 0
+    spec.visual.quality.shadowsize = 0
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960

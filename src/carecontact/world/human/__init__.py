@@ -1,0 +1,1 @@
+"""The supine care recipient: skeleton, passive joints, soft regions, skin."""

@@ -1,0 +1,124 @@
+"""Segment masses, centres of mass and inertias.
+
+Source: de Leva 1996, J Biomech 29:1223, Table 4 (adjusted Zatsiorsky-Seluyanov). Fractions are of body mass and of the
+segment's length; radii of gyration are about the sagittal, transverse and longitudinal axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carecontact.world.human.body import Array, Body
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentFractions:
+    mass: float
+    centre: float
+    """Along the segment from its first end."""
+    gyration: tuple[float, float, float]
+    """sagittal, transverse, longitudinal"""
+
+
+def _row(mass: float, centre: float, *gyration: float) -> SegmentFractions:
+    sagittal, transverse, longitudinal = (g / 100 for g in gyration)
+    return SegmentFractions(mass=mass / 100, centre=centre / 100, gyration=(sagittal, transverse, longitudinal))
+
+
+DE_LEVA: dict[str, dict[str, SegmentFractions]] = {
+    "M": {
+        "head": _row(6.94, 50.02, 30.3, 31.5, 26.1),
+        "thorax": _row(15.96, 50.66, 50.5, 32.0, 46.5),
+        "abdomen": _row(16.33, 45.02, 48.2, 38.3, 46.8),
+        "pelvis": _row(11.17, 61.15, 61.5, 55.1, 58.7),
+        "upper_arm": _row(2.71, 57.72, 28.5, 26.9, 15.8),
+        "forearm": _row(1.62, 45.74, 27.6, 26.5, 12.1),
+        "hand": _row(0.61, 36.24, 28.8, 23.5, 18.4),
+        "thigh": _row(14.16, 40.95, 32.9, 32.9, 14.9),
+        "shank": _row(4.33, 43.95, 25.1, 24.6, 10.2),
+        "foot": _row(1.37, 44.15, 25.7, 24.5, 12.4),
+    },
+    "F": {
+        "head": _row(6.68, 48.41, 27.1, 29.5, 26.1),
+        "thorax": _row(15.45, 50.50, 46.6, 31.4, 44.9),
+        "abdomen": _row(14.65, 45.12, 43.3, 35.4, 41.5),
+        "pelvis": _row(12.47, 49.20, 43.3, 40.2, 44.4),
+        "upper_arm": _row(2.55, 57.54, 27.8, 26.0, 14.8),
+        "forearm": _row(1.38, 45.59, 26.1, 25.7, 9.4),
+        "hand": _row(0.56, 34.27, 24.4, 20.8, 15.4),
+        "thigh": _row(14.78, 36.12, 36.9, 36.4, 16.2),
+        "shank": _row(4.81, 43.52, 26.7, 26.3, 9.2),
+        "foot": _row(1.29, 40.14, 29.9, 27.9, 13.9),
+    },
+}
+# De Leva's head includes the neck, his upper trunk the shoulders: the rig's neck and clavicles take a small share of
+# those so that each has an inertia of its own (assumed shares; the sums are the published ones).
+SHARE_OF = {"neck": ("head", 0.15), "clavicle": ("thorax", 0.04)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentInertia:
+    mass_kg: float
+    centre_m: Array
+    """(3,) in the mesh frame"""
+    axes: Array
+    """(3, 3) columns: transverse, sagittal, longitudinal directions"""
+    moments_kgm2: Array
+    """(3,) about those columns"""
+
+
+def segment_ends(body: Body, segment: str) -> tuple[Array, Array]:
+    """First and second end of a segment as de Leva measures it, on this body [m]."""
+    j = body.joint_centre
+    kind = segment.removeprefix("left_").removeprefix("right_")
+    trunk = {"thorax": ("neck", "thorax"), "abdomen": ("thorax", "abdomen"), "pelvis": ("abdomen", "pelvis")}
+    if kind == "head":
+        top = j["head"].copy()
+        top[2] = body.vertices[:, 2].max()
+        return top, j["neck"]
+    if kind in trunk:
+        first, second = trunk[kind]
+        return j[first], j[second]
+    if kind == "foot":
+        points = body.vertices_of(segment)
+        heel, toe = points[points[:, 1].argmax()], points[points[:, 1].argmin()]
+        return heel, toe
+    return j[segment], j[segment] + body.axis_vector(segment)
+
+
+def segment_inertias(body: Body) -> dict[str, SegmentInertia]:
+    """Every segment of the body; masses sum to the body's."""
+    table = DE_LEVA[body.sex]
+    total = sum(
+        table[s.split("_", 1)[-1] if s.startswith(("left", "right")) else s].mass
+        for s in body.segments
+        if s != "neck" and not s.endswith("clavicle")
+    )
+    out: dict[str, SegmentInertia] = {}
+    for segment in body.segments:
+        kind = segment.removeprefix("left_").removeprefix("right_")
+        if kind in SHARE_OF:
+            parent, share = SHARE_OF[kind]
+            mass = body.mass_kg * table[parent].mass / total * share
+            points = body.vertices_of(segment)
+            size = np.maximum(np.ptp(points, axis=0), 0.05)
+            moments = mass / 12 * (size @ size - size**2)
+            centre, axes = points.mean(0), np.eye(3)
+        else:
+            row = table[kind]
+            lent = sum(s * (2 if k == "clavicle" else 1) for k, (p, s) in SHARE_OF.items() if p == kind)
+            mass = body.mass_kg * row.mass / total * (1 - lent)
+            first, second = segment_ends(body, segment)
+            along = second - first
+            length = float(np.linalg.norm(along))
+            centre = first + row.centre * along
+            z = along / length
+            x = np.cross(np.array([0.0, 1.0, 0.0]), z) if abs(z[1]) < 0.9 else np.cross(np.array([0.0, 0.0, 1.0]), z)
+            x /= np.linalg.norm(x)
+            axes = np.stack([x, np.cross(z, x), z], 1)
+            sagittal, transverse, longitudinal = row.gyration
+            moments = mass * (np.array([transverse, sagittal, longitudinal]) * length) ** 2
+        out[segment] = SegmentInertia(mass_kg=mass, centre_m=centre, axes=axes, moments_kgm2=moments)
+    return out

@@ -1,0 +1,62 @@
+"""Finer triangles for the drawn skin where a dent should be seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.world.human.body import Body
+
+
+def refined(body: Body, segment: str, *, times: int) -> Body:
+    """A copy whose faces on ``segment`` are split into four, ``times`` over; shape, weights and texture stay.
+
+    For drawing only: region geometry and masses come from the body as baked.
+    """
+    for _ in range(times):
+        body = _split(body, segment)
+    return body
+
+
+def _split(body: Body, segment: str) -> Body:
+    index = body.segments.index(segment)
+    chosen = (body.owner[body.faces] == index).all(1)
+    faces, uv_faces = body.faces[chosen], body.uv_faces[chosen]
+    edges, at = _midpoints(faces)
+    uv_edges, uv_at = _midpoints(uv_faces)
+    mid_faces, mid_uv_faces = at + len(body.vertices), uv_at + len(body.uv)
+
+    dense = np.zeros((len(body.vertices), len(body.segments)))
+    np.put_along_axis(dense, body.weight_segment, body.weight, 1)
+    dense = (dense[edges[:, 0]] + dense[edges[:, 1]]) / 2
+    order = np.argsort(-dense, axis=1)[:, :4]
+    weight = np.take_along_axis(dense, order, 1)
+    return replace(
+        body,
+        vertices=np.concatenate([body.vertices, body.vertices[edges].mean(1)]),
+        faces=np.concatenate([body.faces[~chosen], _four(faces, mid_faces)]),
+        uv=np.concatenate([body.uv, body.uv[uv_edges].mean(1)]),
+        uv_faces=np.concatenate([body.uv_faces[~chosen], _four(uv_faces, mid_uv_faces)]),
+        weight_segment=np.concatenate([body.weight_segment, order]),
+        weight=np.concatenate([body.weight, weight / weight.sum(1, keepdims=True)]),
+        is_eye=np.concatenate([body.is_eye, np.zeros(len(edges), bool)]),
+    )
+
+
+Indices = npt.NDArray[np.int64]
+
+
+def _midpoints(faces: Indices) -> tuple[Indices, Indices]:
+    """Unique edges (E, 2), and for each face (F, 3) the edge between corners 0-1, 1-2, 2-0."""
+    pairs = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], -1), axis=-1).reshape(-1, 2)
+    edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
+    return edges, inverse.reshape(-1, 3)
+
+
+def _four(faces: Indices, middle: Indices) -> Indices:
+    a, b, c = faces.T
+    ab, bc, ca = middle.T
+    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return np.concatenate([np.stack(part, 1) for part in parts])

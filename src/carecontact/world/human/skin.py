@@ -1,0 +1,128 @@
+"""The visible skin: a MuJoCo skin driven one way by the skeleton, with a procedural texture. Never in contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.world.human.body import Array, Body
+from carecontact.world.human.skeleton import body_name
+
+TEXTURE_SIZE = 1024
+
+
+@dataclass(frozen=True, kw_only=True)
+class Appearance:
+    skin: tuple[int, int, int] = (214, 164, 134)
+    cloth: tuple[int, int, int] = (44, 74, 116)
+    hair: tuple[int, int, int] = (62, 43, 30)
+
+
+def add_skin(spec: mujoco.MjSpec, body: Body, appearance: Appearance) -> None:
+    """One skin over all segments. Corners that share a vertex but not a texture point are split."""
+    pairs = np.stack([body.faces.ravel(), body.uv_faces.ravel()], 1)
+    unique, inverse = np.unique(pairs, axis=0, return_inverse=True)
+    vertex = unique[:, 0]
+    coordinates = body.uv[unique[:, 1]].copy()
+    coordinates[:, 1] = 1 - coordinates[:, 1]
+    ids, weights = [], []
+    for index in range(len(body.segments)):
+        mine = (body.weight_segment[vertex] == index) & (body.weight[vertex] > 1e-3)
+        rows = np.flatnonzero(mine.any(1))
+        ids.append(rows.astype(np.int32))
+        weights.append(np.where(mine[rows], body.weight[vertex[rows]], 0).sum(1).astype(np.float32))
+    texture = paint(body, appearance)
+    made = spec.add_texture(
+        name="human_skin", type=mujoco.mjtTexture.mjTEXTURE_2D, width=TEXTURE_SIZE, height=TEXTURE_SIZE, nchannel=3
+    )
+    made.data = texture.tobytes()
+    material = spec.add_material(name="human_skin", specular=0.12, shininess=0.15)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "human_skin"
+    spec.add_skin(
+        name="human", vert=body.vertices[vertex].ravel().astype(np.float32),
+        texcoord=coordinates.ravel().astype(np.float32),
+        face=inverse.reshape(-1).astype(np.int32), bodyname=[body_name(s) for s in body.segments],
+        bindpos=np.array([body.joint_centre[s] for s in body.segments]).ravel().astype(np.float32),
+        bindquat=np.tile([1, 0, 0, 0], len(body.segments)).astype(np.float32), vertid=ids, vertweight=weights,
+        group=0, rgba=[1, 1, 1, 1], material="human_skin",
+    )  # fmt: skip
+
+
+def paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
+    """(TEXTURE_SIZE, TEXTURE_SIZE, 3): each face gets the colour of its place on the body."""
+    colour = np.clip(_face_colours(body, appearance), 0, 255)
+    corners = body.uv[body.uv_faces] * TEXTURE_SIZE
+    corners[..., 1] = TEXTURE_SIZE - corners[..., 1]
+    fixed = np.round(corners * 16).astype(np.int32)
+    image = np.empty((TEXTURE_SIZE, TEXTURE_SIZE, 3), np.uint8)
+    image[:] = appearance.skin
+    for triangle, c in zip(fixed, colour.tolist(), strict=True):
+        # The outline closes the hairline between neighbours that texture filtering would show.
+        cv2.fillConvexPoly(image, triangle, c, cv2.LINE_8, 4)
+        cv2.polylines(image, [triangle], True, c, 1, cv2.LINE_8, 4)
+    return cv2.GaussianBlur(image, (3, 3), 0)  # pyright: ignore[reportReturnType]
+
+
+def _face_colours(body: Body, appearance: Appearance) -> Array:
+    skin, cloth, hair = (np.array(c, np.float64) for c in (appearance.skin, appearance.cloth, appearance.hair))
+    centre = body.vertices[body.faces].mean(1)
+    segment = np.array(body.segments)[body.owner[body.faces[:, 0]]]
+    # Slow mottling in 3-D: a flat tone makes key-point detectors fail.
+    waves = np.array([[23.0, 17, 9], [-11, 31, 19], [41, -7, 29], [90, 60, -70]])
+    mottle = np.sin(centre @ waves.T + [0.3, 1.9, 4.1, 2.2]).mean(1)
+    colour = skin * (1 + 0.045 * mottle)[:, None]
+    flush = np.isin(segment, ["left_hand", "right_hand", "left_foot", "right_foot"])
+    colour[flush] *= [1.0, 0.94, 0.92]
+
+    thigh = body.joint_centre["left_thigh"][2]
+    legs = np.isin(segment, ["pelvis", "abdomen", "left_thigh", "right_thigh"])
+    shorts = legs & (centre[:, 2] > thigh - 0.17) & (centre[:, 2] < thigh + 0.035)
+    fold = 1 + 0.10 * np.sin(centre @ [70.0, 25, 12])
+    colour[shorts] = cloth * fold[shorts, None]
+    waistband = legs & (centre[:, 2] > thigh + 0.018) & (centre[:, 2] < thigh + 0.035)
+    colour[waistband] = cloth * 0.6
+
+    _paint_head(body, centre, segment, colour, skin, hair, mottle)
+    return colour
+
+
+def _paint_head(
+    body: Body, centre: Array, segment: Array, colour: Array, skin: Array, hair: Array, mottle: Array
+) -> None:
+    head = segment == "head"
+    eyes = [body.landmarks["eye.L"], body.landmarks["eye.R"]]
+    eye_height, face_front = eyes[0][2], body.vertices_of("head")[:, 1].min()
+    behind = centre[:, 1] > body.joint_centre["head"][1] + 0.03
+    ear = head & (np.abs(centre[:, 0]) > 0.078) & (centre[:, 2] < eye_height + 0.02)
+    slope = 0.25 * np.clip(eyes[0][1] - centre[:, 1], -1, 1)
+    scalp = head & ~ear & ((centre[:, 2] > eye_height + 0.065 + slope) | (behind & (centre[:, 2] > eye_height - 0.05)))
+    colour[scalp] = hair * (1 + 0.35 * mottle[scalp, None])
+    mouth = eye_height - 0.074
+    lips = (
+        head
+        & (np.abs(centre[:, 0]) < 0.026)
+        & (np.abs(centre[:, 2] - mouth) < 0.008)
+        & (centre[:, 1] < face_front + 0.04)
+    )
+    colour[lips] = skin * [0.82, 0.55, 0.55]
+    ball = body.is_eye[body.faces[:, 0]]
+    for eye in eyes:
+        off = centre - eye
+        brow = (
+            head
+            & (np.abs(off[:, 0]) < 0.019)
+            & (np.abs(off[:, 2] - 0.022 + 0.1 * np.abs(off[:, 0])) < 0.0035)
+            & (off[:, 1] < 0)
+        )
+        colour[brow] = 0.6 * hair + 0.4 * skin
+        white = ball & (np.abs(off[:, 0]) < 0.02)
+        colour[white] = (238, 236, 232)
+        if white.any():
+            r = np.hypot(*(centre - centre[white].mean(0))[:, [0, 2]].T)
+            front = white & (off[:, 1] < centre[white][:, 1].mean() - eye[1])
+            colour[front & (r < 0.0065)] = (74, 52, 32)
+            colour[front & (r < 0.003)] = (12, 12, 12)

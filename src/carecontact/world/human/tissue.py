@@ -1,0 +1,110 @@
+"""A soft region in the model: every free shell vertex is a small body on three slides under the bone.
+
+The slides' polynomial stiffness and damping are the anchor law of the paper's Eq. 3, f_c = K_c phi + D_c dphi/dt; the
+reaction on the skeleton comes out of the kinematic tree. The flex over the vertices gives collision only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.protocol import Tissue
+from carecontact.world.human.body import Body
+from carecontact.world.human.shell import Shell
+from carecontact.world.human.skeleton import HIDDEN_GROUP, ROBOT_ONLY, SOFT_SEGMENTS, body_name, tissue_body_name
+
+FLEX_RADIUS_M = 0.002
+FLEX_GROUP = 4
+SOLREF = (0.01, 1.0)
+SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    name: str
+    shell: Shell
+    tissue: Tissue
+    vertex_index: npt.NDArray[np.int64]
+    """(n,) shell vertices that are free, in the order of their bodies"""
+
+
+def shell_mass(shell: Shell, tissue: Tissue) -> float:
+    """Mass of the free vertices [kg]."""
+    return float(tissue.areal_mass_kg_m2 * shell.area[~shell.pinned].sum())
+
+
+def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissue: Tissue) -> Region:
+    """Add vertices, flex and bone core of one region. Call after the skeleton."""
+    segment = SOFT_SEGMENTS[region]
+    origin = body.joint_centre[segment]
+    carrier = spec.body(tissue_body_name(region))
+    local = shell.vertices - origin - shell.normals * FLEX_RADIUS_M
+    names: list[str] = []
+    positions = np.zeros_like(local)
+    free: list[int] = []
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
+    for k in range(len(local)):
+        if shell.pinned[k]:
+            names.append(tissue_body_name(region))
+            positions[k] = local[k]
+            continue
+        free.append(k)
+        name = f"{region}_v{k}"
+        names.append(name)
+        area, n, t = float(shell.area[k]), shell.normals[k], shell.tangents[k]
+        vertex = carrier.add_body(name=name, pos=local[k], mass=tissue.areal_mass_kg_m2 * area, explicitinertial=True)
+        vertex.inertia = np.full(3, vertex.mass * 1e-5)
+        law = [tissue.a_n_m3 * area, tissue.b_n_m4 * area, tissue.c_n_m5 * area]
+        vertex.add_joint(name=f"{name}_n", type=slide, axis=-n, stiffness=law)
+        vertex.add_joint(name=f"{name}_t", type=slide, axis=t, stiffness=[law[0], 0, 0])
+        vertex.add_joint(name=f"{name}_b", type=slide, axis=np.cross(n, t), stiffness=[law[0], 0, 0])
+    spec.add_flex(
+        name=region, dim=2, radius=FLEX_RADIUS_M, vertbody=names, vert=positions.ravel(),
+        elem=shell.triangles.ravel().astype(np.int32), contype=0, conaffinity=1, condim=3,
+        friction=[tissue.friction, 0.005, 0.0001], solref=SOLREF, solimp=SOLIMP, priority=1,
+        selfcollide=mujoco.mjtFlexSelf.mjFLEXSELF_NONE, group=FLEX_GROUP, rgba=[0.87, 0.67, 0.56, 1],
+    )  # fmt: skip
+    _add_core(spec, region, shell, tissue, origin)
+    return Region(name=region, shell=shell, tissue=tissue, vertex_index=np.array(free))
+
+
+def _add_core(spec: mujoco.MjSpec, region: str, shell: Shell, tissue: Tissue, origin: npt.NDArray[np.float64]) -> None:
+    """The rigid core at the measured tissue depth: what the tool meets when the tissue is used up."""
+    kwargs = dict(
+        name=f"human_core_{region}", mass=0, group=HIDDEN_GROUP, condim=3, friction=[tissue.friction, 0.005, 0.0001],
+        solref=list(SOLREF), solimp=list(SOLIMP), priority=1, **ROBOT_ONLY,
+    )  # fmt: skip
+    bone = spec.body(body_name(SOFT_SEGMENTS[region]))
+    x, _, z = shell.frame.T
+    centre = shell.frame_origin - origin
+    if region == "abdomen":
+        # A flat-topped box with the patch's footprint, its top one tissue depth under the belly's middle.
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, shell.frame.ravel())
+        half_height = (shell.axis_depth_m - tissue.thickness_m) / 2
+        bone.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre + z * half_height, quat=quat,
+            size=[shell.length_m / 2, shell.radius_m * 0.8, half_height], **kwargs,
+        )  # fmt: skip
+        return
+    radius = max(0.008, shell.axis_depth_m - tissue.thickness_m)
+    half = shell.length_m / 2
+    bone.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=np.r_[centre - x * half, centre + x * half],
+        size=[radius, 0, 0],
+        **kwargs,
+    )
+
+
+def set_damping(model: mujoco.MjModel, regions: dict[str, Region], *, scale: float = 1.0) -> None:
+    """Write D_c into the compiled model: the compiler rejects joint damping on bodies that a flex uses."""
+    for region in regions.values():
+        for k in region.vertex_index:
+            damping = scale * region.tissue.damping_ns_m3 * region.shell.area[k]
+            for kind in "ntb":
+                model.dof_damping[model.jnt_dofadr[model.joint(f"{region.name}_v{k}_{kind}").id]] = damping

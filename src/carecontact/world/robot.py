@@ -1,0 +1,251 @@
+"""The Franka Panda with its closed, capped gripper, and the impedance that is part of the model.
+
+Names: bodies ``robot_base``, ``robot_link1`` .. ``robot_link7``, ``robot_hand``; joints ``robot_joint1`` .. 7; site
+``tcp``; mocap body ``tcp_target``; actuators ``impedance_0`` .. ``impedance_5`` (x y z, then rotation about x y z).
+
+Visual geoms are in group 1 and never collide. Collision geoms are in group 3 with contype 1 and conaffinity 0: the
+robot meets whatever has bit 1 in its conaffinity, and never itself.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from hashlib import sha256
+from importlib import resources
+from io import BytesIO
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.protocol import Impedance, Protocol
+from carecontact.errors import AssetError, SceneError
+
+N_JOINTS = 7
+CAP_RADIUS_M = 0.012
+CAP_HALF_WIDTH_M = 0.007
+"""Of the capsule's cylinder, along the finger pair (hand y): the cap is 24 mm thick and 38 mm wide."""
+CAP_CENTRE_Z_M = 0.105
+TCP_Z_M = CAP_CENTRE_Z_M + CAP_RADIUS_M
+"""In the hand's frame, whose z points out of the tool."""
+FINGER_ORIGIN_Z_M = 0.0584
+"""Carriage of the fingers in the hand's frame (URDF panda_finger_joint1)."""
+JOINT_DAMPING = 1.0
+"""[N m s/rad] light viscous friction; assumed."""
+JOINT_ARMATURE = 0.1
+"""[kg m^2] reflected rotor inertia of the harmonic drives; assumed, the value commonly used for this arm."""
+COLOURS = {
+    "white": (0.93, 0.94, 0.95, 1.0),
+    "grey": (0.80, 0.82, 0.84, 1.0),
+    "dark": (0.16, 0.16, 0.17, 1.0),
+    "blue": (0.04, 0.54, 0.78, 1.0),
+}
+CAP_COLOUR = (0.22, 0.24, 0.28, 1.0)
+PEDESTAL_COLOUR = (0.45, 0.47, 0.50, 1.0)
+PEDESTAL_RADIUS_M = 0.09
+VISUAL_GROUP, COLLISION_GROUP = 1, 3
+
+Array = npt.NDArray[np.float64]
+
+
+@lru_cache(maxsize=1)
+def panda_asset() -> dict[str, npt.NDArray[np.generic]]:
+    """Arrays of the baked arm. Raises AssetError if the file is missing or is not the one of its provenance record."""
+    folder = resources.files("carecontact.assets") / "panda"
+    try:
+        data = (folder / "panda.npz").read_bytes()
+        expected = json.loads((folder / "panda.provenance.json").read_text())["sha256"]
+    except OSError as error:
+        raise AssetError(f"robot asset panda: {error}; reinstall the package or run tools/bake_panda.py") from None
+    if sha256(data).hexdigest() != expected:
+        raise AssetError("robot asset panda.npz does not match the sha256 in panda.provenance.json")
+    with np.load(BytesIO(data)) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+def panda_sha256() -> str:
+    """Of the baked arm, as recorded in its provenance file."""
+    folder = resources.files("carecontact.assets") / "panda"
+    return str(json.loads((folder / "panda.provenance.json").read_text())["sha256"])
+
+
+def damping_of(stiffness: float, inertia: float) -> float:
+    """Critical damping 2 sqrt(K m) of one impedance axis."""
+    return 2.0 * float(np.sqrt(stiffness * inertia))
+
+
+def add_robot(spec: mujoco.MjSpec, protocol: Protocol) -> None:
+    """Add the arm on its pedestal, the mocap target and the impedance actuators to ``spec``.
+
+    The joints' neutral position is 0, which is outside joint 4's range: set the parked posture of the protocol before
+    the first step. Torque limits apply to what the impedance asks for, on top of the gravity compensation.
+    Raises SceneError if the base is under the floor.
+    """
+    asset, scene = panda_asset(), protocol.scene
+    if scene.robot_base_m[2] <= 0:
+        raise SceneError(f"scene.robot_base_m {list(scene.robot_base_m)}: the base must be above the floor")
+    meshes = _add_meshes(spec, asset)
+    # A spec reads joint ranges in its compiler's angle unit, degrees unless told otherwise.
+    to_spec_angle = np.rad2deg(1.0) if spec.compiler.degree else 1.0
+    half_yaw = np.deg2rad(scene.robot_yaw_deg) / 2
+    body = spec.worldbody.add_body(
+        name="robot_base", pos=scene.robot_base_m, quat=[np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)], gravcomp=1
+    )
+    _set_inertial(body, asset, 0)
+    _add_link_geoms(body, "link0", meshes)
+    _add_pedestal(body, scene.robot_base_m[2])
+    for i in range(N_JOINTS):
+        name = f"link{i + 1}"
+        body = body.add_body(
+            name=f"robot_{name}", pos=asset["frame_position_m"][i], quat=asset["frame_quat"][i], gravcomp=1
+        )
+        effort = float(asset["joint_effort_nm"][i])
+        body.add_joint(
+            name=f"robot_joint{i + 1}",
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=[0, 0, 1],
+            range=np.asarray(asset["joint_range_rad"][i]) * to_spec_angle,
+            limited=True,
+            damping=[JOINT_DAMPING, 0, 0],
+            armature=JOINT_ARMATURE,
+            actfrclimited=True,
+            actfrcrange=[-effort, effort],
+        )
+        _set_inertial(body, asset, i + 1)
+        _add_link_geoms(body, name, meshes)
+    hand = body.add_body(
+        name="robot_hand", pos=asset["frame_position_m"][N_JOINTS], quat=asset["frame_quat"][N_JOINTS], gravcomp=1
+    )
+    _set_inertial(hand, asset, N_JOINTS + 1)
+    _add_link_geoms(hand, "hand", meshes)
+    _add_tool(hand, meshes)
+    _add_impedance(spec, protocol.impedance)
+
+
+def _add_meshes(spec: mujoco.MjSpec, asset: dict[str, npt.NDArray[np.generic]]) -> list[str]:
+    """Mesh names are ``robot_<visual|collision>_<link>_<colour or number>``."""
+    names: list[str] = []
+    for key in asset:
+        if not key.endswith("/faces"):
+            continue
+        stem = key.removesuffix("/faces")
+        name = "robot_" + stem.replace("/", "_")
+        mesh = spec.add_mesh(name=name)
+        mesh.uservert = np.asarray(asset[f"{stem}/vertices"], np.float64).ravel()
+        mesh.userface = np.asarray(asset[key], np.int32).ravel()
+        # Visual meshes are open surfaces; links have explicit inertials, so a mesh's own inertia is never used.
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        names.append(name)
+    return names
+
+
+def _set_inertial(body: mujoco.MjsBody, asset: dict[str, npt.NDArray[np.generic]], row: int) -> None:
+    body.mass = float(asset["mass_kg"][row])
+    body.ipos = asset["centre_of_mass_m"][row]
+    body.fullinertia = asset["inertia_kgm2"][row]
+    body.explicitinertial = True
+
+
+def _add_link_geoms(body: mujoco.MjsBody, link: str, meshes: list[str]) -> None:
+    for name in meshes:
+        _, kind, of_link, part = name.split("_")
+        if of_link != link:
+            continue
+        if kind == "visual":
+            _add_visual_mesh(body, name, COLOURS[part])
+        else:
+            geom = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
+            _make_colliding(geom)
+
+
+def _add_visual_mesh(
+    body: mujoco.MjsBody, mesh: str, rgba: tuple[float, float, float, float], *, z_m: float = 0.0, turned: bool = False
+) -> None:
+    body.add_geom(
+        name=f"{mesh}_turned" if turned else mesh,
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=mesh,
+        pos=[0, 0, z_m],
+        quat=[0, 0, 0, 1] if turned else [1, 0, 0, 0],
+        rgba=rgba,
+        group=VISUAL_GROUP,
+        contype=0,
+        conaffinity=0,
+    )
+
+
+def _make_colliding(geom: mujoco.MjsGeom) -> None:
+    geom.group, geom.contype, geom.conaffinity = COLLISION_GROUP, 1, 0
+    geom.rgba = [0.8, 0.4, 0.2, 0.4]
+
+
+def _add_pedestal(base: mujoco.MjsBody, height_m: float) -> None:
+    visual = {"group": VISUAL_GROUP, "contype": 0, "conaffinity": 0, "rgba": PEDESTAL_COLOUR}
+    base.add_geom(
+        name="robot_pedestal",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        fromto=[-0.03, 0, -height_m, -0.03, 0, -0.02],
+        size=[PEDESTAL_RADIUS_M, 0, 0],
+        **visual,
+    )
+    base.add_geom(
+        name="robot_pedestal_plate",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[-0.04, 0, -0.01],
+        size=[0.125, 0.10, 0.01],
+        **visual,
+    )
+
+
+def _add_tool(hand: mujoco.MjsBody, meshes: list[str]) -> None:
+    """Closed fingers (visual), the shaft that stands for them in collisions, the cap meant to touch, the TCP."""
+    for name in meshes:
+        _, kind, link, part = name.split("_")
+        if link == "finger" and kind == "visual":
+            for turned in (False, True):
+                _add_visual_mesh(hand, name, COLOURS[part], z_m=FINGER_ORIGIN_Z_M, turned=turned)
+    shaft = hand.add_geom(
+        name="robot_finger_shaft",
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=[0, 0, FINGER_ORIGIN_Z_M, 0, 0, CAP_CENTRE_Z_M - 0.01],
+        size=[0.011, 0, 0],
+    )
+    _make_colliding(shaft)
+    cap = hand.add_geom(
+        name="robot_tool_cap",
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=[0, -CAP_HALF_WIDTH_M, CAP_CENTRE_Z_M, 0, CAP_HALF_WIDTH_M, CAP_CENTRE_Z_M],
+        size=[CAP_RADIUS_M, 0, 0],
+    )
+    _make_colliding(cap)
+    cap.group, cap.rgba = VISUAL_GROUP, CAP_COLOUR
+    hand.add_site(name="tcp", pos=[0, 0, TCP_Z_M], size=[0.003, 0.003, 0.003], group=4)
+
+
+def _add_impedance(spec: mujoco.MjSpec, impedance: Impedance) -> None:
+    """Six springs and dampers between ``tcp`` and the mocap target, each along or about one axis of the target.
+
+    With a reference site the transmission's length is the pose error in the target's frame, so a position servo with
+    its set point at 0 is the spring. The mocap body has no velocity: damping is against the world.
+    """
+    target = spec.worldbody.add_body(name="tcp_target", mocap=True)
+    target.add_site(name="tcp_target", size=[0.003, 0.003, 0.003], group=4)
+    for axis in range(6):
+        linear = axis < 3
+        stiffness = impedance.translational_n_m if linear else impedance.rotational_nm_rad
+        inertia = impedance.effective_mass_kg if linear else impedance.effective_inertia_kgm2
+        clamp = impedance.force_clamp_n if linear else impedance.torque_clamp_nm
+        actuator = spec.add_actuator(
+            name=f"impedance_{axis}",
+            trntype=mujoco.mjtTrn.mjTRN_SITE,
+            target="tcp",
+            refsite="tcp_target",
+            gear=np.eye(6)[axis],
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+            forcelimited=True,
+            forcerange=[-clamp, clamp],
+        )
+        actuator.gainprm[0] = stiffness
+        actuator.biasprm[:3] = [0.0, -stiffness, -damping_of(stiffness, inertia)]

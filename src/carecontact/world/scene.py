@@ -1,0 +1,129 @@
+"""The whole world as one MjSpec, and the named handles into it."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from carecontact.contract.protocol import Protocol
+from carecontact.world.cameras import add_cameras
+from carecontact.world.furniture import add_furniture, add_light
+from carecontact.world.human.body import Array, Body, load_body
+from carecontact.world.human.joints import Hinge
+from carecontact.world.human.joints import hinges as all_hinges
+from carecontact.world.human.pose import SUPINE, lying_pose_deg, rotation_from_bind
+from carecontact.world.human.refine import refined
+from carecontact.world.human.shell import limb_shell, trunk_shell
+from carecontact.world.human.skeleton import SOFT_SEGMENTS, add_skeleton, body_name
+from carecontact.world.human.skin import Appearance, add_skin
+from carecontact.world.human.tissue import Region, add_tissue, set_damping, shell_mass
+from carecontact.world.robot import add_robot
+from carecontact.world.sensors import add_sensors
+
+PELVIS_X_M = -0.03
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    model: mujoco.MjModel
+    protocol: Protocol
+    body: Body
+    hinges: tuple[Hinge, ...]
+    regions: dict[str, Region]
+    samples: int
+    """Sensor history length in physics steps."""
+
+    @property
+    def model_sha256(self) -> str:
+        """Of the compiled model's bytes; names the physics that a recording came from."""
+        size = mujoco.mj_sizeModel(self.model)
+        buffer = np.zeros(size, np.uint8)
+        mujoco.mj_saveModel(self.model, None, buffer)
+        return hashlib.sha256(buffer.tobytes()).hexdigest()
+
+
+def build_spec(
+    protocol: Protocol, *, target: str | None, samples: int = 10, skin: bool = True
+) -> tuple[mujoco.MjSpec, Body, list[Hinge], dict[str, Region]]:
+    """The uncompiled world.
+
+    Args:
+        target: the region whose shell is fine; the others are soft too, on a coarser mesh. None: all fine.
+        samples: sensor history length in physics steps.
+        skin: False leaves the visual skin out.
+    """
+    body = load_body(protocol.person.body)
+    spec = mujoco.MjSpec()
+    spec.modelname = "carecontact"
+    spec.compiler.degree = False
+    spec.option.timestep = protocol.physics.dt_s
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    # Soft friction creeps: at the default ratio of 1 an arm lying on its board drifted 1.2 deg in 10 s, at 10 0.4 deg.
+    spec.option.impratio = 10.0
+    spec.memory = 400 * 2**20
+
+    front = np.array([0.0, -1.0, 0.0])
+    tissue = {
+        region: row if target in (None, region) else row.model_copy(update={
+            "spacing_m": row.off_target_spacing_m, "coarse_spacing_m": row.off_target_spacing_m})
+        for region, row in protocol.person.tissue.items()
+    }  # fmt: skip
+    shells = {
+        region: trunk_shell(body, front, tissue[region]) if region == "abdomen"
+        else limb_shell(body, segment, upward_in_bind(body, segment), tissue[region])
+        for region, segment in SOFT_SEGMENTS.items()
+    }  # fmt: skip
+    height = body.vertices_of("pelvis", "abdomen", "thorax")[:, 1].max() - body.joint_centre["pelvis"][1]
+    root = np.array([PELVIS_X_M, 0.0, protocol.scene.mattress_top_m + height])
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, SUPINE.ravel())
+    masses = {SOFT_SEGMENTS[r]: shell_mass(s, tissue[r]) for r, s in shells.items()}
+    rows = add_skeleton(spec, body, root_position=root, root_quat=quat, shell_mass=masses)
+    regions = {r: add_tissue(spec, body, r, s, tissue[r]) for r, s in shells.items()}
+    for region, shell in shells.items():
+        site_quat = np.zeros(4)
+        mujoco.mju_mat2Quat(site_quat, shell.frame.ravel())
+        segment = SOFT_SEGMENTS[region]
+        spec.body(body_name(segment)).add_site(
+            name=f"region_{region}",
+            pos=shell.frame_origin - body.joint_centre[segment],
+            quat=site_quat,
+            group=5,
+            size=[0.005] * 3,
+        )
+    if skin:
+        add_skin(spec, body if target is None else refined(body, SOFT_SEGMENTS[target], times=2), Appearance())
+    head_x = root[0] + body.joint_centre["head"][2] - body.joint_centre["pelvis"][2] + 0.04
+    add_furniture(spec, protocol.scene, head_x=head_x)
+    add_light(spec)
+    add_robot(spec, protocol)
+    add_cameras(spec, protocol)
+    add_sensors(spec, rows, samples=samples)
+    return spec, body, rows, regions
+
+
+def build_scene(protocol: Protocol, *, target: str | None, samples: int = 10, skin: bool = True) -> Scene:
+    """Compile the world. The comfort-arm angle is no part of the model: it is set when the person settles."""
+    spec, body, rows, regions = build_spec(protocol, target=target, samples=samples, skin=skin)
+    with warnings.catch_warnings():
+        # The shells' mechanics are their anchors; the compiler cannot know that and warns of a flex without any.
+        warnings.filterwarnings("ignore", message="flex .* is not rigid")
+        model = spec.compile()
+    set_damping(model, regions)
+    return Scene(model=model, protocol=protocol, body=body, hinges=tuple(rows), regions=regions, samples=samples)
+
+
+def upward_in_bind(body: Body, segment: str) -> Array:
+    """Direction in the segment's bind frame that faces up in the nominal lying pose (mid comfort angle)."""
+    rows, pose = all_hinges(body), lying_pose_deg(52.5)
+    chain = ["right_upper_arm"] if segment == "right_upper_arm" else ["right_upper_arm", "right_forearm"]
+    rotation = SUPINE
+    for link in chain:
+        rotation = rotation @ rotation_from_bind(rows, link, pose)
+    return rotation.T @ np.array([0.0, 0.0, 1.0])

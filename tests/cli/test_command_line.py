@@ -1,0 +1,94 @@
+"""The command as a user types it: what is wrong is one line, without a traceback."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import carecontact as carecontact_package
+from carecontact import __version__
+from carecontact.cli import main
+from carecontact.cli.policy_name import reason
+
+SOURCES = str(Path(carecontact_package.__file__).parents[1])
+BROKEN = "class Broken:\n    def __init__(self):\n        raise RuntimeError('no weights here')\n"
+
+
+def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "carecontact.cli", *arguments],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": SOURCES},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["run", "--policy", "nobody", "--out", "r"], "no policy named 'nobody'; valid: hover"),
+        (["run", "--policy", "no_such:Thing", "--out", "r"], "No module named 'no_such'"),
+        (["run", "--policy", "broken:Broken", "--out", "r"], "no weights here"),
+        (["run", "--policy", "a b:C", "--out", "r"], "expected module:Class"),
+        (["run", "--policy", "hover", "--out", "r", "--tasks", "T9"], "valid: T1, T2, T3, T4, T5, T6, T7"),
+        (["run", "--policy", "hover", "--out", "r", "--seeds", "44"], "its seeds: 0-19"),
+        (["run", "--policy", "hover", "--out", "r", "--protocol", "p"], "no protocol named 'p'; valid: bathing-v1"),
+        (["run", "--policy", "hover", "--out", "r", "--jobs", "0"], "must be at least 1"),
+        (["run", "--policy", "hover", "--out", "broken.py"], "this is a file"),
+        (["score", "nowhere"], "nowhere: no such folder"),
+        (["report", "."], "holds no recordings"),
+    ],
+)
+def test_errors_are_one_line_and_change_nothing(tmp_path: Path, arguments: list[str], told: str) -> None:
+    (tmp_path / "broken.py").write_text(BROKEN)
+    done = carecontact(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+    assert told in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "r").exists()
+
+
+def test_wrong_option_and_no_command() -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["run", "--polixy", "hover"])
+    assert caught.value.code == 2
+    with pytest.raises(SystemExit) as caught:
+        main([])
+    assert caught.value.code == 0
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"carecontact {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("what", "expected"),
+    [
+        ("tasks", ["T1", "T2", "T3", "T4", "T5", "T6", "T7"]),
+        ("protocols", ["bathing-v1-draft"]),
+        ("metrics", ["C1@1", "C2@1", "C3@1", "C4@1", "C5@1"]),
+    ],
+)
+def test_list(what: str, expected: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", what]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == expected
+
+
+@pytest.mark.parametrize(("what", "some"), [("policies", "state-machine"), ("bodies", "man-adult")])
+def test_list_of_what_grows(what: str, some: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", what]) == 0
+    assert some in [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+
+
+def test_reason_is_the_exception_under_the_traceback() -> None:
+    message = "could not load a:B:\nTraceback (most recent call last):\n  File x\nkeyring.Error: no key\n (exit code 0)"
+    assert reason(message) == "keyring.Error: no key"
+    assert reason("policy took too long\nit printed: hello") == "policy took too long"

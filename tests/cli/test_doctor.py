@@ -1,0 +1,75 @@
+"""What the doctor concludes; the machine's own state is not asserted."""
+
+from __future__ import annotations
+
+import pytest
+
+from carecontact.cli import doctor
+from carecontact.cli.doctor import Finding, apt_line, check_assets, check_gl, check_packages, gl_backend
+
+
+@pytest.mark.parametrize(
+    ("wanted", "there", "expected"),
+    [
+        ("", {"libEGL.so.1", "libGL.so.1"}, ("egl", [])),
+        ("", {"libEGL.so.1", "libOSMesa.so.8"}, ("osmesa", [])),
+        ("", set(), ("egl", ["libEGL.so.1", "libGL.so.1"])),
+        ("OSMesa", {"libEGL.so.1", "libGL.so.1"}, ("osmesa", ["libOSMesa.so.8"])),
+        ("egl", {"libGL.so.1", "libOSMesa.so.8"}, ("egl", ["libEGL.so.1"])),
+    ],
+)
+def test_backend(
+    wanted: str, there: set[str], expected: tuple[str, list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", wanted)
+    assert gl_backend(loads=there.__contains__) == expected
+
+
+def test_missing_library_is_named_with_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setitem(doctor.GL_LIBRARIES, "egl", ("libCertainlyNotHere.so.1",))
+    monkeypatch.setitem(doctor.GL_LIBRARIES, "osmesa", ("libNorThis.so.1",))
+    finding = check_gl()
+    assert not finding.fine
+    assert "libCertainlyNotHere.so.1" in finding.told
+    assert (finding.mend or "").endswith("apt-get install -y libegl1 libgl1 libgl1-mesa-dri")
+    assert apt_line("osmesa").endswith("apt-get install -y libosmesa6")
+
+
+def test_missing_package_is_named_with_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(doctor.PACKAGES, "no-such-distribution", "no-such-distribution==1")
+    finding = check_packages()
+    assert not finding.fine
+    assert finding.told == "not installed: no-such-distribution"
+    assert (finding.mend or "").endswith("-m pip install no-such-distribution==1")
+
+
+def test_shipped_assets_match_their_provenance() -> None:
+    finding = check_assets()
+    assert finding.fine
+    assert "bodies/man-adult.npz" in finding.told
+
+
+@pytest.mark.parametrize(("fine", "status"), [(True, 0), (False, 1)])
+def test_exit_status_and_output(
+    fine: bool, status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    finding = Finding(name="x", fine=fine, told="so it is", mend=None if fine else "do this")
+    for name in ("check_python", "check_packages", "check_gl", "check_frame", "check_pose", "check_assets"):
+        monkeypatch.setattr(doctor, name, lambda: finding)
+    assert doctor.doctor() == status
+    told = capsys.readouterr().out
+    assert ("install it with: do this" in told) is not fine
+
+
+@pytest.mark.parametrize(
+    ("code", "expected"),
+    [
+        ("pass", None),
+        ("raise SystemError('bad driver')", "SystemError: bad driver"),
+        ("import os; os.abort()", "ended"),
+    ],
+)
+def test_probe_survives_what_it_probes(code: str, expected: str | None) -> None:
+    problem = doctor._probe(code, environment={})
+    assert problem is None if expected is None else expected in (problem or "")

@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carecontact.contract.observation import MASK_NAMES, MODALITIES, CameraView, Observation
+from carecontact.contract.policy import PolicyCard
+from carecontact.errors import ObservationError
+from carecontact.observation.builder import (
+    ALLOWED,
+    ALLOWED_IN_VIEW,
+    ObservationBuilder,
+    RawView,
+    assemble,
+    derive_view,
+)
+from carecontact.observation.keypoints import KeyPoints
+from carecontact.protocols import load_protocol
+
+H, W = 48, 64
+INTRINSICS = np.array([[60.0, 0, (W - 1) / 2], [0, 60.0, (H - 1) / 2], [0, 0, 1]])
+DOWN = np.array([[0, -1, 0, 0], [-1, 0, 0, 0], [0, 0, -1, 2.0], [0, 0, 0, 1]], float)
+
+
+class FakeKeypoints:
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def estimate(self, rgb: np.ndarray) -> KeyPoints:
+        self.calls += 1
+        person = np.zeros((H, W), np.float32)
+        person[10:30, 20:40] = 1
+        return KeyPoints(landmarks=np.tile(np.float32([30, 20, 0.9]), (33, 1)), person=person)
+
+
+class FakeRobot:
+    def joint_position(self, data: Any) -> np.ndarray:
+        return np.arange(7.0)
+
+    def joint_velocity(self, data: Any) -> np.ndarray:
+        return np.zeros(7)
+
+    def pose_tcp_in_base(self, data: Any) -> np.ndarray:
+        pose = np.eye(4)
+        pose[:3, 3] = [0.4, 0.0, 0.3]
+        return pose
+
+
+class FakeRenderer:
+    def __init__(self) -> None:
+        self.asked: list[tuple[str, str]] = []
+        self.proprioception = FakeRobot()
+
+    def rgb(self, data: Any, camera: str) -> np.ndarray:
+        self.asked.append(("rgb", camera))
+        return np.full((H, W, 3), 90, np.uint8)
+
+    def depth(self, data: Any, camera: str) -> np.ndarray:
+        self.asked.append(("depth", camera))
+        depth = np.full((H, W), 2.0, np.float32)
+        depth[10:30, 20:40] = 1.8
+        return depth
+
+    def robot_depth(self, joint_position: np.ndarray, camera: str) -> np.ndarray:
+        self.asked.append(("robot_depth", camera))
+        np.testing.assert_array_equal(joint_position, np.arange(7.0))
+        robot = np.full((H, W), np.nan, np.float32)
+        robot[:, :5] = 2.0
+        return robot
+
+    def intrinsics(self, camera: str) -> np.ndarray:
+        return INTRINSICS
+
+    def pose_camera_in_base(self, data: Any, camera: str) -> np.ndarray:
+        return DOWN
+
+
+def build(modalities: tuple[str, ...], cameras: tuple[str, ...] = ("overhead",)) -> tuple[Observation, FakeRenderer]:
+    renderer = FakeRenderer()
+    protocol = load_protocol()
+    scene = protocol.scene.model_copy(update={"mattress_top_m": 0.6, "robot_base_m": (0.0, 0.0, 0.6)})
+    card = PolicyCard(name="test", modalities=modalities, cameras=cameras)
+    made = ObservationBuilder(
+        renderer,  # pyright: ignore[reportArgumentType]
+        card,
+        protocol.model_copy(update={"scene": scene}),
+        FakeKeypoints(),
+    )
+    return made.build(None, instruction="touch", sim_time_s=0.5), renderer  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("modalities", "images"),
+    [
+        ((), set()),
+        (("rgb",), {"rgb"}),
+        (("depth",), {"depth"}),
+        (("points",), {"rgb", "depth"}),
+        (("landmarks",), {"rgb", "depth"}),
+        (("masks",), {"rgb", "depth", "robot_depth"}),
+    ],
+)
+def test_only_what_the_card_names_is_rendered_and_sent(modalities: tuple[str, ...], images: set[str]) -> None:
+    observation, renderer = build(modalities)
+    assert {kind for kind, _ in renderer.asked} == images
+    assert len(renderer.asked) == len(images)
+    if not modalities:
+        assert observation.cameras == {}
+        return
+    view = observation.cameras["overhead"]
+    named = {name for name in MODALITIES if getattr(view, name) is not None}
+    assert named == set(modalities)
+
+
+def test_cameras_that_are_not_named_are_not_rendered() -> None:
+    observation, renderer = build(("rgb",), ("wrist", "bedside"))
+    assert renderer.asked == [("rgb", "wrist"), ("rgb", "bedside")]
+    assert set(observation.cameras) == {"wrist", "bedside"}
+
+
+def test_everything_together() -> None:
+    observation, _ = build(MODALITIES)
+    view = observation.cameras["overhead"]
+    assert view.masks is not None
+    assert set(view.masks) == set(MASK_NAMES)
+    assert view.masks["human"].sum() == 20 * 20
+    assert view.masks["robot"].sum() == 5 * H
+    assert view.points is not None
+    assert view.points.shape == (H * W, 3)
+    assert view.landmarks_in_base is not None
+    np.testing.assert_allclose(
+        view.landmarks_in_base[0], [(23.5 - 20) * 1.8 / 60, (31.5 - 30) * 1.8 / 60, 0.2], atol=1e-6
+    )
+    np.testing.assert_allclose(observation.pose_tcp_in_base, [0.4, 0, 0.3, 1, 0, 0, 0])
+    np.testing.assert_array_equal(observation.gripper_position, [0.0])
+    assert (observation.instruction, observation.sim_time_s) == ("touch", 0.5)
+
+
+def test_masks_and_landmarks_share_one_estimate() -> None:
+    keypoints = FakeKeypoints()
+    renderer = FakeRenderer()
+    raw = RawView(
+        intrinsics=INTRINSICS,
+        pose_camera_in_base=DOWN,
+        rgb=renderer.rgb(None, "overhead"),
+        depth=renderer.depth(None, "overhead"),
+        robot_depth=renderer.robot_depth(np.arange(7.0), "overhead"),
+    )
+    derive_view(raw, modalities=("masks", "landmarks"), keypoints=keypoints, bed_height_in_base_m=0.0)
+    assert keypoints.calls == 1
+
+
+def test_a_missing_image_is_an_error() -> None:
+    raw = RawView(intrinsics=INTRINSICS, pose_camera_in_base=DOWN, rgb=np.zeros((H, W, 3), np.uint8))
+    with pytest.raises(ObservationError, match="depth"):
+        derive_view(raw, modalities=("landmarks",), keypoints=FakeKeypoints(), bed_height_in_base_m=0.0)
+
+
+def test_the_allowlist_is_the_contract() -> None:
+    assert {f.name for f in fields(Observation)} == ALLOWED
+    assert {f.name for f in fields(CameraView)} == ALLOWED_IN_VIEW
+
+
+@pytest.mark.parametrize("key", ["contact_force", "seed", "human_joint_position", "qpos"])
+def test_a_privileged_key_is_refused(key: str) -> None:
+    with pytest.raises(ObservationError, match=key):
+        assemble({"instruction": "", key: 0}, {})
+    with pytest.raises(ObservationError, match=f"camera overhead: {key}"):
+        assemble({"instruction": ""}, {"overhead": {key: 0}})

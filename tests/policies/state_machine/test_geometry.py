@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carecontact.contract.observation import Observation
+from carecontact.errors import ContractError
+from carecontact.policies.state_machine.geometry import (
+    ABDOMEN_FRACTION,
+    LANDMARK,
+    UPPER_ARM_FREE_FROM,
+    PerceptionFailure,
+    region_from_observation,
+)
+from tests.policies.state_machine.lying_person import (
+    HEIGHT,
+    LIMB_RADIUS,
+    TRUNK_RADIUS,
+    WIDTH,
+    Person,
+    change_view,
+    observe,
+)
+
+PIXEL_M = 2.0 / 330
+
+
+def test_forearm(observation: Observation, person: Person) -> None:
+    forearm = region_from_observation(observation, "forearm")
+    middle = (person.elbow + person.wrist) / 2
+    np.testing.assert_allclose(forearm.centre_m, [*middle[:2], 2 * LIMB_RADIUS], atol=0.006)
+    assert forearm.axis @ person.arm_direction > np.cos(np.radians(2))
+    assert forearm.normal @ [0, 0, 1] > np.cos(np.radians(2))
+    assert forearm.half_length_m == pytest.approx(0.13, abs=0.008)
+    assert forearm.radius_m == pytest.approx(LIMB_RADIUS, abs=PIXEL_M)
+    assert forearm.support_height_m == pytest.approx(0.0, abs=1e-6)
+
+
+def test_upper_arm_starts_below_the_shoulder(observation: Observation, person: Person) -> None:
+    upper_arm = region_from_observation(observation, "upper_arm")
+    middle = person.shoulder + (1 + UPPER_ARM_FREE_FROM) / 2 * (person.elbow - person.shoulder)
+    np.testing.assert_allclose(upper_arm.centre_m, [*middle[:2], 2 * LIMB_RADIUS], atol=0.008)
+
+
+def test_abdomen(observation: Observation, person: Person) -> None:
+    abdomen = region_from_observation(observation, "abdomen")
+    middle = person.hips + ABDOMEN_FRACTION * (person.neck - person.hips)
+    np.testing.assert_allclose(abdomen.centre_m[:2], middle[:2], atol=0.015)
+    assert abdomen.centre_m[2] == pytest.approx(0.10 + TRUNK_RADIUS, abs=0.003)
+    assert abdomen.axis @ [1, 0, 0] > np.cos(np.radians(3))
+    assert abdomen.radius_m == pytest.approx(TRUNK_RADIUS, abs=0.012)
+
+
+def test_a_rising_forearm_has_a_rising_axis() -> None:
+    person = Person(wrist_rise_m=0.06)
+    forearm = region_from_observation(observe(person), "forearm")
+    along = (person.wrist - person.elbow) / np.linalg.norm(person.wrist - person.elbow)
+    assert forearm.axis @ along > np.cos(np.radians(3))
+    assert abs(forearm.axis @ forearm.normal) < 1e-9
+    # The surface between the joints is the cylinder's top line.
+    for distance in (-0.06, 0.0, 0.06):
+        assert abs(person.clearance(forearm.surface(distance)[None])[0]) < 0.005
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(35, 75))
+def test_any_arm_angle(abduction_deg: float) -> None:
+    person = Person(abduction_deg=abduction_deg)
+    forearm = region_from_observation(observe(person), "forearm")
+    assert np.linalg.norm(forearm.centre_m[:2] - (person.elbow + person.wrist)[:2] / 2) < 0.01
+
+
+def test_key_points_beside_the_limb_are_moved_onto_it(observation: Observation, person: Person) -> None:
+    view = observation.cameras["overhead"]
+    assert view.landmarks_in_base is not None
+    across = np.cross([0, 0, 1], person.arm_direction)
+    strayed = view.landmarks_in_base + (0.02 * across).astype(np.float32)
+    forearm = region_from_observation(change_view(observation, landmarks_in_base=strayed), "forearm")
+    assert abs((forearm.centre_m - person.elbow) @ across) < 0.004
+    lost = view.landmarks_in_base + (0.06 * across).astype(np.float32)
+    with pytest.raises(PerceptionFailure, match="miss the forearm"):
+        region_from_observation(change_view(observation, landmarks_in_base=lost), "forearm")
+
+
+def test_nobody_there() -> None:
+    with pytest.raises(PerceptionFailure, match="nobody was found"):
+        region_from_observation(observe(None), "forearm")
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "value", "reason"),
+    [("right wrist", 2, 0.1, "right wrist is hidden"), ("right elbow", 2, 0.3, "right elbow is hidden")],
+)
+def test_a_hidden_joint(observation: Observation, name: str, column: int, value: float, reason: str) -> None:
+    landmarks = np.array(observation.cameras["overhead"].landmarks)
+    landmarks[LANDMARK[name], column] = value
+    with pytest.raises(PerceptionFailure, match=reason):
+        region_from_observation(change_view(observation, landmarks=landmarks), "forearm")
+
+
+def test_a_joint_without_depth(observation: Observation) -> None:
+    surface = np.array(observation.cameras["overhead"].landmarks_in_base)
+    surface[LANDMARK["right wrist"]] = np.nan
+    with pytest.raises(PerceptionFailure, match="right wrist has no depth"):
+        region_from_observation(change_view(observation, landmarks_in_base=surface), "forearm")
+
+
+def test_an_absurd_skeleton(observation: Observation) -> None:
+    surface = np.array(observation.cameras["overhead"].landmarks_in_base)
+    surface[LANDMARK["right wrist"]] = surface[LANDMARK["right elbow"]] + 0.5
+    with pytest.raises(PerceptionFailure, match=r"0\.8\d m long"):
+        region_from_observation(change_view(observation, landmarks_in_base=surface), "forearm")
+
+
+def test_too_few_points(observation: Observation) -> None:
+    masks = dict(observation.cameras["overhead"].masks or {})
+    masks["human"] = np.zeros((HEIGHT, WIDTH), bool)
+    with pytest.raises(PerceptionFailure, match="no surface near the forearm"):
+        region_from_observation(change_view(observation, masks=masks), "forearm")
+
+
+def test_a_modality_that_was_not_asked_for(observation: Observation) -> None:
+    with pytest.raises(ContractError, match="are needed"):
+        region_from_observation(change_view(observation, masks=None), "forearm")

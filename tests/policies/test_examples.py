@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from carecontact.policies.process import PolicyProcess
+from tests.policies.synthetic import SESSION, synthetic_observation
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def test_my_policy_raises_the_tool_and_ends() -> None:
+    observation = synthetic_observation()
+    with PolicyProcess(
+        "my_policy:MyPolicy", first_deadline_s=20, deadline_s=20, search_path=[str(EXAMPLES)]
+    ) as process:
+        process.start()
+        process.reset("gently touch the right forearm", SESSION)
+        *moves, end = process.act(observation).actions
+    rise = np.array([move.pose_tcp_in_base for move in moves]) - observation.pose_tcp_in_base
+    np.testing.assert_allclose(rise[:, 2], 0.005 * np.arange(1, 11), atol=1e-12)
+    np.testing.assert_allclose(np.delete(rise, 2, axis=1), 0, atol=1e-12)
+    assert end.done

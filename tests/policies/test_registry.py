@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from carecontact import registry
+from carecontact.contract.observation import CameraView
+from carecontact.errors import ConfigError, UnknownNameError
+from carecontact.policies.process import PolicyProcess
+from carecontact.policies.registry import POLICIES, PolicyRow, resolve_policy
+from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_view
+
+
+def _blind(view: CameraView, modalities: tuple[str, ...]) -> CameraView:
+    """Only what was asked for, and nobody in it."""
+    return CameraView(
+        intrinsics=view.intrinsics,
+        pose_camera_in_base=view.pose_camera_in_base,
+        rgb=view.rgb if "rgb" in modalities else None,
+        depth=view.depth if "depth" in modalities else None,
+        points=np.zeros((47, 3), np.float32) if "points" in modalities else None,
+        point_colors=np.zeros((47, 3), np.uint8) if "points" in modalities else None,
+        masks=view.masks if "masks" in modalities else None,
+        landmarks=np.full((33, 3), np.nan, np.float32) if "landmarks" in modalities else None,
+        landmarks_in_base=np.full((33, 3), np.nan, np.float32) if "landmarks" in modalities else None,
+    )
+
+
+@pytest.mark.parametrize("name", list(POLICIES))
+def test_every_registered_policy_keeps_the_contract(name: str) -> None:
+    """Starts behind the wall, shows a card, and answers an empty scene with valid actions."""
+    assert re.fullmatch(r"[\w.]+:\w+", POLICIES[name].target)
+    assert 20 < len(POLICIES[name].description) < 120
+    with PolicyProcess(name, first_deadline_s=20, deadline_s=20) as process:
+        card = process.start()
+        assert card.name.replace("_", "-") == name
+        process.reset("gently touch the right forearm", SESSION)
+        view = _blind(synthetic_view(), card.modalities)
+        reply = process.act(synthetic_observation(cameras=dict.fromkeys(card.cameras, view)))
+    assert reply.actions
+    assert all(action.pose_tcp_in_base is None for action in reply.actions)
+
+
+def test_zero_action_never_ends_and_never_moves() -> None:
+    with PolicyProcess("zero-action", first_deadline_s=20, deadline_s=20) as process:
+        card = process.start()
+        assert (card.modalities, card.cameras) == ((), ())
+        process.reset("scrub the abdomen", SESSION)
+        actions = process.act(synthetic_observation()).actions
+    assert len(actions) / card.control_hz >= SESSION.time_limit_s
+    assert all(a.pose_tcp_in_base is None and a.stiffness is None and not a.done for a in actions)
+
+
+def test_names_resolve_without_importing() -> None:
+    assert resolve_policy("zero-action") == "carecontact.policies.zero_action:ZeroAction"
+    assert resolve_policy("nowhere.to_be:Found") == "nowhere.to_be:Found"
+
+
+def test_an_unknown_name_lists_the_valid_ones() -> None:
+    with pytest.raises(UnknownNameError, match=r"no policy named 'zero'; valid: .*hover.*state-machine.*zero-action"):
+        resolve_policy("zero")
+
+
+@pytest.mark.parametrize(
+    "name", [":", "module:", ":Class", "a b:Class", "module:Class:x", "../up:Class", "m:os.system"]
+)
+def test_a_malformed_target_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match="expected module:Class"):
+        resolve_policy(name)
+
+
+def test_other_packages_add_policies_through_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    row = PolicyRow(target="theirs.policy:Theirs", description="Somebody's policy.")
+    point = SimpleNamespace(name="theirs", load=lambda: row)
+    monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group == "carecontact.policies" else [])
+    monkeypatch.setattr(POLICIES, "_external_loaded", False)
+    monkeypatch.setattr(POLICIES, "_rows", dict(POLICIES._rows))
+    assert resolve_policy("theirs") == "theirs.policy:Theirs"
+    assert "theirs" in list(POLICIES)

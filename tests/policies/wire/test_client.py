@@ -1,0 +1,192 @@
+"""Client against server in one process: what each end says of the other's mistakes."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from queue import SimpleQueue
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.server import ServerConnection
+
+from carecontact.contract.action import Action
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard
+from carecontact.errors import ContractError, PolicyError
+from carecontact.policies.wire import client, server
+from carecontact.policies.wire.client import PolicyClient
+from carecontact.policies.wire.packing import MAX_REPLY_BYTES, pack
+from tests.policies.synthetic import SESSION, synthetic_observation
+
+
+class Answers:
+    card = PolicyCard(name="answers")
+
+    def __init__(self, answer: object = None) -> None:
+        self.answer = answer
+        self.heard: list[str] = []
+
+    def reset(self, instruction: str) -> None:
+        self.heard.append(instruction)
+
+    def act(self, observation: Observation) -> Action:
+        return self.answer
+
+
+Meet = Callable[[Answers], PolicyClient]
+
+
+@pytest.fixture
+def meet() -> Iterator[Meet]:
+    """A client that has seen the card and reset the policy it is given."""
+    threads: list[threading.Thread] = []
+    clients: list[PolicyClient] = []
+
+    def start(policy: Answers) -> PolicyClient:
+        port: SimpleQueue[int] = SimpleQueue()
+        thread = threading.Thread(target=server.serve_policy, args=(policy,), kwargs={"on_port": port.put})
+        thread.start()
+        threads.append(thread)
+        clients.append(PolicyClient(port=port.get(timeout=20), deadline_s=20))
+        clients[-1].card(deadline_s=20)
+        clients[-1].reset("touch", SESSION, deadline_s=20)
+        return clients[-1]
+
+    yield start
+    for one in clients:
+        one.say_goodbye(deadline_s=20)
+        one.disconnect()
+    for thread in threads:
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+POSE = synthetic_observation().pose_tcp_in_base
+
+
+@pytest.mark.parametrize(
+    ("answer", "says"),
+    [
+        ("left", "expected an Action or a list of Actions, got str 'left'"),
+        (Action(pose_tcp_in_base=POSE + np.inf), "expected finite numbers"),
+        (Action(pose_tcp_in_base=POSE + 9), "outside the workspace"),
+        (Action(pose_tcp_in_base=np.zeros(6)), r"got shape \(6,\)"),
+        (Action(pose_tcp_in_base=np.zeros(7)), "quaternion norm 0, expected 1"),
+        (Action(stiffness=(5000, 20)), r"5000.0 N/m is outside \[100.0, 1000.0\]"),
+        (Action(stiffness=(np.nan, 20)), "nan N/m is outside"),
+    ],
+)
+def test_an_answer_that_is_no_action(meet: Meet, answer: object, says: str) -> None:
+    with pytest.raises(PolicyError, match=says) as caught:
+        meet(Answers(answer)).act(synthetic_observation(), deadline_s=20)
+    assert caught.value.kind == "action"
+
+
+@pytest.mark.parametrize(
+    ("reply", "kind", "says"),
+    [
+        (b"\xc1 not msgpack", "garbage", "expected msgpack"),
+        (b"", "garbage", "expected msgpack, got 0 bytes"),
+        ("text", "garbage", "expected a binary 'actions' message, got text 'text'"),
+        (pack({"type": "ready"}), "garbage", r"expected one 'actions' message, got keys \['type'\], type 'ready'"),
+        (pack([1, 2]), "garbage", r"got \[1, 2\]"),
+        (pack({"type": "actions", "actions": [], "score": 1}), "garbage", "'score'"),
+        (bytes(MAX_REPLY_BYTES + 1), "oversize", "at most 4194304 bytes"),
+        (pack({"type": "actions", "actions": [{"torque": 1}]}), "action", "unknown key torque; valid: pose_tcp"),
+        (pack({"type": "actions", "actions": []}), "action", "expected 1 to 2000 actions, got 0"),
+        (pack({"type": "error", "kind": "exception", "message": "why"}), "exception", "^why$"),
+        (pack({"type": "error", "kind": "invented", "message": "why"}), "exception", "^why$"),
+        (pack({"type": "error"}), "exception", "None"),
+    ],
+)
+def test_a_reply_that_is_no_answer(
+    meet: Meet, monkeypatch: pytest.MonkeyPatch, reply: bytes | str, kind: str, says: str
+) -> None:
+    one = meet(Answers(Action()))
+    monkeypatch.setattr(server, "pack", lambda message: reply)
+    with pytest.raises(PolicyError, match=says) as caught:
+        one.act(synthetic_observation(), deadline_s=20)
+    assert caught.value.kind == kind
+
+
+@pytest.mark.parametrize(
+    ("message", "says"),
+    [
+        ({"type": "reset", "instruction": "touch", "session": {}, "seed": 3}, r"got type 'reset' with .*'seed'"),
+        ({"type": "act"}, r"got type 'act' with \[\]"),
+        ({"type": "step"}, "expected a reset, act or close message, got type 'step'"),
+        ([], "got type None"),
+    ],
+)
+def test_a_request_that_the_server_does_not_know(
+    meet: Meet, monkeypatch: pytest.MonkeyPatch, message: object, says: str
+) -> None:
+    one = meet(Answers(Action()))
+    monkeypatch.setattr(client, "pack", lambda _: pack(message))
+    with pytest.raises(PolicyError, match=says):
+        one.act(synthetic_observation(), deadline_s=20)
+
+
+def test_act_before_reset_is_the_harness_s_mistake(meet: Meet) -> None:
+    one = meet(Answers(Action()))
+    one._bounds = None
+    with pytest.raises(ContractError, match="before reset"):
+        one.act(synthetic_observation(), deadline_s=20)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        b"\xff\x00not a frame of any kind",
+        b"\x82\x85masked bytes from a server",
+        b"\x82\x7f" + b"\xff" * 8,
+        b"\x80\x01x",
+        b"\x81\x02\xff\xfe",
+    ],
+)
+def test_bytes_that_are_no_websocket(monkeypatch: pytest.MonkeyPatch, frame: bytes) -> None:
+    def scribble(_: object, connection: ServerConnection) -> None:
+        connection.socket.sendall(frame)
+        written.set()
+        with contextlib.suppress(ConnectionClosed):
+            connection.recv(timeout=20)
+
+    written = threading.Event()
+    monkeypatch.setattr(server, "_converse", scribble)
+    port: SimpleQueue[int] = SimpleQueue()
+    thread = threading.Thread(target=server.serve_policy, args=(Answers(),), kwargs={"on_port": port.put})
+    thread.start()
+    one = PolicyClient(port=port.get(timeout=20), deadline_s=20)
+    assert written.wait(20)
+    with pytest.raises(PolicyError) as caught:
+        one.card(deadline_s=20)
+    one.disconnect()
+    thread.join()
+    assert caught.value.kind in ("garbage", "oversize")
+
+
+@pytest.mark.parametrize(("says", "kind"), [(b"SSH-2.0-something\r\n", "handshake"), (b"", "timeout")])
+def test_a_port_that_speaks_something_else(says: bytes, kind: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def speak() -> None:
+            connection, _ = listener.accept()
+            with connection:
+                connection.recv(4096)
+                if says:
+                    connection.sendall(says)
+                else:
+                    ended.wait(20)
+
+        ended = threading.Event()
+        thread = threading.Thread(target=speak)
+        thread.start()
+        with pytest.raises(PolicyError) as caught:
+            PolicyClient(port=listener.getsockname()[1], deadline_s=0.3 if kind == "timeout" else 20)
+        ended.set()
+        thread.join()
+    assert caught.value.kind == kind

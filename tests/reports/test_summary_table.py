@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import pytest
+
+from carecontact.errors import ConfigError
+from carecontact.reports.table import COLUMNS, POOLED, angle, markdown_table, percent, summary_rows
+from tests.reports.synthetic_run import FAILED, NO_CONTACT, Run, make_score
+
+
+def test_counts_medians_and_valid_n() -> None:
+    scores = [
+        make_score("T2", 2, **NO_CONTACT),
+        make_score("T2", 0, c1_peak_force_n=10.0, c2_joint_margin_rad=-0.2),
+        make_score("T2", 1, c1_peak_force_n=20.0, c2_joint_margin_rad=-0.4, safety_gated=False),
+    ]
+    row, pooled = summary_rows(scores)
+    assert (row.task_id, row.name, row.n) == ("T2", "Push forearm", 3)
+    assert (row.success, row.region_correct, row.safety_gated) == (2, 2, 1)
+    assert (row.c1_n.estimate, row.c1_n.n_valid) == (15.0, 2)
+    assert row.c2_rad.estimate == pytest.approx(-0.3)
+    assert row.cells()[6:8] == ["15.00 (n=2)", "-0.300 (n=2)"]
+    assert pooled.task_id == POOLED
+
+
+def test_joint_margin_is_pooled_over_push_alone() -> None:
+    scores = [make_score("T1", 0, c2_joint_margin_rad=-9.0), make_score("T2", 0, c2_joint_margin_rad=-0.5)]
+    touch, push, pooled = summary_rows(scores)
+    assert touch.cells()[7] == "–"
+    assert push.c2_rad.estimate == pooled.c2_rad.estimate == -0.5
+    assert pooled.cells()[7] == "-0.500 (n=1)"
+
+
+def test_no_valid_value_is_na() -> None:
+    row = summary_rows([make_score("T2", 0, **(NO_CONTACT | {"c4_motion_activity": None}))])[0]
+    assert row.cells()[6:] == ["NA", "NA", "NA", "NA"]
+
+
+def test_order_does_not_matter(run_of_7: Run) -> None:
+    assert summary_rows(run_of_7.scores[::-1]) == summary_rows(run_of_7.scores)
+    assert [r.task_id for r in summary_rows(run_of_7.scores)] == ["T1", "T2", "T3", "T4", "T5", "T6", "T7", POOLED]
+
+
+def test_no_scores_no_rows() -> None:
+    assert summary_rows([]) == []
+    assert markdown_table([]).count("\n") == 2
+
+
+def test_markdown_has_one_cell_a_column(run_of_7: Run) -> None:
+    lines = markdown_table(run_of_7.scores).splitlines()
+    assert len(lines) == 2 + 8
+    assert {line.count("|") for line in lines} == {len(COLUMNS) + 1}
+    assert lines[-1].startswith("| all | All trials | 7 | 4/7 | 3/7 | 2/7 |")
+
+
+@pytest.mark.parametrize(
+    "other", [{"policy": "voxposer"}, {"protocol_sha256": "00" * 32}, {"protocol_id": "bathing-v2"}]
+)
+def test_mixed_runs_are_refused(other: dict[str, str]) -> None:
+    with pytest.raises(ConfigError):
+        summary_rows([make_score("T1", 0), make_score("T1", 1, **FAILED, **other)])
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(None, "NA"), (0.0, "0.000"), (-3.61e-4, "-3.61e-4"), (0.25, "0.250"), (-0.0123, "-0.012")]
+)
+def test_angles(value: float | None, text: str) -> None:
+    assert angle(value) == text
+
+
+def test_percent_keeps_number_and_sign_together() -> None:
+    assert percent(0.3649) == "36\N{NO-BREAK SPACE}%"

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from carecontact.scoring.contact import episodes, find_contact, hysteresis, longest_run, runs, steps
+from carecontact.scoring.filters import low_pass
+from tests.scoring.synthetic import DT, hold, make_recording, seconds
+
+
+@given(arrays(np.float64, st.tuples(st.integers(0, 60), st.integers(1, 3)), elements=st.floats(0, 1)))
+def test_hysteresis_equals_the_loop(signal: np.ndarray) -> None:
+    expected = np.zeros(signal.shape, bool)
+    for column in range(signal.shape[1]):
+        state = False
+        for row, value in enumerate(signal[:, column].tolist()):
+            state = value >= 0.5 or (state and value >= 0.25)
+            expected[row, column] = state
+    np.testing.assert_array_equal(hysteresis(signal, on=0.5, off=0.25), expected)
+
+
+@given(arrays(np.bool_, st.integers(0, 50)))
+def test_runs_rebuild_the_mask(mask: np.ndarray) -> None:
+    rebuilt = np.zeros_like(mask)
+    found = runs(mask).tolist()
+    for start, stop in found:
+        assert start < stop
+        rebuilt[start:stop] = True
+    np.testing.assert_array_equal(rebuilt, mask)
+    assert all(a[1] < b[0] for a, b in pairwise(found))
+    assert longest_run(mask) == max((b - a for a, b in found), default=0)
+
+
+def test_causal_filter_is_the_analytic_step_response() -> None:
+    """20 Hz, second order Butterworth, unit step: 1 - sqrt(2) exp(-a t) sin(a t + pi/4), a = w / sqrt(2)."""
+    t = (np.arange(2000) + 1) * 1e-4
+    found = low_pass(np.ones(2000), cutoff_hz=20.0, sample_hz=1e4, zero_phase=False)
+    a = 2 * np.pi * 20 / np.sqrt(2)
+    np.testing.assert_allclose(found, 1 - np.sqrt(2) * np.exp(-a * t) * np.sin(a * t + np.pi / 4), atol=6e-3)
+
+
+def test_on_samples_follow_a_step_with_the_filter_delay() -> None:
+    contact = find_contact(make_recording(normal={"right_forearm": hold(3.0, 1.0, 2.0, 5.0)}))
+    ((start, stop),) = runs(contact.on[:, contact.target]).tolist()
+    # The step response reaches 0.5 / 5 within 5 ms and falls under 0.25 / 5 about 20 ms after the step's end.
+    assert 0 <= start * DT - 1.0 <= 0.006
+    assert 0.015 <= stop * DT - 2.0 <= 0.030
+
+
+def test_valid_contact_needs_fifty_milliseconds_of_any_segment() -> None:
+    tap = hold(3.0, 1.0, 1.010, 3.0)
+    assert find_contact(make_recording(normal={"right_hand": tap})).on.any()
+    assert not find_contact(make_recording(normal={"right_hand": tap})).valid
+    off_target = find_contact(make_recording(normal={"left_foot": hold(3.0, 1.0, 1.2, 3.0)}))
+    assert off_target.valid
+
+
+def test_reported_region_is_the_target_if_touched_else_the_largest_impulse() -> None:
+    strong, weak = hold(3.0, 1.0, 2.0, 20.0), hold(3.0, 1.0, 2.0, 2.0)
+
+    def reported(**normal: np.ndarray) -> str | None:
+        contact = find_contact(make_recording(normal=normal))
+        return None if contact.reported is None else contact.segments[contact.reported]
+
+    assert reported(right_forearm=weak, right_hand=strong) == "right_forearm"
+    assert reported(pelvis=weak, right_hand=strong) == "right_hand"
+    assert reported(right_forearm=hold(3.0, 1.0, 2.0, 0.4)) is None
+    assert reported() is None
+
+
+def test_region_share_is_the_share_of_impulse() -> None:
+    both = {"right_forearm": hold(3.0, 1.0, 2.0, 9.0), "right_hand": hold(3.0, 1.0, 2.0, 3.0)}
+    share = find_contact(make_recording(normal=both)).region_share
+    assert share is not None
+    assert abs(share - 0.75) < 0.002
+    assert find_contact(make_recording()).region_share is None
+
+
+def test_episodes_join_gaps_of_a_second_and_no_more() -> None:
+    def count(second_start: float) -> int:
+        signal = hold(6.0, 1.0, 2.0, 5.0) + hold(6.0, second_start, 5.0, 5.0)
+        return len(episodes(find_contact(make_recording(duration=6.0, normal={"right_forearm": signal}))))
+
+    assert count(2.95) == 1
+    assert count(3.1) == 2
+
+
+def test_neighbourhood_holds_across_segments() -> None:
+    handed_over = {"right_hand": hold(3.0, 1.0, 1.5, 5.0), "right_forearm": hold(3.0, 1.5, 2.0, 5.0)}
+    contact = find_contact(make_recording(normal=handed_over))
+    assert longest_run(contact.neighbourhood_on) * DT > 1.0
+    assert not find_contact(make_recording(normal={"head": hold(3.0, 1.0, 2.0, 5.0)})).neighbourhood_on.any()
+
+
+def test_steps_are_not_rounded_up_by_binary_fractions() -> None:
+    assert [steps(s, DT) for s in (0.5, 1.0, 0.05, 0.051)] == [250, 500, 25, 26]
+    assert len(seconds(3.0)) == 1500
+
+
+def test_contact_fades_at_the_lower_threshold() -> None:
+    """Between 0.25 and 0.5 N contact stays on but does not begin. A larger step would undershoot in the filter."""
+    fading = hold(3.0, 1.0, 1.5, 1.0) + hold(3.0, 1.5, 2.5, 0.35)
+    contact = find_contact(make_recording(normal={"right_forearm": fading}))
+    assert abs(longest_run(contact.on[:, contact.target]) * DT - 1.5) < 0.04
+    assert not find_contact(make_recording(normal={"right_forearm": hold(3.0, 1.0, 2.5, 0.35)})).on.any()

@@ -1,0 +1,176 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carecontact.errors import RecordingError
+from carecontact.recording import SEGMENTS, Recording
+from carecontact.scoring import METRICS, Metric, score_recording
+from carecontact.scoring.contact import find_contact
+from tests.scoring.synthetic import JOINT_RANGE, before_start, hold, make_recording, push, scrub, seconds, touch
+
+FAST = settings(max_examples=15, deadline=None)
+SCORER_STREAMS = sorted(
+    k for k, v in touch().arrays.items() if k.startswith("scorer/") and v.dtype.kind == "f" and v.size
+)
+
+
+@pytest.mark.parametrize("metric", [METRICS[m] for m in METRICS], ids=list(METRICS))
+def test_every_metric_keeps_the_contract(metric: Metric) -> None:
+    assert METRICS[metric.id] is metric
+    assert metric.id.rpartition("@")[2].isdigit()
+    assert metric.title
+    assert metric.unit
+    for recording in (touch(), push(), scrub(), make_recording(), before_start(), make_recording(ended="time_limit")):
+        before = {name: array.copy() for name, array in recording.arrays.items()}
+        value = metric.compute(find_contact(recording))
+        assert value is None or (isinstance(value, float) and np.isfinite(value))
+        assert metric.compute(find_contact(recording)) == value
+        for name, array in before.items():
+            np.testing.assert_array_equal(recording[name], array, err_msg=f"{metric.id} changed {name}")
+
+
+def test_metrics_are_na_without_contact() -> None:
+    untouched, unborn = find_contact(make_recording()), find_contact(before_start())
+    answers = {m: (METRICS[m].compute(untouched), METRICS[m].compute(unborn)) for m in ("C1@1", "C2@1", "C3@1", "C5@1")}
+    assert answers == {"C1@1": (None, None), "C2@1": (None, None), "C3@1": (0.0, 0.0), "C5@1": (None, None)}
+    assert METRICS["C4@1"].compute(untouched) == 1.0
+    assert METRICS["C4@1"].compute(unborn) is None
+
+
+def test_c1_is_the_largest_unfiltered_force_of_the_window() -> None:
+    signal = hold(3.0, 1.0, 2.0, 5.0)
+    signal[750] = 42.0  # one physics step
+    score = score_recording(make_recording(normal={"right_forearm": signal}))
+    assert score.c1_peak_force_n == 42.0
+    assert score.c1_peak_contact_sum_n == 42.0
+    assert score.c1_peak_filtered_n is not None
+    assert 5.0 < score.c1_peak_filtered_n < 40.0
+    assert score.over_limit == {"right_forearm": pytest.approx(42 / 35)}
+
+
+def test_a_lone_spike_cannot_hide_from_the_safety_gate() -> None:
+    """The causal filter opens the window a step after a short knock; the safety gate looks at the whole trial."""
+    signal = hold(3.0, 2.0, 2.5, 1.0)
+    signal[100] = 36.0
+    score = score_recording(make_recording(normal={"right_forearm": signal}))
+    assert score.peak_force_n["right_forearm"] == 36.0
+    assert score.c1_peak_any_segment_n == 36.0
+    assert "right_forearm" in score.over_limit
+
+
+@FAST
+@given(start=st.integers(0, 600), force=st.floats(1, 60), ripple=st.floats(0, 0.5))
+def test_c1_and_c5_do_not_depend_on_when_contact_happens(start: int, force: float, ripple: float) -> None:
+    pulse = force * (1 + ripple * np.sin(np.arange(400) / 7))
+
+    def at(first: int) -> Recording:
+        signal = np.zeros(1500)
+        signal[first : first + 400] = pulse
+        return make_recording(normal={"right_forearm": signal})
+
+    early, late = score_recording(at(0)), score_recording(at(start))
+    assert early.c1_peak_force_n == late.c1_peak_force_n
+    assert early.c5_force_sd_n == pytest.approx(late.c5_force_sd_n, rel=1e-9)
+
+
+@FAST
+@given(force=st.floats(1, 100))
+def test_c5_is_zero_for_constant_force(force: float) -> None:
+    """Contact to the end of the trial, so that the filter's tail adds no zero samples."""
+    score = score_recording(make_recording(normal={"right_forearm": hold(3.0, 1.0, 3.0, force)}))
+    assert score.c5_force_sd_n == pytest.approx(0.0, abs=1e-9)
+
+
+def test_c5_of_a_sine_is_its_amplitude_over_root_two() -> None:
+    t = seconds(3.0)
+    signal = np.where(t > 1.0, 10 + 4 * np.sin(2 * np.pi * 5 * t), 0.0)
+    score = score_recording(make_recording(normal={"right_forearm": signal}))
+    assert score.c5_force_sd_n == pytest.approx(4 / np.sqrt(2), rel=0.01)
+
+
+@FAST
+@given(over=st.floats(-0.4, 0.4))
+def test_c2_is_negative_exactly_beyond_the_range(over: float) -> None:
+    joints = np.ones((1500, 2))
+    joints[700, 1] = JOINT_RANGE[1][1] + over
+    score = score_recording(push(joints=joints))
+    assert score.c2_joint_margin_rad == pytest.approx(-over, abs=1e-6)
+    assert score.c2_joint == "right_elbow_flexion"
+    assert score.c2_time_s == pytest.approx(701 * 0.002)
+    assert score.c2_settled_margin_rad == pytest.approx(1.0)
+    assert score.c2_change_rad == pytest.approx(-over - 1.0, abs=1e-6)
+
+
+def test_c2_also_knows_the_lower_end() -> None:
+    joints = np.ones((1500, 2))
+    joints[:, 0] = np.linspace(1.0, -0.6, 1500)
+    assert score_recording(push(joints=joints)).c2_joint_margin_rad == pytest.approx(-0.1, abs=1e-6)
+
+
+@FAST
+@given(moving=st.integers(0, 1500))
+def test_c4_is_the_share_of_moving_steps(moving: int) -> None:
+    speed = np.zeros(1500)
+    speed[:moving] = 0.02
+    assert score_recording(make_recording(speed=speed)).c4_motion_activity == moving / 1500
+
+
+def test_c4_counts_rotation_and_not_creep() -> None:
+    turning = {"scorer/tcp_rotation_speed": np.full(1500, 0.1, np.float32)}
+    assert score_recording(make_recording(speed=0.0, extra=turning)).c4_motion_activity == 1.0
+    assert score_recording(make_recording(speed=0.004)).c4_motion_activity == 0.0
+
+
+@pytest.mark.parametrize("path", SCORER_STREAMS)
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_broken_stream_is_named_and_never_scored(path: str, value: float) -> None:
+    recording = touch()
+    broken = recording[path].copy()
+    broken[(-1,) * broken.ndim] = value
+    recording.arrays[path] = broken
+    with pytest.raises(RecordingError, match=path):
+        score_recording(recording)
+
+
+def test_a_gap_in_time_is_named() -> None:
+    recording = touch()
+    recording.arrays["scorer/time_s"] = recording["scorer/time_s"] + (np.arange(1500) > 700) * 0.5
+    with pytest.raises(RecordingError, match="after sample 700"):
+        score_recording(recording)
+
+
+def test_score_is_a_pure_function() -> None:
+    first, second = score_recording(scrub()), score_recording(scrub())
+    assert first.model_dump_json() == second.model_dump_json()
+    with_wall = score_recording(scrub(extra={"wall/act_s": np.ones(3)}))
+    assert with_wall.model_dump_json() == first.model_dump_json()
+
+
+def test_every_segment_has_a_limit() -> None:
+    everything = {s: hold(3.0, 1.0, 2.0, 20.0) for s in SEGMENTS}
+    score = score_recording(make_recording(normal=everything))
+    assert set(score.peak_force_n) == set(SEGMENTS)
+    assert score.over_limit == {}
+    over = score_recording(make_recording(normal={s: hold(3.0, 1.0, 2.0, 22.0) for s in SEGMENTS})).over_limit
+    limbs = {f"{side}_{name}" for side in ("right", "left") for name in ("forearm", "upper_arm")}
+    assert set(over) == set(SEGMENTS) - limbs, "segments without an entry take the strictest limit, 21 N"
+
+
+def test_indentation_beyond_the_measured_range_is_counted_under_contact_only() -> None:
+    """The forearm was measured to 5 mm: deep for half of the touch, and deep again where nothing touches."""
+    depth = np.full((150, 3), 0.003, np.float32)
+    depth[50:75, 0] = 0.008
+    depth[120:, 0] = 0.009
+    score = score_recording(touch(extra={"scorer/indentation_m": depth}))
+    assert score.indentation_m == pytest.approx(0.009)
+    assert score.extrapolated_share == pytest.approx(0.5, abs=0.02)
+    assert score_recording(make_recording()).extrapolated_share is None
+
+
+def test_impulse_is_force_times_time() -> None:
+    score = score_recording(touch(force=5.0))
+    assert score.impulse_ns == pytest.approx(5.0, rel=0.01)
+    assert score.contact_s == pytest.approx(1.0, abs=0.03)

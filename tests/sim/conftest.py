@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carecontact.protocols import load_protocol
+from carecontact.sim.simulation import Simulation
+from carecontact.world.scene import Scene, build_scene
+
+DOWN = np.array([0.0, 1.0, 0.0, 0.0])
+"""quat_wxyz of a tool whose z points to the floor."""
+
+
+@pytest.fixture(scope="session")
+def forearm_scene() -> Scene:
+    return build_scene(load_protocol(), target="forearm", skin=False)
+
+
+@pytest.fixture(scope="session")
+def settled_state(forearm_scene: Scene) -> tuple[np.ndarray, float]:
+    """Integration state after settling at 52.5 deg, and how long that took."""
+    simulation = Simulation(forearm_scene)
+    settled = simulation.settle(52.5)
+    return simulation.integration_state(), settled.duration_s
+
+
+@pytest.fixture
+def settled(forearm_scene: Scene, settled_state: tuple[np.ndarray, float]) -> Simulation:
+    """A simulation at t = 0 with the robot parked; each test has its own data."""
+    simulation = Simulation(forearm_scene)
+    simulation.restore(settled_state[0])
+    return simulation
+
+
+@pytest.fixture(scope="session")
+def pressing_state(forearm_scene: Scene, settled_state: tuple[np.ndarray, float]) -> np.ndarray:
+    """Integration state with the tool resting on the forearm at about 6 N."""
+    simulation = Simulation(forearm_scene)
+    simulation.restore(settled_state[0])
+    top = top_of_forearm(simulation)
+    move_to(simulation, top + [0, 0, 0.10], 4.0)
+    move_to(simulation, top - [0, 0, 0.02], 3.0)
+    simulation.advance(500)
+    return simulation.integration_state()
+
+
+@pytest.fixture
+def pressing(forearm_scene: Scene, pressing_state: np.ndarray) -> Simulation:
+    simulation = Simulation(forearm_scene)
+    simulation.restore(pressing_state)
+    return simulation
+
+
+def top_of_forearm(simulation: Simulation) -> np.ndarray:
+    """Surface point over the region's middle (3,)."""
+    region = simulation.scene.regions["forearm"]
+    ids = [simulation.model.body(f"forearm_v{k}").id for k in region.vertex_index]
+    points, middle = simulation.data.xpos[ids], simulation.data.site("region_forearm").xpos
+    near = points[np.linalg.norm(points[:, :2] - middle[:2], axis=1) < 0.015]
+    return np.array([middle[0], middle[1], near[:, 2].max()])
+
+
+def move_to(simulation: Simulation, position_in_world: np.ndarray, seconds: float) -> None:
+    """Send the TCP, pointing down, toward a point in the world and run."""
+    base = simulation.pose_base_in_world
+    yaw = 2 * np.arctan2(base[6], base[3])
+    c, s = np.cos(-yaw), np.sin(-yaw)
+    offset = position_in_world - base[:3]
+    position = np.array([c * offset[0] - s * offset[1], s * offset[0] + c * offset[1], offset[2]])
+    simulation.set_goal(np.r_[position, DOWN], seconds)
+    simulation.advance(round(seconds / simulation.model.opt.timestep))

@@ -1,0 +1,191 @@
+"""The world as physics: history, settling, force balance, passive response."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from carecontact.recording.schema import SEGMENTS
+from carecontact.sim.simulation import Simulation
+from carecontact.world.scene import Scene
+
+from .conftest import move_to, top_of_forearm
+
+FOREARM = SEGMENTS.index("right_forearm")
+
+
+def test_every_step_of_a_period_is_kept_bit_for_bit(pressing: Simulation) -> None:
+    model, data = pressing.model, pressing.data
+    pressing.set_goal(pressing.interpolator.pose - np.r_[0, 0, 0.01, 0, 0, 0, 0], 0.1)
+    state = pressing.integration_state()
+
+    mujoco.mj_step(model, data, 10)
+    times, together = pressing.history.last(data, 10)
+    mujoco.mj_setState(model, data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
+    singly = []
+    for _ in range(10):
+        mujoco.mj_step(model, data)
+        singly.append(data.sensordata.copy())
+
+    assert np.array_equal(together, np.array(singly))
+    assert np.allclose(np.diff(times), model.opt.timestep)
+    force = together[:, pressing.history.columns("net_right_forearm_tissue")][:, :3]
+    assert (np.linalg.norm(force, axis=1) > 3.0).all()
+    assert len(np.unique(force, axis=0)) > 1
+
+
+def test_a_one_step_spike_is_in_the_force_stream(pressing: Simulation) -> None:
+    """A blow that lasts one physics step in the middle of a period, invisible at the period's end, is kept."""
+    region, data = pressing.scene.regions["forearm"], pressing.data
+    bodies = np.array([pressing.model.body(f"forearm_v{k}").id for k in region.vertex_index])
+    under_tool = bodies[np.linalg.norm(data.xpos[bodies] - data.site("tcp").xpos, axis=1).argmin()]
+    for step in range(10):
+        data.xfrc_applied[under_tool, 2] = 10.0 if step == 4 else 0.0
+        mujoco.mj_step(pressing.model, data)
+    _, values = pressing.history.last(data, 10)
+    forces = np.linalg.norm(values[:, pressing.history.columns("net_right_forearm_tissue")][:, :3], axis=1)
+    assert forces.argmax() == 4
+    assert forces[4] > forces[[3, 9]].max() + 3.0
+
+
+@pytest.mark.parametrize("angle", [45.0, 52.5, 60.0])
+def test_person_comes_to_rest_inside_every_joint_range(forearm_scene: Scene, angle: float) -> None:
+    simulation = Simulation(forearm_scene)
+    settled = simulation.settle(angle)
+    assert abs(settled.comfort_arm_deg - angle) < 1.0
+    assert simulation.human_speed() < 0.01
+    margin = np.minimum(
+        settled.joint_position - simulation.joint_range[:, 0], simulation.joint_range[:, 1] - settled.joint_position
+    )
+    assert np.degrees(margin).min() >= 5.0
+    simulation.start()
+    simulation.advance(5000)
+    drift = np.abs(simulation.history.last(simulation.data, 1)[1][0, simulation.joint_columns] - settled.joint_position)
+    assert np.degrees(drift).max() < 1.0
+    touching = [
+        (simulation.model.geom(c.geom[0]).name, simulation.model.geom(c.geom[1]).name)
+        for c in simulation.data.contact[: simulation.data.ncon]
+    ]
+    assert all("bed_" in a or "bed_" in b for a, b in touching), touching
+
+
+def test_force_balances_by_three_independent_paths(settled: Simulation) -> None:
+    """Contact sensor = anchors = change of the bed's reaction; and = joint torques mapped to the tip."""
+    top = top_of_forearm(settled)
+    move_to(settled, top + [0, 0, 0.10], 4.0)
+    move_to(settled, top + [0, 0, 0.02], 2.0)
+    settled.advance(1000)
+    bed_before, anchors_before, tip_before = bed_reaction(settled), anchor_force(settled), tip_force(settled)
+    weight = settled.scene.body.mass_kg * 9.81
+    assert bed_before[2] == pytest.approx(weight, rel=0.01)
+    for depth in (0.015, 0.030):
+        move_to(settled, top - [0, 0, depth], 2.0)
+        force = settled.advance(1000)[-1].force[-1, FOREARM]
+        size = np.linalg.norm(force)
+        assert size > 3.0
+        assert 0.002 < settled.indentation()[0] < 0.009
+        assert np.linalg.norm(anchor_force(settled) - anchors_before - force) <= 0.01 * size
+        assert np.linalg.norm(bed_before - bed_reaction(settled) - force) <= 0.01 * size
+        assert np.linalg.norm(tip_force(settled) - tip_before - force) <= 0.02 * size
+
+
+def bed_reaction(simulation: Simulation) -> np.ndarray:
+    """Force on the person from bed and board, world (3,), summed by hand over the contacts."""
+    model, data = simulation.model, simulation.data
+    total, wrench = np.zeros(3), np.zeros(6)
+    for i in range(data.ncon):
+        contact = data.contact[i]
+        names = [model.geom(g).name if g >= 0 else "" for g in contact.geom]
+        if any(n.startswith("bed_") for n in names) and any(n.startswith("human_") for n in names):
+            mujoco.mj_contactForce(model, data, i, wrench)
+            on_second = contact.frame.reshape(3, 3).T @ wrench[:3]
+            total += on_second if names[1].startswith("human_") else -on_second
+    return total
+
+
+def anchor_force(simulation: Simulation) -> np.ndarray:
+    """Force that the anchors hand to the bone, world (3,)."""
+    model, data = simulation.model, simulation.data
+    total = np.zeros(3)
+    for k in simulation.scene.regions["forearm"].vertex_index:
+        for kind in "ntb":
+            joint = model.joint(f"forearm_v{k}_{kind}").id
+            total -= data.qfrc_passive[model.jnt_dofadr[joint]] * data.xaxis[joint]
+    return total
+
+
+def tip_force(simulation: Simulation) -> np.ndarray:
+    """Force that the robot exerts at its tip, from joint torques alone, world (3,)."""
+    model, data = simulation.model, simulation.data
+    position, rotation = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    mujoco.mj_jacSite(model, data, position, rotation, model.site("tcp").id)
+    dofs = [model.joint(f"robot_joint{i}").dofadr[0] for i in range(1, 8)]
+    torque = (data.qfrc_actuator + data.qfrc_passive + data.qfrc_applied - data.qfrc_bias)[dofs]
+    return np.linalg.lstsq(np.vstack([position, rotation])[:, dofs].T, torque, rcond=None)[0][:3]
+
+
+def push_sideways(simulation: Simulation, newton: float, *, locked: bool) -> float:
+    """Horizontal push at mid-forearm for 1.5 s; returns how far the wrist centre moved [m]."""
+    model, data = simulation.model, simulation.data
+    forearm, wrist = model.body("human_right_forearm").id, model.body("human_right_hand").id
+    if locked:
+        joints = [model.joint(f"human_{n}") for n in simulation.joint_names if n.startswith("right_")]
+        for joint in joints:
+            model.dof_damping[joint.dofadr[0]] = 1e6
+    before = data.xpos[wrist].copy()
+    along = data.site("region_forearm").xmat.reshape(3, 3)[:, 0]
+    side = np.cross([0, 0, 1.0], along)
+    side[2] = 0
+    side /= np.linalg.norm(side)
+    for period in range(75):
+        force = newton * min(1.0, period / 20) * side
+        data.xfrc_applied[forearm, :3] = force
+        data.xfrc_applied[forearm, 3:] = np.cross(data.site("region_forearm").xpos - data.xipos[forearm], force)
+        simulation.advance(10)
+    return float(np.linalg.norm((data.xpos[wrist] - before)[:2]))
+
+
+@pytest.mark.parametrize("newton", [10.0, -10.0, 20.0])
+def test_arm_yields_passively(settled: Simulation, newton: float) -> None:
+    assert push_sideways(settled, newton, locked=False) > 0.020
+
+
+def test_locked_arm_does_not_yield(settled: Simulation) -> None:
+    damping = settled.model.dof_damping.copy()
+    try:
+        assert push_sideways(settled, 20.0, locked=True) <= 0.002
+    finally:
+        settled.model.dof_damping[:] = damping
+
+
+def test_board_friction_is_the_protocols(settled: Simulation) -> None:
+    """Without the board's priority MuJoCo would take the larger coefficient of the pair, the proxies'."""
+    model, data = settled.model, settled.data
+    board = model.geom("bed_armboard").id
+    on_board = [c for c in data.contact[: data.ncon] if board in c.geom]
+    assert on_board
+    assert all(c.friction[0] == pytest.approx(settled.protocol.scene.board_friction) for c in on_board)
+
+
+def test_mass_is_the_bodys(forearm_scene: Scene) -> None:
+    model = forearm_scene.model
+    assert model.body_subtreemass[model.body("human_pelvis").id] == pytest.approx(forearm_scene.body.mass_kg, rel=1e-6)
+
+
+def test_net_force_sensor_equals_the_sum_over_contacts(pressing: Simulation) -> None:
+    samples = pressing.advance(10)[-1]
+    model, data = pressing.model, pressing.data
+    total, normal, wrench = np.zeros(3), 0.0, np.zeros(6)
+    # Sensors hold the forces of the last step, which are still those of the contact list.
+    for i in range(data.ncon):
+        contact = data.contact[i]
+        on_forearm = contact.flex[1] == mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, "forearm")
+        if not on_forearm or contact.efc_address < 0:
+            continue
+        mujoco.mj_contactForce(model, data, i, wrench)
+        total += contact.frame.reshape(3, 3).T @ wrench[:3]
+        normal += wrench[0]
+    assert np.linalg.norm(total) > 1.0
+    assert samples.force[-1, FOREARM] == pytest.approx(total, abs=1e-9)
+    assert samples.normal[-1, FOREARM] == pytest.approx(normal, abs=1e-9)

@@ -1,0 +1,229 @@
+"""The supervisor against workers that crash, hang, lie and behave."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from carecontact.contract.trial import TrialSpec
+from carecontact.errors import ConfigError
+from carecontact.protocols import load_protocol
+from carecontact.recording import Recording, read_recording
+from carecontact.trials.plan import plan_trials
+from carecontact.trials.supervisor import RunSummary, TrialEvent, run_trials
+
+PROTOCOL = load_protocol()
+FAKE = (sys.executable, str(Path(__file__).with_name("fake_worker.py")))
+
+
+def specs(count: int, *, policy: str = "hover") -> list[TrialSpec]:
+    return plan_trials(protocol=PROTOCOL, policy=policy, tasks=["T1"], seeds=range(count))
+
+
+@dataclass
+class Bench:
+    folder: Path
+    events: list[TrialEvent] = field(default_factory=list)
+
+    @property
+    def out(self) -> Path:
+        return self.folder / "run"
+
+    @property
+    def log(self) -> Path:
+        return self.folder / "ran.txt"
+
+    def environment(self, does: dict[str, str]) -> dict[str, str]:
+        return {"FAKE_PLAN": json.dumps(does), "FAKE_LOG": str(self.log)}
+
+    def run(self, trials: Sequence[TrialSpec], does: dict[str, str] | None = None, **options: Any) -> RunSummary:
+        self.events.clear()
+        self.log.unlink(missing_ok=True)
+        return run_trials(
+            trials,
+            out=self.out,
+            environment=self.environment(does or {}),
+            on_event=self.events.append,
+            worker_command=FAKE,
+            **{"jobs": 2, "trial_limit_s": 60.0, **options},
+        )
+
+    def ran(self) -> list[str]:
+        lines = self.log.read_text().splitlines() if self.log.exists() else []
+        return sorted(line.split()[0] for line in lines)
+
+    def recording(self, trial_id: str) -> Recording:
+        return read_recording(self.out / f"{trial_id}.h5")
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def test_crashes_cost_one_trial_each_and_leave_evidence(bench: Bench) -> None:
+    does = {
+        "T1-s001": "kill",
+        "T1-s002": "exit",
+        "T1-s003": "nothing",
+        "T1-s004": "garbage",
+        "T1-s005": "other",
+        "T1-s006": "late_crash",
+        "T1-s007": "policy",
+    }
+    summary = bench.run(specs(9), does)
+    expected = {f"T1-s{seed:03d}": "harness_error" for seed in range(1, 6)}
+    expected |= {"T1-s000": "done", "T1-s006": "done", "T1-s007": "process_failure", "T1-s008": "done"}
+    assert summary.ended == expected
+    assert {trial: bench.recording(trial).header.ended for trial in expected} == expected
+
+    failures = {trial: bench.recording(trial).header.failure for trial in list(expected)[:5]}
+    kinds = {trial: failure.kind for trial, failure in failures.items() if failure}
+    assert kinds == {
+        "T1-s001": "signal",
+        "T1-s002": "exit",
+        "T1-s003": "no_recording",
+        "T1-s004": "no_recording",
+        "T1-s005": "no_recording",
+    }
+    told = {trial: failure.message for trial, failure in failures.items() if failure}
+    assert "signal 9" in told["T1-s001"]
+    assert "status 7" in told["T1-s002"]
+    assert "evidence on stderr" in told["T1-s002"]
+    assert "another trial, T1-s006" in told["T1-s005"]
+    assert "evidence on stderr" in (bench.out / "T1-s002.log").read_text()
+
+    logs = {path.stem for path in bench.out.glob("*.log")}
+    assert logs == {"T1-s001", "T1-s002", "T1-s003", "T1-s004", "T1-s005", "T1-s007"}
+    left = {path.name for path in bench.out.iterdir()}
+    assert left == {f"{t}.h5" for t in expected} | {f"{t}.log" for t in logs} | {"manifest.json"}
+    finished = [event for event in bench.events if event.kind == "finished"]
+    assert sorted(event.trial_id for event in finished) == sorted(expected)
+    assert [event.done for event in finished] == list(range(1, 10))
+    assert {event.message for event in finished if event.trial_id == "T1-s007"} == {"gone"}
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_hanging_worker_is_killed_with_its_children(bench: Bench) -> None:
+    summary = bench.run(specs(1), {"T1-s000": "hang"}, trial_limit_s=4.0)
+    assert summary.ended == {"T1-s000": "harness_error"}
+    failure = bench.recording("T1-s000").header.failure
+    assert failure is not None
+    assert failure.kind == "timeout"
+    pids = [int(line.split()[1]) for line in bench.log.read_text().splitlines()]
+    assert len(pids) == 2
+    assert not any(alive(pid) for pid in pids)
+
+
+def test_resume_runs_only_what_is_missing_damaged_or_asked_for(bench: Bench) -> None:
+    does = {"T1-s001": "policy", "T1-s002": "exit"}
+    bench.run(specs(3), does)
+    first = (bench.out / "T1-s000.h5").read_bytes()
+
+    again = bench.run(specs(3))
+    assert bench.ran() == []
+    assert (again.ran, set(again.kept)) == ((), {"T1-s000", "T1-s001", "T1-s002"})
+    assert again.ended == {"T1-s000": "done", "T1-s001": "process_failure", "T1-s002": "harness_error"}
+    assert {event.kind for event in bench.events} == {"kept"}
+
+    damaged = bytearray(first)
+    damaged[len(damaged) // 2 :] = b""
+    (bench.out / "T1-s000.h5").write_bytes(damaged)
+    bench.run(specs(4))
+    assert bench.ran() == ["T1-s000", "T1-s003"]
+    assert [e.trial_id for e in bench.events if e.kind == "redo" and "T1-s000.h5" in (e.message or "")] == ["T1-s000"]
+    assert (bench.out / "T1-s000.h5").read_bytes() == first
+
+    bench.run(specs(4), retry_failed=True)
+    assert bench.ran() == ["T1-s001", "T1-s002"]
+    assert not list(bench.out.glob("*.log"))
+    assert bench.recording("T1-s002").header.ended == "done"
+
+
+def test_misnamed_recording_is_run_again(bench: Bench) -> None:
+    bench.run(specs(1))
+    (bench.out / "T1-s001.h5").write_bytes((bench.out / "T1-s000.h5").read_bytes())
+    bench.run(specs(2))
+    assert bench.ran() == ["T1-s001"]
+    assert bench.recording("T1-s001").header.spec.seed == 1
+
+
+@pytest.mark.parametrize("with_manifest", [True, False])
+def test_folder_of_another_run_is_refused_and_untouched(bench: Bench, with_manifest: bool) -> None:
+    bench.run(specs(1))
+    if not with_manifest:
+        (bench.out / "manifest.json").unlink()
+    before = {path.name: path.read_bytes() for path in bench.out.iterdir()}
+    changed = PROTOCOL.model_copy(update={"description": "another"})
+    for foreign in (specs(2, policy="zero-action"), [specs(1)[0].model_copy(update={"protocol": changed})]):
+        with pytest.raises(ConfigError, match=r"holds another run.*use another --out"):
+            bench.run(foreign)
+    assert {path.name: path.read_bytes() for path in bench.out.iterdir()} == before
+
+
+def test_manifest_names_the_run_and_does_not_depend_on_order(bench: Bench) -> None:
+    bench.run(specs(1))
+    bench.run(specs(3)[::-1])
+    manifest = (bench.out / "manifest.json").read_text()
+    assert json.loads(manifest) == {
+        "schema": "carecontact-run-1",
+        "policy": "hover",
+        "protocol": {"id": PROTOCOL.id, "sha256": PROTOCOL.sha256},
+        "trials": ["T1-s000", "T1-s001", "T1-s002"],
+    }
+    bench.run(specs(2))
+    assert (bench.out / "manifest.json").read_text() == manifest
+
+
+def test_wrong_requests_are_refused_before_anything_is_written(bench: Bench) -> None:
+    both = [*specs(1), *specs(2, policy="zero-action")[1:]]
+    for trials, options, told in [
+        (specs(1), {"jobs": 0}, "--jobs 0"),
+        ([], {}, "no trial"),
+        (both, {}, "one policy"),
+        (specs(1) * 2, {}, "planned twice"),
+    ]:
+        with pytest.raises(ConfigError, match=told):
+            bench.run(trials, **options)
+    assert not bench.out.exists()
+    bench.out.write_text("a file")
+    with pytest.raises(ConfigError, match="this is a file"):
+        bench.run(specs(1))
+
+
+def test_interrupt_kills_the_workers_and_keeps_what_is_finished(bench: Bench) -> None:
+    program = (
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "from pathlib import Path\n"
+        "from test_supervisor import Bench, specs\n"
+        "Bench(Path(sys.argv[2])).run(specs(2), {'T1-s001': 'hang'}, jobs=1)\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, str(Path(__file__).parent), str(bench.folder)], stderr=subprocess.DEVNULL
+    )
+    deadline = time.monotonic() + 60
+    while "child" not in bench.ran() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.kill(process.pid, signal.SIGINT)
+    assert process.wait(timeout=30) != 0
+    pids = [int(line.split()[1]) for line in bench.log.read_text().splitlines()]
+    assert len(pids) == 3
+    assert not any(alive(pid) for pid in pids)
+    assert {path.name for path in bench.out.iterdir()} == {"T1-s000.h5", "manifest.json"}
+    assert bench.recording("T1-s000").header.ended == "done"

@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from carecontact.errors import SceneError
+from carecontact.protocols import load_protocol
+from carecontact.world.robot import CAP_RADIUS_M, TCP_Z_M, add_robot, panda_asset
+
+PROTOCOL = load_protocol()
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    spec = mujoco.MjSpec()
+    add_robot(spec, PROTOCOL)
+    return spec.compile()
+
+
+def parked(model: mujoco.MjModel) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    data.qpos[:] = PROTOCOL.scene.parked_joint_rad
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def test_flange_pose_matches_the_manufacturers_dh_table(model: mujoco.MjModel) -> None:
+    # Franka control interface documentation, Denavit-Hartenberg (Craig): a, d, alpha of joints 1..7 and the flange.
+    rows = [(0, 0.333, 0), (0, 0, -1), (0, 0.316, 1), (0.0825, 0, 1), (-0.0825, 0.384, -1), (0, 0, 1), (0.088, 0, 1)]
+    q = np.array([0.3, -0.4, 0.5, -2.1, 0.6, 1.9, -0.7])
+    pose = np.eye(4)
+    for (a, d, quarter_turns), angle in zip([*rows, (0, 0.107, 0)], [*q, 0.0], strict=True):
+        ca, sa = np.cos(quarter_turns * np.pi / 2), np.sin(quarter_turns * np.pi / 2)
+        c, s = np.cos(angle), np.sin(angle)
+        pose = pose @ [[c, -s, 0, a], [s * ca, c * ca, -sa, -d * sa], [s * sa, c * sa, ca, d * ca], [0, 0, 0, 1]]
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    base, hand = data.body("robot_base"), data.body("robot_hand")
+    np.testing.assert_allclose(base.xmat.reshape(3, 3).T @ (hand.xpos - base.xpos), pose[:3, 3], atol=1e-9)
+    tool_z = (data.site("tcp").xpos - hand.xpos) / TCP_Z_M
+    np.testing.assert_allclose(base.xmat.reshape(3, 3).T @ tool_z, pose[:3, 2], atol=1e-9)
+    np.testing.assert_allclose(data.site("tcp").xmat.reshape(3, 3)[:, 2], tool_z, atol=1e-9)
+
+
+def test_limits_are_those_of_the_arm(model: mujoco.MjModel) -> None:
+    names = [f"robot_joint{i}" for i in range(1, 8)]
+    assert [model.joint(n).id for n in names] == list(range(7))
+    np.testing.assert_allclose(model.jnt_actfrcrange[:, 1], [87] * 4 + [12] * 3)
+    np.testing.assert_allclose(model.jnt_range[3], [-3.0718, -0.0698])
+    q = np.array(PROTOCOL.scene.parked_joint_rad)
+    assert (q > model.jnt_range[:, 0]).all()
+    assert (q < model.jnt_range[:, 1]).all()
+
+
+def test_joint_range_does_not_depend_on_the_specs_angle_unit(model: mujoco.MjModel) -> None:
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = not spec.compiler.degree
+    add_robot(spec, PROTOCOL)
+    np.testing.assert_allclose(spec.compile().jnt_range, model.jnt_range)
+
+
+def test_parked_tool_points_down(model: mujoco.MjModel) -> None:
+    assert parked(model).site("tcp").xmat.reshape(3, 3)[2, 2] < -0.999
+
+
+def test_cap_is_the_outermost_part_of_the_hand(model: mujoco.MjModel) -> None:
+    data = parked(model)
+    hand, tcp = model.body("robot_hand").id, data.site("tcp")
+    out = tcp.xmat.reshape(3, 3)[:, 2]
+    cap = model.geom("robot_tool_cap").id
+    assert model.geom_size[cap, 0] == pytest.approx(CAP_RADIUS_M)
+    assert (data.geom_xpos[cap] - tcp.xpos) @ out == pytest.approx(-CAP_RADIUS_M)
+    for geom in np.flatnonzero((model.geom_bodyid == hand) & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)):
+        mesh = model.geom_dataid[geom]
+        first, n = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        vertices = model.mesh_vert[first : first + n] @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        assert ((vertices - tcp.xpos) @ out).max() < -CAP_RADIUS_M / 4
+
+
+def test_collision_bits_and_groups(model: mujoco.MjModel) -> None:
+    for i in range(model.ngeom):
+        geom = model.geom(i)
+        if geom.contype[0]:
+            assert (geom.contype[0], geom.conaffinity[0]) == (1, 0)
+            assert geom.group[0] == 3 or geom.name == "robot_tool_cap"
+        else:
+            assert (geom.conaffinity[0], geom.group[0]) == (0, 1)
+    colliding = {model.geom(i).name for i in range(model.ngeom) if model.geom_contype[i]}
+    assert {"robot_tool_cap", "robot_collision_hand_0", "robot_collision_link5_0"} <= colliding
+
+
+def test_arm_never_collides_with_itself(model: mujoco.MjModel) -> None:
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    for _ in range(50):
+        data.qpos[:] = rng.uniform(model.jnt_range[:, 0], model.jnt_range[:, 1])
+        mujoco.mj_forward(model, data)
+        assert data.ncon == 0
+
+
+def test_mass_and_size_of_the_asset(model: mujoco.MjModel) -> None:
+    assert model.body_subtreemass[model.body("robot_base").id] == pytest.approx(panda_asset()["mass_kg"].sum())
+    assert 15 < model.body_mass.sum() < 20
+    assert 8_000 < model.mesh_facenum.sum() < 16_000
+
+
+def test_base_under_the_floor_is_refused() -> None:
+    scene = PROTOCOL.scene.model_copy(update={"robot_base_m": (0.0, 1.0, -0.1)})
+    with pytest.raises(SceneError, match="above the floor"):
+        add_robot(mujoco.MjSpec(), PROTOCOL.model_copy(update={"scene": scene}))

@@ -1,0 +1,128 @@
+"""Bake one Anny body into a small numpy archive.
+
+Needs packages that the product does not: ``pip install torch==2.13.0 anny==0.6.2``.
+The first run builds a cache of about 800 MB in the home folder.
+
+    python tools/bake_body.py man-adult src/carecontact/assets/bodies
+
+Source: Anny (Apache-2.0 code; MakeHuman / MPFB2 body data, CC0). The archive holds geometry only:
+vertices, faces, texture coordinates, four skin weights a vertex over our segments, joint centres.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib.metadata
+import json
+from pathlib import Path
+
+import anny
+import numpy as np
+import torch
+from anny.anthropometry import Anthropometry
+
+# Segment -> the rig bones merged into it, the first being the one whose head is the segment's joint centre.
+SEGMENT_BONES: dict[str, list[str]] = {
+    "pelvis": ["root", "pelvis.L", "pelvis.R"],
+    "abdomen": ["spine05", "spine04"],
+    "thorax": ["spine03", "spine02", "spine01"],
+    "neck": ["neck01", "neck02", "neck03"],
+    "head": ["head", "eye.L", "eye.R"],
+}
+for _side, _name in (("L", "left"), ("R", "right")):
+    SEGMENT_BONES |= {
+        f"{_name}_clavicle": [f"clavicle.{_side}", f"shoulder01.{_side}"],
+        f"{_name}_upper_arm": [f"upperarm01.{_side}", f"upperarm02.{_side}"],
+        f"{_name}_forearm": [f"lowerarm01.{_side}", f"lowerarm02.{_side}"],
+        f"{_name}_hand": [f"wrist.{_side}"],
+        f"{_name}_thigh": [f"upperleg01.{_side}", f"upperleg02.{_side}"],
+        f"{_name}_shank": [f"lowerleg01.{_side}", f"lowerleg02.{_side}"],
+        f"{_name}_foot": [f"foot.{_side}"],
+    }
+
+# gender 0 man, 1 woman; age 0.67 young adult, 1 old; stature is met by bisecting Anny's height parameter.
+BODIES = {
+    "man-adult": {"stature_m": 1.75, "sex": "M", "age": "adult", "mass_kg": 74.0,
+                  "phenotype": {"gender": 0.0, "age": 0.67, "weight": 0.55, "muscle": 0.5}},
+    "woman-adult": {"stature_m": 1.63, "sex": "F", "age": "adult", "mass_kg": 62.0,
+                    "phenotype": {"gender": 1.0, "age": 0.67, "weight": 0.58, "muscle": 0.5}},
+}  # fmt: skip
+
+LANDMARK_BONES = ("eye.L", "eye.R", "head", "finger3-3.L", "finger3-3.R", "upperleg01.L", "upperleg01.R")
+
+
+def stature_of(output: dict) -> float:
+    z = output["rest_vertices"][0, :, 2]
+    return float(z.max() - z.min())
+
+
+def bake(name: str, folder: Path) -> Path:
+    spec = BODIES[name]
+    model = anny.Anny().to(dtype=torch.float32)
+    low, high = 0.0, 1.0
+    for _ in range(25):
+        height = (low + high) / 2
+        output = model(phenotype_kwargs={"height": height, **spec["phenotype"]})
+        low, high = (height, high) if stature_of(output) < spec["stature_m"] else (low, height)
+    vertices = output["rest_vertices"][0].detach().numpy()
+    heads = output["rest_bone_heads"][0].detach().numpy()
+    labels, parents = list(model.bone_labels), list(model.bone_parents)
+    segments = list(SEGMENT_BONES)
+
+    owner = []  # rig bone -> segment index, walking up to the first bone that a segment names
+    for bone in range(len(labels)):
+        at = bone
+        while (hit := next((s for s, bones in SEGMENT_BONES.items() if labels[at] in bones), None)) is None:
+            at = parents[at]
+        owner.append(segments.index(hit))
+    weights = np.zeros((len(vertices), len(segments)), np.float32)
+    bone_index, bone_weight = model.vertex_bone_indices.numpy(), model.vertex_bone_weights.numpy()
+    for k in range(bone_index.shape[1]):
+        np.add.at(weights, (np.arange(len(vertices)), np.array(owner)[bone_index[:, k]]), bone_weight[:, k])
+    order = np.argsort(-weights, axis=1)[:, :4]
+    top = np.take_along_axis(weights, order, 1)
+    top /= top.sum(1, keepdims=True)
+
+    is_eye = np.array(
+        [labels[b].startswith("eye") for b in bone_index[np.arange(len(vertices)), bone_weight.argmax(1)]]
+    )
+    measured = {k: float(v) for k, v in Anthropometry(model)(output["rest_vertices"]).items()}
+    provenance = {
+        "source": "Anny", "package": f"anny {importlib.metadata.version('anny')}",
+        "licence": "code Apache-2.0; MakeHuman / MPFB2 body data CC0",
+        "script": "tools/bake_body.py", "parameters": {**spec, "height": height}, "measured_by_anny": measured,
+    }  # fmt: skip
+    arrays = {
+        "vertices_m": vertices.astype(np.float32),
+        "faces": model.faces.numpy().astype(np.uint16),
+        "uv": model.texture_coordinates.numpy().astype(np.float32),
+        "uv_faces": model.face_texture_coordinate_indices.numpy().astype(np.uint16),
+        "segments": np.array(segments),
+        "joint_centres_m": np.array([heads[labels.index(SEGMENT_BONES[s][0])] for s in segments], np.float32),
+        "weight_segment": order.astype(np.uint8),
+        "weight": np.round(top * 255).astype(np.uint8),
+        "is_eye": is_eye,
+        "landmark_names": np.array([b for b in LANDMARK_BONES if b in labels]),
+        "landmarks_m": np.array([heads[labels.index(b)] for b in LANDMARK_BONES if b in labels], np.float32),
+        "meta_json": np.frombuffer(json.dumps(provenance, sort_keys=True).encode(), np.uint8),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.npz"
+    np.savez_compressed(path, **arrays)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    (folder / f"{name}.provenance.json").write_text(
+        json.dumps({**provenance, "sha256": digest}, indent=2, sort_keys=True) + "\n"
+    )
+    print(f"{path}  {path.stat().st_size / 1e6:.2f} MB  stature {stature_of(output):.3f} m  sha256 {digest[:12]}")
+    for segment, centre in zip(segments, arrays["joint_centres_m"], strict=True):
+        print(f"  {segment:18s} {np.round(centre, 3)}")
+    return path
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", choices=sorted(BODIES))
+    parser.add_argument("folder", type=Path)
+    arguments = parser.parse_args()
+    bake(arguments.name, arguments.folder)

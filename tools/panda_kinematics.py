@@ -1,0 +1,107 @@
+"""Kinematics and inertia of the baked arm for many postures at once; what the reachability study computes with."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.geometry import pose_matrix
+from carecontact.world.robot import JOINT_ARMATURE, TCP_Z_M, panda_asset
+
+Array = npt.NDArray[np.float64]
+
+
+class Arm:
+    """Forward kinematics and inertia of the baked arm, vectorized over postures (B, 7), in the base frame."""
+
+    def __init__(self) -> None:
+        asset = panda_asset()
+        self.frames = np.stack(
+            [pose_matrix(p, q) for p, q in zip(asset["frame_position_m"], asset["frame_quat"], strict=True)]
+        )
+        self.range = np.asarray(asset["joint_range_rad"], np.float64)
+        self.mass = np.asarray(asset["mass_kg"], np.float64)[1:]
+        self.com = np.asarray(asset["centre_of_mass_m"], np.float64)[1:]
+        xx, yy, zz, xy, xz, yz = np.asarray(asset["inertia_kgm2"], np.float64)[1:].T
+        self.inertia = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(-1, 3, 3)
+
+    def links(self, q: Array) -> Array:
+        """(B, 9, 4, 4): link1..link7, hand, tcp."""
+        pose = np.broadcast_to(np.eye(4), (len(q), 4, 4))
+        out = []
+        for i in range(7):
+            turn = np.tile(np.eye(4), (len(q), 1, 1))
+            turn[:, 0, 0] = turn[:, 1, 1] = np.cos(q[:, i])
+            turn[:, 1, 0] = np.sin(q[:, i])
+            turn[:, 0, 1] = -turn[:, 1, 0]
+            pose = pose @ self.frames[i] @ turn
+            out.append(pose)
+        out.append(pose @ self.frames[7])
+        out.append(out[-1] @ pose_matrix(np.array([0, 0, TCP_Z_M]), np.array([1.0, 0, 0, 0])))
+        return np.stack(out, 1)
+
+    def jacobian(self, links: Array) -> Array:
+        """(B, 6, 7) of the TCP: linear, angular."""
+        axes, origins = links[:, :7, :3, 2], links[:, :7, :3, 3]
+        linear = np.cross(axes, links[:, 8, None, :3, 3] - origins)
+        return np.concatenate([linear, axes], 2).swapaxes(1, 2)
+
+    def mass_matrix(self, links: Array) -> Array:
+        axes, origins = links[:, :7, :3, 2], links[:, :7, :3, 3]
+        total = np.tile(np.eye(7) * JOINT_ARMATURE, (len(links), 1, 1))
+        for k in range(8):
+            moves = (np.arange(7) <= k)[None, :, None]
+            centre = links[:, k, :3, :3] @ self.com[k] + links[:, k, :3, 3]
+            linear = np.cross(axes, centre[:, None] - origins) * moves
+            angular = axes * moves
+            world_inertia = links[:, k, :3, :3] @ self.inertia[k] @ links[:, k, :3, :3].swapaxes(1, 2)
+            total += self.mass[k] * linear @ linear.swapaxes(1, 2)
+            total += angular @ world_inertia @ angular.swapaxes(1, 2)
+        return total
+
+    def margin(self, q: Array) -> Array:
+        """(B,) distance of the worst joint to its limit as a share of half its range: 1 is mid-range, 0 the limit."""
+        half = np.ptp(self.range, axis=1) / 2
+        return (np.minimum(q - self.range[:, 0], self.range[:, 1] - q) / half).min(1)
+
+    def measures(self, q: Array) -> tuple[Array, Array]:
+        """Manipulability sqrt(det(J J^T)) and effective mass [kg] of the TCP along the vertical."""
+        links = self.links(q)
+        jacobian = self.jacobian(links)
+        manipulability = np.sqrt(np.maximum(np.linalg.det(jacobian @ jacobian.swapaxes(1, 2)), 0))
+        row = jacobian[:, 2:3]
+        mobility = row @ np.linalg.solve(self.mass_matrix(links), row.swapaxes(1, 2))
+        return manipulability, 1.0 / mobility[:, 0, 0]
+
+    def inverse(
+        self, position: Array, rotation: Array, seed: Array, *, iterations: int = 60, centring: float = 0.12
+    ) -> tuple[Array, Array]:
+        """Damped least squares with joint centring in the null space: postures (B, 7) and pose errors (B,)."""
+        middle, half = self.range.mean(1), np.ptp(self.range, axis=1) / 2
+        q = seed.copy()
+        for k in range(iterations):
+            links = self.links(q)
+            jacobian = self.jacobian(links)
+            step = self.pose_error(links, position, rotation)
+            scale = np.minimum(1.0, 0.5 / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
+            damped = jacobian @ jacobian.swapaxes(1, 2) + 1e-5 * np.eye(6)
+            inverse = np.linalg.solve(damped, jacobian).swapaxes(1, 2)
+            # Cubic: joints in mid-range are left alone, those near a limit are pushed back.
+            wish = -centring * ((q - middle) / half) ** 3 * half * (k < iterations - 12)
+            task = (jacobian @ wish[:, :, None])[:, :, 0]
+            q = q + (inverse @ (step * scale - task)[:, :, None])[:, :, 0] + wish
+            q = np.clip(q, self.range[:, 0], self.range[:, 1])
+        return q, np.linalg.norm(self.pose_error(self.links(q), position, rotation), axis=1)
+
+    @staticmethod
+    def pose_error(links: Array, position: Array, rotation: Array) -> Array:
+        tcp = links[:, 8]
+        turn = 0.5 * np.cross(tcp[:, :3, :3], rotation, axis=1).sum(2)
+        return np.concatenate([position - tcp[:, :3, 3], turn], 1)
+
+
+def pointing_down(yaw: Array) -> Array:
+    """(..., 3, 3): tool z down, hand x turned by ``yaw`` from world x."""
+    c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
+    columns = [np.stack([c, s, zero], -1), np.stack([s, -c, zero], -1), np.stack([zero, zero, zero - 1], -1)]
+    return np.stack(columns, -1)

@@ -1,0 +1,370 @@
+"""Where should the robot stand? An inverse-kinematics study that chooses the base, its yaw and the parked posture.
+
+    python tools/reachability.py --figure docs/figures/reachability.png [--write src/carecontact/protocols/NAME.toml]
+
+For every candidate base the tool must point down at nine points of the person (forearm, upper arm, abdomen; middle and
++-60 mm along the axis), 80 mm above and 20 mm below the skin, for three comfort angles. A base is scored by its worst
+target: margin to the joint limits, manipulability, and effective mass along the vertical, which raises impact peaks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.geometry import matrix_from_quat
+from carecontact.contract.protocol import Protocol
+from carecontact.protocols import load_protocol
+from panda_kinematics import Arm, pointing_down
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+PELVIS_WORLD_X_M = -0.03
+ARM_RADIUS_M = {"forearm": 0.036, "upper_arm": 0.045}
+ARM_AXIS_ABOVE_MATTRESS_M = 0.045
+ABOVE_M, BELOW_M, ALONG_M = 0.08, -0.02, 0.06
+COMFORT_DEG = (45.0, 52.5, 60.0)
+TOOL_YAWS = np.deg2rad(np.arange(0, 360, 30.0))
+ELBOW_SEEDS = ((0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.0), (0.9, 0.3, -0.9, -2.2, 0.5, 2.2, 0.0),
+               (-0.9, 0.3, 0.9, -2.2, -0.5, 2.2, 0.0))  # fmt: skip
+BASE_RADIUS_M = 0.10
+BED_HALF_WIDTH_M = 0.45
+BED_GAP_M = 0.15
+"""Base axis to the mattress edge, for a base that is lower than the mattress top."""
+SHIFTS_M = ((0.04, 0, 0), (-0.04, 0, 0), (0, -0.04, 0), (0, 0.04, 0), (0.03, -0.03, -0.03))
+"""The person may settle, or be built, a little elsewhere: a base must reach the targets moved by each of these too."""
+PARKED_GAP_M = 0.15
+"""Horizontal distance of the parked tool from every target and arm joint."""
+PARKED_REACH_M = 0.28
+"""Least horizontal distance of the parked tool from the base axis."""
+LINK_CLEARANCE_M = 0.09
+"""Half thickness of the forearm links, kept free above the mattress at the elbow, forearm and wrist."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Targets:
+    """Skin points of the supine person in world."""
+
+    skin: Array
+    """(N, 3)"""
+    label: list[str]
+    arms: Array
+    """(A, 3, 3) shoulder, elbow, wrist for every comfort angle"""
+
+    @property
+    def poses(self) -> Array:
+        """(2 N, 3) above and below the skin."""
+        return np.concatenate([self.skin + np.array([0, 0, ABOVE_M]), self.skin + np.array([0, 0, BELOW_M])])
+
+
+def person_targets(protocol: Protocol) -> Targets:
+    """From the body's joint centres; mesh z is world +x, mesh -y is +z and mesh x is -y when supine."""
+    body = np.load(resources.files("carecontact.assets") / "bodies" / f"{protocol.person.body}.npz")
+    to_world = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])
+    vertices = np.asarray(body["vertices_m"], np.float64) @ to_world.T
+    joints = np.asarray(body["joint_centres_m"], np.float64) @ to_world.T
+    segments = [str(s) for s in body["segments"]]
+    trunk = np.isin(body["weight_segment"][:, 0], [segments.index(s) for s in ("pelvis", "abdomen", "thorax")])
+    top = protocol.scene.mattress_top_m
+    shift = np.array([PELVIS_WORLD_X_M - joints[segments.index("pelvis")][0], 0, top - vertices[trunk, 2].min()])
+    vertices, joints = vertices + shift, dict(zip(segments, joints + shift, strict=True))
+    upper = np.linalg.norm(joints["right_forearm"] - joints["right_upper_arm"])
+    lower = np.linalg.norm(joints["right_hand"] - joints["right_forearm"])
+    shoulder = np.array([*joints["right_upper_arm"][:2], top + ARM_AXIS_ABOVE_MATTRESS_M])
+    skin, label, arms = [], [], []
+    for angle in np.deg2rad(COMFORT_DEG):
+        along = np.array([-np.cos(angle), np.sin(angle), 0])
+        elbow = shoulder + upper * along
+        arms.append([shoulder, elbow, elbow + lower * along])
+        for name, middle in (("upper_arm", shoulder + upper / 2 * along), ("forearm", elbow + lower / 2 * along)):
+            for offset in (-ALONG_M, 0.0, ALONG_M):
+                skin.append(middle + offset * along + [0, 0, ARM_RADIUS_M[name]])
+                label.append(name)
+    belly_x = (joints["pelvis"][0] + joints["thorax"][0]) / 2
+    for offset in (-ALONG_M, 0.0, ALONG_M):
+        near = (np.abs(vertices[:, 0] - belly_x - offset) < 0.02) & (np.abs(vertices[:, 1]) < 0.02)
+        skin.append(np.array([belly_x + offset, 0, vertices[near, 2].max()]))
+        label.append("abdomen")
+    return Targets(skin=np.array(skin), label=label, arms=np.array(arms))
+
+
+def candidate_bases(protocol: Protocol) -> Array:
+    """(N, 3), clear of the mattress edge and of the arm board."""
+    grid = np.array([
+        (x, y, z) for z in (0.55, 0.62, 0.70)
+        for x, y in [(x, y) for x in np.arange(-0.40, 0.01, 0.04) for y in np.arange(0.55, 0.76, 0.05)]
+        + [(x, 1.0) for x in (0.0, 0.1, 0.2, 0.3)]
+    ])  # fmt: skip
+    low, high = np.array(protocol.scene.board_low_m), np.array(protocol.scene.board_high_m)
+    outside = np.linalg.norm(np.maximum(np.maximum(low - grid[:, :2], grid[:, :2] - high), 0), axis=1)
+    beside = (grid[:, 1] > BED_HALF_WIDTH_M + BED_GAP_M - 1e-9) | (grid[:, 2] >= protocol.scene.mattress_top_m)
+    return grid[(outside > BASE_RADIUS_M - 1e-9) & beside]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """Per target of one base and yaw: the best posture over tool yaws and elbow seeds."""
+
+    q: Array
+    margin: Array
+    manipulability: Array
+    effective_mass_kg: Array
+    reached: Mask
+
+    @property
+    def score(self) -> float:
+        """Unreached targets rule a base out; otherwise the worst margin leads and the others break ties."""
+        if not self.reached.all():
+            return -float((~self.reached).sum())
+        low = (
+            self.margin.min() + 2.0 * self.manipulability.min() - 0.02 * float(np.quantile(self.effective_mass_kg, 0.9))
+        )
+        return float(low)
+
+
+def base_yaw_deg(base: Array, targets: Targets) -> float:
+    """Toward the middle of the targets, to 15 degrees."""
+    d = targets.skin.mean(0) - base
+    return float(np.round(np.rad2deg(np.arctan2(d[1], d[0])) / 15) * 15)
+
+
+def study_base(arm: Arm, base: Array, yaw_deg: float, targets: Targets) -> Study:
+    points = targets.poses
+    turn = matrix_from_quat(np.array([np.cos(np.deg2rad(yaw_deg) / 2), 0, 0, np.sin(np.deg2rad(yaw_deg) / 2)]))
+    local = (points - base) @ turn
+    n, y, s = len(points), len(TOOL_YAWS), len(ELBOW_SEEDS)
+    position = np.repeat(local, y * s, 0)
+    rotation = np.tile(np.repeat(turn.T @ pointing_down(TOOL_YAWS), s, 0), (n, 1, 1))
+    seed = np.tile(np.array(ELBOW_SEEDS), (n * y, 1))
+    seed[:, 0] += np.arctan2(position[:, 1], position[:, 0]) * 0.5
+    q, error = arm.inverse(position, rotation, seed)
+    margin = arm.margin(q)
+    manipulability, mass = arm.measures(q)
+    heights = arm.links(q)[:, [3, 4, 5, 6], 2, 3] + base[2]
+    low = heights.min(1) < 0.62 + LINK_CLEARANCE_M
+    value = np.where((error < 1e-3) & ~low, margin + manipulability - 0.01 * mass, -10.0).reshape(n, -1)
+    pick = np.arange(n) * y * s + value.argmax(1)
+    return Study(
+        q=q[pick], margin=margin[pick], manipulability=manipulability[pick], effective_mass_kg=mass[pick],
+        reached=(value.max(1) > -10) & (margin[pick] > 0.02),
+    )  # fmt: skip
+
+
+def clear_of_view(links: Array, base: Array, turn: Array, protocol: Protocol, targets: Targets) -> Mask:
+    """(B,) no part of the arm, widened to its thickness, lies between overhead camera and the person's right side."""
+    origins = links[:, :, :3, 3] @ turn.T + base
+    points = [origins[:, :-1] + t * (origins[:, 1:] - origins[:, :-1]) for t in (0.0, 0.5, 1.0)]
+    points = np.concatenate(points, 1)
+    eye, plane_z = np.array(protocol.cameras["overhead"].position_m), protocol.scene.mattress_top_m + 0.08
+    grow = (eye[2] - plane_z) / (eye[2] - points[..., 2])
+    shadow = eye[:2] + (points[..., :2] - eye[:2]) * grow[..., None]
+    radius = 0.09 * grow
+    free = np.full(len(links), True)
+    for shoulder, elbow, wrist in targets.arms:
+        fingertip = wrist + (wrist - elbow) * 0.75
+        for a, b in ((shoulder, elbow), (elbow, fingertip)):
+            ab = (b - a)[:2]
+            t = np.clip((shadow - a[:2]) @ ab / (ab @ ab), 0, 1)
+            gap = np.linalg.norm(shadow - a[:2] - t[..., None] * ab, axis=-1) - radius
+            free &= (gap > 0.08).all(1)
+    return free & (shadow[..., 1] - radius > 0.22).all(1)
+
+
+def follow(
+    arm: Arm, parked: Array, goal: Array, goal_yaw: Array, start_yaw: Array, turn: Array, *, steps: int = 25
+) -> tuple[Array, Array]:
+    """Straight tool paths with the posture held toward ``parked`` in the null space, as the impedance does it.
+
+    parked (B, 7), goal (B, 3) in base, yaws in world. Returns postures (steps, B, 7) and pose errors (B,) at the end.
+    """
+    start = arm.links(parked)[:, 8, :3, 3]
+    swing = (goal_yaw - start_yaw + np.pi) % (2 * np.pi) - np.pi
+    q, path = parked.copy(), []
+    error = np.zeros(len(q))
+    for k in range(1, steps + 1):
+        share = k / steps
+        position = start + share * (goal - start)
+        rotation = turn.T @ pointing_down(start_yaw + share * swing)
+        for _ in range(3):
+            links = arm.links(q)
+            jacobian = arm.jacobian(links)
+            pose_error = arm.pose_error(links, position, rotation)
+            inverse = np.linalg.solve(jacobian @ jacobian.swapaxes(1, 2) + 1e-6 * np.eye(6), jacobian).swapaxes(1, 2)
+            wish = 0.1 * (parked - q)
+            task = (jacobian @ wish[:, :, None])[:, :, 0]
+            q = q + (inverse @ (pose_error - task)[:, :, None])[:, :, 0] + wish
+            q = np.clip(q, arm.range[:, 0], arm.range[:, 1])
+        error = np.maximum(error, np.linalg.norm(arm.pose_error(arm.links(q), position, rotation), axis=1))
+        path.append(q)
+    return np.stack(path), error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parked:
+    """One parked posture and how its straight paths to every target fare."""
+
+    q: Array
+    tcp_world: Array
+    margin: float
+    manipulability: float
+    effective_mass_kg: float
+    error: float
+    score: float
+
+
+def limb_yaws(targets: Targets, start_yaw: float) -> Array:
+    """(N,) tool yaw that puts the cap across the limb or trunk; of two, the nearer to the start."""
+    per_arm = [np.arctan2(*(arm[2] - arm[1])[1::-1]) for arm in targets.arms]
+    yaw = np.array([*np.repeat(per_arm, 6), 0.0, 0.0, 0.0])
+    return yaw + np.round((start_yaw - yaw) / np.pi) * np.pi
+
+
+def study_parked(arm: Arm, base: Array, yaw_deg: float, protocol: Protocol, targets: Targets) -> list[Parked]:
+    """Every parked posture of a grid that the overhead camera does not mind, best first."""
+    half = np.deg2rad(yaw_deg) / 2
+    turn = matrix_from_quat(np.array([np.cos(half), 0, 0, np.sin(half)]))
+    spots = np.array(np.meshgrid(np.arange(-0.4, 0.11, 0.1), np.arange(0.5, 0.81, 0.1), (1.0, 1.1))).reshape(3, -1).T
+    points = np.concatenate([targets.arms.reshape(-1, 3), targets.skin])
+    gap = np.linalg.norm(spots[:, None, :2] - points[None, :, :2], axis=2).min(1)
+    spots = spots[gap > PARKED_GAP_M]
+    yaws = np.deg2rad(np.arange(-180, 180, 45.0))
+    position = np.repeat((spots - base) @ turn, len(yaws), 0)
+    tool_yaw = np.tile(yaws, len(spots))
+    seed = np.tile(np.array(ELBOW_SEEDS[0]), (len(position), 1))
+    seed[:, 0] = np.clip(np.arctan2(position[:, 1], position[:, 0]), -2.5, 2.5)
+    q, error = arm.inverse(position, turn.T @ pointing_down(tool_yaw), seed)
+    links = arm.links(q)
+    good = (error < 1e-4) & (arm.margin(q) > 0.25) & clear_of_view(links, base, turn, protocol, targets)
+    good &= np.linalg.norm(position[:, :2], axis=1) > PARKED_REACH_M
+    found = []
+    points = (targets.poses - base) @ turn
+    for i in np.flatnonzero(good):
+        parked = np.tile(q[i], (2 * len(points), 1))
+        start = np.full(len(parked), tool_yaw[i])
+        goal_yaw = np.concatenate([start[: len(points)], np.tile(limb_yaws(targets, tool_yaw[i]), 2)])
+        path, error_i = follow(arm, parked, np.tile(points, (2, 1)), goal_yaw, start, turn)
+        flat = path.reshape(-1, 7)
+        margin = float(arm.margin(flat).min())
+        manipulability, _ = arm.measures(flat)
+        ends = arm.measures(path[-1])[1]
+        distance = float(np.linalg.norm(points - links[i, 8, :3, 3], axis=1).mean())
+        worst = float(manipulability.min())
+        score = margin + 2 * worst - 0.02 * float(ends.max()) - 0.2 * distance - 10 * float(error_i.max() > 2e-3)
+        tcp = turn @ links[i, 8, :3, 3] + base
+        found.append(Parked(q=q[i], tcp_world=tcp, margin=margin, manipulability=worst,
+                            effective_mass_kg=float(ends.max()), error=float(error_i.max()), score=score))  # fmt: skip
+    return sorted(found, key=lambda p: -p.score)
+
+
+def workspace_box(
+    base: Array, yaw_deg: float, parked: Parked, protocol: Protocol, targets: Targets
+) -> tuple[Array, Array]:
+    """Box in base around all targets and the parked tool, 0.2 m wider, down to 20 mm under the mattress top."""
+    half = np.deg2rad(yaw_deg) / 2
+    turn = matrix_from_quat(np.array([np.cos(half), 0, 0, np.sin(half)]))
+    points = (np.concatenate([targets.poses, parked.tcp_world[None]]) - base) @ turn
+    low, high = points.min(0) - 0.2, points.max(0) + 0.2
+    low[2] = protocol.scene.mattress_top_m - 0.02 - base[2]
+    return np.floor(low * 20) / 20, np.ceil(high * 20) / 20
+
+
+def draw(path: Path, rows: list[tuple[Array, float, Study]], base: Array, parked: Parked, targets: Targets) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
+    level = [(b, s) for b, _, s in rows if b[2] == base[2]]
+    worst = [s.margin.min() if s.reached.all() else np.nan for _, s in level]
+    dots = left.scatter([b[0] for b, _ in level], [b[1] for b, _ in level], c=worst, s=170, marker="s", cmap="viridis")
+    left.scatter(*np.array([b[:2] for b, s in level if not s.reached.all()]).T, c="0.8", s=30, marker="x")
+    left.plot(base[0], base[1], "r+", ms=14, mew=2)
+    left.set(xlabel="base x [m]", ylabel="base y [m]", title=f"base z = {base[2]:.2f} m; x: not all targets reached")
+    figure.colorbar(dots, ax=left, label="worst joint margin (share of half range)")
+    right.add_patch(plt.Rectangle((-1, -0.45), 2, 0.9, fc="0.93", ec="0.6"))
+    for arm in targets.arms:
+        right.plot(arm[:, 0], arm[:, 1], "-", c="0.6", lw=5, solid_capstyle="round")
+    right.plot(targets.skin[:, 0], targets.skin[:, 1], "o", ms=4, c="tab:blue", label="targets")
+    right.plot(base[0], base[1], "s", ms=11, c="tab:red", label="base")
+    right.plot(parked.tcp_world[0], parked.tcp_world[1], "^", ms=8, c="tab:orange", label="parked tool")
+    right.set(xlabel="x, to the head [m]", ylabel="y, to the person's right [m]", xlim=(-0.8, 0.8), ylim=(-0.5, 1.0))
+    right.set_aspect("equal")
+    right.legend(loc="upper left", fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=90)
+
+
+def write_scene(path: Path, base: Array, yaw_deg: float, parked: Parked, box: tuple[Array, Array]) -> None:
+    """Replace the five values in a protocol file, leaving the rest of its text alone."""
+    text = path.read_text()
+    values = {
+        "robot_base_m": base, "robot_yaw_deg": yaw_deg, "parked_joint_rad": np.round(parked.q, 4),
+        "workspace_low_m": box[0], "workspace_high_m": box[1],
+    }  # fmt: skip
+    for name, value in values.items():
+        spelled = str(np.round(value, 4).tolist()) if isinstance(value, np.ndarray) else str(value)
+        text, n = re.subn(rf"(?m)^{name} = .*$", f"{name} = {spelled}", text)
+        if n != 1:
+            raise SystemExit(f"{path}: {n} lines start with {name!r}, expected one")
+    path.write_text(text)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--protocol", default="bathing-v1-draft")
+    parser.add_argument("--figure", type=Path)
+    parser.add_argument("--write", type=Path, help="protocol file to edit in place")
+    parser.add_argument("--finalists", type=int, default=3, help="bases whose paths from a parked posture are studied")
+    options = parser.parse_args()
+    protocol, arm = load_protocol(options.protocol), Arm()
+    targets = person_targets(protocol)
+    rows = [
+        (base, base_yaw_deg(base, targets), study_base(arm, base, base_yaw_deg(base, targets), targets))
+        for base in candidate_bases(protocol)
+    ]
+    robust = {
+        tuple(base): min(
+            study_base(arm, base, yaw_deg, replace(targets, skin=targets.skin + np.array(shift))).score
+            for shift in ((0, 0, 0), *SHIFTS_M)
+        )
+        for base, yaw_deg, study in rows
+        if study.reached.all()
+    }
+    rows = sorted(rows, key=lambda row: -robust.get(tuple(row[0]), row[2].score - 100.0))
+    reached = sum(bool(s.reached.all()) for _, _, s in rows)
+    steady = sum(score > 0 for score in robust.values())
+    print(f"{len(rows)} bases; {reached} reach all {2 * len(targets.label)} targets, {steady} also with every shift")
+    best: tuple[Array, float, Parked] | None = None
+    for base, yaw_deg, study in rows[: options.finalists]:
+        worst = f"margin {study.margin.min():.3f}, manipulability {study.manipulability.min():.3f}"
+        shifted = robust.get(tuple(base), float("nan"))
+        print(f"base {base.round(3)} yaw {yaw_deg:.0f} deg: score {study.score:.3f}, with shifts {shifted:.3f}; "
+              f"{worst}, effective mass {study.effective_mass_kg.max():.1f} kg")  # fmt: skip
+        found = study_parked(arm, base, yaw_deg, protocol, targets)
+        for parked in found[:2]:
+            print(f"  parked {parked.q.round(3)}, tool at {parked.tcp_world.round(2)}; along paths margin "
+                  f"{parked.margin:.3f}, manipulability {parked.manipulability:.3f}, at targets effective mass "
+                  f"{parked.effective_mass_kg:.1f} kg, error {parked.error:.1e}")  # fmt: skip
+        if found and (best is None or found[0].score > best[2].score):
+            best = (base, yaw_deg, found[0])
+    if best is None:
+        raise SystemExit("no base has a parked posture from which every path is clear")
+    base, yaw_deg, parked = best
+    box = workspace_box(base, yaw_deg, parked, protocol, targets)
+    print(f"chosen: base {base.round(3).tolist()} m, yaw {yaw_deg:.0f} deg")
+    print(f"workspace {box[0].tolist()} to {box[1].tolist()} m in base")
+    if options.figure:
+        draw(options.figure, rows, base, parked, targets)
+    if options.write:
+        write_scene(options.write, base, yaw_deg, parked, box)
+
+
+if __name__ == "__main__":
+    main()

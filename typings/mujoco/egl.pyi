@@ -1,0 +1,5 @@
+"""OpenGL without a window."""
+
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...
