@@ -49,12 +49,45 @@ BODIES = {
                     "phenotype": {"gender": 1.0, "age": 0.67, "weight": 0.58, "muscle": 0.5}},
 }  # fmt: skip
 
-LANDMARK_BONES = ("eye.L", "eye.R", "head", "finger3-3.L", "finger3-3.R", "upperleg01.L", "upperleg01.R")
+LANDMARK_BONES = (
+    "eye.L", "eye.R", "head", *(f"{bone}.{side}" for side in "LR" for bone in ("finger3-3", "finger2-1", "finger5-1")),
+)  # fmt: skip
+
+# The lying arm is nearly straight and its palm faces up. Turning the rig's two forearm bones before baking spreads the
+# twist along the forearm; turning one rigid forearm by as much later would wring the skin at the elbow.
+ELBOW_UNBEND_DEG = 30.0
+TWIST_DEG = {"lowerarm01": 18.0, "lowerarm02": 36.0}
 
 
 def stature_of(output: dict) -> float:
     z = output["rest_vertices"][0, :, 2]
     return float(z.max() - z.min())
+
+
+def rotation(axis: np.ndarray, degrees: float) -> np.ndarray:
+    x, y, z = axis / np.linalg.norm(axis)
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.radians(degrees)
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
+
+
+def arm_transforms(labels: list[str], parents: list[int], heads: np.ndarray) -> np.ndarray:
+    """(bones, 4, 4) in model space: the forearm bones turned, everything beyond them carried along."""
+    local = {}
+    for side, sign in (("L", -1.0), ("R", 1.0)):
+        at = {bone: heads[labels.index(f"{bone}.{side}")] for bone in ("upperarm01", "lowerarm01", "wrist")}
+        upper, fore = at["lowerarm01"] - at["upperarm01"], at["wrist"] - at["lowerarm01"]
+        unbend = rotation(np.cross(upper, fore), -ELBOW_UNBEND_DEG)
+        local[f"lowerarm01.{side}"] = unbend @ rotation(fore, sign * TWIST_DEG["lowerarm01"])
+        local[f"lowerarm02.{side}"] = rotation(fore, sign * TWIST_DEG["lowerarm02"])
+    out = np.tile(np.eye(4), (len(labels), 1, 1))
+    for bone, label in enumerate(labels):  # parents come first
+        own = np.eye(4)
+        if label in local:
+            own[:3, :3] = local[label]
+            own[:3, 3] = heads[bone] - local[label] @ heads[bone]
+        out[bone] = (out[parents[bone]] if parents[bone] >= 0 else np.eye(4)) @ own
+    return out
 
 
 def bake(name: str, folder: Path) -> Path:
@@ -65,9 +98,14 @@ def bake(name: str, folder: Path) -> Path:
         height = (low + high) / 2
         output = model(phenotype_kwargs={"height": height, **spec["phenotype"]})
         low, high = (height, high) if stature_of(output) < spec["stature_m"] else (low, height)
-    vertices = output["rest_vertices"][0].detach().numpy()
-    heads = output["rest_bone_heads"][0].detach().numpy()
     labels, parents = list(model.bone_labels), list(model.bone_parents)
+    heads = output["rest_bone_heads"][0].detach().numpy()
+    bone_index, bone_weight = model.vertex_bone_indices.numpy(), model.vertex_bone_weights.numpy()
+    transforms = arm_transforms(labels, parents, heads)
+    vertices = output["rest_vertices"][0].detach().numpy()
+    moved = np.einsum("bij,vj->bvi", transforms[:, :3, :3], vertices) + transforms[:, None, :3, 3]
+    vertices = np.einsum("vk,vki->vi", bone_weight, moved[bone_index, np.arange(len(vertices))[:, None]])
+    heads = np.einsum("bij,bj->bi", transforms[:, :3, :3], heads) + transforms[:, :3, 3]
     segments = list(SEGMENT_BONES)
 
     owner = []  # rig bone -> segment index, walking up to the first bone that a segment names
@@ -77,7 +115,6 @@ def bake(name: str, folder: Path) -> Path:
             at = parents[at]
         owner.append(segments.index(hit))
     weights = np.zeros((len(vertices), len(segments)), np.float32)
-    bone_index, bone_weight = model.vertex_bone_indices.numpy(), model.vertex_bone_weights.numpy()
     for k in range(bone_index.shape[1]):
         np.add.at(weights, (np.arange(len(vertices)), np.array(owner)[bone_index[:, k]]), bone_weight[:, k])
     order = np.argsort(-weights, axis=1)[:, :4]

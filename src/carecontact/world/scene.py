@@ -19,7 +19,7 @@ from carecontact.world.human.pose import SUPINE, lying_pose_deg, rotation_from_b
 from carecontact.world.human.refine import refined
 from carecontact.world.human.shell import limb_shell, trunk_shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, add_skeleton, body_name
-from carecontact.world.human.skin import Appearance, add_skin
+from carecontact.world.human.skin import add_skin
 from carecontact.world.human.tissue import Region, add_tissue, set_damping, shell_mass
 from carecontact.world.robot import add_robot
 from carecontact.world.sensors import add_sensors
@@ -98,7 +98,7 @@ def build_spec(
             size=[0.005] * 3,
         )
     if skin:
-        add_skin(spec, body if target is None else refined(body, SOFT_SEGMENTS[target], times=2), Appearance())
+        add_skin(spec, body if target is None else refined(body, SOFT_SEGMENTS[target], times=2))
     head_x = root[0] + body.joint_centre["head"][2] - body.joint_centre["pelvis"][2] + 0.04
     add_furniture(spec, protocol.scene, head_x=head_x)
     add_light(spec)

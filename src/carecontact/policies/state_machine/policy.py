@@ -33,7 +33,7 @@ class StateMachine:
     def __init__(self, *, language: LanguageBackend | None = None) -> None:
         self._language: LanguageBackend = language or Rules()
         self.card = PolicyCard(
-            name="state_machine",
+            name="state-machine",
             modalities=("rgb", "depth", "points", "masks", "landmarks"),
             cameras=(CAMERA,),
             control_hz=fixed.CONTROL_HZ,

@@ -93,19 +93,9 @@ def supination_of(palm: Array, elbow: Array, forearm: Array, sign: float) -> flo
 
 
 def hand_axes(body: Body, side: str) -> tuple[Array, Array]:
-    """Palm normal (out of the palm) and radial direction of a hand in the bind pose: principal axes of its vertices."""
-    hand = f"{side}_hand"
-    points = body.vertices_of(hand)
-    h = body.direction(hand)
-    # Fingers spread and the thumb leaves the plane: the half nearer the wrist is the palm itself.
-    along = (points - body.joint_centre[hand]) @ h
-    palm_points = points[(along > 0.03) & (along < 0.09)]
-    flat = palm_points - palm_points.mean(0)
-    flat = flat - np.outer(flat @ h, h)
-    _, _, vt = np.linalg.svd(flat, full_matrices=False)
-    radial, normal = vt[0], vt[1]
-    # The thumb is forward (-y) of the hand in the bind pose; the palm faces the thigh (medially).
-    radial = radial if radial[1] < 0 else -radial
-    medial = np.array([-1.0 if side == "left" else 1.0, 0, 0])
-    normal = normal if normal @ medial > 0 else -normal
-    return normal, radial
+    """Palm normal (out of the palm) and radial direction (toward the thumb) of a hand in the bind pose, unit vectors."""
+    h, letter = body.direction(f"{side}_hand"), side[0].upper()
+    radial = body.landmarks[f"finger2-1.{letter}"] - body.landmarks[f"finger5-1.{letter}"]
+    radial = radial - (radial @ h) * h
+    radial /= np.linalg.norm(radial)
+    return np.cross(radial, h) if side == "right" else np.cross(h, radial), radial

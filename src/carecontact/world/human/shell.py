@@ -97,7 +97,7 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
     """A patch over the belly between the lower ribs and the pelvis; the border ring is pinned."""
     x, z = np.array([0.0, 0.0, 1.0]), outward / np.linalg.norm(outward)
     y = np.cross(z, x)
-    low, high = body.joint_centre["pelvis"][2] + 0.02, body.joint_centre["thorax"][2] + 0.06
+    low, high = belly_span(body)
     t = graded(np.array([low, high]), np.array([low + 0.03, high - 0.03]), tissue.spacing_m, tissue.coarse_spacing_m)
     s = graded(np.array([-0.135, 0.135]), np.array([-0.085, 0.085]), tissue.spacing_m, tissue.coarse_spacing_m)
     trunk = body.vertices[body.faces]
@@ -118,6 +118,11 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
     depth = float((surface - back) @ z)
     origin = back + centre_height * x
     return _finish(vertices, pinned, x, origin, x, z, high - low, 0.135, depth)
+
+
+def belly_span(body: Body) -> tuple[float, float]:
+    """Heights in the mesh frame between which the trunk's front is soft [m]."""
+    return float(body.joint_centre["pelvis"][2]) + 0.02, float(body.joint_centre["thorax"][2]) + 0.07
 
 
 def graded(span: Array, fine: Array, spacing: float, coarse: float) -> Array:

@@ -9,6 +9,7 @@ from carecontact.world.human.anthropometry import segment_inertias
 from carecontact.world.human.body import PARENT, Array, Body
 from carecontact.world.human.joints import Hinge, hinges
 from carecontact.world.human.pose import FIXED_SEGMENTS, lying_pose_deg, rotation_from_bind
+from carecontact.world.human.shell import belly_span
 
 # Collision bits. The robot has contype 1; bed and arm board have conaffinity 3 and so meet both robot and proxies.
 ROBOT_ONLY = {"contype": 0, "conaffinity": 1}
@@ -141,14 +142,7 @@ def _add_rigid_surface(spec: mujoco.MjSpec, body: Body, bodies: dict[str, mujoco
     for segment in body.segments:
         if segment in soft or segment.endswith("clavicle"):
             continue
-        owned = [segment, "left_clavicle", "right_clavicle"] if segment == "thorax" else [segment]
-        if segment == "pelvis":
-            # The rig gives the pelvis few vertices; the thighs' top and the lowest abdomen close it.
-            points = body.vertices_of("pelvis", "left_thigh", "right_thigh", "abdomen")
-            height = body.joint_centre["pelvis"][2]
-            points = points[(points[:, 2] > height - 0.10) & (points[:, 2] < height + 0.03)]
-        else:
-            points = body.vertices_of(*owned)
+        points = _rigid_points(body, segment)
         if len(points) > 400:
             points = points[:: len(points) // 400]
         name = f"human_hull_{segment}"
@@ -158,3 +152,16 @@ def _add_rigid_surface(spec: mujoco.MjSpec, body: Body, bodies: dict[str, mujoco
             friction=[0.5, 0.005, 0.0001], solref=[0.01, 1], solimp=[0.95, 0.99, 0.001, 0.5, 2], priority=1,
             **ROBOT_ONLY,
         )  # fmt: skip
+
+
+def _rigid_points(body: Body, segment: str) -> Array:
+    """(n, 3) surface points that a segment's hull encloses. Chest and pelvis end where the soft belly begins."""
+    low, high = belly_span(body)
+    if segment == "thorax":
+        points = body.vertices_of("thorax", "left_clavicle", "right_clavicle")
+        return points[points[:, 2] > high]
+    if segment == "pelvis":
+        # The rig gives the pelvis few vertices; the top of the thighs and the lowest abdomen close it.
+        points = body.vertices_of("pelvis", "left_thigh", "right_thigh", "abdomen")
+        return points[(points[:, 2] > low - 0.13) & (points[:, 2] < low)]
+    return body.vertices_of(segment)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import resources
 
 import cv2
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.errors import AssetError
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.skeleton import body_name
 
@@ -22,7 +24,19 @@ class Appearance:
     hair: tuple[int, int, int] = (62, 43, 30)
 
 
-def add_skin(spec: mujoco.MjSpec, body: Body, appearance: Appearance) -> None:
+def baked_texture(name: str) -> npt.NDArray[np.uint8]:
+    """(TEXTURE_SIZE, TEXTURE_SIZE, 3) default texture of a shipped body. Raises AssetError if it is missing or broken."""
+    path = resources.files("carecontact") / "assets" / "bodies" / f"{name}.skin.png"
+    try:
+        image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR_RGB)
+    except OSError as error:
+        raise AssetError(f"skin of body {name}: {error}; reinstall the package or run tools/bake_skin.py") from None
+    if image is None or image.shape != (TEXTURE_SIZE, TEXTURE_SIZE, 3):
+        raise AssetError(f"skin of body {name}: {path} is not a {TEXTURE_SIZE} x {TEXTURE_SIZE} colour PNG")
+    return np.asarray(image, np.uint8)
+
+
+def add_skin(spec: mujoco.MjSpec, body: Body) -> None:
     """One skin over all segments. Corners that share a vertex but not a texture point are split."""
     pairs = np.stack([body.faces.ravel(), body.uv_faces.ravel()], 1)
     unique, inverse = np.unique(pairs, axis=0, return_inverse=True)
@@ -35,7 +49,7 @@ def add_skin(spec: mujoco.MjSpec, body: Body, appearance: Appearance) -> None:
         rows = np.flatnonzero(mine.any(1))
         ids.append(rows.astype(np.int32))
         weights.append(np.where(mine[rows], body.weight[vertex[rows]], 0).sum(1).astype(np.float32))
-    texture = paint(body, appearance)
+    texture = baked_texture(body.name)
     made = spec.add_texture(
         name="human_skin", type=mujoco.mjtTexture.mjTEXTURE_2D, width=TEXTURE_SIZE, height=TEXTURE_SIZE, nchannel=3
     )
