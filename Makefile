@@ -24,8 +24,8 @@ lint: env ## style, types and import walls only
 test-slow: env ## the long simulations
 	$(BIN)/python -m pytest -m slow
 
-bench: env ## how fast a trial runs on this machine
-	@$(BIN)/python benchmarks/trial_speed.py
+bench: env ## speed of physics, trials and command line, as JSON
+	@$(BIN)/python benchmarks/speed.py
 
 clean: ## what the other targets made, runs/demo included
 	rm -rf .venv .venv-uv runs/demo .pytest_cache .ruff_cache .import_linter_cache .hypothesis

@@ -43,9 +43,9 @@ for _side, _name in (("L", "left"), ("R", "right")):
 
 # gender 0 man, 1 woman; age 0.67 young adult, 1 old; stature is met by bisecting Anny's height parameter.
 BODIES = {
-    "man-adult": {"stature_m": 1.75, "sex": "M", "age": "adult", "mass_kg": 74.0,
+    "man-adult": {"stature_m": 1.75, "sex": "M", "age": "adult",
                   "phenotype": {"gender": 0.0, "age": 0.67, "weight": 0.55, "muscle": 0.5}},
-    "woman-adult": {"stature_m": 1.63, "sex": "F", "age": "adult", "mass_kg": 62.0,
+    "woman-adult": {"stature_m": 1.63, "sex": "F", "age": "adult",
                     "phenotype": {"gender": 1.0, "age": 0.67, "weight": 0.58, "muscle": 0.5}},
 }  # fmt: skip
 

@@ -75,6 +75,6 @@ fi
 say "installing the locked packages into $VENV (about 900 MB)"
 # UV_PROJECT_ENVIRONMENT and VIRTUAL_ENV of the caller must not send the packages elsewhere.
 env -u VIRTUAL_ENV UV_PROJECT_ENVIRONMENT="$VENV" UV_PYTHON_DOWNLOADS=never \
-    "$UV_VENV/bin/uv" sync --frozen --quiet --python "$PYTHON"
+    "$UV_VENV/bin/uv" sync --frozen --quiet --compile-bytecode --python "$PYTHON"
 printf '%s\n' "$wanted" >"$STAMP"
 say "ready"

@@ -27,8 +27,10 @@ class ConfigError(CarecontactError):
     pass
 
 
-class UnknownNameError(ConfigError):
-    """A name that is not registered; the message lists those that are."""
+class UnknownNameError(ConfigError, KeyError):
+    """A name that is not registered; lists those that are. Also a KeyError, as ``get`` of a mapping expects."""
+
+    __str__ = Exception.__str__  # KeyError would show the message in quotes
 
     def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
         self.kind, self.name, self.valid = kind, name, sorted(valid)

@@ -54,6 +54,6 @@ class Registry(Mapping[str, T], Generic[T]):
     def _load_external(self) -> None:
         if self._external_loaded:
             return
-        self._external_loaded = True
         for point in entry_points(group=f"carecontact.{self.plural}"):
             self._rows.setdefault(point.name, point.load())
+        self._external_loaded = True

@@ -126,9 +126,18 @@ FAR, NEAR, INSIDE = (0.0, 0.0, 0.3), (0.0, 0.0, 0.055), (0.0, 0.0, 0.03)
         ([(0.5, NEAR)], ("rgb",), "planning"),
         ([(0.5, INSIDE)], ("rgb",), "execution"),
         ([(0.5, (0.0, 0.2, 0.0)), (0.8, (0.0, -0.2, 0.0))], ("rgb",), "execution"),
-        ([], ("rgb",), "planning"),
+        ([], ("rgb",), "perception"),
+        ([], (), "planning"),
     ],
-    ids=["elsewhere", "elsewhere, blind", "stops above", "reaches", "passes through between targets", "none"],
+    ids=[
+        "elsewhere",
+        "elsewhere, blind",
+        "stops above",
+        "reaches",
+        "passes through between targets",
+        "gives up",
+        "blind",
+    ],
 )
 def test_no_contact(targets: list, modalities: tuple, expected: str) -> None:
     high = np.tile([0.0, 0.0, 0.4], (1500, 1))

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
+from carecontact.contract.geometry import matrix_from_quat
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import Scene, build_scene
 
+COMFORT_ARM_DEG = 52.5
 DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 """quat_wxyz of a tool whose z points to the floor."""
 
@@ -20,7 +23,7 @@ def forearm_scene() -> Scene:
 def settled_state(forearm_scene: Scene) -> tuple[np.ndarray, float]:
     """Integration state after settling at 52.5 deg, and how long that took."""
     simulation = Simulation(forearm_scene)
-    settled = simulation.settle(52.5)
+    settled = simulation.settle(COMFORT_ARM_DEG)
     return simulation.integration_state(), settled.duration_s
 
 
@@ -28,7 +31,7 @@ def settled_state(forearm_scene: Scene) -> tuple[np.ndarray, float]:
 def settled(forearm_scene: Scene, settled_state: tuple[np.ndarray, float]) -> Simulation:
     """A simulation at t = 0 with the robot parked; each test has its own data."""
     simulation = Simulation(forearm_scene)
-    simulation.restore(settled_state[0])
+    simulation.restore(settled_state[0], comfort_arm_deg=COMFORT_ARM_DEG)
     return simulation
 
 
@@ -36,7 +39,7 @@ def settled(forearm_scene: Scene, settled_state: tuple[np.ndarray, float]) -> Si
 def pressing_state(forearm_scene: Scene, settled_state: tuple[np.ndarray, float]) -> np.ndarray:
     """Integration state with the tool resting on the forearm at about 6 N."""
     simulation = Simulation(forearm_scene)
-    simulation.restore(settled_state[0])
+    simulation.restore(settled_state[0], comfort_arm_deg=COMFORT_ARM_DEG)
     top = top_of_forearm(simulation)
     move_to(simulation, top + [0, 0, 0.10], 4.0)
     move_to(simulation, top - [0, 0, 0.02], 3.0)
@@ -47,7 +50,7 @@ def pressing_state(forearm_scene: Scene, settled_state: tuple[np.ndarray, float]
 @pytest.fixture
 def pressing(forearm_scene: Scene, pressing_state: np.ndarray) -> Simulation:
     simulation = Simulation(forearm_scene)
-    simulation.restore(pressing_state)
+    simulation.restore(pressing_state, comfort_arm_deg=COMFORT_ARM_DEG)
     return simulation
 
 
@@ -60,12 +63,12 @@ def top_of_forearm(simulation: Simulation) -> np.ndarray:
     return np.array([middle[0], middle[1], near[:, 2].max()])
 
 
-def move_to(simulation: Simulation, position_in_world: np.ndarray, seconds: float) -> None:
-    """Send the TCP, pointing down, toward a point in the world and run."""
+def in_base(simulation: Simulation, position_in_world: npt.ArrayLike) -> np.ndarray:
     base = simulation.pose_base_in_world
-    yaw = 2 * np.arctan2(base[6], base[3])
-    c, s = np.cos(-yaw), np.sin(-yaw)
-    offset = position_in_world - base[:3]
-    position = np.array([c * offset[0] - s * offset[1], s * offset[0] + c * offset[1], offset[2]])
-    simulation.set_goal(np.r_[position, DOWN], seconds)
+    return matrix_from_quat(base[3:]).T @ (np.asarray(position_in_world) - base[:3])
+
+
+def move_to(simulation: Simulation, position_in_world: npt.ArrayLike, seconds: float) -> None:
+    """Send the TCP, pointing down, toward a point in the world and run."""
+    simulation.set_goal(np.r_[in_base(simulation, position_in_world), DOWN], seconds)
     simulation.advance(round(seconds / simulation.model.opt.timestep))

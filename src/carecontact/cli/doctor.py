@@ -162,10 +162,11 @@ def check_assets() -> Finding:
         for note in folder.iterdir():
             if not note.name.endswith(".provenance.json"):
                 continue
-            baked = folder / f"{note.name.removesuffix('.provenance.json')}.npz"
-            name = f"{folder.name}/{baked.name}"
+            stem = note.name.removesuffix(".provenance.json")
+            baked = next((p for p in (folder / f"{stem}.npz", folder / f"{stem}.png") if p.is_file()), None)
+            name = f"{folder.name}/{baked.name if baked else stem}"
             expected = json.loads(note.read_bytes())["sha256"]
-            if baked.is_file() and hashlib.sha256(baked.read_bytes()).hexdigest() == expected:
+            if baked and hashlib.sha256(baked.read_bytes()).hexdigest() == expected:
                 checked.append(name)
             else:
                 wrong.append(f"{name} is missing or is not what its provenance file says")

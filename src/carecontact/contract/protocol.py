@@ -6,7 +6,7 @@ import hashlib
 import json
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Positive = Annotated[float, Field(gt=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -154,8 +154,8 @@ class Camera(Section):
     look_at_m: Vec3
     up: Vec3
     fovy_deg: Positive
-    width: int
-    height: int
+    width: Annotated[int, Field(gt=0, le=1280)]
+    height: Annotated[int, Field(gt=0, le=960)]
     mount: Literal["world", "hand"] = "world"
 
 
@@ -194,6 +194,48 @@ class Protocol(Section):
         """F_pain [N] of a segment; ``right_forearm`` and ``left_forearm`` are both ``forearm``."""
         limits = self.limits.f_pain_n
         return limits.get(segment.removeprefix("right_").removeprefix("left_"), min(limits.values()))
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Protocol:
+        """What single fields cannot tell; every fault is a ValueError naming the section."""
+        regions = {"forearm", "upper_arm", "abdomen"}
+        for name, got in (
+            ("person.tissue", set(self.person.tissue)),
+            ("contact.neighbourhood", set(self.contact.neighbourhood)),
+        ):
+            if got != regions:
+                raise ValueError(f"{name}: expected exactly {sorted(regions)}, got {sorted(got)}")
+        if set(self.cameras) != {"overhead", "bedside", "exterior", "wrist"}:
+            raise ValueError(f"cameras: expected overhead, bedside, exterior and wrist, got {sorted(self.cameras)}")
+        ids = [t.id for t in self.tasks]
+        if not ids or len(set(ids)) != len(ids):
+            raise ValueError(f"tasks: ids must be there and differ, got {ids}")
+        if (
+            len(set(self.randomization.seeds)) != len(self.randomization.seeds)
+            or min(self.randomization.seeds, default=-1) < 0
+        ):
+            raise ValueError("randomization.seeds: expected different numbers from 0 up")
+        if self.contact.off_n >= self.contact.on_n:
+            raise ValueError(f"contact.off_n {self.contact.off_n} must be below on_n {self.contact.on_n}")
+        if not self.limits.f_pain_n or min(self.limits.f_pain_n.values()) <= 0:
+            raise ValueError("limits.f_pain_n: expected at least one segment, each above 0 N")
+        impedance = self.impedance
+        ranges = {
+            "randomization.comfort_arm_deg": [self.randomization.comfort_arm_deg],
+            "impedance.translational_bounds": [impedance.translational_bounds],
+            "impedance.rotational_bounds": [impedance.rotational_bounds],
+            "impedance.workspace": list(zip(impedance.workspace_low_m, impedance.workspace_high_m, strict=True)),
+            "scene.board": list(zip(self.scene.board_low_m, self.scene.board_high_m, strict=True)),
+            "phases.settle": [(self.phases.settle_min_s, self.phases.settle_max_s)],
+        }
+        for name, pairs in ranges.items():
+            for low, high in pairs:
+                if not low < high:
+                    raise ValueError(f"{name}: low {low} is not below high {high}")
+        steps = self.physics.target_period_s / self.physics.dt_s
+        if abs(steps - round(steps)) > 1e-9:
+            raise ValueError(f"physics.target_period_s must be a whole number of dt_s, got {steps:g} steps")
+        return self
 
     @property
     def sha256(self) -> str:

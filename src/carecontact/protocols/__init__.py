@@ -24,17 +24,17 @@ def load_protocol(name_or_path: str = DEFAULT_PROTOCOL) -> Protocol:
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """
     if name_or_path in shipped_protocols():
-        text, place = (resources.files(__name__) / f"{name_or_path}.toml").read_text(), name_or_path
+        data, place = (resources.files(__name__) / f"{name_or_path}.toml").read_bytes(), name_or_path
     elif name_or_path.endswith(".toml"):
         path = Path(name_or_path)
         if not path.is_file():
             raise ConfigError(f"protocol file {path} does not exist")
-        text, place = path.read_text(), str(path)
+        data, place = path.read_bytes(), str(path)
     else:
         raise UnknownNameError("protocol", name_or_path, shipped_protocols())
     try:
-        return Protocol.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
+        return Protocol.model_validate(tomllib.loads(data.decode()))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{place}: not TOML: {error}") from None
     except ValidationError as error:
         lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']} (got {str(e['input'])[:80]})" for e in error.errors()]

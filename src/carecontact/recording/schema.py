@@ -28,7 +28,7 @@ REGION_SEGMENT = {"forearm": "right_forearm", "upper_arm": "right_upper_arm", "a
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
 
 ARRAYS: dict[str, tuple[str, str]] = {
-    "scorer/time_s": ("f8", "(T,) since t = 0, at the end of each physics step"),
+    "scorer/time_s": ("f8", "(T,) since t = 0, at the start of each physics step, when its forces act"),
     "scorer/force_human_from_robot_in_world": ("f4", "(T, S, 3) [N] vector sum over the segment's robot contacts"),
     "scorer/normal_force": ("f4", "(T, S) [N] sum of per-contact normal magnitudes"),
     "scorer/centroid_in_world": ("f4", "(T, S, 3) [m] force-weighted contact centroid, 0 without contact"),

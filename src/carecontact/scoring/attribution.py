@@ -46,11 +46,13 @@ def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribut
         return "safety", _safety_evidence(contact)
     region = contact.task.region.replace("_", " ")
     path = commanded_path(contact)
+    modalities = _vision_modalities(contact)
     if path is None:
-        return "planning", "The policy commanded no motion."
+        if modalities:
+            return "perception", f"The policy saw {', '.join(modalities)} and commanded no motion."
+        return "planning", "The policy asked for no images and commanded no motion."
     closest = float(path.distance.min())
     if closest > NEAR_REGION_M:
-        modalities = _vision_modalities(contact)
         where = f"The commanded path came no closer than {_mm(closest)} to the surface of the {region}"
         if modalities:
             return "perception", f"{where}, although the policy saw {', '.join(modalities)}."

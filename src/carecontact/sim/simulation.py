@@ -23,7 +23,6 @@ from carecontact.sim.proprioception import Proprioception
 from carecontact.world.human.pose import lying_pose_deg
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
-from carecontact.world.sensors import CONTACT_SLOTS
 
 F64 = npt.NDArray[np.float64]
 SOLVER_WARNINGS = (
@@ -88,12 +87,16 @@ class Simulation:
         self._read = _Columns(self.history, self.joint_names)
         self.interpolator = TargetInterpolator(self.protocol.physics)
         self.posture = np.array(self.protocol.scene.parked_joint_rad)
-        self._zero_s = 0.0
+        self.normal_sum_truncated = False
+        """A segment had more contacts at once than its normal sensor has slots."""
+        self._steps = 0
         self._until_target = 0
+        self.set_stiffness(self.protocol.impedance.translational_n_m, self.protocol.impedance.rotational_nm_rad)
 
     @property
     def time_s(self) -> float:
-        return self.data.time - self._zero_s
+        # Counted, not read: MjData.time adds up rounding errors that a policy would see.
+        return self._steps * self.model.opt.timestep
 
     @property
     def joint_columns(self) -> npt.NDArray[np.int64]:
@@ -137,11 +140,14 @@ class Simulation:
 
     def _lay_down(self, comfort_arm_deg: float) -> None:
         mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[self._human_qpos] = self._rest_joints_at(comfort_arm_deg)
+
+    def _rest_joints_at(self, comfort_arm_deg: float) -> F64:
+        """Set the passive joints' rest angles, which live in the model; returns them (J,) [rad]."""
         pose = lying_pose_deg(comfort_arm_deg)
-        for hinge, address in zip(self.scene.hinges, self._human_qpos, strict=True):
-            angle = np.radians(pose.get(hinge.name, hinge.bind_deg))
-            self.data.qpos[address] = angle
-            self.model.qpos_spring[address] = angle
+        angles = np.radians([pose.get(hinge.name, hinge.bind_deg) for hinge in self.scene.hinges])
+        self.model.qpos_spring[self._human_qpos] = angles
+        return angles
 
     def park(self) -> None:
         """Put the robot at its parked joints and the target on its TCP."""
@@ -172,7 +178,7 @@ class Simulation:
 
     def start(self) -> None:
         """T = 0."""
-        self._zero_s = float(self.data.time)
+        self._steps = 0
         self._until_target = 0
 
     def set_goal(self, pose_in_base: F64 | None, period_s: float) -> None:
@@ -193,6 +199,7 @@ class Simulation:
             count = min(steps, self._until_target)
             mujoco.mj_step(self.model, self.data, count)
             out.append(self._samples(count))
+            self._steps += count
             steps -= count
             self._until_target -= count
         return out
@@ -201,8 +208,12 @@ class Simulation:
         """(R,) largest inward anchor displacement now [m]."""
         return np.array([max(0.0, float(self.data.qpos[self._anchor_qpos[r]].max())) for r in REGIONS])
 
-    def restore(self, state: F64) -> None:
-        """Continue from a vector of ``integration_state`` at a new t = 0; the impedance target stays where it was."""
+    def restore(self, state: F64, *, comfort_arm_deg: float) -> None:
+        """Continue from a vector of ``integration_state`` at a new t = 0; the impedance target stays where it was.
+
+        ``comfort_arm_deg`` is the angle at which the person was laid: the joints' rest angles are no part of the state.
+        """
+        self._rest_joints_at(comfort_arm_deg)
         mujoco.mj_setState(self.model, self.data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
         mujoco.mj_forward(self.model, self.data)
         self.interpolator.reset(target_in_base(self.model, self.data))
@@ -219,61 +230,61 @@ class Simulation:
         return out
 
     def _samples(self, count: int) -> Samples:
-        times, values = self.history.last(self.data, count)
-        return self._read.samples(times - self._zero_s, values)
+        _, values = self.history.last(self.data, count)
+        self.normal_sum_truncated |= self._read.overfull(values)
+        return self._read.samples((self._steps + np.arange(count)) * self.model.opt.timestep, values)
 
 
 class _Columns:
-    """Where each stream lies in a row of sensor values."""
+    """Where each stream lies in a row of sensor values, as index arrays: one gather a stream."""
+
+    SLOT = 4
+    """Numbers in a contact slot of the normal sensors: found, then force in the contact frame, normal first."""
 
     def __init__(self, history: SensorHistory, joint_names: list[str]) -> None:
-        at = history.columns
-        soft = {segment: region for region, segment in REGION_SEGMENT.items()}
-        self._net = [[at(f"net_{s}{x}") for x in (("", "_tissue") if s in soft else ("",))] for s in SEGMENTS]
-        self._normal = [
-            [
-                (at(f"normal_{s}{x}"), CONTACT_SLOTS["soft" if x else "rigid"])
-                for x in (("", "_tissue") if s in soft else ("",))
-            ]
-            for s in SEGMENTS
-        ]
-        self.joints = np.array([at(f"q_{n}").start for n in joint_names])
-        self._at = at
+        def span(*names: str) -> npt.NDArray[np.int64]:
+            return np.array([np.arange(history.columns(n).start, history.columns(n).stop) for n in names])
+
+        soft = [f"{REGION_SEGMENT[r]}_tissue" for r in REGIONS]
+        self._soft = np.array([SEGMENTS.index(REGION_SEGMENT[r]) for r in REGIONS])
+        # Net force and its centroid, of the rigid geoms (S, 6) and of the shells (R, 6).
+        self._net = span(*(f"net_{s}" for s in SEGMENTS)), span(*(f"net_{s}" for s in soft))
+        self._normal = (
+            span(*(f"normal_{s}" for s in SEGMENTS))[:, 1 :: self.SLOT],
+            span(*(f"normal_{s}" for s in soft))[:, 1 :: self.SLOT],
+        )
+        # Number of contacts matched, and the most that the slots of each sensor hold.
+        self._found = np.array([history.columns(f"normal_{s}").start for s in (*SEGMENTS, *soft)])
+        self._slots = np.repeat([n.shape[1] for n in self._normal], [len(SEGMENTS), len(soft)])
+        self.joints = span(*(f"q_{n}" for n in joint_names))[:, 0]
+        self._tcp_pose = np.concatenate([span("tcp_position")[0], span("tcp_quat")[0]])
+        self._tcp_velocity, self._tcp_rotation = span("tcp_velocity")[0], span("tcp_rotation")[0]
+        self._wrist = span("wrist_position")[0]
+        self._regions = np.concatenate(
+            [span(*(f"region_{r}_position" for r in REGIONS)), span(*(f"region_{r}_quat" for r in REGIONS))], 1
+        )
+
+    def overfull(self, values: F64) -> bool:
+        """Whether a normal sum misses contacts that found no slot."""
+        return bool((values[:, self._found] > self._slots).any())
 
     def samples(self, time_s: F64, values: F64) -> Samples:
-        n = len(values)
-        force, centroid, normal = (
-            np.zeros((n, len(SEGMENTS), 3)),
-            np.zeros((n, len(SEGMENTS), 3)),
-            np.zeros((n, len(SEGMENTS))),
-        )
-        for s, (nets, normals) in enumerate(zip(self._net, self._normal, strict=True)):
-            weight = np.zeros(n)
-            for columns in nets:
-                part = values[:, columns]
-                # Sensor slot: force then position; the net force acts on the second body of the pair, the human.
-                size = np.linalg.norm(part[:, :3], axis=1)
-                force[:, s] += part[:, :3]
-                centroid[:, s] += size[:, None] * part[:, 3:6]
-                weight += size
-            touched = weight > 0
-            centroid[touched, s] /= weight[touched, None]
-            for columns, slots in normals:
-                part = values[:, columns].reshape(n, slots, 4)
-                normal[:, s] += np.abs(part[:, :, 1]).sum(1)
-        regions = np.stack(
-            [
-                np.concatenate(
-                    [values[:, self._at(f"region_{r}_position")], values[:, self._at(f"region_{r}_quat")]], 1
-                )
-                for r in REGIONS
-            ],
-            1,
-        )
+        rigid, shell = values[:, self._net[0]], values[:, self._net[1]]
+        # The net force acts on the second body of the pair, the human.
+        force = rigid[..., :3].copy()
+        force[:, self._soft] += shell[..., :3]
+        weight = np.linalg.norm(rigid[..., :3], axis=2, keepdims=True)
+        shell_weight = np.linalg.norm(shell[..., :3], axis=2, keepdims=True)
+        centroid = weight * rigid[..., 3:]
+        centroid[:, self._soft] += shell_weight * shell[..., 3:]
+        weight[:, self._soft] += shell_weight
+        np.divide(centroid, weight, out=centroid, where=weight > 0)
+        normal = np.abs(values[:, self._normal[0]]).sum(2)
+        normal[:, self._soft] += np.abs(values[:, self._normal[1]]).sum(2)
         return Samples(
             time_s=time_s, force=force, normal=normal, centroid=centroid, human_joint=values[:, self.joints],
-            tcp_pose=np.concatenate([values[:, self._at("tcp_position")], values[:, self._at("tcp_quat")]], 1),
-            tcp_speed=np.linalg.norm(values[:, self._at("tcp_velocity")], axis=1),
-            tcp_rotation_speed=np.linalg.norm(values[:, self._at("tcp_rotation")], axis=1),
-            wrist=values[:, self._at("wrist_position")], region_pose=regions,
+            tcp_pose=values[:, self._tcp_pose],
+            tcp_speed=np.linalg.norm(values[:, self._tcp_velocity], axis=1),
+            tcp_rotation_speed=np.linalg.norm(values[:, self._tcp_rotation], axis=1),
+            wrist=values[:, self._wrist], region_pose=values[:, self._regions],
         )  # fmt: skip

@@ -83,7 +83,8 @@ def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> R
         sha256={
             "model": scene.model_sha256, "protocol": protocol.sha256, "body": scene.body.sha256, "robot": panda_sha256()
         },
-        solver_warnings=simulation.solver_warnings(),
+        solver_warnings=simulation.solver_warnings()
+        + (["normal-force sensor full: normal sums are too small"] if simulation.normal_sum_truncated else []),
     )  # fmt: skip
     return Recording(header=header, arrays=trial.log.arrays())
 

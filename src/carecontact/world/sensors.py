@@ -8,9 +8,8 @@ from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.skeleton import body_name, tissue_body_name
 
-FORCE, POSITION_AND_FOUND = "force", "found"
 CONTACT_SLOTS = {"soft": 40, "rigid": 12}
-"""Contacts kept per segment for the normal sum; a fuller set would be truncated, which the trial checks."""
+"""Contacts kept per segment for the normal sum; the recording says so if a segment ever had more at once."""
 
 # MuJoCo 4.0 mjtConDataField bits, in the order in which a slot lays them out.
 FOUND_BIT, FORCE_BIT, POS_BIT = 1 << 0, 1 << 1, 1 << 4

@@ -90,13 +90,16 @@ class Body:
 
 
 def load_body(name: str) -> Body:
-    """Raises UnknownNameError, or AssetError when the archive does not match its recorded hash."""
+    """Raises UnknownNameError, or AssetError when the archive's recorded hash is missing or another one."""
     if name not in body_names():
         raise UnknownNameError("body", name, body_names())
     folder = resources.files("carecontact") / "assets" / "bodies"
     data = (folder / f"{name}.npz").read_bytes()
     digest = hashlib.sha256(data).hexdigest()
-    expected = json.loads((folder / f"{name}.provenance.json").read_text())["sha256"]
+    try:
+        expected = json.loads((folder / f"{name}.provenance.json").read_text())["sha256"]
+    except OSError as error:
+        raise AssetError(f"body {name}: {error}; reinstall the package or run tools/bake_body.py") from None
     if digest != expected:
         raise AssetError(f"body {name}.npz has sha256 {digest[:12]}..., its provenance file says {expected[:12]}...")
     with resources.as_file(folder / f"{name}.npz") as path, np.load(path) as z:

@@ -93,7 +93,7 @@ def supination_of(palm: Array, elbow: Array, forearm: Array, sign: float) -> flo
 
 
 def hand_axes(body: Body, side: str) -> tuple[Array, Array]:
-    """Palm normal (out of the palm) and radial direction (toward the thumb) of a hand in the bind pose, unit vectors."""
+    """Palm normal (out of the palm) and radial direction (toward the thumb) of a hand in the bind pose, unit."""
     h, letter = body.direction(f"{side}_hand"), side[0].upper()
     radial = body.landmarks[f"finger2-1.{letter}"] - body.landmarks[f"finger5-1.{letter}"]
     radial = radial - (radial @ h) * h

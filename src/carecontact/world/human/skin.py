@@ -25,15 +25,15 @@ class Appearance:
 
 
 def baked_texture(name: str) -> npt.NDArray[np.uint8]:
-    """(TEXTURE_SIZE, TEXTURE_SIZE, 3) default texture of a shipped body. Raises AssetError if it is missing or broken."""
+    """(TEXTURE_SIZE, TEXTURE_SIZE, 3) default texture of a shipped body. Raises AssetError if missing or broken."""
     path = resources.files("carecontact") / "assets" / "bodies" / f"{name}.skin.png"
     try:
-        image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR_RGB)
-    except OSError as error:
+        image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
+    except (OSError, cv2.error) as error:
         raise AssetError(f"skin of body {name}: {error}; reinstall the package or run tools/bake_skin.py") from None
     if image is None or image.shape != (TEXTURE_SIZE, TEXTURE_SIZE, 3):
         raise AssetError(f"skin of body {name}: {path} is not a {TEXTURE_SIZE} x {TEXTURE_SIZE} colour PNG")
-    return np.asarray(image, np.uint8)
+    return np.ascontiguousarray(image[..., ::-1], np.uint8)
 
 
 def add_skin(spec: mujoco.MjSpec, body: Body) -> None:

@@ -1,0 +1,118 @@
+"""Speed of the physics, of a whole trial and of the command line, as JSON on standard output.
+
+    python benchmarks/speed.py [--task T3] [--without-trial]
+
+Timings on a shared machine wander: physics is the best of several batches in CPU seconds of this process, and the ratio
+of contact to rest is taken in the same run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from carecontact.contract.geometry import matrix_from_quat
+from carecontact.contract.protocol import Protocol
+from carecontact.protocols import load_protocol
+from carecontact.recording.schema import REGION_SEGMENT, SEGMENTS
+from carecontact.sim.simulation import Simulation
+from carecontact.world.scene import build_scene
+
+BATCHES, BATCH_STEPS = 8, 250
+DOWN = np.array([0.0, 1.0, 0.0, 0.0])
+
+
+def microseconds_per_step(simulation: Simulation) -> float:
+    best = np.inf
+    for _ in range(BATCHES):
+        start = time.process_time()
+        simulation.advance(BATCH_STEPS)
+        best = min(best, (time.process_time() - start) / BATCH_STEPS)
+    return round(best * 1e6, 1)
+
+
+def press(simulation: Simulation, region: str) -> float:
+    """Bring the tool onto the region at about 10 N; returns the force [N]."""
+    model, data = simulation.model, simulation.data
+    ids = [model.body(f"{region}_v{k}").id for k in simulation.scene.regions[region].vertex_index]
+    middle = data.site(f"region_{region}").xpos.copy()
+    skin = data.xpos[ids]
+    top = skin[np.linalg.norm(skin[:, :2] - middle[:2], axis=1) < 0.02][:, 2].max()
+    base = simulation.pose_base_in_world
+    for height, seconds in ((0.12, 4.0), (-0.035, 3.0)):
+        goal = matrix_from_quat(base[3:]).T @ (np.array([*middle[:2], top + height]) - base[:3])
+        simulation.set_goal(np.r_[goal, DOWN], seconds)
+        simulation.advance(round((seconds + 0.5) / model.opt.timestep))
+    force = simulation.advance(10)[-1].force[-1, SEGMENTS.index(REGION_SEGMENT[region])]
+    return float(np.linalg.norm(force))
+
+
+def physics(protocol: Protocol, region: str) -> dict[str, object]:
+    start = time.perf_counter()
+    scene = build_scene(protocol, target=region)
+    built = time.perf_counter()
+    simulation = Simulation(scene)
+    simulation.settle(52.5)
+    settled = time.perf_counter()
+    simulation.start()
+    rest = microseconds_per_step(simulation)
+    force = press(simulation, region)
+    contact = microseconds_per_step(simulation)
+    dt = scene.model.opt.timestep
+    return {
+        "region": region, "dt_s": dt, "dofs": scene.model.nv, "shell_vertices_free": {
+            name: len(r.vertex_index) for name, r in scene.regions.items()
+        },
+        "build_wall_s": round(built - start, 2), "settle_wall_s": round(settled - built, 2), "force_n": round(force, 1),
+        "us_per_step_rest": rest, "us_per_step_contact": contact, "contact_over_rest": round(contact / rest, 2),
+        "real_time_factor_contact": round(dt * 1e6 / contact, 2),
+    }  # fmt: skip
+
+
+def whole_trial(task: str) -> dict[str, object]:
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "carecontact.cli", "run", "--policy", "state-machine", "--tasks", task]
+        start = time.perf_counter()
+        subprocess.run([*command, "--seeds", "0", "--jobs", "1", "--out", folder], check=True, capture_output=True)
+        wall = time.perf_counter() - start
+        score = json.loads((Path(folder) / "results.json").read_text())
+    simulated = next(t["duration_s"] for t in score["trials"])
+    return {"task": task, "simulated_s": simulated, "wall_s_with_scores_and_report": round(wall, 2)}
+
+
+def help_seconds() -> float:
+    times = []
+    for _ in range(5):
+        start = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "carecontact.cli", "--help"], check=True, capture_output=True)
+        times.append(time.perf_counter() - start)
+    return round(min(times), 3)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--task", default="T3", help="task of the whole trial")
+    parser.add_argument("--without-trial", action="store_true")
+    arguments = parser.parse_args()
+    protocol = load_protocol()
+    out: dict[str, object] = {
+        "mujoco": mujoco.__version__, "cores": os.cpu_count(), "load_before": os.getloadavg()[0],
+        "physics": [physics(protocol, region) for region in ("forearm", "upper_arm", "abdomen")],
+        "help_s": help_seconds(),
+    }  # fmt: skip
+    if not arguments.without_trial:
+        out["trial"] = whole_trial(arguments.task)
+    print(json.dumps(out, indent=2))
+
+
+if __name__ == "__main__":
+    main()

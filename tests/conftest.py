@@ -1,0 +1,21 @@
+"""Fixtures that several layers share. The simulator is imported only by the tests that ask for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from carecontact.world.scene import Scene
+
+
+@pytest.fixture(scope="session")
+def scene_of() -> Callable[[str | None], Scene]:
+    """Target region -> the compiled scene of the default protocol with the visible skin; read only, built once."""
+    from carecontact.protocols import load_protocol
+    from carecontact.world.scene import build_scene
+
+    return cache(lambda target: build_scene(load_protocol(), target=target))

@@ -1,0 +1,135 @@
+"""check_action: the border behind which every action is inside the published bounds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from carecontact.contract.action import Action, ActionBounds, check_action
+from carecontact.errors import ActionError
+
+LOW, HIGH = (0.0, -0.6, 0.1), (1.0, 0.5, 0.75)
+BOUNDS = ActionBounds(
+    workspace_low_m=LOW,
+    workspace_high_m=HIGH,
+    translational_stiffness=(100.0, 1000.0),
+    rotational_stiffness=(5.0, 50.0),
+)
+INSIDE = (0.5, 0.0, 0.3)
+
+
+def pose(*position: float, quat: tuple[float, ...] = (0.0, 1.0, 0.0, 0.0)) -> np.ndarray:
+    return np.array([*position, *quat])
+
+
+def test_quaternion_is_made_unit_and_the_callers_array_stays() -> None:
+    given_pose = pose(*INSIDE, quat=(0.603, 0.0, 0.804, 0.0))
+    kept = given_pose.copy()
+    checked = check_action(Action(pose_tcp_in_base=given_pose), BOUNDS).pose_tcp_in_base
+    assert checked is not None
+    np.testing.assert_allclose(checked, [*INSIDE, 0.6, 0.0, 0.8, 0.0], atol=1e-12)
+    np.testing.assert_array_equal(given_pose, kept)
+
+
+def test_empty_action_keeps_everything() -> None:
+    assert check_action(Action(), BOUNDS) == Action()
+
+
+def test_other_fields_arrive() -> None:
+    checked = check_action(Action(stiffness=(400, 20), gripper=0.25, done=True), BOUNDS)
+    assert checked == Action(stiffness=(400.0, 20.0), gripper=0.25, done=True)
+
+
+def test_whole_numbers_are_numbers() -> None:
+    whole = ActionBounds(
+        workspace_low_m=(0, 0, 0),
+        workspace_high_m=(3, 3, 3),
+        translational_stiffness=(1, 2),
+        rotational_stiffness=(1, 2),
+    )
+    checked = check_action(Action(pose_tcp_in_base=np.array([1, 2, 3, 1, 0, 0, 0])), whole).pose_tcp_in_base
+    assert checked is not None
+    assert checked.dtype == np.float64
+    assert checked.tolist() == [1, 2, 3, 1, 0, 0, 0]
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize(("side", "bound"), [(-1, LOW), (1, HIGH)], ids=["low", "high"])
+def test_workspace_faces_belong_to_it_and_nothing_beyond_does(axis: int, side: int, bound: tuple[float, ...]) -> None:
+    position = list(INSIDE)
+    position[axis] = bound[axis]
+    check_action(Action(pose_tcp_in_base=pose(*position)), BOUNDS)
+    position[axis] += side * 1e-6
+    with pytest.raises(ActionError, match=r"pose_tcp_in_base: position .* outside the workspace .* in base"):
+        check_action(Action(pose_tcp_in_base=pose(*position)), BOUNDS)
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        (np.zeros(6), r"expected 7 numbers .* got shape \(6,\)"),
+        (np.zeros((1, 7)), r"got shape \(1, 7\)"),
+        (np.zeros(0), r"got shape \(0,\)"),
+        (np.ones(7, bool), "bool"),
+        (np.array(list("abcdefg")), "got shape"),
+        (pose(*INSIDE).astype(complex), "complex128"),
+        (pose(np.nan, 0.0, 0.3), "finite"),
+        (pose(*INSIDE, quat=(np.inf, 0, 0, 0)), "finite"),
+        (pose(*INSIDE, quat=(0, 0, 0, 0)), "quaternion norm 0, expected 1"),
+        (pose(*INSIDE, quat=(0.98, 0, 0, 0)), "quaternion norm 0.98"),
+        (pose(*INSIDE, quat=(0, 0, 0, 1.02)), "quaternion norm 1.02"),
+    ],
+)
+def test_wrong_pose_is_named(bad: Any, message: str) -> None:
+    with pytest.raises(ActionError, match=message):
+        check_action(Action(pose_tcp_in_base=bad), BOUNDS)
+
+
+@pytest.mark.parametrize("good", [(100.0, 5.0), (1000.0, 50.0), (400.0, 20.0)])
+def test_stiffness_bounds_are_allowed_values(good: tuple[float, float]) -> None:
+    assert check_action(Action(stiffness=good), BOUNDS).stiffness == good
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ((99.9, 20.0), r"99.9 N/m is outside \[100.0, 1000.0\]"),
+        ((1000.1, 20.0), "1000.1 N/m"),
+        ((400.0, 4.9), r"4.9 N m/rad is outside \[5.0, 50.0\]"),
+        ((400.0, 50.1), "50.1 N m/rad"),
+        ((float("nan"), 20.0), "nan N/m"),
+        ((400.0, float("nan")), "nan N m/rad"),
+        ((400.0,), "got 1 numbers"),
+        ((400.0, 20.0, 20.0), "got 3 numbers"),
+    ],
+)
+def test_stiffness_outside_its_bounds_is_refused_not_clamped(bad: Any, message: str) -> None:
+    with pytest.raises(ActionError, match=message):
+        check_action(Action(stiffness=bad), BOUNDS)
+
+
+@given(
+    arrays(np.float64, 7, elements=st.floats(-2, 2) | st.sampled_from([np.nan, np.inf, -np.inf])),
+    st.tuples(st.floats(), st.floats()),
+)
+def test_what_passes_is_inside_the_bounds(candidate: np.ndarray, stiffness: tuple[float, float]) -> None:
+    try:
+        checked = check_action(Action(pose_tcp_in_base=candidate), BOUNDS).pose_tcp_in_base
+    except ActionError:
+        checked = None
+    if checked is not None:
+        assert (checked[:3] >= LOW).all()
+        assert (checked[:3] <= HIGH).all()
+        assert np.linalg.norm(checked[3:]) == pytest.approx(1.0, abs=1e-12)
+    allowed = 100 <= stiffness[0] <= 1000 and 5 <= stiffness[1] <= 50
+    try:
+        check_action(Action(stiffness=stiffness), BOUNDS)
+    except ActionError:
+        assert not allowed
+    else:
+        assert allowed

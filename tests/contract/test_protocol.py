@@ -1,0 +1,139 @@
+"""The protocol's schema: strict about what is in a file, and a hash over all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from copy import deepcopy
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from carecontact.contract.protocol import Protocol
+from carecontact.protocols import load_protocol
+
+PROTOCOL = load_protocol()
+DUMP = PROTOCOL.model_dump(mode="json")
+Path = tuple[str | int, ...]
+
+
+def leaves(node: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
+    children = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else None
+    if children is None:
+        yield path, node
+        return
+    for key, child in children:
+        yield from leaves(child, (*path, key))
+
+
+def sections(node: Any, path: Path = ()) -> Iterator[Path]:
+    """Places whose keys the schema fixes; the free-key tables hold only numbers or lists of names."""
+    if isinstance(node, dict):
+        if not set(path) & {"neighbourhood", "f_pain_n"}:
+            yield path
+        for key, child in node.items():
+            yield from sections(child, (*path, key))
+    elif isinstance(node, list):
+        for index, child in enumerate(node):
+            yield from sections(child, (*path, index))
+
+
+def changed(path: Path, value: Any) -> dict[str, Any]:
+    out = deepcopy(DUMP)
+    node: Any = out
+    for key in path[:-1]:
+        node = node[key]
+    node[path[-1]] = value
+    return out
+
+
+def test_every_number_and_text_counts_in_the_hash() -> None:
+    seen = {PROTOCOL.sha256}
+    count = 0
+    for path, value in leaves(DUMP):
+        if isinstance(value, bool):
+            other: Any = not value
+        elif isinstance(value, int | float):
+            other = value + 1 if isinstance(value, int) else value * 1.01 + 1e-3
+        else:
+            other = value + "x"
+        try:
+            protocol = Protocol.model_validate(changed(path, other))
+        except ValidationError:
+            continue  # a literal, or a share beyond one
+        seen.add(protocol.sha256)
+        count += 1
+    assert count > 150
+    assert len(seen) == count + 1
+
+
+def test_hash_ignores_the_order_of_keys() -> None:
+    backwards = {key: DUMP[key] for key in reversed(DUMP)}
+    backwards["cameras"] = {key: DUMP["cameras"][key] for key in reversed(DUMP["cameras"])}
+    assert Protocol.model_validate(backwards).sha256 == PROTOCOL.sha256
+
+
+def test_hash_ignores_how_a_number_is_written() -> None:
+    assert isinstance(DUMP["impedance"]["translational_n_m"], float)
+    whole = changed(("impedance", "translational_n_m"), int(DUMP["impedance"]["translational_n_m"]))
+    assert Protocol.model_validate(whole).sha256 == PROTOCOL.sha256
+
+
+@pytest.mark.parametrize("path", list(sections(DUMP)), ids=lambda p: ".".join(map(str, p)) or "top")
+def test_no_section_takes_a_field_it_does_not_know(path: Path) -> None:
+    with pytest.raises(ValidationError) as caught:
+        Protocol.model_validate(changed((*path, "spam"), 1))
+    assert all(error["loc"][: len(path)] == path for error in caught.value.errors())
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_no_number_is_infinite_or_undefined(value: float) -> None:
+    accepted = []
+    for path, old in leaves(DUMP):
+        if isinstance(old, float):
+            try:
+                Protocol.model_validate(changed(path, value))
+            except ValidationError:
+                continue
+            accepted.append(path)
+    assert accepted == []
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("physics", "dt_s"), 0.0),
+        (("physics", "dt_s"), -0.002),
+        (("physics", "integrator"), "euler"),
+        (("gates", "scrub", "on_share"), 1.01),
+        (("gates", "region_share"), -0.1),
+        (("contact", "version"), "contact-v2"),
+        (("gates", "version"), "gates-v2"),
+        (("tasks", 0, "action"), "hit"),
+        (("tasks", 0, "region"), "head"),
+        (("scene", "parked_joint_rad"), [0.0] * 6),
+        (("cameras", "overhead", "mount"), "ceiling"),
+    ],
+)
+def test_impossible_values_are_refused(path: Path, value: Any) -> None:
+    with pytest.raises(ValidationError) as caught:
+        Protocol.model_validate(changed(path, value))
+    assert {error["loc"][: len(path)] for error in caught.value.errors()} == {path}
+
+
+def test_protocols_are_frozen() -> None:
+    with pytest.raises(ValidationError):
+        PROTOCOL.gates.push.force_n = 1.0
+
+
+def test_pain_limit_of_a_segment_ignores_the_side_and_falls_back_to_the_strictest() -> None:
+    limits = PROTOCOL.limits.model_copy(update={"f_pain_n": {"forearm": 100.0, "abdomen": 60.0, "thorax": 80.0}})
+    protocol = PROTOCOL.model_copy(update={"limits": limits})
+    segments = ("right_forearm", "left_forearm", "abdomen", "thorax", "head", "right_hand")
+    assert [protocol.f_pain(s) for s in segments] == [100, 100, 60, 80, 60, 60]
+
+
+def test_task_by_id() -> None:
+    assert PROTOCOL.task("T5").name == "Scrub upper arm"
+    with pytest.raises(KeyError):
+        PROTOCOL.task("T8")

@@ -1,0 +1,30 @@
+from __future__ import annotations
+
+import pytest
+from pydantic import ValidationError
+
+from carecontact.contract.trial import TrialSpec
+from carecontact.protocols import load_protocol
+
+SPEC = TrialSpec(protocol=load_protocol(), task_id="T3", seed=7, policy="hover")
+
+
+def test_ids_sort_like_seeds_and_differ_in_task_and_seed() -> None:
+    assert SPEC.trial_id == "T3-s007"
+    specs = [SPEC.model_copy(update={"seed": s, "task_id": t}) for t in ("T1", "T2") for s in (0, 2, 9, 10, 19, 100)]
+    ids = [spec.trial_id for spec in specs]
+    assert ids == sorted(ids)
+    assert len(set(ids)) == len(ids)
+
+
+def test_header_round_trip_keeps_the_protocols_hash() -> None:
+    back = TrialSpec.model_validate_json(SPEC.model_dump_json())
+    assert back == SPEC
+    assert back.protocol.sha256 == SPEC.protocol.sha256
+
+
+def test_a_spec_is_frozen_and_closed() -> None:
+    with pytest.raises(ValidationError):
+        SPEC.seed = 8
+    with pytest.raises(ValidationError, match="angle"):
+        TrialSpec.model_validate({**SPEC.model_dump(), "angle": 45})

@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import re
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from carecontact import protocols
+from carecontact.errors import ConfigError, UnknownNameError
+from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol, shipped_protocols
+
+TEXT = (resources.files(protocols) / f"{DEFAULT_PROTOCOL}.toml").read_text(encoding="utf-8")
+
+
+def written(folder: Path, text: str) -> str:
+    path = folder / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def without_field(field: str) -> str:
+    text, count = re.subn(rf"(?m)^{field} = .*\n", "", TEXT, count=1)
+    assert count == 1
+    return text
+
+
+def with_field(field: str, value: str) -> str:
+    text, count = re.subn(rf"(?m)^{field} = .*$", f"{field} = {value}", TEXT, count=1)
+    assert count == 1
+    return text
+
+
+def test_unknown_name_lists_the_shipped_ones() -> None:
+    with pytest.raises(UnknownNameError, match="no protocol named 'bathing'; valid: ") as caught:
+        load_protocol("bathing")
+    assert caught.value.valid == shipped_protocols()
+    assert DEFAULT_PROTOCOL in caught.value.valid
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"protocol file .*gone\.toml does not exist"):
+        load_protocol(str(tmp_path / "gone.toml"))
+
+
+def test_a_folder_is_no_protocol(tmp_path: Path) -> None:
+    (tmp_path / "folder.toml").mkdir()
+    with pytest.raises(ConfigError, match="does not exist"):
+        load_protocol(str(tmp_path / "folder.toml"))
+
+
+def test_bad_toml_names_file_and_line(tmp_path: Path) -> None:
+    path = written(tmp_path, "id = 'x'\nfrozen = perhaps\n")
+    with pytest.raises(ConfigError, match=r"mine\.toml: not TOML: .*line 2"):
+        load_protocol(path)
+
+
+def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_bytes(b"id = '\xff\xfe'\n")
+    with pytest.raises(ConfigError, match=r"mine\.toml: not TOML: "):
+        load_protocol(str(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (with_field("dt_s", '"fast"'), r"  physics\.dt_s: .*valid number.*\(got fast\)"),
+        (with_field("dt_s", "-0.002"), r"  physics\.dt_s: .*greater than 0.*\(got -0\.002\)"),
+        (with_field("force_n", "nan"), r"  gates\.push\.force_n: "),
+        (with_field("action", '"hit"'), r"  tasks\.0\.action: .*'touch', 'push' or 'scrub'.*\(got hit\)"),
+        (without_field("wrist_displacement_m"), r"  gates\.push\.wrist_displacement_m: Field required"),
+        (TEXT + "\n[physics.gravity]\nz = 1.0\n", r"  physics\.gravity: Extra inputs"),
+        ("spam = 1\n" + TEXT, r"  spam: Extra inputs"),
+    ],
+)
+def test_a_wrong_field_is_named_with_its_place_and_value(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=r"mine\.toml: 1 field\(s\) wrong\n" + message):
+        load_protocol(written(tmp_path, text))
+
+
+def test_all_wrong_fields_come_at_once(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"2 field\(s\) wrong\n") as caught:
+        load_protocol(written(tmp_path, "spam = 1\n" + without_field("dt_s")))
+    assert "spam" in str(caught.value)
+    assert "physics.dt_s" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", shipped_protocols())
+def test_hash_does_not_change_with_comments_spacing_or_spelling(tmp_path: Path, name: str) -> None:
+    text = (resources.files(protocols) / f"{name}.toml").read_text(encoding="utf-8")
+    plain = "\n".join(line for line in text.splitlines() if line and not line.startswith("#"))
+    noisy = "# ünïcode\n" + re.sub(r"(?m)^(\w+) = ", r"\1   =\t", plain.replace("\n[", "\n\n# a section\n["))
+    dt = load_protocol(name).physics.dt_s
+    respelled = re.sub(r"(?m)^dt_s = .*$", f"dt_s = {dt:.6e}", plain)
+    assert respelled != plain
+    expected = load_protocol(name)
+    for other in (plain, noisy, respelled):
+        loaded = load_protocol(written(tmp_path, other))
+        assert loaded == expected
+        assert loaded.sha256 == expected.sha256
+
+
+def test_hash_changes_with_a_prompt(tmp_path: Path) -> None:
+    other = load_protocol(written(tmp_path, TEXT.replace("gently touch the abdomen", "gently touch the  abdomen")))
+    assert other.sha256 != load_protocol().sha256

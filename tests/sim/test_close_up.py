@@ -1,0 +1,138 @@
+"""The drawn dent: no OpenGL is needed to prepare a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from carecontact.sim.close_up import dent
+from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
+from carecontact.world.scene import Scene
+
+DEPTH_M = 0.006
+RADIUS_M = 0.025
+NEAR_M = 0.016
+"""Skin lies on the shell: what is farther from it than this is no skin of the region."""
+
+
+@pytest.fixture(scope="module")
+def scene(scene_of: Callable[[str | None], Scene]) -> Scene:
+    return scene_of("forearm")
+
+
+@pytest.fixture
+def data(scene: Scene) -> mujoco.MjData:
+    """Turned at shoulder and elbow, so that bind pose and world are not confused."""
+    data = mujoco.MjData(scene.model)
+    for name, angle in (("right_upper_arm_abduction", 52.5), ("right_forearm_flexion", 40.0)):
+        data.qpos[scene.model.joint(f"human_{name}").qposadr[0]] = np.radians(angle)
+    mujoco.mj_forward(scene.model, data)
+    return data
+
+
+@pytest.fixture(scope="module")
+def drawn(scene: Scene) -> Callable[[mujoco.MjData], mujoco.MjvScene]:
+    def prepared(data: mujoco.MjData) -> mujoco.MjvScene:
+        made = mujoco.MjvScene(scene.model, maxgeom=4 * scene.model.ngeom)
+        every = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(scene.model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), every, made)
+        return made
+
+    return prepared
+
+
+def arrays(made: mujoco.MjvScene) -> tuple[np.ndarray, np.ndarray]:
+    return (
+        np.asarray(made.skinvert).reshape(-1, 3).astype(float),
+        np.asarray(made.skinnormal).reshape(-1, 3).astype(float),
+    )
+
+
+def press(scene: Scene, data: mujoco.MjData, region: str, depth_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Push the shell's middle in; returns world place and outward normal of the pressed point."""
+    soft = scene.regions[region]
+    shell, index = soft.shell, soft.vertex_index
+    top = shell.frame_origin + shell.frame[:, 2] * shell.axis_depth_m
+    middle = index[np.linalg.norm(shell.vertices[index] - top, axis=1).argmin()]
+    for k in index:
+        if np.linalg.norm(shell.vertices[k] - shell.vertices[middle]) < RADIUS_M:
+            data.qpos[scene.model.joint(f"{region}_v{k}_n").qposadr[0]] = depth_m
+    mujoco.mj_forward(scene.model, data)
+    bone = data.body(body_name(SOFT_SEGMENTS[region]))
+    turn = bone.xmat.reshape(3, 3)
+    place = bone.xpos + turn @ (shell.vertices[middle] - scene.body.joint_centre[SOFT_SEGMENTS[region]])
+    return place, turn @ shell.normals[middle]
+
+
+def test_an_undented_person_is_drawn_as_before(scene: Scene, data: mujoco.MjData, drawn: Callable) -> None:
+    made = drawn(data)
+    vertices, normals = arrays(made)
+    dent(scene, data, made)
+    after_vertices, after_normals = arrays(made)
+    np.testing.assert_array_equal(after_vertices, vertices)
+    np.testing.assert_array_equal(after_normals, normals)
+
+
+@pytest.mark.parametrize("region", list(SOFT_SEGMENTS))
+def test_a_dent_moves_only_skin_near_the_pressed_shell_and_inward(
+    scene: Scene, data: mujoco.MjData, drawn: Callable, region: str
+) -> None:
+    place, outward = press(scene, data, region, DEPTH_M)
+    made = drawn(data)
+    before, _ = arrays(made)
+    dent(scene, data, made)
+    after, normals = arrays(made)
+    change = after - before
+    moved = np.linalg.norm(change, axis=1) > 1e-5
+    assert moved.any()
+    # A vertex follows its four nearest shell vertices, so the rim may lie a mesh width or two beyond the press.
+    spacing = scene.regions[region].tissue.spacing_m
+    assert np.linalg.norm(before[moved] - place, axis=1).max() < RADIUS_M + NEAR_M + 2 * spacing
+    free = scene.regions[region].shell.vertices[scene.regions[region].vertex_index]
+    bind = np.asarray(scene.model.skin_vert).reshape(-1, 3)[moved]
+    assert cKDTree(free).query(bind)[0].max() < NEAR_M
+    assert (change[moved] @ outward < 0).mean() > 0.95
+    assert np.linalg.norm(change, axis=1).max() <= DEPTH_M * 1.001
+    deepest = np.linalg.norm(change, axis=1).max()
+    assert deepest > 0.8 * DEPTH_M
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-4)
+
+
+def test_skin_over_the_press_follows_the_shell(scene: Scene, data: mujoco.MjData, drawn: Callable) -> None:
+    place, outward = press(scene, data, "forearm", DEPTH_M)
+    made = drawn(data)
+    before, _ = arrays(made)
+    dent(scene, data, made)
+    change = arrays(made)[0] - before
+    under = np.linalg.norm(before - place, axis=1) < 0.008
+    assert under.sum() >= 3
+    np.testing.assert_allclose(change[under] @ outward, -DEPTH_M, atol=0.25 * DEPTH_M)
+
+
+def test_a_deeper_press_draws_a_deeper_dent(scene: Scene, drawn: Callable) -> None:
+    deepest = []
+    for depth_m in (0.002, 0.004, 0.008):
+        data = mujoco.MjData(scene.model)
+        press(scene, data, "forearm", depth_m)
+        made = drawn(data)
+        before, _ = arrays(made)
+        dent(scene, data, made)
+        deepest.append(np.linalg.norm(arrays(made)[0] - before, axis=1).max())
+    assert deepest == sorted(deepest)
+    np.testing.assert_allclose(np.array(deepest) / deepest[0], [1, 2, 4], rtol=0.02)
+
+
+def test_shading_tilts_at_the_rim_of_the_dent(scene: Scene, data: mujoco.MjData, drawn: Callable) -> None:
+    place, _ = press(scene, data, "forearm", DEPTH_M)
+    made = drawn(data)
+    before, normals = arrays(made)
+    dent(scene, data, made)
+    turned = np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", arrays(made)[1], normals), -1, 1)))
+    rim = np.abs(np.linalg.norm(before - place, axis=1) - RADIUS_M) < 0.008
+    far = np.linalg.norm(before - place, axis=1) > 0.25
+    assert turned[rim].max() > 10
+    assert turned[far].max() < 0.1

@@ -1,0 +1,45 @@
+from __future__ import annotations
+
+import inspect
+import re
+
+import pytest
+
+from carecontact import errors
+
+
+def classes() -> dict[str, type[Exception]]:
+    return {n: c for n, c in vars(errors).items() if inspect.isclass(c) and issubclass(c, Exception)}
+
+
+def test_the_tree_in_the_docstring_is_the_tree() -> None:
+    """One ``except CarecontactError`` at the command line has to catch them all."""
+    drawn: dict[str, str] = {}
+    above: list[str] = []
+    for line in (errors.__doc__ or "").splitlines()[2:]:
+        found = re.match(r"^([│ ]*)(?:[├└]── )?(\w+)", line)
+        if not found or not found[2].endswith("Error"):
+            continue
+        depth = 0 if "──" not in line else len(found[1]) // 4 + 1
+        above[depth:] = [found[2]]
+        if depth:
+            drawn[found[2]] = above[depth - 1]
+    assert drawn == {n: c.__bases__[0].__name__ for n, c in classes().items() if n != "CarecontactError"}
+
+
+def test_unknown_name_lists_the_valid_ones_in_order() -> None:
+    error = errors.UnknownNameError("body", "giant", (n for n in ["woman", "man"]))
+    assert str(error) == "no body named 'giant'; valid: man, woman"
+    assert (error.kind, error.name, error.valid) == ("body", "giant", ["man", "woman"])
+    assert "(none)" in str(errors.UnknownNameError("body", "giant", []))
+
+
+@pytest.mark.parametrize("kind", errors.PolicyError.KINDS)
+def test_policy_error_keeps_its_kind(kind: str) -> None:
+    error = errors.PolicyError(kind, "it broke")
+    assert (error.kind, str(error)) == (kind, "it broke")
+
+
+def test_policy_error_of_an_unknown_kind_is_a_bug_of_ours() -> None:
+    with pytest.raises(ValueError, match="unknown policy failure kind 'tired'; valid: start, handshake"):
+        errors.PolicyError("tired", "")

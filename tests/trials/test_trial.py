@@ -1,0 +1,98 @@
+"""One whole trial through its parts: policy process, world, recording, score."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carecontact.contract.trial import TrialSpec
+from carecontact.protocols import load_protocol
+from carecontact.recording import canonical_hash, read_recording
+from carecontact.scoring import score_recording
+from carecontact.sim.rendering import SceneRenderer
+from carecontact.trials.trial import POLICY_PATH_VARIABLE, run_trial
+
+POLICIES = '''
+import numpy as np
+from carecontact.contract.action import Action
+from carecontact.contract.policy import PolicyCard
+
+class Wave:
+    """Moves 30 mm and back in one second; asks for one picture."""
+    card = PolicyCard(name="wave", modalities=("rgb", "depth"), control_hz=15)
+    def reset(self, instruction):
+        self.instruction = instruction
+    def act(self, observation):
+        poses = np.tile(observation.pose_tcp_in_base, (15, 1))
+        poses[:, 2] += 0.03 * np.sin(np.linspace(0, np.pi, 15))
+        return [*(Action(pose_tcp_in_base=p) for p in poses), Action(done=True)]
+
+class Outside:
+    card = PolicyCard(name="outside", control_hz=10)
+    def reset(self, instruction): ...
+    def act(self, observation):
+        if observation.sim_time_s < 0.5:
+            return Action()
+        return Action(pose_tcp_in_base=np.array([5.0, 0, 0.5, 0, 1, 0, 0]))
+'''
+
+
+@pytest.fixture
+def policies(tmp_path: Path) -> Path:
+    (tmp_path / "my_policies.py").write_text(POLICIES)
+    return tmp_path
+
+
+def spec(policy: str, task: str = "T1", seed: int = 0) -> TrialSpec:
+    return TrialSpec(protocol=load_protocol(), task_id=task, seed=seed, policy=policy)
+
+
+def test_same_spec_in_fresh_processes_gives_the_same_recording(policies: Path, tmp_path: Path) -> None:
+    (tmp_path / "spec.json").write_text(spec("my_policies:Wave").model_dump_json())
+    hashes = []
+    for name in ("a.h5", "b.h5"):
+        environment = {**__import__("os").environ, POLICY_PATH_VARIABLE: str(policies)}
+        done = subprocess.run(
+            [sys.executable, "-m", "carecontact.trials.worker", str(tmp_path / "spec.json"), str(tmp_path / name)],
+            env=environment, capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        recording = read_recording(tmp_path / name)
+        assert recording.header.ended == "done", recording.header.failure
+        hashes.append(canonical_hash(recording))
+    assert hashes[0] == hashes[1]
+    # 16 actions at 15 Hz: periods of 33, 33, 34 steps keep the mean rate.
+    assert len(recording["scorer/time_s"]) == 533
+    assert np.allclose(np.diff(recording["scorer/time_s"]), 0.002)
+    assert recording["policy/observation_sha256"].shape == (1, 32)
+    assert recording["policy/frames/0000/overhead/rgb"].shape == (480, 640, 3)
+    assert recording["report/peak_rgb"].std() > 10
+    risen = recording["scorer/pose_tcp_in_world"][:, 2]
+    assert 0.005 < risen.max() - risen[0] < 0.03, "the impedance follows a target that leads it"
+
+
+def test_action_outside_the_workspace_is_the_policys_process_failure(policies: Path) -> None:
+    recording = run_trial(spec("my_policies:Outside"), search_path=[str(policies)])
+    assert recording.header.ended == "process_failure"
+    assert recording.header.failure is not None
+    assert recording.header.failure.kind == "action"
+    assert "outside the workspace" in recording.header.failure.message
+    assert recording["scorer/time_s"][-1] == pytest.approx(0.498, abs=0.003), "what ran before is kept"
+    score = score_recording(recording)
+    assert (score.failure_mode, score.attribution, score.c3_success) == ("process_failure", "process", False)
+
+
+def test_blank_pictures_end_as_a_perception_failure_and_touch_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = SceneRenderer.rgb
+    monkeypatch.setattr(SceneRenderer, "rgb", lambda self, data, camera: np.full_like(seen(self, data, camera), 128))
+    recording = run_trial(spec("state-machine"))
+    score = score_recording(recording)
+    assert recording.header.ended == "done"
+    assert score.anatomy == "none"
+    assert score.failure_mode == "no_target_contact"
+    assert score.attribution == "perception"
+    assert not recording["scorer/force_human_from_robot_in_world"].any()

@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import json
+import shutil
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carecontact.errors import AssetError, UnknownNameError
+from carecontact.recording.schema import SEGMENTS
+from carecontact.world.human import body as body_module
+from carecontact.world.human.body import PARENT, Body, body_names, load_body
+
+MIRROR = np.array([-1.0, 1.0, 1.0])
+
+
+@pytest.fixture
+def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Folder of the bodies that ``load_body`` reads, free to be damaged."""
+    source = resources.files("carecontact") / "assets" / "bodies"
+    with resources.as_file(source) as folder:
+        shutil.copytree(folder, tmp_path / "assets" / "bodies")
+    monkeypatch.setattr(body_module.resources, "files", lambda _: tmp_path)
+    return tmp_path / "assets" / "bodies"
+
+
+def test_unknown_body_lists_the_shipped_ones() -> None:
+    with pytest.raises(UnknownNameError, match="no body named 'giant'; valid: ") as caught:
+        load_body("giant")
+    assert caught.value.valid == body_names()
+
+
+def test_a_changed_archive_is_refused(copied: Path) -> None:
+    name = body_names()[0]
+    data = bytearray((copied / f"{name}.npz").read_bytes())
+    data[len(data) // 2] ^= 1
+    (copied / f"{name}.npz").write_bytes(data)
+    with pytest.raises(AssetError, match=rf"body {name}\.npz has sha256 .* provenance file says"):
+        load_body(name)
+
+
+def test_an_archive_without_its_record_is_refused(copied: Path) -> None:
+    name = body_names()[0]
+    (copied / f"{name}.provenance.json").unlink()
+    with pytest.raises(AssetError, match=rf"{name}.*provenance"):
+        load_body(name)
+
+
+def test_segments_are_the_rigs_and_hold_those_of_the_recording(body: Body) -> None:
+    assert set(body.segments) == set(PARENT)
+    assert set(SEGMENTS) == {s for s in body.segments if not s.endswith("clavicle")}
+    for segment in body.segments:
+        parent = PARENT[segment]
+        assert parent is None or body.segments.index(parent) < body.segments.index(segment)
+
+
+def test_weights_sum_to_one_and_every_segment_owns_skin(body: Body) -> None:
+    np.testing.assert_allclose(body.weight.sum(1), 1.0, atol=1e-12)
+    assert body.weight.min() >= 0
+    assert body.weight_segment.max() < len(body.segments)
+    assert set(np.unique(body.owner)) == set(range(len(body.segments)))
+    assert sum(len(body.vertices_of(s)) for s in body.segments) == len(body.vertices)
+
+
+def test_faces_fit_vertices_and_texture(body: Body) -> None:
+    assert body.faces.shape == body.uv_faces.shape
+    assert set(np.unique(body.faces)) == set(range(len(body.vertices)))
+    assert body.uv_faces.max() < len(body.uv)
+    assert body.uv.min() >= 0
+    assert body.uv.max() <= 1
+
+
+def test_surface_is_wound_outward_and_encloses_the_bodys_volume(body: Body) -> None:
+    corner = body.vertices[body.faces]
+    volume = np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])).sum() / 6
+    assert volume == pytest.approx(body.meta["measured_by_anny"]["volume"], rel=1e-3)
+    # Lean tissue, fat and bone together: 0.95 to 1.1 g/cm^3.
+    assert 950 < body.mass_kg / volume < 1100
+
+
+def test_size_is_that_of_the_record(body: Body) -> None:
+    recorded = json.loads(
+        (resources.files("carecontact") / "assets" / "bodies" / f"{body.name}.provenance.json").read_text()
+    )
+    assert np.ptp(body.vertices[:, 2]) == pytest.approx(recorded["parameters"]["stature_m"], abs=0.01)
+    assert body.sha256 == recorded["sha256"]
+    assert body.sex in "MF"
+
+
+def test_bind_pose_faces_minus_y_with_the_left_at_plus_x(body: Body) -> None:
+    joints = body.joint_centre
+    assert joints["left_hand"][0] > joints["left_upper_arm"][0] > 0
+    assert joints["head"][2] > joints["thorax"][2] > joints["pelvis"][2] > joints["left_foot"][2]
+    assert body.landmarks["eye.L"][0] > 0
+    assert body.landmarks["eye.L"][1] < joints["head"][1]
+    toes = body.vertices_of("left_foot")[:, 1].min()
+    assert toes < joints["left_foot"][1] - 0.1
+
+
+def test_skeleton_is_symmetric(body: Body) -> None:
+    for segment, centre in body.joint_centre.items():
+        twin = segment.replace("left", "right") if segment.startswith("left") else segment.replace("right", "left")
+        np.testing.assert_allclose(body.joint_centre[twin], centre * MIRROR, atol=2e-3, err_msg=segment)
+
+
+def test_joint_centres_lie_inside_the_body(body: Body) -> None:
+    low, high = body.vertices.min(0), body.vertices.max(0)
+    for segment, centre in body.joint_centre.items():
+        nearest = np.linalg.norm(body.vertices - centre, axis=1).min()
+        assert (centre > low).all(), segment
+        assert (centre < high).all(), segment
+        assert nearest < 0.13, segment
+
+
+def test_limb_axes_join_neighbouring_joints(body: Body) -> None:
+    for upper, lower in (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shank"), ("shank", "foot")):
+        end = body.joint_centre[f"right_{upper}"] + body.axis_vector(f"right_{upper}")
+        np.testing.assert_allclose(end, body.joint_centre[f"right_{lower}"])
+        assert np.linalg.norm(body.direction(f"right_{upper}")) == pytest.approx(1)
+    middle_fingertip = body.joint_centre["left_hand"] + body.axis_vector("left_hand")
+    # The knuckle line of the last phalanx, 12 to 22 cm from an adult's wrist.
+    assert 0.12 < np.linalg.norm(middle_fingertip - body.joint_centre["left_hand"]) < 0.22
+
+
+def test_faces_of_a_segment_reach_one_ring_beyond_it(body: Body) -> None:
+    index = body.segments.index("right_forearm")
+    faces = body.faces_of("right_forearm")
+    assert (body.owner[faces] == index).any(1).all()
+    others = set(map(tuple, body.faces)) - set(map(tuple, faces))
+    assert not any((body.owner[list(face)] == index).any() for face in others)

@@ -1,0 +1,254 @@
+"""The compiled world for every shipped body and target."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import mujoco
+import numpy as np
+import pytest
+
+from carecontact.contract.policy import CAMERAS
+from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
+from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
+from carecontact.world.human.body import body_names
+from carecontact.world.human.pose import FIXED_SEGMENTS
+from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name, tissue_body_name
+from carecontact.world.scene import Scene, build_scene
+from carecontact.world.sensors import CONTACT_SLOTS
+
+PROTOCOL = load_protocol()
+TARGETS = (*REGIONS, None)
+ROBOT_BIT, PERSON_BIT = 1, 2
+
+
+@pytest.fixture(
+    scope="module",
+    params=[(b, t) for b in body_names() for t in TARGETS],
+    ids=lambda p: f"{p[0]}-{p[1] or 'all fine'}",
+)
+def scene(request: pytest.FixtureRequest, scene_of: Callable[[str | None], Scene]) -> Scene:
+    name, target = request.param
+    if name == load_protocol(DEFAULT_PROTOCOL).person.body:
+        return scene_of(target)
+    person = PROTOCOL.person.model_copy(update={"body": name})
+    return build_scene(PROTOCOL.model_copy(update={"person": person}), target=target)
+
+
+@pytest.fixture
+def target(request: pytest.FixtureRequest) -> str | None:
+    return request.node.callspec.params["scene"][1]
+
+
+@pytest.fixture
+def model(scene: Scene) -> mujoco.MjModel:
+    return scene.model
+
+
+def owner_segment(model: mujoco.MjModel, body: int) -> str | None:
+    """Segment that a body of the model is or hangs on; vertices and tissue carriers hang on bones."""
+    names = {body_name(s): s for s in SEGMENTS}
+    while body:
+        name = model.body(body).name
+        if name in names:
+            return names[name]
+        body = int(model.body_parentid[body])
+    return None
+
+
+def colliders(model: mujoco.MjModel) -> Iterator[tuple[str, str, int, int]]:
+    """(name, whose, contype, conaffinity) of every geom and flex that can collide."""
+    for g in range(model.ngeom):
+        if not (model.geom_contype[g] or model.geom_conaffinity[g]):
+            continue
+        name, body = model.geom(g).name, model.geom_bodyid[g]
+        on = model.body(model.body_rootid[body]).name
+        kind = "robot" if on == "robot_base" else "human" if on == body_name("pelvis") else "bed"
+        yield name, kind, int(model.geom_contype[g]), int(model.geom_conaffinity[g])
+    for f in range(model.nflex):
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f)
+        yield name, "human", int(model.flex_contype[f]), int(model.flex_conaffinity[f])
+
+
+def test_persons_mass_is_the_bodys(scene: Scene) -> None:
+    model = scene.model
+    assert model.body_subtreemass[model.body("human_pelvis").id] == pytest.approx(scene.body.mass_kg, rel=1e-6)
+    assert model.body_mass[1:].min() >= 0
+    for region, soft in scene.regions.items():
+        bone = model.body_mass[model.body(body_name(SOFT_SEGMENTS[region])).id]
+        shell = soft.tissue.areal_mass_kg_m2 * soft.shell.area[~soft.shell.pinned].sum()
+        assert 0 < shell < bone + shell, region
+
+
+def test_physics_is_the_protocols(model: mujoco.MjModel) -> None:
+    assert model.opt.timestep == PROTOCOL.physics.dt_s
+    assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+
+
+def test_who_can_touch_whom(model: mujoco.MjModel) -> None:
+    """The robot meets person and bed, the person's back meets the bed, and nothing meets its own kind."""
+    rows = list(colliders(model))
+    kinds = {"robot": set(), "human": set(), "bed": set()}
+    met: set[frozenset[str]] = set()
+    for i, (a, whose_a, type_a, affinity_a) in enumerate(rows):
+        kinds[whose_a].add(a)
+        for b, whose_b, type_b, affinity_b in rows[i + 1 :]:
+            if type_a & affinity_b or type_b & affinity_a:
+                assert whose_a != whose_b, (a, b)
+                met.add(frozenset((whose_a, whose_b)))
+                if "robot" not in (whose_a, whose_b):
+                    person = a if whose_a == "human" else b
+                    assert person.startswith("human_proxy_"), (a, b)
+    assert met == {frozenset(pair) for pair in (("robot", "human"), ("robot", "bed"), ("human", "bed"))}
+    assert min(map(len, kinds.values())) >= 3
+
+
+def test_robot_meets_every_segment(model: mujoco.MjModel) -> None:
+    met: set[str | None] = set()
+    for g in range(model.ngeom):
+        if model.geom_conaffinity[g] & ROBOT_BIT:
+            met.add(owner_segment(model, int(model.geom_bodyid[g])))
+    soft = {owner_segment(model, int(b)) for b in model.flex_vertbodyid}
+    assert met >= set(SEGMENTS)
+    assert soft == set(REGION_SEGMENT.values())
+    assert (model.flex_conaffinity == ROBOT_BIT).all()
+    assert (model.flex_selfcollide == mujoco.mjtFlexSelf.mjFLEXSELF_NONE).all()
+
+
+def test_proxies_meet_only_the_bed(model: mujoco.MjModel) -> None:
+    proxies = [g for g in range(model.ngeom) if model.geom(g).name.startswith("human_proxy_")]
+    assert len(proxies) >= 15
+    assert {(int(model.geom_contype[g]), int(model.geom_conaffinity[g])) for g in proxies} == {(PERSON_BIT, 0)}
+    assert {int(model.geom_group[g]) for g in proxies} == {3}
+
+
+def test_every_contact_would_be_sensed(model: mujoco.MjModel) -> None:
+    """One net force and one normal sum for each segment of the recording; soft segments have two surfaces."""
+    sensors = {model.sensor(i).name: i for i in range(model.nsensor)}
+    expected = {f"{kind}_{s}" for kind in ("net", "normal") for s in SEGMENTS}
+    expected |= {f"{kind}_{s}_tissue" for kind in ("net", "normal") for s in REGION_SEGMENT.values()}
+    of_contact = {n for n, i in sensors.items() if model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT}
+    assert of_contact == expected
+    for name in expected:
+        kind, _, place = name.partition("_")
+        i = sensors[name]
+        wanted = body_name(place) if not place.endswith("_tissue") else f"human_{place}"
+        assert model.body(model.sensor_refid[i]).name == wanted
+        assert model.body(model.sensor_objid[i]).name == "robot_base"
+        slots = 1 if kind == "net" else CONTACT_SLOTS["soft" if place.endswith("_tissue") else "rigid"]
+        assert model.sensor_dim[i] == slots * (6 if kind == "net" else 4)
+    assert REGION_SEGMENT == SOFT_SEGMENTS
+    assert {tissue_body_name(r) for r in REGIONS} == {f"human_{s}_tissue" for s in REGION_SEGMENT.values()}
+
+
+def test_other_streams_of_the_recording_have_sensors(scene: Scene) -> None:
+    names = {scene.model.sensor(i).name for i in range(scene.model.nsensor)}
+    assert {f"q_{h.name}" for h in scene.hinges} <= names
+    assert {"tcp_position", "tcp_quat", "tcp_velocity", "tcp_rotation", "wrist_position"} <= names
+    assert {f"region_{r}_{part}" for r in REGIONS for part in ("position", "quat")} <= names
+    assert not any(h.segment in FIXED_SEGMENTS for h in scene.hinges)
+    moving = {h.segment for h in scene.hinges}
+    assert {f"{s}_{n}" for s in ("left", "right") for n in ("upper_arm", "forearm", "hand")} <= moving
+    assert set(scene.model.sensor_history[:, 0].tolist()) == {scene.samples}
+
+
+def test_only_the_targets_shell_is_fine(scene: Scene, target: str | None, scene_of: Callable[..., Scene]) -> None:
+    fine = scene_of(None).regions
+    assert set(scene.regions) == set(REGIONS)
+    for name, region in scene.regions.items():
+        most = len(fine[name].shell.vertices)
+        if target in (None, name):
+            assert region.tissue == PROTOCOL.person.tissue[name]
+            assert len(region.shell.vertices) == most
+        else:
+            assert len(region.shell.vertices) < 0.5 * most
+            law = {"spacing_m", "coarse_spacing_m"}
+            assert region.tissue.model_dump(exclude=law) == PROTOCOL.person.tissue[name].model_dump(exclude=law)
+
+
+def test_shell_vertices_are_anchored_by_the_law(scene: Scene) -> None:
+    """Stiffness and damping of the slides are per area: p = a x + b x^2 + c x^3."""
+    model = scene.model
+    for name, region in scene.regions.items():
+        tissue, index = region.tissue, region.vertex_index
+        assert (~region.shell.pinned).nonzero()[0].tolist() == index.tolist()
+        for k in index[:: max(1, len(index) // 20)]:
+            area = region.shell.area[k]
+            joint = model.joint(f"{name}_v{k}_n")
+            assert model.jnt_stiffness[joint.id] == pytest.approx(tissue.a_n_m3 * area)
+            assert model.dof_damping[joint.dofadr[0]] == pytest.approx(tissue.damping_ns_m3 * area)
+            np.testing.assert_allclose(
+                model.jnt_stiffnesspoly[joint.id], [tissue.b_n_m4 * area, tissue.c_n_m5 * area], rtol=1e-9
+            )
+            np.testing.assert_allclose(joint.axis, -region.shell.normals[k], atol=1e-9)
+            assert model.dof_damping[model.joint(f"{name}_v{k}_t").dofadr[0]] == pytest.approx(
+                tissue.damping_ns_m3 * area
+            )
+
+
+def test_cameras_are_those_of_the_protocol_and_look_where_it_says(model: mujoco.MjModel) -> None:
+    assert {model.camera(i).name for i in range(model.ncam)} == set(CAMERAS)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for name, camera in PROTOCOL.cameras.items():
+        made = model.camera(name)
+        assert made.fovy[0] == camera.fovy_deg
+        assert model.cam_resolution[made.id].tolist() == [camera.width, camera.height]
+        mount = data.body("world" if camera.mount == "world" else "robot_hand")
+        turn = mount.xmat.reshape(3, 3)
+        position, target = (mount.xpos + turn @ np.array(p) for p in (camera.position_m, camera.look_at_m))
+        axes = data.camera(name).xmat.reshape(3, 3)
+        np.testing.assert_allclose(data.camera(name).xpos, position, atol=1e-9)
+        np.testing.assert_allclose(-axes[:, 2], (target - position) / np.linalg.norm(target - position), atol=1e-9)
+        assert axes[:, 1] @ turn @ np.array(camera.up) > 0, "upside down"
+
+
+def test_person_lies_on_the_back_on_the_bed_head_to_plus_x(scene: Scene) -> None:
+    model, data = scene.model, mujoco.MjData(scene.model)
+    mujoco.mj_forward(model, data)
+    at = {s: data.body(body_name(s)).xpos for s in SEGMENTS}
+    assert at["head"][0] > at["thorax"][0] > at["pelvis"][0] > at["right_foot"][0]
+    assert at["right_hand"][1] > 0 > at["left_hand"][1]
+    top = PROTOCOL.scene.mattress_top_m
+    assert all(top - 0.01 < p[2] < top + 0.35 for p in at.values())
+    assert max(abs(at[s][0]) for s in ("head", "right_foot", "left_foot")) < 1.0
+    # The belly's region frame points to the ceiling and to the head.
+    x, _, z = data.site("region_abdomen").xmat.reshape(3, 3).T
+    assert (x[0], z[2]) == pytest.approx((1.0, 1.0))
+
+
+def test_region_frames_lie_on_their_bones(scene: Scene) -> None:
+    for region, segment in SOFT_SEGMENTS.items():
+        site = scene.model.site(f"region_{region}")
+        assert scene.model.body(site.bodyid[0]).name == body_name(segment)
+
+
+def test_parked_robot_touches_nothing_and_the_arm_never_meets_itself(scene: Scene) -> None:
+    model, data = scene.model, mujoco.MjData(scene.model)
+    joints = [model.joint(f"robot_joint{i}").qposadr[0] for i in range(1, 8)]
+    robot = np.array([model.body(model.body_rootid[b]).name == "robot_base" for b in model.geom_bodyid])
+    data.qpos[joints] = PROTOCOL.scene.parked_joint_rad
+    mujoco.mj_forward(model, data)
+    assert not any(robot[g] for c in data.contact[: data.ncon] for g in c.geom if g >= 0)
+    rng = np.random.default_rng(0)
+    ranges = np.array([model.joint(f"robot_joint{i}").range for i in range(1, 8)])
+    for _ in range(5):
+        data.qpos[joints] = rng.uniform(ranges[:, 0], ranges[:, 1])
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        assert not any(all(g >= 0 and robot[g] for g in c.geom) for c in data.contact[: data.ncon])
+
+
+def test_same_protocol_same_model(scene_of: Callable[[str | None], Scene]) -> None:
+    again = build_scene(PROTOCOL, target="abdomen")
+    assert again.model_sha256 == scene_of("abdomen").model_sha256
+    assert again.model_sha256 != scene_of("forearm").model_sha256
+
+
+def test_skin_is_for_the_eye_only(scene_of: Callable[[str | None], Scene]) -> None:
+    bare, dressed = build_scene(PROTOCOL, target="abdomen", skin=False).model, scene_of("abdomen").model
+    assert (bare.nskin, dressed.nskin) == (0, 1)
+    assert (bare.nv, bare.ngeom, bare.nsensor) == (dressed.nv, dressed.ngeom, dressed.nsensor)
+    for field in ("body_mass", "body_inertia", "geom_size", "jnt_stiffness", "dof_damping", "sensor_dim"):
+        np.testing.assert_array_equal(getattr(bare, field), getattr(dressed, field), err_msg=field)
