@@ -125,8 +125,8 @@ def tip_force(simulation: Simulation) -> np.ndarray:
     return np.linalg.lstsq(np.vstack([position, rotation])[:, dofs].T, torque, rcond=None)[0][:3]
 
 
-def push_sideways(simulation: Simulation, newton: float, *, locked: bool) -> float:
-    """Horizontal push at mid-forearm for 1.5 s; returns how far the wrist centre moved [m]."""
+def push_sideways(simulation: Simulation, newton: float, *, locked: bool, periods: int = 75) -> float:
+    """Horizontal push at mid-forearm for 1.5 s, reached in 0.4 s; returns how far the wrist centre moved [m]."""
     model, data = simulation.model, simulation.data
     forearm, wrist = model.body("human_right_forearm").id, model.body("human_right_hand").id
     if locked:
@@ -138,7 +138,7 @@ def push_sideways(simulation: Simulation, newton: float, *, locked: bool) -> flo
     side = np.cross([0, 0, 1.0], along)
     side[2] = 0
     side /= np.linalg.norm(side)
-    for period in range(75):
+    for period in range(periods):
         force = newton * min(1.0, period / 20) * side
         data.xfrc_applied[forearm, :3] = force
         data.xfrc_applied[forearm, 3:] = np.cross(data.site("region_forearm").xpos - data.xipos[forearm], force)
@@ -159,13 +159,21 @@ def test_locked_arm_does_not_yield(settled: Simulation) -> None:
         settled.model.dof_damping[:] = damping
 
 
-def test_board_friction_is_the_protocols(settled: Simulation) -> None:
-    """Without the board's priority MuJoCo would take the larger coefficient of the pair, the proxies'."""
+def test_arm_slides_on_its_board_with_the_protocols_friction(settled: Simulation) -> None:
+    """Once the arm slides, tangential over normal force is the coefficient: without the board's priority it would be 1,
+    the proxies' own."""
     model, data = settled.model, settled.data
     board = model.geom("bed_armboard").id
-    on_board = [c for c in data.contact[: data.ncon] if board in c.geom]
-    assert on_board
-    assert all(c.friction[0] == pytest.approx(settled.protocol.scene.board_friction) for c in on_board)
+    push_sideways(settled, 15.0, locked=False, periods=25)
+    assert settled.human_speed() > 0.05, "the arm must be sliding"
+    ratios, wrench = [], np.zeros(6)
+    for i in range(data.ncon):
+        if board in data.contact[i].geom:
+            mujoco.mj_contactForce(model, data, i, wrench)
+            if wrench[0] > 1.0:
+                ratios.append(np.linalg.norm(wrench[1:3]) / wrench[0])
+    assert ratios
+    assert ratios == pytest.approx([settled.protocol.scene.board_friction] * len(ratios), rel=0.03)
 
 
 def test_mass_is_the_bodys(forearm_scene: Scene) -> None:

@@ -70,7 +70,7 @@ class Tissue(Section):
     """[N s/m per m^2]"""
     areal_mass_kg_m2: Positive
     spacing_m: Positive
-    """Vertex spacing on the patch that the tool can reach."""
+    """Vertex spacing on the patch that the tool can reach; around a limb, at its middle section."""
     coarse_spacing_m: Positive
     """Spacing away from it."""
     off_target_spacing_m: Positive
