@@ -59,7 +59,7 @@ def main() -> None:
         print(f"force {np.linalg.norm(force):.1f} N, indentation {simulation.indentation()[0] * 1000:.1f} mm")
         picture = renderer.free_view(
             simulation.data, look_at=simulation.data.site("tcp").xpos + [0, 0, 0.015],
-            distance_m=0.26, azimuth_deg=-132, elevation_deg=-22, size_of="overhead",
+            distance_m=0.25, azimuth_deg=60, elevation_deg=-17, size_of="overhead",
             edit=lambda made: dent(scene, simulation.data, made),
         )  # fmt: skip
         save(folder / "contact.jpg", picture)

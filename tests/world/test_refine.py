@@ -33,7 +33,8 @@ def chosen(body: Body) -> np.ndarray:
 
 
 def test_surface_and_texture_cover_the_same_area(body: Body, fine: Body) -> None:
-    assert areas(fine.vertices, fine.faces).sum() == pytest.approx(areas(body.vertices, body.faces).sum(), rel=1e-12)
+    # Rounding moves the surface by little.
+    assert areas(fine.vertices, fine.faces).sum() == pytest.approx(areas(body.vertices, body.faces).sum(), rel=1e-3)
     # Signed, so that a flipped texture triangle would show.
     assert areas(fine.uv, fine.uv_faces).sum() == pytest.approx(areas(body.uv, body.uv_faces).sum(), rel=1e-12)
 
@@ -55,7 +56,30 @@ def test_faces_stay_wound_outward(body: Body, fine: Body) -> None:
         corner = b.vertices[b.faces]
         return float(np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])).sum() / 6)
 
-    assert volume(fine) == pytest.approx(volume(body), rel=1e-12)
+    assert volume(fine) == pytest.approx(volume(body), rel=1e-3)
+
+
+def test_rounding_bulges_what_is_convex_and_leaves_the_rim_closed(body: Body) -> None:
+    """A forearm is convex round its axis: its new points lie outside the old facets; the surface has no free edge."""
+    fine = refined(body, SEGMENT, times=1)
+    new = fine.vertices[len(body.vertices) :]
+    start, along = body.joint_centre[SEGMENT], body.direction(SEGMENT)
+    corner = body.vertices[body.faces[chosen(body)]]
+
+    def radius(points: np.ndarray) -> np.ndarray:
+        off = points - start
+        return np.linalg.norm(off - np.outer(off @ along, along), axis=1)
+
+    middles = np.concatenate([(corner[:, k] + corner[:, (k + 1) % 3]) / 2 for k in range(3)])
+    assert radius(new).mean() > radius(np.unique(middles.round(12), axis=0)).mean() + 5e-5
+    pairs = np.sort(np.stack([fine.faces, np.roll(fine.faces, -1, axis=1)], -1), axis=-1).reshape(-1, 2)
+    edges, count = np.unique(pairs, axis=0, return_counts=True)
+    ends = fine.vertices[edges[count == 1]]
+    # Each rim edge that was split lies on the old edge beside it: its halves meet the old edge's middle.
+    halves = ends[(edges[count == 1] >= len(body.vertices)).any(1)].reshape(-1, 2, 3)
+    old = body.vertices[np.unique(pairs[(pairs < len(body.vertices)).all(1)], axis=0)].mean(1)
+    for a, b in zip(*halves.transpose(1, 0, 2), strict=True):
+        assert min(np.linalg.norm(old - a, axis=1).min(), np.linalg.norm(old - b, axis=1).min()) < 1e-9
 
 
 def test_weights_sum_to_one(fine: Body) -> None:
@@ -64,46 +88,16 @@ def test_weights_sum_to_one(fine: Body) -> None:
     assert len(fine.weight) == len(fine.weight_segment) == len(fine.is_eye) == len(fine.vertices)
 
 
-def test_a_midpoint_follows_both_ends(body: Body) -> None:
+def test_a_new_point_follows_both_ends_of_its_edge(body: Body) -> None:
     fine = refined(body, SEGMENT, times=1)
     dense = np.zeros((len(fine.vertices), len(fine.segments)))
     np.add.at(dense, (np.arange(len(dense))[:, None], fine.weight_segment), fine.weight)
-    first = len(body.vertices)
-    faces = fine.faces[-4 * int(chosen(body).sum()) :]
-    corner_faces = faces[(faces < first).sum(1) == 1]
-    # A corner triangle is (corner, middle, middle); the far ends are the corner mirrored at the middles.
-    for corner, *middles in (np.roll(f, -int(np.flatnonzero(f < first)[0])) for f in corner_faces[:200]):
-        for middle in middles:
-            end = 2 * fine.vertices[middle] - fine.vertices[corner]
-            other = np.linalg.norm(body.vertices - end, axis=1).argmin()
-            np.testing.assert_allclose(body.vertices[other], end, atol=1e-9)
-            np.testing.assert_allclose(dense[middle], (dense[corner] + dense[other]) / 2, atol=0.05)
-
-
-def test_weights_sum_to_one_where_a_midpoint_would_need_more_than_four_segments(body: Body) -> None:
-    face = body.faces[chosen(body)][0]
-    mine = body.segments.index(SEGMENT)
-    others = [k for k in range(len(body.segments)) if k != mine]
-    weight_segment, weight = body.weight_segment.copy(), body.weight.copy()
-    for n, vertex in enumerate(face[:2]):
-        weight_segment[vertex] = [mine, *others[3 * n : 3 * n + 3]]
-        weight[vertex] = [0.4, 0.2, 0.2, 0.2]
-    fine = refined(replace(body, weight_segment=weight_segment, weight=weight), SEGMENT, times=1)
-    middle = body.vertices[face[:2]].mean(0)
-    made = len(body.vertices) + np.linalg.norm(fine.vertices[len(body.vertices) :] - middle, axis=1).argmin()
-    assert fine.weight[made].sum() == pytest.approx(1.0)
-    # The shared segment keeps the largest share of the four that are left: 0.4 of 0.4 + 3 x 0.1.
-    assert fine.weight[made].max() == pytest.approx(0.4 / 0.7)
-    assert fine.owner[made] == mine
-
-
-def test_original_vertices_and_the_source_are_untouched(body: Body, fine: Body) -> None:
-    count = len(body.vertices)
-    np.testing.assert_array_equal(fine.vertices[:count], body.vertices)
-    np.testing.assert_array_equal(fine.owner[:count], body.owner)
-    assert body.weight.shape == (count, 4)
-    assert fine.joint_centre is body.joint_centre
-
-
-def test_no_split_is_no_change(body: Body) -> None:
-    assert refined(body, SEGMENT, times=0) is body
+    faces = body.faces[chosen(body)]
+    edges = np.unique(np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], -1), axis=-1).reshape(-1, 2), axis=0)
+    new = dense[len(body.vertices) :]
+    assert len(new) == len(edges)
+    # Four weights a vertex are kept, so that a mean of two ends can lose a small fifth.
+    np.testing.assert_allclose(new, dense[edges].mean(1), atol=0.05)
+    length = np.linalg.norm(np.diff(body.vertices[edges], axis=1)[:, 0], axis=1)
+    middle = body.vertices[edges].mean(1)
+    assert (np.linalg.norm(fine.vertices[len(body.vertices) :] - middle, axis=1) < 0.3 * length).all()

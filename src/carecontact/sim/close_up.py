@@ -12,15 +12,19 @@ from carecontact.world.scene import Scene
 
 REACH_M = 0.016
 """Skin vertices nearer than this to a free shell vertex follow the shell."""
-CAMERA = {"distance_m": 0.42, "azimuth_deg": -125.0, "elevation_deg": -28.0}
+VISIBLE_M = 5e-4
+AZIMUTH_DEG = {"forearm": 60.0, "upper_arm": 15.0, "abdomen": 60.0}
+"""Direction of view per task region: from the bed and the feet, where the robot does not stand in the way."""
 
 
-def render_close_up(renderer: SceneRenderer, scene: Scene, data: mujoco.MjData) -> npt.NDArray[np.uint8]:
+def render_close_up(
+    renderer: SceneRenderer, scene: Scene, data: mujoco.MjData, *, region: str
+) -> npt.NDArray[np.uint8]:
     """(H, W, 3) of the exterior camera's size, looking at the tool's tip. For people to look at, never for a policy."""
-    tip = data.site("tcp").xpos
     return renderer.free_view(
-        data, look_at=tip, edit=lambda made: dent(scene, data, made), size_of="exterior", **CAMERA
-    )
+        data, look_at=data.site("tcp").xpos + [0, 0, 0.02], distance_m=0.36, azimuth_deg=AZIMUTH_DEG[region],
+        elevation_deg=-20.0, size_of="exterior", edit=lambda made: dent(scene, data, made),
+    )  # fmt: skip
 
 
 def dent(scene: Scene, data: mujoco.MjData, made: mujoco.MjvScene) -> None:
@@ -48,8 +52,10 @@ def dent(scene: Scene, data: mujoco.MjData, made: mujoco.MjvScene) -> None:
         weight = 1 / (d + 0.002) ** 2
         weight /= weight.sum(1, keepdims=True)
         fade = np.clip((REACH_M - d[:, 0]) / (REACH_M / 2), 0, 1)
-        drawn[near] += (np.einsum("ij,ijk->ik", weight, moved[order]) * fade[:, None]).astype(drawn.dtype)
-        touched[near] = True
+        shift = np.einsum("ij,ijk->ik", weight, moved[order]) * fade[:, None]
+        drawn[near] += shift.astype(drawn.dtype)
+        # Elsewhere the interpolated normals are smoother than those of the split triangles.
+        touched[near[np.linalg.norm(shift, axis=1) > VISIBLE_M]] = True
     _renew_normals(drawn, np.asarray(made.skinnormal).reshape(-1, 3)[: len(bind)], faces, touched)
 
 

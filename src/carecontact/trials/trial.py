@@ -206,7 +206,9 @@ class _Trial:
         mujoco.mj_setState(self.simulation.model, data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
         mujoco.mj_forward(self.simulation.model, data)
         self.log.extra["report/snapshot_rgb"] = renderer.rgb(data, "exterior")
-        self.log.extra["report/peak_rgb"] = render_close_up(renderer, self.simulation.scene, data)
+        self.log.extra["report/peak_rgb"] = render_close_up(
+            renderer, self.simulation.scene, data, region=self.task.region
+        )
         self.log.extra["report/peak_time_s"] = np.array([self.peak.time_s], "<f8")
 
 

@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.world.human.body import Body
+from carecontact.world.human.body import Array, Body
 
 
 def refined(body: Body, segment: str, *, times: int) -> Body:
-    """A copy whose faces on ``segment`` are split into four, ``times`` over; shape, weights and texture stay.
+    """A copy whose faces on ``segment`` are split into four, ``times`` over, and rounded; weights and texture stay.
 
+    New points are pulled to the tangent planes at their edge's ends (Phong tessellation, Boubekeur and Alexa 2008), or
+    shading would show every old triangle; on the segment's rim they stay on the straight edge, so that nothing gapes.
     For drawing only: region geometry and masses come from the body as baked.
     """
     for _ in range(times):
@@ -35,7 +37,7 @@ def _split(body: Body, segment: str) -> Body:
     weight = np.take_along_axis(dense, order, 1)
     return replace(
         body,
-        vertices=np.concatenate([body.vertices, body.vertices[edges].mean(1)]),
+        vertices=np.concatenate([body.vertices, _rounded(body, edges, inner=np.bincount(at.ravel()) == 2)]),
         faces=np.concatenate([body.faces[~chosen], _four(faces, mid_faces)]),
         uv=np.concatenate([body.uv, body.uv[uv_edges].mean(1)]),
         uv_faces=np.concatenate([body.uv_faces[~chosen], _four(uv_faces, mid_uv_faces)]),
@@ -46,6 +48,23 @@ def _split(body: Body, segment: str) -> Body:
 
 
 Indices = npt.NDArray[np.int64]
+ROUNDING = 0.75
+"""Share of the way to the tangent planes; the value that the method's authors recommend."""
+
+
+def _rounded(body: Body, edges: Indices, *, inner: npt.NDArray[np.bool_]) -> Array:
+    """(E, 3) new points on the edges; only ``inner`` ones leave the straight line."""
+    normals = np.zeros_like(body.vertices)
+    corner = body.vertices[body.faces]
+    face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    for k in range(3):
+        np.add.at(normals, body.faces[:, k], face)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    middle = body.vertices[edges].mean(1)
+    offset = middle[:, None] - body.vertices[edges]
+    normal = normals[edges]
+    onto_planes = (np.einsum("eki,eki->ek", offset, normal)[..., None] * normal).mean(1)
+    return middle - np.where(inner, ROUNDING, 0.0)[:, None] * onto_planes
 
 
 def _midpoints(faces: Indices) -> tuple[Indices, Indices]:
