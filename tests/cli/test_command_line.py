@@ -11,8 +11,7 @@ import pytest
 
 import carecontact as carecontact_package
 from carecontact import __version__
-from carecontact.cli import main
-from carecontact.cli.policy_name import reason
+from carecontact.cli import BROKEN_PIPE, main
 
 SOURCES = str(Path(carecontact_package.__file__).parents[1])
 BROKEN = "class Broken:\n    def __init__(self):\n        raise RuntimeError('no weights here')\n"
@@ -41,6 +40,12 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["run", "--policy", "hover", "--out", "r", "--protocol", "p"], "no protocol named 'p'; valid: bathing-v1"),
         (["run", "--policy", "hover", "--out", "r", "--jobs", "0"], "must be at least 1"),
         (["run", "--policy", "hover", "--out", "broken.py"], "this is a file"),
+        (["run", "--policy", "hover", "--out", "broken.py/r"], "broken.py/r: cannot be written to: Not a directory"),
+        (["run", "--policy", "hover", "--out", "r", "--jobs", "two"], "parsing --jobs"),
+        (["run", "--policy", "hover"], "Missing from carecontact run: --out PATH; For full helptext"),
+        (["run", "--polixy", "hover", "--out", "r"], "--policy STR; Unrecognized options: --polixy hover"),
+        (["list", "foo"], "invalid choice 'foo'"),
+        (["demo", "--out", "."], "--out .: holds something other than an earlier demo; nothing was removed"),
         (["score", "nowhere"], "nowhere: no such folder"),
         (["report", "."], "holds no recordings"),
     ],
@@ -55,10 +60,7 @@ def test_errors_are_one_line_and_change_nothing(tmp_path: Path, arguments: list[
     assert not (tmp_path / "r").exists()
 
 
-def test_wrong_option_and_no_command() -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["run", "--polixy", "hover"])
-    assert caught.value.code == 2
+def test_no_command_shows_the_help() -> None:
     with pytest.raises(SystemExit) as caught:
         main([])
     assert caught.value.code == 0
@@ -88,7 +90,20 @@ def test_list_of_what_grows(what: str, some: str, capsys: pytest.CaptureFixture[
     assert some in [line.split()[0] for line in capsys.readouterr().out.splitlines()]
 
 
-def test_reason_is_the_exception_under_the_traceback() -> None:
-    message = "could not load a:B:\nTraceback (most recent call last):\n  File x\nkeyring.Error: no key\n (exit code 0)"
-    assert reason(message) == "keyring.Error: no key"
-    assert reason("policy took too long\nit printed: hello") == "policy took too long"
+def test_nothing_is_printed_before_jobs_is_checked(tmp_path: Path) -> None:
+    for command in (["run", "--policy", "hover", "--out", "r"], ["demo", "--out", "r"]):
+        assert carecontact(*command, "--jobs", "0", cwd=tmp_path).stdout == ""
+
+
+def test_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "carecontact.cli", "list"],
+        env={**os.environ, "PYTHONPATH": SOURCES},
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (BROKEN_PIPE, b"")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import sys
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,10 @@ def test_run_scores_reports_and_goes_on(fake: pytest.MonkeyPatch, capsys: pytest
     assert "T2-s000 harness_error" in told
     assert "1 trial(s) failed in the harness; see r/T2-s000.log" in told
     assert "--retry-failed" in told
+    assert "harness failed, not counted: 1 trial(s): T2-s000 (first: " in told
+    assert [line.split()[:4] for line in told.splitlines() if line.startswith("T2 ")] == [
+        ["T2", "push", "forearm", "0"]
+    ]
     assert {t["trial_id"] for t in json.loads(Path("r/results.json").read_text())["trials"]} == {"T1-s000", "T2-s000"}
     assert Path("r/report.html").stat().st_size > 1000
 
@@ -45,6 +50,7 @@ def test_run_scores_reports_and_goes_on(fake: pytest.MonkeyPatch, capsys: pytest
     assert main(command) == 1
     assert "nothing differs" in capsys.readouterr().out
     assert main([*command, "--retry-failed"]) == 0
+    assert "not counted" not in capsys.readouterr().out
     assert Path("ran.txt").read_text().split()[::2].count("T1-s000") == 1
 
 
@@ -70,25 +76,66 @@ def test_score_says_what_differs_and_names_what_it_skips(
     assert Path("r/results.json").read_bytes() == original
 
     Path("r/T1-s001.h5").write_bytes(b"broken")
+    assert main(["score", "r"]) == 1
+    told = capsys.readouterr().out
+    assert "skipped T1-s001.h5" in told
+    assert "1 of 2 planned trials scored; not: T1-s001" in told
+
+    before = Path("r/results.json").read_bytes()
+    Path("r/T1-s000.h5").write_bytes(b"broken")
+    assert main(["score", "r"]) == 1
+    assert "0 of 2 planned trials scored" in capsys.readouterr().out
+    assert Path("r/results.json").read_bytes() == before
+
+
+def test_a_missing_recording_is_told_and_a_folder_for_results_is_one_line(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0-1", "--out", "r"])
+    assert "planned trials" not in capsys.readouterr().out
+    Path("r/T1-s001.h5").unlink()
     assert main(["score", "r"]) == 0
-    assert "skipped T1-s001.h5" in capsys.readouterr().out
+    assert "1 of 2 planned trials scored; not: T1-s001" in capsys.readouterr().out
+    Path("r/results.json").unlink()
+    Path("r/results.json").mkdir()
+    assert main(["score", "r"]) == 2
+    assert capsys.readouterr().err == "error: r/results.json: Is a directory\n"
+
+
+def test_an_edited_protocol_is_not_shown_as_the_shipped_one(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shipped = (resources.files("carecontact.protocols") / "bathing-v1-draft.toml").read_text()
+    command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--protocol", "p.toml", "--out"]
+    Path("p.toml").write_text(shipped)
+    main([*command, "a"])
+    assert "1 trial(s) of bathing-v1-draft into a\n" in capsys.readouterr().out
+    Path("p.toml").write_text(shipped.replace("time_limit_s = 30.0", "time_limit_s = 31.0"))
+    main([*command, "b"])
+    assert "1 trial(s) of bathing-v1-draft (modified) into b\n" in capsys.readouterr().out
+    Path("p.toml").write_text(shipped.replace('body = "man-adult"', 'body = "nobody"'))
+    assert main([*command, "c"]) == 2
+    assert not Path("c").exists()
 
 
 def test_demo_without_contact_fails_and_replaces_only_its_own_files(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = Path("runs/demo")
-    folder.mkdir(parents=True)
-    (folder / "T9-s000.h5").write_bytes(b"old")
+    assert main(["demo"]) == 1
+    first = (folder / "manifest.json").read_bytes()
+    (folder / "T1-s000.h5").write_bytes(b"old")
     (folder / "notes.txt").write_text("mine")
+    capsys.readouterr()
     fake.setenv("FAKE_PLAN", json.dumps({"T2-s000": "policy", "T3-s000": "kill"}))
     assert main(["demo"]) == 1
     told = capsys.readouterr().out
-    assert "demo: T2-s000 ended as process_failure: gone" in told
+    assert "demo: T2-s000 ended as process_failure: NoGrip: nothing there" in told
     assert "demo: T3-s000 ended as harness_error: the trial's process died of signal 9" in told
     assert all(f"demo: no {action} succeeded" in told for action in ("touch", "push", "scrub"))
     assert "demo failed in" in told
-    assert not (folder / "T9-s000.h5").exists()
+    assert (folder / "T1-s000.h5").read_bytes() != b"old"
+    assert (folder / "manifest.json").read_bytes() == first
     assert (folder / "notes.txt").read_text() == "mine"
     assert len(list(folder.glob("*.h5"))) == 7
 
@@ -96,6 +143,41 @@ def test_demo_without_contact_fails_and_replaces_only_its_own_files(
     won = [s.model_copy(update={"c3_success": s.task_id in ("T1", "T2", "T7")}) for s in scores]
     assert missing_successes(won) == []
     assert missing_successes([s for s in won if s.task_id != "T2"]) == ["no push succeeded"]
+
+
+@pytest.mark.parametrize("made_by", ["run of the same trials", "run of others", "hand", "demo and a trial more"])
+def test_demo_leaves_what_is_no_demo_alone(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], made_by: str
+) -> None:
+    if made_by == "hand":
+        Path("r").mkdir()
+        Path("r/T1-s000.h5").write_bytes(b"mine")
+    elif made_by == "demo and a trial more":
+        main(["demo", "--out", "r"])
+        main(["run", "--policy", "state-machine", "--tasks", "T1", "--seeds", "0-1", "--out", "r"])
+    else:
+        policy = "state-machine" if made_by == "run of the same trials" else "hover"
+        main(["run", "--policy", policy, "--seeds", "0", "--out", "r"])
+    before = {path.name: path.read_bytes() for path in Path("r").iterdir()}
+    assert main(["demo", "--out", "r"]) == 2
+    assert "--out r: holds something other than an earlier demo; nothing was removed" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in Path("r").iterdir()} == before
+
+
+@pytest.mark.parametrize(("command", "told"), [("demo", "starts anew"), ("run", "goes on from here"), ("score", "")])
+def test_what_an_interrupt_leaves_is_told_truly(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str, told: str
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    fake.setattr(cli_run, "run_trials", interrupted)
+    fake.setattr("carecontact.cli.score.rescore", interrupted)
+    options = {"run": ["--policy", "hover", "--out", "r"], "demo": [], "score": ["."]}
+    assert main([command, *options[command]]) == 130
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.endswith(told)
+    assert (last == "interrupted") == (command == "score")
 
 
 def test_differences_match_trials_by_id() -> None:

@@ -137,3 +137,14 @@ def test_task_by_id() -> None:
     assert PROTOCOL.task("T5").name == "Scrub upper arm"
     with pytest.raises(KeyError):
         PROTOCOL.task("T8")
+
+
+@pytest.mark.parametrize("name", ["../T1", "a/b", "", ".", "T1\n", "-s", "T 1", "T1.h5", "x" * 65, "Ä"])
+def test_ids_that_name_files_name_them_in_the_runs_folder(name: str) -> None:
+    content = load_protocol().model_dump()
+    for place in (content, content["tasks"][0]):
+        held, place["id"] = place["id"], name
+        with pytest.raises(ValidationError, match="id"):
+            Protocol.model_validate(content)
+        place["id"] = held
+    assert Protocol.model_validate(content) == load_protocol()

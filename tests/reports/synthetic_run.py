@@ -108,7 +108,8 @@ def make_score(task_id: str, seed: int, **changes: Any) -> TrialScore:
     base: dict[str, Any] = {
         "trial_id": f"{task_id}-s{seed:03d}", "task_id": task_id, "action": task.action, "region": task.region,
         "seed": seed, "policy": "state_machine", "language_backend": "rules-v1", "protocol_id": PROTOCOL.id,
-        "protocol_sha256": PROTOCOL.sha256, "recording_sha256": "ef" * 32, "ended": "done", "duration_s": 12.0,
+        "protocol_sha256": PROTOCOL.sha256, "recording_sha256": "ef" * 32,
+        "world": {"mujoco": "4.0.0", "body": "ab" * 32}, "fallback_limits": [], "ended": "done", "duration_s": 12.0,
         "failure_message": None, "anatomy": "target", "valid_contact": True, "reported_segment": segment,
         "c1_peak_force_n": 12.3, "c1_peak_filtered_n": 12.0, "c1_peak_contact_sum_n": 12.5,
         "c1_peak_any_segment_n": 12.3, "c2_joint_margin_rad": -3.61e-4, "c2_joint": JOINTS[0], "c2_time_s": 3.0,

@@ -12,10 +12,18 @@ import numpy as np
 import pytest
 
 from carecontact.errors import ConfigError, RecordingError
-from carecontact.recording import read_recording, write_recording
+from carecontact.recording import Failure, read_recording, write_recording
+from carecontact.reports.detail import trial_detail
 from carecontact.reports.frames import MAX_BYTES, jpeg_data_uri
 from carecontact.reports.funnel import funnel, funnel_svg
-from carecontact.reports.html import FAILURES_SHOWN, MODE_MEANING, trials_in_detail, verdict, write_report
+from carecontact.reports.html import (
+    FAILURES_SHOWN,
+    MODE_MEANING,
+    failure_modes,
+    trials_in_detail,
+    verdict,
+    write_report,
+)
 from carecontact.reports.provenance import NOT_RECORDED, cannot_say, provenance_rows
 from carecontact.scoring import FailureMode, score_run
 from tests.reports.synthetic_run import FAILED, HOSTILE, NO_CONTACT, Run, make_recording, make_score, plateau
@@ -178,6 +186,62 @@ def test_run_without_scores(tmp_path: Path) -> None:
     page = Page(write(Run(), tmp_path, **{"T1-s000.h5": "empty file"}))
     assert "No trial of this run could be scored" in page.text
     assert "not scored: empty file" in page.text
+
+
+def add_harness_error(run: Run, task_id: str, seed: int) -> None:
+    failure = Failure(kind="SettleError", message="the person <i>still</i> moves\n\nTraceback: line 7")
+    score = make_score(
+        task_id, seed, **(NO_CONTACT | {"anatomy": "process_failure", "c4_motion_activity": None}), duration_s=0.0,
+        ended="harness_error", failure_mode="process_failure", attribution="process", failure_message=failure.message,
+        evidence="The harness failed, not the policy.",
+    )  # fmt: skip
+    run.add(score, make_recording(task_id, seed, {}, duration_s=0, ended="harness_error", failure=failure))
+
+
+def test_harness_errors_stand_in_a_box_and_in_no_count(run_of_7: Run, tmp_path: Path) -> None:
+    add_harness_error(run_of_7, "T1", 1)
+    text = write(run_of_7, tmp_path)
+    page = Page(text)
+    assert len(page.all("section", class_="caution harness")) == 1
+    assert "The harness failed in 1 trial" in page.text
+    assert "T1-s001the person <i>still</i> moves\n" in page.text
+    assert "line 7" not in page.text
+    assert "completed 2 of 7 trials" in page.text
+    assert "All 7 trials." in page.text
+    assert "process failure · process" in page.text, "the policy's own stays"
+    assert text.count('<td class="num">1</td><td>process 1</td>') == 1
+    assert failure_modes(run_of_7.scores) == failure_modes(run_of_7.scores[:-1])
+    assert funnel(run_of_7.scores) == funnel(run_of_7.scores[:-1])
+    assert "rests on 1 trial." in page.text
+
+
+def test_run_of_harness_errors_alone(tmp_path: Path) -> None:
+    run = Run()
+    add_harness_error(run, "T1", 0)
+    add_harness_error(run, "T2", 0)
+    page = Page(write(run, tmp_path))
+    assert "The harness failed in all 2 trials, so there is nothing to say about the policy." in page.text
+    assert "T2-s000the person" in page.text
+    assert "Why trials failed" not in page.text
+
+
+def test_page_without_harness_errors_has_no_box(run_of_7: Run, tmp_path: Path) -> None:
+    assert Page(write(run_of_7, tmp_path)).all("section", class_="caution harness") == []
+
+
+def test_borrowed_limits_are_said_from_half_of_them_on(tmp_path: Path) -> None:
+    """Pelvis, hand and head have no limit of their own: 21 N is the strictest gate."""
+    peaks = {"right_forearm": 12.3, "pelvis": 10.5, "right_hand": 10.4, "head": 42.0}
+    score = make_score(
+        "T1", 0, peak_force_n=peaks, over_limit={"head": 2.0}, fallback_limits=["pelvis", "right_hand", "head"]
+    )
+    recording = make_recording("T1", 0, {}, duration_s=1)
+    detail = trial_detail(score, recording)
+    assert detail.fallback == "head 42.0 N = 2.00 × the strictest gate, pelvis 10.5 N = 0.50 × the strictest gate"
+    assert trial_detail(score, None).fallback == "head 42.0 N = 2.00 × the strictest gate"
+    run = Run()
+    run.add(make_score("T1", 0, peak_force_n=peaks, fallback_limits=["pelvis"]), recording)
+    assert "pelvis 10.5 N = 0.50 × the strictest gate" in Page(write(run, tmp_path)).text
 
 
 def test_mixed_policies_are_refused_and_leave_no_file(run_of_7: Run, tmp_path: Path) -> None:

@@ -40,6 +40,15 @@ def test_order_does_not_matter(run_of_7: Run) -> None:
     assert [r.task_id for r in summary_rows(run_of_7.scores)] == ["T1", "T2", "T3", "T4", "T5", "T6", "T7", POOLED]
 
 
+def test_harness_errors_are_in_no_count() -> None:
+    failed = NO_CONTACT | {"ended": "harness_error", "failure_mode": "process_failure", "c4_motion_activity": None}
+    scores = [make_score("T1", 0), make_score("T1", 1, **failed), make_score("T2", 0, **failed)]
+    touch, push, pooled = summary_rows(scores)
+    assert touch.cells()[1:] == summary_rows(scores[:1])[0].cells()[1:]
+    assert push.cells()[2:] == ["0", "0/0", "0/0", "0/0", "NA", "–", "NA", "NA"]
+    assert (pooled.n, pooled.success) == (1, 1)
+
+
 def test_no_scores_no_rows() -> None:
     assert summary_rows([]) == []
     assert markdown_table([]).count("\n") == 2

@@ -4,13 +4,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import carecontact
 from carecontact.errors import ConfigError
 from carecontact.recording import Recording, write_recording
-from carecontact.scoring import RunScores, score_recording, score_run, write_scores
+from carecontact.scoring import RunScores, results, score_recording, score_run, write_scores
 from carecontact.stats import wilson_interval
 from tests.scoring.synthetic import before_start, make_recording, push, scrub, touch
 
@@ -79,6 +80,41 @@ def test_process_failures_stay_in_the_denominator(tmp_path: Path) -> None:
     assert data["overall"]["medians"]["c4_motion_activity"] == {"estimate": None, "n": 1, "n_valid": 0}
 
 
+def as_trial(recording: Recording, *, task_id: str = "T1", seed: int = 0, **header: Any) -> Recording:
+    spec = recording.header.spec.model_copy(update={"task_id": task_id, "seed": seed})
+    header = {"spec": spec, **header}
+    return Recording(header=recording.header.model_copy(update=header), arrays=recording.arrays)
+
+
+def test_harness_errors_are_no_failures_of_the_policy(folder: Path) -> None:
+    without = results(score_run(folder))
+    write_recording(as_trial(before_start("harness_error"), seed=3), folder / "T1-s003.h5")
+    write_recording(as_trial(before_start("harness_error"), task_id="T4"), folder / "T4-s000.h5")
+    run = score_run(folder)
+    data = results(run)
+    assert data["overall"] == without["overall"]
+    assert data["per_task"]["T1"] == without["per_task"]["T1"]
+    assert data["per_task"]["T4"]["n_episodes"] == 0
+    assert data["per_task"]["T4"]["pc_success"] is None
+    assert data["language_backend"] == without["language_backend"]
+    assert without["harness_errors"] == []
+    assert data["harness_errors"] == [
+        {"trial_id": "T1-s003", "message": "it did not start"},
+        {"trial_id": "T4-s000", "message": "it did not start"},
+    ]
+    score = run.scores[2]
+    assert (score.trial_id, score.failure_mode) == ("T1-s003", "process_failure")
+
+
+def test_a_run_of_harness_errors_alone(tmp_path: Path) -> None:
+    write_recording(before_start("harness_error"), tmp_path / "T1-s000.h5")
+    data = json.loads(write_scores(tmp_path, score_run(tmp_path)).read_text())
+    assert data["overall"] == data["per_task"]["T1"]
+    assert (data["overall"]["n_episodes"], data["overall"]["pc_success"]) == (0, None)
+    assert data["overall"]["failure_modes"] == {}
+    assert [e["trial_id"] for e in data["harness_errors"]] == ["T1-s000"]
+
+
 def test_empty_and_absent_runs(tmp_path: Path) -> None:
     data = json.loads(write_scores(tmp_path, score_run(tmp_path)).read_text())
     assert data["overall"]["n_episodes"] == 0
@@ -101,6 +137,46 @@ def test_mixed_runs_are_refused(folder: Path) -> None:
     write_recording(touch(seed=7, policy="other"), folder / "T1-s007.h5")
     with pytest.raises(ConfigError, match="2 policies must not be pooled: other, synthetic"):
         score_run(folder)
+
+
+HASHES = {"model": "0" * 64, "body": "1" * 64, "robot": "2" * 64}
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"versions": {"mujoco": "4.1.0"}}, "mujoco 4.0.0 and 4.1.0"),
+        ({"sha256": HASHES | {"body": "f" * 64}}, "body 111111111111 and ffffffffffff"),
+        ({"sha256": HASHES | {"robot": "f" * 64}}, "robot 222222222222 and ffffffffffff"),
+    ],
+)
+def test_worlds_are_not_pooled(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
+    write_recording(as_trial(touch(), sha256=HASHES), tmp_path / "T1-s000.h5")
+    write_recording(as_trial(touch(), seed=1, sha256=HASHES), tmp_path / "T1-s001.h5")
+    assert len(score_run(tmp_path).scores) == 2
+    write_recording(as_trial(touch(), seed=1, **{"sha256": HASHES, **changes}), tmp_path / "T1-s001.h5")
+    with pytest.raises(ConfigError, match=f"T1-s000.h5 and T1-s001.h5 are of different worlds .*: {told}"):
+        score_run(tmp_path)
+
+
+def test_models_are_compared_region_by_region(tmp_path: Path) -> None:
+    """The task's region has the fine mesh, so that two regions are two models."""
+    other = {"model": "f" * 64}
+    write_recording(touch(), tmp_path / "T1-s000.h5")
+    write_recording(as_trial(touch(), task_id="T6", sha256=other), tmp_path / "T6-s000.h5")
+    assert len(score_run(tmp_path).scores) == 2
+    write_recording(as_trial(scrub(), task_id="T3", seed=1, sha256=other), tmp_path / "T3-s001.h5")
+    with pytest.raises(
+        ConfigError, match=r"T1-s000.h5 and T3-s001.h5 are of different worlds .*: model 0{12} and f{12}"
+    ):
+        score_run(tmp_path)
+
+
+def test_a_harness_error_is_of_no_world(tmp_path: Path) -> None:
+    write_recording(touch(), tmp_path / "T1-s000.h5")
+    failed = as_trial(before_start("harness_error"), seed=1, versions={"mujoco": "not installed"}, sha256={})
+    write_recording(failed, tmp_path / "T1-s001.h5")
+    assert len(score_run(tmp_path).scores) == 2
 
 
 BLOCKED = """

@@ -154,6 +154,12 @@ def test_perception_evidence_has_the_distance() -> None:
     )
 
 
+def test_evidence_of_no_motion_claims_no_reason() -> None:
+    score = score_recording(make_recording("T1"))
+    assert score.attribution == "perception"
+    assert score.evidence == "The policy saw rgb, depth and commanded no motion; why is not recorded."
+
+
 def test_off_target_contact() -> None:
     elsewhere = make_recording("T1", normal={"right_hand": hold(3.0, 1.0, 2.0, 5.0)}, targets_in_region=[(0.1, INSIDE)])
     score = score_recording(elsewhere)
@@ -215,6 +221,36 @@ def test_scrub_that_lifts_half_the_time_lost_contact() -> None:
         "T3", duration=6.0, normal={"right_forearm": half_on}, tcp_in_region=path, targets_in_region=[(0.1, INSIDE)]
     )
     assert mode(recording) == ("lost_contact", "execution")
+
+
+def scrub_partly_elsewhere(on_target: tuple[float, float]) -> Recording:
+    """4 s of scrubbing, on for half the time: on the forearm between two times and on the upper arm else."""
+    t = np.arange(3000) * 0.002
+    pulses = np.where((t > 1.0) & (t < 5.0) & (t % 0.5 < 0.25), 5.0, 0.0)
+    forearm = (t >= on_target[0]) & (t < on_target[1])
+    return make_recording(
+        "T3",
+        duration=6.0,
+        normal={"right_forearm": pulses * forearm, "right_upper_arm": pulses * ~forearm},
+        tcp_in_region=back_and_forth(6.0, "forearm", amplitude=0.06, period=2.0),
+        targets_in_region=[(0.1, INSIDE)],
+    )
+
+
+def test_a_scrub_beside_the_target_did_not_lose_it() -> None:
+    score = score_recording(scrub_partly_elsewhere((1.0, 1.05)))
+    assert score.on_share is not None
+    assert score.on_share > 0.35
+    assert score.anatomy == "target"
+    assert score.failure_mode == "insufficient_progress"
+    assert score_recording(scrub_partly_elsewhere((1.0, 4.6))).failure_mode == "lost_contact"
+
+
+def test_segments_without_a_limit_of_their_own_are_flagged() -> None:
+    touched = {s: hold(3.0, 1.0, 2.0, 3.0) for s in ("right_forearm", "right_hand", "pelvis", "abdomen")}
+    score = score_recording(make_recording("T1", normal=touched))
+    assert sorted(score.fallback_limits) == ["pelvis", "right_hand"]
+    assert score_recording(touch()).fallback_limits == []
 
 
 @pytest.mark.parametrize("region", REGIONS)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import mujoco
 import numpy as np
 import pytest
@@ -125,36 +127,45 @@ def tip_force(simulation: Simulation) -> np.ndarray:
     return np.linalg.lstsq(np.vstack([position, rotation])[:, dofs].T, torque, rcond=None)[0][:3]
 
 
-def push_sideways(simulation: Simulation, newton: float, *, locked: bool, periods: int = 75) -> float:
-    """Horizontal push at mid-forearm for 1.5 s, reached in 0.4 s; returns how far the wrist centre moved [m]."""
-    model, data = simulation.model, simulation.data
-    forearm, wrist = model.body("human_right_forearm").id, model.body("human_right_hand").id
-    if locked:
-        joints = [model.joint(f"human_{n}") for n in simulation.joint_names if n.startswith("right_")]
-        for joint in joints:
-            model.dof_damping[joint.dofadr[0]] = 1e6
-    before = data.xpos[wrist].copy()
+def pushed_sideways(simulation: Simulation, newton: float) -> Iterator[None]:
+    """Horizontal push at mid-forearm for 1.5 s, reached in 0.4 s; stops after each period of 20 ms."""
+    data = simulation.data
+    forearm = simulation.model.body("human_right_forearm").id
     along = data.site("region_forearm").xmat.reshape(3, 3)[:, 0]
     side = np.cross([0, 0, 1.0], along)
     side[2] = 0
     side /= np.linalg.norm(side)
-    for period in range(periods):
+    for period in range(75):
         force = newton * min(1.0, period / 20) * side
         data.xfrc_applied[forearm, :3] = force
         data.xfrc_applied[forearm, 3:] = np.cross(data.site("region_forearm").xpos - data.xipos[forearm], force)
         simulation.advance(10)
+        yield
+
+
+def wrist_motion(simulation: Simulation, newton: float, *, locked: bool) -> float:
+    """How far the wrist centre moves horizontally under the push [m]."""
+    model, data = simulation.model, simulation.data
+    if locked:
+        for name in simulation.joint_names:
+            if name.startswith("right_"):
+                model.dof_damping[model.joint(f"human_{name}").dofadr[0]] = 1e6
+    wrist = model.body("human_right_hand").id
+    before = data.xpos[wrist].copy()
+    for _ in pushed_sideways(simulation, newton):
+        pass
     return float(np.linalg.norm((data.xpos[wrist] - before)[:2]))
 
 
 @pytest.mark.parametrize("newton", [10.0, -10.0, 20.0])
 def test_arm_yields_passively(settled: Simulation, newton: float) -> None:
-    assert push_sideways(settled, newton, locked=False) > 0.020
+    assert wrist_motion(settled, newton, locked=False) > 0.020
 
 
 def test_locked_arm_does_not_yield(settled: Simulation) -> None:
     damping = settled.model.dof_damping.copy()
     try:
-        assert push_sideways(settled, 20.0, locked=True) <= 0.002
+        assert wrist_motion(settled, 20.0, locked=True) <= 0.002
     finally:
         settled.model.dof_damping[:] = damping
 
@@ -164,16 +175,18 @@ def test_arm_slides_on_its_board_with_the_protocols_friction(settled: Simulation
     the proxies' own."""
     model, data = settled.model, settled.data
     board = model.geom("bed_armboard").id
-    push_sideways(settled, 15.0, locked=False, periods=25)
-    assert settled.human_speed() > 0.05, "the arm must be sliding"
     ratios, wrench = [], np.zeros(6)
-    for i in range(data.ncon):
-        if board in data.contact[i].geom:
-            mujoco.mj_contactForce(model, data, i, wrench)
-            if wrench[0] > 1.0:
-                ratios.append(np.linalg.norm(wrench[1:3]) / wrench[0])
-    assert ratios
-    assert ratios == pytest.approx([settled.protocol.scene.board_friction] * len(ratios), rel=0.03)
+    for _ in pushed_sideways(settled, 15.0):
+        if settled.human_speed() < 0.05:
+            continue
+        for i in range(data.ncon):
+            if board in data.contact[i].geom:
+                mujoco.mj_contactForce(model, data, i, wrench)
+                if wrench[0] > 1.0:
+                    ratios.append(np.linalg.norm(wrench[1:3]) / wrench[0])
+    assert len(ratios) > 10, "the arm must have slid"
+    assert np.median(ratios) == pytest.approx(settled.protocol.scene.board_friction, rel=0.01)
+    assert max(ratios) < 1.05 * settled.protocol.scene.board_friction
 
 
 def test_mass_is_the_bodys(forearm_scene: Scene) -> None:

@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from carecontact.recording.schema import Recording
 
 
+BROKE = (
+    "policy 'x' failed at act: Traceback (most recent call last):\n  File \"p.py\", line 3, in act\n    boom()\n"
+    "NoGrip: nothing there\n (exit code 0)\nit printed last:\nValueError: only printed"
+)
+
+
 def recording(spec: TrialSpec, ended: str) -> Recording:
     from carecontact.recording.schema import SEGMENTS, Failure, Header, Recording, empty_arrays
 
@@ -23,7 +29,7 @@ def recording(spec: TrialSpec, ended: str) -> Recording:
         {
             "spec": spec,
             "ended": ended,
-            "failure": Failure(kind="died", message="gone\nmore") if ended == "process_failure" else None,
+            "failure": Failure(kind="exception", message=BROKE) if ended == "process_failure" else None,
             "card": None,
             "embodiment": "test",
             "comfort_arm_deg": 50.0,
@@ -39,8 +45,14 @@ def recording(spec: TrialSpec, ended: str) -> Recording:
     return Recording(header=header, arrays=empty_arrays(0))
 
 
-def main(spec_file: str, out: str) -> int:
-    trial_id = Path(spec_file).stem
+def main() -> int:
+    from carecontact.contract.trial import TrialSpec
+
+    asked = json.loads(sys.stdin.buffer.read())
+    spec, out = TrialSpec.model_validate(asked["spec"]), asked["out"]
+    trial_id = spec.trial_id
+    with Path(os.environ["FAKE_LOG"]).with_name("commands.txt").open("a") as commands:
+        commands.write(f"{out} {sys.orig_argv}\n")
     note(f"{trial_id} {os.getpid()}")
     does = json.loads(os.environ["FAKE_PLAN"]).get(trial_id, "good")
     if does == "kill":
@@ -55,7 +67,7 @@ def main(spec_file: str, out: str) -> int:
         note(f"child {subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']).pid}")
         time.sleep(600)
     elif does != "nothing":
-        write(spec_file, out, does)
+        write(spec, out, does)
     return 0
 
 
@@ -64,11 +76,9 @@ def note(line: str) -> None:
         log.write(f"{line}\n")
 
 
-def write(spec_file: str, out: str, does: str) -> None:
-    from carecontact.contract.trial import TrialSpec
+def write(spec: TrialSpec, out: str, does: str) -> None:
     from carecontact.recording import write_recording
 
-    spec = TrialSpec.model_validate_json(Path(spec_file).read_bytes())
     if does == "other":
         spec = spec.model_copy(update={"seed": spec.seed + 1})
     endings = {"good": "done", "policy": "process_failure", "late_crash": "done", "other": "done"}
@@ -78,4 +88,4 @@ def write(spec_file: str, out: str, does: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main())

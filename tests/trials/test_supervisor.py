@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import signal
@@ -10,15 +11,18 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from carecontact import __version__
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, read_recording
+from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.plan import plan_trials
 from carecontact.trials.supervisor import RunSummary, TrialEvent, run_trials
 
@@ -110,7 +114,33 @@ def test_crashes_cost_one_trial_each_and_leave_evidence(bench: Bench) -> None:
     finished = [event for event in bench.events if event.kind == "finished"]
     assert sorted(event.trial_id for event in finished) == sorted(expected)
     assert [event.done for event in finished] == list(range(1, 10))
-    assert {event.message for event in finished if event.trial_id == "T1-s007"} == {"gone"}
+    assert {event.message for event in finished if event.trial_id == "T1-s007"} == {"NoGrip: nothing there"}
+    policys = bench.recording("T1-s007").header.failure
+    assert policys is not None
+    assert policys.message in (bench.out / "T1-s007.log").read_text()
+
+
+def test_nothing_that_a_policy_can_read_names_the_trial(bench: Bench) -> None:
+    bench.run(specs(2))
+    told = (bench.folder / "commands.txt").read_text()
+    assert told.count("fake_worker") == 2
+    assert not [word for word in ("T1", "s000", "s001", "seed") if word in told]
+
+
+def test_leftovers_of_a_killed_supervisor_go_and_a_living_one_is_not_disturbed(bench: Bench) -> None:
+    left = bench.out / ".running-dead"
+    left.mkdir(parents=True)
+    (left / "lock").touch()
+    bench.run(specs(1))
+    assert not list(bench.out.glob(".running-*"))
+
+    left.mkdir()
+    with (left / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with pytest.raises(ConfigError, match="another command is running trials"):
+            bench.run(specs(2))
+    assert left.exists()
+    assert not (bench.out / "T1-s001.h5").exists()
 
 
 def alive(pid: int) -> bool:
@@ -181,14 +211,60 @@ def test_manifest_names_the_run_and_does_not_depend_on_order(bench: Bench) -> No
     bench.run(specs(1))
     bench.run(specs(3)[::-1])
     manifest = (bench.out / "manifest.json").read_text()
-    assert json.loads(manifest) == {
+    held = json.loads(manifest)
+    identity = held.pop("identity")
+    assert identity["policy_sha256"] is None
+    assert identity["versions"] == {"carecontact": __version__, "mujoco": metadata.version("mujoco")}
+    assert {what: len(digest) for what, digest in identity["sha256"].items()} == {"body": 64, "robot": 64}
+    assert held == {
         "schema": "carecontact-run-1",
+        "purpose": "run",
         "policy": "hover",
         "protocol": {"id": PROTOCOL.id, "sha256": PROTOCOL.sha256},
         "trials": ["T1-s000", "T1-s001", "T1-s002"],
     }
     bench.run(specs(2))
     assert (bench.out / "manifest.json").read_text() == manifest
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [(("versions", "mujoco"), "3.0.0"), (("versions", "carecontact"), "0"), (("sha256", "body"), "0" * 64)],
+)
+def test_folder_of_other_packages_or_assets_is_refused(bench: Bench, path: tuple[str, str], value: str) -> None:
+    bench.run(specs(1))
+    held = json.loads((bench.out / "manifest.json").read_text())
+    held["identity"][path[0]][path[1]] = value
+    (bench.out / "manifest.json").write_text(json.dumps(held))
+    with pytest.raises(ConfigError, match=rf"{path[1]}.* was {value[:3]}.*use another --out"):
+        bench.run(specs(2))
+    assert bench.ran() == []
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"schema": "carecontact-run-1", "trials": []}'])
+def test_damaged_manifest_is_named_and_kept(bench: Bench, content: str) -> None:
+    bench.run(specs(2))
+    (bench.out / "manifest.json").write_text(content)
+    with pytest.raises(ConfigError, match=r"manifest\.json is damaged"):
+        bench.run(specs(1))
+    assert (bench.out / "manifest.json").read_text() == content
+
+
+def test_edited_policy_gets_no_more_trials_in_the_same_folder(bench: Bench) -> None:
+    source = bench.folder / "mine" / "own.py"
+    source.parent.mkdir()
+    source.write_text("class Own: ...\n")
+    environment = {**bench.environment({}), POLICY_PATH: str(bench.folder)}
+    options: dict[str, Any] = {"out": bench.out, "jobs": 2, "environment": environment, "worker_command": FAKE}
+    run_trials(specs(1, policy="mine.own:Own"), **options)
+    assert run_trials(specs(2, policy="mine.own:Own"), **options).ran == ("T1-s001",)
+    source.write_text("class Own: 'better'\n")
+    with pytest.raises(ConfigError, match="policy's source changed since this folder was started: use another --out"):
+        run_trials(specs(3, policy="mine.own:Own"), **options)
+    (bench.out / "manifest.json").unlink()
+    with pytest.raises(ConfigError, match=r"no manifest\.json"):
+        run_trials(specs(3, policy="mine.own:Own"), **options)
+    assert not (bench.out / "T1-s002.h5").exists()
 
 
 def test_wrong_requests_are_refused_before_anything_is_written(bench: Bench) -> None:

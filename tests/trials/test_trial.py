@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -52,13 +53,13 @@ def spec(policy: str, task: str = "T1", seed: int = 0) -> TrialSpec:
 
 
 def test_same_spec_in_fresh_processes_gives_the_same_recording(policies: Path, tmp_path: Path) -> None:
-    (tmp_path / "spec.json").write_text(spec("my_policies:Wave").model_dump_json())
     hashes = []
     for name in ("a.h5", "b.h5"):
         environment = {**__import__("os").environ, POLICY_PATH_VARIABLE: str(policies)}
+        asked = {"spec": spec("my_policies:Wave").model_dump(mode="json"), "out": str(tmp_path / name)}
         done = subprocess.run(
-            [sys.executable, "-m", "carecontact.trials.worker", str(tmp_path / "spec.json"), str(tmp_path / name)],
-            env=environment, capture_output=True, text=True, timeout=120,
+            [sys.executable, "-m", "carecontact.trials.worker"],
+            input=json.dumps(asked), env=environment, capture_output=True, text=True, timeout=120,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         recording = read_recording(tmp_path / name)

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from carecontact import __version__
 from carecontact.errors import CarecontactError
 
-INTERRUPTED = 130
+INTERRUPTED, BROKEN_PIPE = 130, 141
+"""128 and the signal's number, as a shell counts."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,14 +24,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     # A polite kill must stop the trials' processes as Ctrl-C does; they live in sessions of their own.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    command = parse(arguments)
+    left = ""
     try:
-        return command()
+        command = parse(arguments)
+        left = command.after_interrupt
+        status = command()
+        print(end="", flush=True)
+        return status
     except CarecontactError as error:
         print(_error_line(str(error)), file=sys.stderr)
         return 2
+    except BrokenPipeError:
+        # Whoever read the output has gone; what is still buffered must not be tried again while Python ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except OSError as error:
+        place = error.filename2 or error.filename
+        print(_error_line(f"{place}: {error.strerror}" if place and error.strerror else str(error)), file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
-        print("\ninterrupted; finished trials are kept, the same command goes on from here", file=sys.stderr)
+        print(f"\ninterrupted{left}", file=sys.stderr)
         return INTERRUPTED
 
 

@@ -12,22 +12,20 @@ from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.recording import read_recording
 from carecontact.scoring import score_run
 from carecontact.scoring.result import TrialScore
-from carecontact.trials.manifest import FAILED, MANIFEST
+from carecontact.trials.failed import reason
+from carecontact.trials.manifest import FAILED, MANIFEST, read_manifest
+from carecontact.trials.supervisor import check_jobs, remove_abandoned
 
 POLICY = "state-machine"
 SEED = 0
-LEFTOVERS = ("*.h5", "*.log", MANIFEST, "results.json", "report.html")
-"""What an earlier demo leaves; nothing else in the folder is touched."""
 
 
 def demo(*, out: Path, jobs: int | None) -> int:
     began = time.monotonic()
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"--out {out}: this is a file; name a folder")
-    for pattern in LEFTOVERS:
-        for path in out.glob(pattern):
-            path.unlink()
+    check_jobs(jobs)
     protocol = load_protocol(DEFAULT_PROTOCOL)
+    trial_ids = [f"{task.id}-s{SEED:03d}" for task in protocol.tasks]
+    remove_earlier_demo(out, trial_ids=trial_ids)
     run(
         policy=POLICY,
         out=out,
@@ -36,12 +34,37 @@ def demo(*, out: Path, jobs: int | None) -> int:
         protocol=DEFAULT_PROTOCOL,
         jobs=jobs,
         retry_failed=False,
+        purpose="demo",
     )
-    problems = check_demo(out, trial_ids=[f"{task.id}-s{SEED:03d}" for task in protocol.tasks])
+    problems = check_demo(out, trial_ids=trial_ids)
     for problem in problems:
         print(f"demo: {problem}")
     print(f"demo {'failed' if problems else 'succeeded'} in {time.monotonic() - began:.0f} s")
     return 1 if problems else 0
+
+
+def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
+    """Remove what an earlier demo of the same trials wrote into ``out``, and nothing else.
+
+    Raises ConfigError for a folder that holds anything but such a demo.
+    """
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"--out {out}: this is a file; name a folder")
+    if not out.exists() or not any(out.iterdir()):
+        return
+    manifest = read_manifest(out)
+    mine = manifest is not None and (manifest.purpose, manifest.policy, manifest.protocol.id, manifest.trials) == (
+        "demo", POLICY, DEFAULT_PROTOCOL, sorted(trial_ids),
+    )  # fmt: skip
+    foreign = sorted(path.name for path in out.glob("*.h5") if path.stem not in trial_ids)
+    if not mine or foreign:
+        what = f"{foreign[0]}, which is of no demo" if mine else "something other than an earlier demo"
+        raise ConfigError(f"--out {out}: holds {what}; nothing was removed: use another --out, or empty the folder")
+    remove_abandoned(out)
+    written = [f"{trial_id}.{ending}" for trial_id in trial_ids for ending in ("h5", "log")]
+    # The manifest last: after an interruption it still says that the rest may go.
+    for name in (*written, "results.json", "report.html", MANIFEST):
+        (out / name).unlink(missing_ok=True)
 
 
 def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
@@ -54,7 +77,7 @@ def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
             problems.append(str(error))
             continue
         if header.ended in FAILED:
-            told = header.failure.message.partition("\n")[0] if header.failure else "no reason recorded"
+            told = reason(header.failure.message) if header.failure else "no reason recorded"
             problems.append(f"{trial_id} ended as {header.ended}: {told}")
     return problems + missing_successes(score_run(out).scores)
 

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import io
+from collections.abc import Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal, Protocol
 
 import tyro
 
+from carecontact.errors import ConfigError
+
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+
+
+class Command(Protocol):
+    after_interrupt: ClassVar[str]
+    """What Ctrl-C has left, to follow the word "interrupted"."""
+
+    def __call__(self) -> int: ...
+
+
+class UsageError(ConfigError):
+    """An option, value or command that there is not."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +47,8 @@ class Run:
     retry_failed: Switch = False
     """Run trials again that ended as process_failure or harness_error."""
 
+    after_interrupt: ClassVar[str] = "; finished trials are kept, the same command goes on from here"
+
     def __call__(self) -> int:
         from carecontact.cli.run import run
 
@@ -52,9 +69,11 @@ class Demo:
     scrubbed."""
 
     out: Path = Path("runs/demo")
-    """Folder; a demo that is already there is replaced."""
+    """Folder; a demo that is already there is replaced, anything else is left alone."""
     jobs: int | None = None
     """Trials at once; default: one per core."""
+
+    after_interrupt: ClassVar[str] = "; finished trials are kept until the next demo there, which starts anew"
 
     def __call__(self) -> int:
         from carecontact.cli.demo import demo
@@ -67,6 +86,7 @@ class Score:
     """Compute the scores of a run again from its recordings; no simulator needed."""
 
     folder: Folder
+    after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
         from carecontact.cli.score import score
@@ -79,6 +99,7 @@ class Report:
     """Write report.html of a run again."""
 
     folder: Folder
+    after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
         from carecontact.cli.score import report
@@ -94,6 +115,8 @@ class List:
     protocol: str = "bathing-v1-draft"
     """Whose tasks."""
 
+    after_interrupt: ClassVar[str] = ""
+
     def __call__(self) -> int:
         from carecontact.cli.names import show
 
@@ -104,6 +127,8 @@ class List:
 class Doctor:
     """Check that this machine can run trials; for what is missing, say the line that installs it."""
 
+    after_interrupt: ClassVar[str] = ""
+
     def __call__(self) -> int:
         from carecontact.cli.doctor import doctor
 
@@ -113,11 +138,29 @@ class Doctor:
 COMMANDS = {"run": Run, "demo": Demo, "score": Score, "report": Report, "list": List, "doctor": Doctor}
 
 
-def parse(arguments: Sequence[str]) -> Callable[[], int]:
-    """The command that was asked for, ready to call. Exits by itself on --help and on wrong options."""
-    return tyro.extras.subcommand_cli_from_dict(
-        COMMANDS,
-        prog="carecontact",
-        description="Does a robot policy touch people well?",
-        args=list(arguments) or ["--help"],
-    )
+def parse(arguments: Sequence[str]) -> Command:
+    """The command that was asked for, ready to call. Exits by itself on --help; raises UsageError for wrong options."""
+    said = io.StringIO()
+    try:
+        with redirect_stderr(said):
+            return tyro.extras.subcommand_cli_from_dict(
+                COMMANDS,
+                prog="carecontact",
+                description="Does a robot policy touch people well?",
+                args=list(arguments) or ["--help"],
+            )
+    except SystemExit as end:
+        if end.code != 2:
+            raise
+        raise UsageError(_in_one_line(said.getvalue())) from None
+
+
+def _in_one_line(box: str) -> str:
+    """From tyro's framed page what is wrong and where help is; the help texts themselves, which are indented, go."""
+    rows = [line.strip("│\n ").rstrip() for line in box.splitlines() if not line.startswith(" " * 8, 2)]
+    sections = [" ".join(section.split()) for section in "\n".join(rows[1:-1]).split("─" * 8)]
+    sections = [section.strip("─ ") for section in sections if section.strip("─ ")]
+    if not sections:
+        return " ".join(box.split())
+    more = [section for section in sections[1:] if section.startswith(("Unrecognized", "For full helptext"))]
+    return "; ".join([sections[0].partition(" Got errors:")[0].rstrip("."), *more])

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from carecontact.errors import ConfigError, PolicyError
-
-_RAISED = re.compile(r"^[A-Za-z_][\w.]*(Error|Exception|Exit|Interrupt|Warning)\b.*")
+from carecontact.trials.failed import reason
 
 
 def check_policy(policy: str, *, search_path: Path, deadline_s: float) -> None:
@@ -30,9 +28,3 @@ def check_policy(policy: str, *, search_path: Path, deadline_s: float) -> None:
         raise ConfigError(
             f"--policy {policy} does not start (looked in {search_path} first): {reason(str(error))}"
         ) from None
-
-
-def reason(message: str) -> str:
-    """The line of a failure that says why: the exception under its traceback, else the first line."""
-    raised = [line for line in message.splitlines() if _RAISED.match(line)]
-    return raised[-1] if raised else message.partition("\n")[0]

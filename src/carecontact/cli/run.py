@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING
 from carecontact.cli.policy_name import check_policy
 from carecontact.cli.progress import progress
 from carecontact.cli.score import report, rescore
-from carecontact.protocols import load_protocol
+from carecontact.protocols import load_protocol, shipped_protocols
+from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.plan import parse_seeds, parse_tasks, plan_trials
-from carecontact.trials.supervisor import run_trials
+from carecontact.trials.preflight import check_protocol
+from carecontact.trials.supervisor import check_jobs, run_trials
 
 if TYPE_CHECKING:
+    from carecontact.contract.protocol import Protocol
+    from carecontact.trials.manifest import Purpose
     from carecontact.trials.supervisor import RunSummary
-
-POLICY_PATH = "CARECONTACT_POLICY_PATH"
-"""Tells a trial's process where ``module:Class`` policies are looked for."""
 
 
 def run(
@@ -28,14 +29,17 @@ def run(
     protocol: str,
     jobs: int | None,
     retry_failed: bool,
+    purpose: Purpose = "run",
 ) -> int:
-    """Exit status 1 if the harness failed in any trial; a policy that fails is a result."""
+    """Exit status 1 if the harness failed in any trial or a recording was skipped; a policy that fails is a result."""
+    check_jobs(jobs)
     rules = load_protocol(protocol)
+    check_protocol(rules)
     task_ids, seed_list = parse_tasks(tasks, protocol=rules), parse_seeds(seeds, protocol=rules)
     folder = Path.cwd()
     check_policy(policy, search_path=folder, deadline_s=rules.phases.first_call_deadline_s)
     specs = plan_trials(protocol=rules, policy=policy, tasks=task_ids, seeds=seed_list)
-    print(f"{policy}: {len(specs)} trial(s) of {rules.id} into {out}", flush=True)
+    print(f"{policy}: {len(specs)} trial(s) of {protocol_title(rules)} into {out}", flush=True)
     with progress() as on_event:
         summary = run_trials(
             specs,
@@ -44,10 +48,18 @@ def run(
             retry_failed=retry_failed,
             environment={POLICY_PATH: str(folder)},
             on_event=on_event,
+            purpose=purpose,
         )
     # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
-    report(out, run=rescore(out, compare=not summary.ran))
-    return 1 if _tell_failures(summary, out=out) else 0
+    scores = rescore(out, compare=not summary.ran)
+    report(out, run=scores)
+    return 1 if _tell_failures(summary, out=out) or scores.skipped else 0
+
+
+def protocol_title(protocol: Protocol) -> str:
+    """Its id; a file that keeps a shipped id but is another protocol is not shown as the shipped one."""
+    modified = protocol.id in shipped_protocols() and load_protocol(protocol.id).sha256 != protocol.sha256
+    return f"{protocol.id} (modified)" if modified else protocol.id
 
 
 def _tell_failures(summary: RunSummary, *, out: Path) -> int:
@@ -55,7 +67,8 @@ def _tell_failures(summary: RunSummary, *, out: Path) -> int:
     by_end = {end: [t for t, e in summary.ended.items() if e == end] for end in ("process_failure", "harness_error")}
     for end, whose in (("process_failure", "the policy's process"), ("harness_error", "the harness")):
         if by_end[end]:
-            print(f"{len(by_end[end])} trial(s) failed in {whose}; see {out / (by_end[end][0] + '.log')}")
+            logs = [log for trial_id in by_end[end] if (log := out / f"{trial_id}.log").is_file()]
+            print(f"{len(by_end[end])} trial(s) failed in {whose}" + (f"; see {logs[0]}" if logs else ""))
     if any(by_end.values()):
         print("the same command with --retry-failed runs them again")
     return len(by_end["harness_error"])

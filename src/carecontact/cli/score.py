@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carecontact.errors import ConfigError
+from carecontact.trials.manifest import read_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,24 +19,40 @@ RESULTS = "results.json"
 
 
 def score(folder: Path) -> int:
-    rescore(folder)
-    return 0
+    """Exit status 1 if a recording was skipped."""
+    return 1 if rescore(folder).skipped else 0
 
 
 def rescore(folder: Path, *, compare: bool = True) -> RunScores:
-    """Score every recording, say what differs from results.json (``compare``), write it and print the table."""
+    """Score every recording, say what differs from results.json (``compare``), write it and print the table.
+
+    Where nothing could be scored, results.json stays as it is.
+    """
     from carecontact.scoring import score_run, write_scores
+    from carecontact.scoring.run import harness_errors
 
     _need_recordings(folder)
+    manifest = read_manifest(folder)
     before = _results(folder) if compare else None
     run = score_run(folder)
-    path = write_scores(folder, run)
-    for line in differences(before, _results(folder)):
-        print(line)
-    print_table(run.scores)
+    path = write_scores(folder, run) if run.scores else None
+    if path is not None:
+        for line in differences(before, _results(folder)):
+            print(line)
+        print_table(run.scores)
+    failed = harness_errors(run.scores)
+    if failed:
+        trials = ", ".join(error["trial_id"] for error in failed)
+        why = failed[0]["message"].partition("\n")[0]
+        print(f"harness failed, not counted: {len(failed)} trial(s): {trials} (first: {why})")
     for name, why in run.skipped.items():
         print(f"skipped {name}: {why}")
-    print(f"scores: {path}")
+    if manifest is not None:
+        absent = missing_trials(manifest.trials, run)
+        if absent:
+            planned = len(manifest.trials)
+            print(f"{planned - len(absent)} of {planned} planned trials scored; not: {', '.join(absent)}")
+    print(f"scores: {path}" if path else f"nothing could be scored; {RESULTS} was not written")
     return run
 
 
@@ -57,9 +74,16 @@ def report(folder: Path, *, run: RunScores | None = None) -> int:
     return 0
 
 
+def missing_trials(planned: Sequence[str], run: RunScores) -> list[str]:
+    scored = {score.trial_id for score in run.scores}
+    return [trial_id for trial_id in planned if trial_id not in scored]
+
+
 def print_table(scores: Sequence[TrialScore]) -> None:
     from rich.console import Console
     from rich.table import Table
+
+    from carecontact.scoring.run import judged
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for header in ("task", "trials", "success", "region-correct", "safety-gated"):
@@ -67,11 +91,12 @@ def print_table(scores: Sequence[TrialScore]) -> None:
     table.add_column("peak force [N]", justify="right")
     table.add_column("failures")
     for task in sorted({s.task_id for s in scores}):
-        rows = [s for s in scores if s.task_id == task]
+        of_task = [s for s in scores if s.task_id == task]
+        rows = judged(of_task)
         peaks = sorted(s.c1_peak_force_n for s in rows if s.c1_peak_force_n is not None)
         modes = sorted({s.failure_mode for s in rows if s.failure_mode})
         table.add_row(
-            f"{task} {rows[0].action} {rows[0].region}",
+            f"{task} {of_task[0].action} {of_task[0].region}",
             str(len(rows)),
             str(sum(s.c3_success for s in rows)),
             str(sum(s.region_correct for s in rows)),

@@ -1,4 +1,4 @@
-"""Schema of a protocol file: the one home of every number that decides a trial or a score."""
+"""Schema of a protocol file: tasks, gates, limits, definitions and the numbers of the scene that may change."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 Positive = Annotated[float, Field(gt=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Vec3 = tuple[float, float, float]
+FileStem = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
+"""An id that names files, so that it can name none elsewhere."""
 
 
 class Section(BaseModel):
@@ -70,11 +72,14 @@ class Tissue(Section):
     """[N s/m per m^2]"""
     areal_mass_kg_m2: Positive
     spacing_m: Positive
-    """Vertex spacing on the patch that the tool can reach; around a limb, at its middle section."""
+    """Vertex spacing on the patch that the tool can reach; round a limb, at its middle section."""
     coarse_spacing_m: Positive
     """Spacing away from it."""
     off_target_spacing_m: Positive
     """Spacing of the whole shell where the task's target is another region."""
+    off_target_scale: Positive
+    """Factor on stiffness and damping there: a coarser mesh spreads a tool's load over more anchors, and the region
+    must answer the tool alike whichever task is run."""
     thickness_m: Positive
     """Depth of the rigid core under the surface."""
     measured_depth_m: Positive
@@ -90,7 +95,7 @@ class Person(Section):
 
 
 class Task(Section):
-    id: str
+    id: FileStem
     name: str
     action: Literal["touch", "push", "scrub"]
     region: Literal["forearm", "upper_arm", "abdomen"]
@@ -171,7 +176,7 @@ class Scene(Section):
 
 
 class Protocol(Section):
-    id: str
+    id: FileStem
     description: str
     frozen: bool
     physics: Physics
@@ -193,7 +198,11 @@ class Protocol(Section):
     def f_pain(self, segment: str) -> float:
         """F_pain [N] of a segment; ``right_forearm`` and ``left_forearm`` are both ``forearm``."""
         limits = self.limits.f_pain_n
-        return limits.get(segment.removeprefix("right_").removeprefix("left_"), min(limits.values()))
+        return limits.get(_sideless(segment), min(limits.values()))
+
+    def has_own_limit(self, segment: str) -> bool:
+        """Whether the limits name the segment; else ``f_pain`` is the strictest entry."""
+        return _sideless(segment) in self.limits.f_pain_n
 
     @model_validator(mode="after")
     def _consistent(self) -> Protocol:
@@ -241,3 +250,7 @@ class Protocol(Section):
     def sha256(self) -> str:
         """Of the canonical JSON, so that spelling and comments in the TOML do not count."""
         return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+
+def _sideless(segment: str) -> str:
+    return segment.removeprefix("right_").removeprefix("left_")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from carecontact.recording.schema import Recording
@@ -10,6 +11,8 @@ from carecontact.reports.table import number, task_name
 from carecontact.reports.traces import force_trace, trace_svg
 from carecontact.scoring.result import TrialScore
 
+NEAR_LIMIT = 0.5
+"""Share of a borrowed gate from which on the report says that it was borrowed."""
 MAX_TEXT = 400
 """Characters of a message that a policy wrote."""
 
@@ -29,6 +32,8 @@ class TrialDetail:
     progress: str
     over_limit: str
     """Segments over their gate, in words; empty if none."""
+    fallback: str
+    """Segments at NEAR_LIMIT of a gate that is not their own, in words; empty if none."""
     failure: str
     """Mode and attribution; empty if none."""
     evidence: str
@@ -47,15 +52,17 @@ def trial_detail(score: TrialScore, recording: Recording | None) -> TrialDetail:
     """Row and trace of one trial."""
     result, text = result_word(score)
     svg, gate = None, "–"
+    gate_ratio = dict(score.over_limit)
     if recording is not None:
         trace = force_trace(recording, score)
         gate = f"{trace.gate_n:g}"
+        protocol = recording.header.spec.protocol
+        for segment in score.fallback_limits:
+            ratio = score.peak_force_n[segment] / (protocol.limits.gamma * protocol.f_pain(segment))
+            gate_ratio.setdefault(segment, ratio)
         if trace.time_s.size:
             svg = trace_svg(trace, title=_alt_text(score, text, gate))
-    over = ", ".join(
-        f"{segment.replace('_', ' ')} {score.peak_force_n.get(segment, float('nan')):.1f} N = {ratio:.2f} × its gate"
-        for segment, ratio in sorted(score.over_limit.items())
-    )
+    borrowed = {s: gate_ratio[s] for s in score.fallback_limits if gate_ratio.get(s, 0.0) >= NEAR_LIMIT}
     mode = [score.failure_mode.replace("_", " ")] if score.failure_mode else []
     cause = [score.attribution] if score.attribution else []
     evidence = " ".join(part for part in (score.evidence, score.failure_message) if part)
@@ -70,7 +77,8 @@ def trial_detail(score: TrialScore, recording: Recording | None) -> TrialDetail:
         c4=number(score.c4_motion_activity, 2),
         c5=number(score.c5_force_sd_n, 2),
         progress=progress(score),
-        over_limit=over,
+        over_limit=_ratios(score, score.over_limit, "its gate"),
+        fallback=_ratios(score, borrowed, "the strictest gate"),
         failure=" · ".join(mode + cause),
         evidence=evidence if len(evidence) <= MAX_TEXT else evidence[:MAX_TEXT] + " …",
         svg=svg,
@@ -120,6 +128,13 @@ def snapshot(score: TrialScore, recording: Recording) -> Frame | None:
         return None
     uri = jpeg_data_uri(recording["report/snapshot_rgb"])
     return Frame(name="The scene", text=f"snapshot of {score.task_id}, seed {score.seed}", uri=uri)
+
+
+def _ratios(score: TrialScore, ratio_of: Mapping[str, float], gate: str) -> str:
+    return ", ".join(
+        f"{segment.replace('_', ' ')} {score.peak_force_n.get(segment, float('nan')):.1f} N = {ratio:.2f} × {gate}"
+        for segment, ratio in sorted(ratio_of.items())
+    )
 
 
 def _alt_text(score: TrialScore, result: str, gate: str) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from carecontact.reports.table import percent
 from carecontact.scoring.result import TrialScore
+from carecontact.scoring.run import judged
 from carecontact.stats import wilson_interval
 
 WIDTH, ROW, LEFT, RIGHT, BOTTOM = 680, 58, 1, 1, 30
@@ -24,7 +25,8 @@ class Step:
 
 
 def funnel(scores: Sequence[TrialScore]) -> list[Step]:
-    """Three steps, each a subset of the one before; empty without scores."""
+    """Three steps, each a subset of the one before; empty without a trial that is ``judged``."""
+    scores = judged(scores)
     if not scores:
         return []
     steps = (

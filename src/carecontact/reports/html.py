@@ -12,12 +12,12 @@ from carecontact import __version__
 from carecontact.errors import RecordingError
 from carecontact.recording.schema import Header, Recording
 from carecontact.recording.writer import replace_file
-from carecontact.reports.detail import Frame, TrialDetail, peak_frame, snapshot, trial_detail
+from carecontact.reports.detail import MAX_TEXT, Frame, TrialDetail, peak_frame, snapshot, trial_detail
 from carecontact.reports.funnel import Step, funnel, funnel_svg
 from carecontact.reports.provenance import cannot_say, provenance_rows
 from carecontact.reports.table import COLUMNS, POOLED, sorted_scores, summary_rows
 from carecontact.scoring.result import TrialScore
-from carecontact.scoring.run import check_one_run
+from carecontact.scoring.run import check_one_run, harness_errors, judged
 
 FILE_NAME = "report.html"
 FULL_DETAIL = 21
@@ -26,7 +26,7 @@ FAILURES_SHOWN = 14
 """Beyond FULL_DETAIL: one trial a task, and this many of those that did not pass."""
 
 MODE_MEANING = {
-    "process_failure": "the policy's process died, hung or answered wrongly",
+    "process_failure": "the policy's own process did not start, died, hung or answered wrongly",
     "safety_truncation": "cut because a force passed the truncation limit or the solver failed",
     "no_target_contact": "the person was never touched",
     "off_target_contact": "touched, but never the named region",
@@ -49,10 +49,12 @@ def write_report(
     ``recordings`` maps a trial id to its recording; it is called once for each trial shown in detail and the result
     is dropped before the next, so a long run needs the memory of one. A recording that raises RecordingError is
     named on the page, not fatal. ``skipped`` maps trial ids or file names to why they have no score.
-    Raises ConfigError if the scores mix protocols or policies.
+    Trials in which the harness failed are listed in a box of their own and are in no count, row or picture.
+    Raises ConfigError if the scores mix protocols, policies or worlds.
     """
     check_one_run(scores)
-    ordered = sorted_scores(scores)
+    everything = sorted_scores(scores)
+    ordered = judged(everything)
     chosen = trials_in_detail(ordered)
     headers: list[Header] = []
     frames: dict[str, Frame] = {}
@@ -77,15 +79,15 @@ def write_report(
         .get_template("report.html.j2")
         .render(
             version=__version__,
-            policy=ordered[0].policy if ordered else None,
-            protocol_id=ordered[0].protocol_id if ordered else None,
-            verdict=verdict(steps, ordered),
+            policy=everything[0].policy if everything else None,
+            protocol_id=everything[0].protocol_id if everything else None,
+            verdict=verdict(steps, everything),
             steps=steps,
             funnel_svg=funnel_svg(steps),
             draft=any(not h.spec.protocol.frozen for h in headers),
             n_tasks=len({s.task_id for s in ordered}),
             columns=COLUMNS,
-            rows=summary_rows(ordered),
+            rows=summary_rows(everything),
             pooled=POOLED,
             details=shown,
             without_trace=[f"{d.task_id} {d.name}, seed {d.seed}" for d in shown if d.svg is None],
@@ -96,11 +98,12 @@ def write_report(
             frames=[frames[task] for task in sorted(frames)],
             modes=failure_modes(ordered),
             failed=sum(not s.region_correct for s in ordered),
-            limits=cannot_say(ordered, headers, steps, len(skipped)),
-            provenance=provenance_rows(ordered, headers),
+            limits=cannot_say(everything, headers, steps, len(skipped)),
+            provenance=provenance_rows(ordered or everything, headers),
             read=len(headers),
             skipped=[(name, _inside(run_folder, why)) for name, why in sorted(skipped.items())],
             unread=sorted(unread.items()),
+            harness_errors=_shortened(harness_errors(everything), run_folder),
         )
     )
     path = run_folder / FILE_NAME
@@ -110,6 +113,11 @@ def write_report(
 
 def verdict(steps: Sequence[Step], scores: Sequence[TrialScore]) -> str:
     """One sentence that somebody who reads nothing else may quote."""
+    scored = len(scores)
+    scores = judged(scores)
+    if scored and not scores:
+        failed_in = "its only trial" if scored == 1 else f"all {scored} trials"
+        return f"The harness failed in {failed_in}, so there is nothing to say about the policy."
     if not steps:
         return "No trial of this run could be scored, so there is nothing to say about the policy."
     success, correct, gated = (s.k for s in steps)
@@ -154,7 +162,7 @@ def hardest_first(chosen: Sequence[TrialScore]) -> list[TrialScore]:
 
 def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
     """One row a failure mode, most frequent first, with what the failures were attributed to."""
-    failed = [s for s in scores if s.failure_mode is not None]
+    failed = [s for s in judged(scores) if s.failure_mode is not None]
     counts = Counter(str(s.failure_mode) for s in failed)
     out: list[dict[str, Any]] = []
     for mode, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
@@ -162,6 +170,11 @@ def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
         text = ", ".join(f"{cause} {k}" for cause, k in sorted(causes.items(), key=lambda item: (-item[1], item[0])))
         out.append({"mode": mode.replace("_", " "), "meaning": MODE_MEANING[mode], "count": count, "attribution": text})
     return out
+
+
+def _shortened(errors: Sequence[Mapping[str, str]], run_folder: Path) -> list[tuple[str, str]]:
+    """Trial and first line of what is known; the rest is a traceback, which results.json has."""
+    return [(e["trial_id"], _inside(run_folder, e["message"]).partition("\n")[0][:MAX_TEXT]) for e in errors]
 
 
 def _inside(run_folder: Path, message: str) -> str:

@@ -100,9 +100,9 @@ def _extrapolation(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
 
 
 def _task_counts(scores: Sequence[TrialScore]) -> str:
-    counts = sorted({sum(s.task_id == task for s in scores) for task in {s.task_id for s in scores}})
+    counts = sorted({sum(s.task_id == task and s.is_judged for s in scores) for task in {s.task_id for s in scores}})
     low, high = counts[0], counts[-1]
-    return f"{low} trial{'s' if low > 1 else ''}" if low == high else f"{low} to {high} trials"
+    return f"{low} trial{'' if low == 1 else 's'}" if low == high else f"{low} to {high} trials"
 
 
 def _range(values: Sequence[float]) -> str:

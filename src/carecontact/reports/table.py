@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from carecontact.scoring.result import TrialScore
-from carecontact.scoring.run import check_one_run
+from carecontact.scoring.run import check_one_run, judged
 from carecontact.stats import Median, median
 
 NA = "NA"
@@ -76,7 +76,8 @@ def sorted_scores(scores: Iterable[TrialScore]) -> list[TrialScore]:
 def summary_rows(scores: Sequence[TrialScore]) -> list[SummaryRow]:
     """One row a task in task order, then one over all trials; empty without scores.
 
-    Raises ConfigError if the scores mix protocols or policies.
+    Trials in which the harness failed are in no count; a task that has no other keeps its row, with n = 0.
+    Raises ConfigError if the scores mix protocols, policies or worlds.
     """
     check_one_run(scores)
     if not scores:
@@ -97,6 +98,7 @@ def markdown_table(scores: Sequence[TrialScore]) -> str:
 
 
 def _row(task_id: str, name: str, group: Sequence[TrialScore]) -> SummaryRow:
+    group = judged(group)
     return SummaryRow(
         task_id=task_id,
         name=name,

@@ -49,7 +49,7 @@ def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribut
     modalities = _vision_modalities(contact)
     if path is None:
         if modalities:
-            return "perception", f"The policy saw {', '.join(modalities)} and commanded no motion."
+            return "perception", f"The policy saw {', '.join(modalities)} and commanded no motion; why is not recorded."
         return "planning", "The policy asked for no images and commanded no motion."
     closest = float(path.distance.min())
     if closest > NEAR_REGION_M:

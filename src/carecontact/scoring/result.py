@@ -36,6 +36,9 @@ class TrialScore(BaseModel):
     protocol_sha256: str
     recording_sha256: str
     """Canonical hash of the recording that was scored."""
+    world: dict[str, str]
+    """What was simulated: hashes of ``model``, ``body`` and ``robot``, the version of ``mujoco``, as far as recorded.
+    ``model`` is left out where the policy changed its stiffness, because the recorded hash then holds that choice."""
     ended: str
     duration_s: float
     failure_message: str | None
@@ -82,6 +85,8 @@ class TrialScore(BaseModel):
     """Segment -> peak, touched segments only."""
     over_limit: dict[str, float]
     """Segment -> peak over gamma' F_pain, for touched segments above 1."""
+    fallback_limits: list[str]
+    """Touched segments that have no limit of their own and were judged by the strictest entry."""
 
     failure_mode: FailureMode | None
     attribution: Attribution | None
@@ -89,3 +94,8 @@ class TrialScore(BaseModel):
     metric_versions: dict[str, str]
     additional: dict[str, float | None] = {}
     """Metric id -> value, for registered metrics beyond C1 to C5."""
+
+    @property
+    def is_judged(self) -> bool:
+        """False where the harness failed: such a trial says nothing about the policy and is in no count."""
+        return self.ended != "harness_error"

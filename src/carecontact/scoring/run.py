@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ def score_run(folder: Path | str) -> RunScores:
     """Score every ``*.h5`` of a run's folder; writes nothing.
 
     A file that cannot be read or scored, or that is not named after its trial, is skipped with the reason.
-    Raises ConfigError if the folder does not exist or the trials are of more than one protocol or policy.
+    Raises ConfigError if the folder does not exist or the trials are of more than one protocol, policy or world.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -57,8 +57,8 @@ def score_run(folder: Path | str) -> RunScores:
     return RunScores(scores=scores, skipped=skipped, versions={k: sorted(v) for k, v in sorted(versions.items())})
 
 
-def check_one_run(scores: Iterable[TrialScore]) -> None:
-    """Raises ConfigError if the scores are of more than one protocol or policy: their rates must not be pooled."""
+def check_one_run(scores: Sequence[TrialScore]) -> None:
+    """Raises ConfigError if the scores are of several protocols, policies or worlds: their rates must not be pooled."""
     protocols, policies = set[str](), set[str]()
     for score in scores:
         protocols.add(f"{score.protocol_id} ({score.protocol_sha256[:12]})")
@@ -66,6 +66,35 @@ def check_one_run(scores: Iterable[TrialScore]) -> None:
     for what, found in (("protocols", protocols), ("policies", policies)):
         if len(found) > 1:
             raise ConfigError(f"trials of {len(found)} {what} must not be pooled: {', '.join(sorted(found))}")
+    _check_one_world(judged(scores))
+
+
+def _check_one_world(scores: Sequence[TrialScore]) -> None:
+    """The compiled model has the fine mesh on the task's region, so that models are compared region by region."""
+    first: dict[tuple[str, ...], TrialScore] = {}
+    for score in scores:
+        for what, value in score.world.items():
+            place = (what, score.region) if what == "model" else (what,)
+            other = first.setdefault(place, score)
+            if other.world[what] != value:
+                raise ConfigError(
+                    f"{other.trial_id}.h5 and {score.trial_id}.h5 are of different worlds and must not be pooled: "
+                    f"{what} {other.world[what][:12]} and {value[:12]}"
+                )
+
+
+def judged(scores: Iterable[TrialScore]) -> list[TrialScore]:
+    """The trials that say something about the policy: all but those in which the harness failed."""
+    return [s for s in scores if s.is_judged]
+
+
+def harness_errors(scores: Iterable[TrialScore]) -> list[dict[str, str]]:
+    """``trial_id`` and ``message`` of the trials in which the harness failed."""
+    return [
+        {"trial_id": s.trial_id, "message": s.failure_message or "no reason recorded"}
+        for s in scores
+        if not s.is_judged
+    ]
 
 
 def write_scores(folder: Path | str, run: RunScores) -> Path:
@@ -81,24 +110,27 @@ def results(run: RunScores) -> dict[str, Any]:
     ``n_success`` and ``pc_success``) and what this benchmark adds. Rates are in percent where the key says ``pc``."""
     scores = run.scores
     check_one_run(scores)
+    backends = {s.language_backend for s in judged(scores)}
     first = scores[0] if scores else None
     tasks = sorted({s.task_id for s in scores})
     return {
         "schema": RESULTS_SCHEMA,
         "policy": first.policy if first else None,
-        "language_backend": sorted({s.language_backend for s in scores}),
+        "language_backend": sorted(backends),
         "protocol": {"id": first.protocol_id, "sha256": first.protocol_sha256} if first else None,
         "metric_versions": first.metric_versions if first else {},
         "versions": run.versions,
         "skipped": run.skipped,
+        "harness_errors": harness_errors(scores),
         "overall": summarise(scores),
         "per_task": {task: summarise([s for s in scores if s.task_id == task]) for task in tasks},
         "trials": [s.model_dump(mode="json") for s in scores],
     }
 
 
-def summarise(scores: list[TrialScore]) -> dict[str, Any]:
-    """Rates, medians and counts over some trials; C2 is pooled over Push alone."""
+def summarise(scores: Iterable[TrialScore]) -> dict[str, Any]:
+    """Rates, medians and counts over those trials that are ``judged``; C2 is pooled over Push alone."""
+    scores = judged(scores)
     n = len(scores)
 
     def rate(k: int) -> dict[str, Any]:

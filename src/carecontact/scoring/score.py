@@ -48,6 +48,7 @@ def score_recording(recording: Recording) -> TrialScore:
         protocol_id=protocol.id,
         protocol_sha256=protocol.sha256,
         recording_sha256=canonical_hash(recording),
+        world=_world(contact),
         ended=header.ended,
         duration_s=float(contact.time_s[-1]) if len(contact.time_s) else 0.0,
         failure_message=header.failure.message if header.failure else None,
@@ -82,6 +83,7 @@ def score_recording(recording: Recording) -> TrialScore:
         extrapolated_share=extrapolated,
         peak_force_n=peak_of_segments(contact),
         over_limit=verdict.over_limit,
+        fallback_limits=[s for s in (contact.segments[i] for i in contact.touched) if not protocol.has_own_limit(s)],
         failure_mode=verdict.failure_mode,
         attribution=attribution,
         evidence=evidence,
@@ -109,6 +111,14 @@ def _check_streams(recording: Recording) -> None:
         raise RecordingError(
             f"{trial_id}: scorer/time_s steps by {gaps[wrong[0]]:.6g} s after sample {wrong[0]}, expected {dt:g} s"
         )
+
+
+def _world(contact: Contact) -> dict[str, str]:
+    header = contact.recording.header
+    world = {name: header.sha256[name] for name in ("body", "robot", "model") if name in header.sha256}
+    if "mujoco" in header.versions:
+        world["mujoco"] = header.versions["mujoco"]
+    return world
 
 
 def _indentation(contact: Contact) -> tuple[float, float | None]:

@@ -76,11 +76,15 @@ def _failure_mode(contact: Contact, gate: Gate) -> FailureMode:
 def _broken_halfway(contact: Contact, gate: Gate) -> bool:
     """Whether the target was held for half of what the gate asks and was then let go.
 
-    Scrub asks for a share of the episode and not for a time, so half the share counts there.
+    Scrub asks for a share of the episode and not for a time, so half the share counts there. A neighbour's time does
+    not count: the region was not lost where it was hardly touched.
     """
     gates = contact.protocol.gates
     if contact.task.action == "scrub":
-        return gate.best is not None and gate.best.on_share >= gates.scrub.on_share / 2
+        if gate.best is None:
+            return False
+        target_on = contact.on[gate.best.start : gate.best.stop, contact.target]
+        return bool(target_on.mean() >= gates.scrub.on_share / 2)
     needed = gates.touch.duration_s if contact.task.action == "touch" else gates.push.duration_s
     half = steps(needed / 2, contact.dt_s)
     target_held = holding(contact) & contact.on[:, contact.target]

@@ -127,6 +127,9 @@ class Simulation:
             calm_s = calm_s + period * model.opt.timestep if speed < phases.settle_speed_m_s else 0.0
             if data.time >= phases.settle_min_s and calm_s >= phases.settle_hold_s:
                 break
+            warnings = self.solver_warnings()
+            if warnings:
+                raise SettleError(f"MuJoCo warned while the person settled: {', '.join(warnings)}")
             if data.time >= phases.settle_max_s or not np.isfinite(speed):
                 raise SettleError(
                     f"person still moves at {speed * 1000:.1f} mm/s after {data.time:.1f} s "
@@ -204,6 +207,15 @@ class Simulation:
             self._until_target -= count
         return out
 
+    def refresh(self) -> None:
+        """Bring poses, cameras and skin up to the current joint angles: a step leaves them where it began.
+
+        Changes nothing that the next step uses.
+        """
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
     def indentation(self) -> F64:
         """(R,) largest inward anchor displacement now [m]."""
         return np.array([max(0.0, float(self.data.qpos[self._anchor_qpos[r]].max())) for r in REGIONS])
@@ -223,7 +235,7 @@ class Simulation:
         return [w.name.removeprefix("mjWARN_") for w in SOLVER_WARNINGS if self.data.warning[w].number > 0]
 
     def integration_state(self) -> F64:
-        """The whole state from which the run can be continued bit for bit."""
+        """The state from which the run can be continued bit for bit, given the model with its gains and rest angles."""
         spec = int(mujoco.mjtState.mjSTATE_INTEGRATION)
         out = np.zeros(mujoco.mj_stateSize(self.model, spec))
         mujoco.mj_getState(self.model, self.data, out, spec)

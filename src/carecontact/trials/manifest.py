@@ -3,19 +3,43 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.recording import read_recording
-from carecontact.recording.schema import EndReason
+from carecontact.recording.schema import EndReason, Header
+from carecontact.recording.writer import replace_file
+from carecontact.trials.identity import Identity
 
 MANIFEST = "manifest.json"
-MANIFEST_SCHEMA = "carecontact-run-1"
 FAILED: tuple[EndReason, ...] = ("process_failure", "harness_error")
+Purpose = Literal["run", "demo"]
+
+
+class ProtocolName(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    id: str
+    sha256: str
+
+
+class Manifest(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    version: Annotated[Literal["carecontact-run-1"], Field(alias="schema")] = "carecontact-run-1"
+    purpose: Purpose
+    """Which command started the folder."""
+    policy: str
+    protocol: ProtocolName
+    identity: Identity
+    trials: list[str]
+    """Ids of every trial that any command planned here."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,10 +52,10 @@ class Survey:
     """Trial id -> why the file that is there does not count."""
 
 
-def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool) -> Survey:
+def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identity: Identity) -> Survey:
     """Sort the wanted trials that have a file in ``out`` into those to keep and those to run again.
 
-    Raises ConfigError when the folder holds a run of another policy or protocol.
+    Raises ConfigError when the folder holds a run of another policy, protocol or identity, or a damaged manifest.
     """
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: this is a file; name a folder")
@@ -39,7 +63,9 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool) -> Surv
         raise ConfigError("a run has one policy and one protocol")
     if len({spec.trial_id for spec in specs}) != len(specs):
         raise ConfigError("the same trial is planned twice")
-    _check_manifest(specs[0], out=out)
+    manifest = read_manifest(out)
+    if manifest is not None:
+        _check_manifest(manifest, specs[0], out=out, identity=identity)
     wanted = {spec.trial_id for spec in specs}
     keep: dict[str, EndReason] = {}
     redo: dict[str, str] = {}
@@ -50,8 +76,12 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool) -> Surv
             if path.stem in wanted:
                 redo[path.stem] = str(error)
             continue
-        if (header.spec.policy, header.spec.protocol) != (specs[0].policy, specs[0].protocol):
-            raise _another_run(out, held=header.spec, wanted=specs[0], evidence=path.name)
+        _check_header(header, specs[0], path=path, identity=identity)
+        if manifest is None and identity.policy_sha256 is not None:
+            raise ConfigError(
+                f"{out} holds {path.name} but no {MANIFEST}, which alone tells whether the policy's "
+                "source changed: use another --out"
+            )
         if path.stem not in wanted:
             continue
         if header.spec.trial_id != path.stem:
@@ -63,47 +93,59 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool) -> Surv
     return Survey(keep=keep, redo=redo)
 
 
-def write_manifest(specs: Sequence[TrialSpec], *, out: Path) -> None:
+def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity, purpose: Purpose) -> None:
     """Atomically; trials of earlier commands in the same folder stay listed."""
-    protocol = specs[0].protocol
-    earlier = (_read_manifest(out) or {}).get("trials", [])
-    content = {
-        "schema": MANIFEST_SCHEMA,
-        "policy": specs[0].policy,
-        "protocol": {"id": protocol.id, "sha256": protocol.sha256},
-        "trials": sorted({*earlier, *(spec.trial_id for spec in specs)}),
-    }
-    partial = out / f".{MANIFEST}.partial"
-    partial.write_text(json.dumps(content, indent=2) + "\n")
-    os.replace(partial, out / MANIFEST)
-
-
-def _check_manifest(spec: TrialSpec, *, out: Path) -> None:
-    held = _read_manifest(out)
-    if held is None:
-        return
-    same = held.get("policy") == spec.policy and held.get("protocol", {}).get("sha256") == spec.protocol.sha256
-    if not same:
-        raise ConfigError(
-            f"{out} holds another run (policy {held.get('policy')}, protocol {held.get('protocol', {}).get('id')} "
-            f"{str(held.get('protocol', {}).get('sha256'))[:12]}); wanted policy {spec.policy}, protocol "
-            f"{spec.protocol.id} {spec.protocol.sha256[:12]}: use another --out"
-        )
-
-
-def _read_manifest(out: Path) -> dict | None:
-    """None when there is none or it cannot be read: the recordings say themselves what they are."""
-    try:
-        held = json.loads((out / MANIFEST).read_bytes())
-    except (FileNotFoundError, ValueError):
-        return None
-    return held if isinstance(held, dict) and held.get("schema") == MANIFEST_SCHEMA else None
-
-
-def _another_run(out: Path, *, held: TrialSpec, wanted: TrialSpec, evidence: str) -> ConfigError:
-    def told(spec: TrialSpec) -> str:
-        return f"policy {spec.policy}, protocol {spec.protocol.id} {spec.protocol.sha256[:12]}"
-
-    return ConfigError(
-        f"{out} holds another run: {evidence} is of {told(held)}; wanted {told(wanted)}: use another --out"
+    protocol, earlier = specs[0].protocol, read_manifest(out)
+    manifest = Manifest(
+        purpose=earlier.purpose if earlier else purpose,
+        policy=specs[0].policy,
+        protocol=ProtocolName(id=protocol.id, sha256=protocol.sha256),
+        identity=identity,
+        trials=sorted({*(earlier.trials if earlier else ()), *(spec.trial_id for spec in specs)}),
     )
+    text = json.dumps(manifest.model_dump(mode="json", by_alias=True), indent=2)
+    replace_file(out / MANIFEST, f"{text}\n".encode("ascii"))
+
+
+def read_manifest(out: Path) -> Manifest | None:
+    """None when there is none. Raises ConfigError for one that cannot be read: what was planned is then unknown."""
+    path = out / MANIFEST
+    try:
+        return Manifest.model_validate(json.loads(path.read_bytes()))
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except ValidationError as error:
+        first = error.errors()[0]
+        why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
+    except ValueError as error:
+        why = f"not JSON: {error}"
+    raise ConfigError(f"{path} is damaged or of another release ({why}): restore it or use another --out")
+
+
+def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity: Identity) -> None:
+    if (manifest.policy, manifest.protocol.sha256) != (spec.policy, spec.protocol.sha256):
+        raise ConfigError(
+            f"{out} holds another run (policy {manifest.policy}, protocol {manifest.protocol.id} "
+            f"{manifest.protocol.sha256[:12]}); wanted {_told(spec)}: use another --out"
+        )
+    held = manifest.identity
+    if held.policy_sha256 != identity.policy_sha256:
+        raise ConfigError(f"{out}: the policy's source changed since this folder was started: use another --out")
+    changed = identity.differences(versions=held.versions, sha256=held.sha256)
+    if changed:
+        raise ConfigError(f"{out} was started with something else ({'; '.join(changed)}): use another --out")
+
+
+def _check_header(header: Header, spec: TrialSpec, *, path: Path, identity: Identity) -> None:
+    if (header.spec.policy, header.spec.protocol) != (spec.policy, spec.protocol):
+        raise ConfigError(
+            f"{path.parent} holds another run: {path.name} is of {_told(header.spec)}; wanted {_told(spec)}: "
+            "use another --out"
+        )
+    changed = identity.differences(versions=header.versions, sha256=header.sha256)
+    if changed:
+        raise ConfigError(f"{path} was recorded with something else ({'; '.join(changed)}): use another --out")
+
+
+def _told(spec: TrialSpec) -> str:
+    return f"policy {spec.policy}, protocol {spec.protocol.id} {spec.protocol.sha256[:12]}"

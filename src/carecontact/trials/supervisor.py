@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import fcntl
+import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -17,12 +21,15 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.schema import EndReason, Recording
-from carecontact.trials.failed import harness_error_recording, tail
-from carecontact.trials.manifest import FAILED, survey, write_manifest
+from carecontact.trials.failed import harness_error_recording, reason, tail
+from carecontact.trials.identity import POLICY_PATH, identity_of
+from carecontact.trials.manifest import FAILED, Purpose, survey, write_manifest
 from carecontact.trials.worker import SINGLE_THREAD
 
 # -P: the folder a user happens to stand in must not shadow a module of the trial's process.
 WORKER_COMMAND = (sys.executable, "-P", "-X", "faulthandler", "-m", "carecontact.trials.worker")
+WORK_PREFIX = ".running-"
+LOCK = "lock"
 POLL_S = 0.05
 DEFAULT_TRIAL_LIMIT_S = 3600.0
 """Wall clock. Only a harness that hangs gets near it: a policy's own calls have deadlines in the protocol."""
@@ -37,7 +44,7 @@ class TrialEvent:
     total: int
     ended: EndReason | None = None
     message: str | None = None
-    """First line of the failure, or why a file is run again."""
+    """The line of the failure that says why, or why a file is run again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,18 +75,22 @@ class _Run:
     running: list[_Running] = field(default_factory=list)
 
     def start(self, spec: TrialSpec) -> None:
-        spec_file = self.work / f"{spec.trial_id}.json"
-        spec_file.write_text(spec.model_dump_json())
-        partial, output = self.work / f"{spec.trial_id}.h5", self.work / f"{spec.trial_id}.log"
+        # Neither a name nor a command line may tell the policy, which can read both, what it is tried on.
+        folder = Path(tempfile.mkdtemp(dir=self.work))
+        partial, output = folder / "trial.h5", folder / "output.txt"
         with output.open("wb") as log:
             process = subprocess.Popen(
-                [*self.command, str(spec_file), str(partial)],
-                stdin=subprocess.DEVNULL,
+                self.command,
+                stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env={**os.environ, **SINGLE_THREAD, "PYTHONHASHSEED": "0", **self.environment},
                 start_new_session=True,
             )
+        assert process.stdin is not None
+        # A worker that is dead already is found so when it is polled.
+        with suppress(BrokenPipeError), process.stdin as stdin:
+            stdin.write(json.dumps({"spec": spec.model_dump(mode="json"), "out": str(partial.resolve())}).encode())
         self.running.append(
             _Running(spec=spec, process=process, partial=partial, output=output, started=time.monotonic())
         )
@@ -116,7 +127,12 @@ class _Run:
             write_recording(recording, worker.partial)
         os.replace(worker.partial, self.out / f"{trial_id}.h5")
         log = self.out / f"{trial_id}.log"
-        if recording.header.ended in FAILED:
+        failure = recording.header.failure
+        if recording.header.ended in FAILED and failure is not None:
+            output = worker.output.read_text(errors="replace").strip()
+            told = f"{trial_id} {recording.header.ended} ({failure.kind})\n{failure.message}\n"
+            printed = f"\nthe trial's process printed:\n{output}\n" if output else ""
+            worker.output.write_text(told + printed, errors="replace")
             os.replace(worker.output, log)
         else:
             log.unlink(missing_ok=True)
@@ -138,21 +154,27 @@ def run_trials(
     environment: Mapping[str, str] | None = None,
     on_event: Callable[[TrialEvent], None] = lambda event: None,
     worker_command: Sequence[str] = WORKER_COMMAND,
+    purpose: Purpose = "run",
 ) -> RunSummary:
     """Run what is missing in ``out``, ``jobs`` trials at once; every trial has a recording afterwards.
 
     A worker that dies without a recording gets one that says how it died. On KeyboardInterrupt the workers are killed
-    and finished trials stay. Raises ConfigError for a folder that holds another run.
+    and finished trials stay. Raises ConfigError for a folder that holds another run, that another command is writing
+    to, or that cannot be written to.
     """
     began = time.monotonic()
+    check_jobs(jobs)
     jobs = available_cores() if jobs is None else jobs
-    if jobs < 1:
-        raise ConfigError(f"--jobs {jobs}: must be at least 1")
     if not specs:
         raise ConfigError("no trial to run")
-    found = survey(specs, out=out, retry_failed=retry_failed)
-    out.mkdir(parents=True, exist_ok=True)
-    write_manifest(specs, out=out)
+    identity = identity_of(specs[0], search_path=(environment or {}).get(POLICY_PATH, "").split(os.pathsep))
+    found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        remove_abandoned(out)
+        write_manifest(specs, out=out, identity=identity, purpose=purpose)
+    except OSError as error:
+        raise ConfigError(f"--out {out}: cannot be written to: {error.strerror}") from None
     ended: dict[str, EndReason] = dict(found.keep)
     total = len(specs)
     for trial_id, how in found.keep.items():
@@ -161,10 +183,10 @@ def run_trials(
         on_event(TrialEvent(kind="redo", trial_id=trial_id, message=why, done=len(ended), total=total))
     waiting = [spec for spec in specs if spec.trial_id not in found.keep]
     ran = tuple(spec.trial_id for spec in waiting)
-    with tempfile.TemporaryDirectory(prefix=".running-", dir=out) as work:
+    with _work_folder(out) as work:
         run = _Run(
             out=out,
-            work=Path(work),
+            work=work,
             command=worker_command,
             environment=environment or {},
             trial_limit_s=trial_limit_s,
@@ -183,7 +205,7 @@ def run_trials(
                             kind="finished",
                             trial_id=spec.trial_id,
                             ended=header.ended,
-                            message=header.failure.message.partition("\n")[0] if header.failure else None,
+                            message=reason(header.failure.message) if header.failure else None,
                             done=len(ended),
                             total=total,
                         )
@@ -193,6 +215,33 @@ def run_trials(
         finally:
             run.kill_all()
     return RunSummary(ended=ended, ran=ran, kept=tuple(found.keep), wall_s=time.monotonic() - began)
+
+
+def check_jobs(jobs: int | None) -> None:
+    """Raises ConfigError for a number of workers that is none."""
+    if jobs is not None and jobs < 1:
+        raise ConfigError(f"--jobs {jobs}: must be at least 1")
+
+
+def remove_abandoned(out: Path) -> None:
+    """Remove what a killed supervisor left in ``out``. Raises ConfigError while a living one is at work there."""
+    for folder in out.glob(f"{WORK_PREFIX}*"):
+        lock = folder / LOCK
+        if lock.is_file():
+            with lock.open() as stream:
+                try:
+                    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise ConfigError(f"{out}: another command is running trials into it; wait for it") from None
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _work_folder(out: Path) -> Iterator[Path]:
+    """Locked for as long as this process lives, however it ends."""
+    with tempfile.TemporaryDirectory(prefix=WORK_PREFIX, dir=out) as folder, (Path(folder) / LOCK).open("w") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        yield Path(folder)
 
 
 def available_cores() -> int:

@@ -61,6 +61,8 @@ def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> R
     started = time.monotonic()
     protocol, task = spec.protocol, spec.protocol.task(spec.task_id)
     scene = build_scene(protocol, target=task.region)
+    # Before anything runs: settling writes the seed's rest angles into the model, a policy its stiffness.
+    model_sha256 = scene.model_sha256
     simulation = Simulation(scene)
     settled = simulation.settle(comfort_arm_deg(protocol, spec.seed))
     settled_wall = time.monotonic()
@@ -81,7 +83,7 @@ def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> R
         human_joints=simulation.joint_names, pose_base_in_world=simulation.pose_base_in_world.tolist(),
         versions=_versions(),
         sha256={
-            "model": scene.model_sha256, "protocol": protocol.sha256, "body": scene.body.sha256, "robot": panda_sha256()
+            "model": model_sha256, "protocol": protocol.sha256, "body": scene.body.sha256, "robot": panda_sha256()
         },
         solver_warnings=simulation.solver_warnings()
         + (["normal-force sensor full: normal sums are too small"] if simulation.normal_sum_truncated else []),
@@ -109,9 +111,14 @@ class _Trial:
                 self.spec.policy, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s,
                 search_path=search_path,
             ) as process:  # fmt: skip
-                card = process.start()
-                process.reset(self.task.prompt, self._session())
-                return card, self._act_loop(process, card, renderer)
+                try:
+                    card = process.start()
+                    process.reset(self.task.prompt, self._session())
+                    return card, self._act_loop(process, card, renderer)
+                finally:
+                    # What it printed may hold times and paths, so it is evidence but no part of the recording's hash.
+                    process.close()
+                    self.log.extra["wall/policy_output"] = np.frombuffer(process.printed.encode(), "u1")
         except PolicyError as error:
             return card, _Ended("process_failure", Failure(kind=error.kind, message=str(error)))
 
@@ -125,6 +132,7 @@ class _Trial:
         done_steps = 0
         while done_steps < limit_steps:
             if not queue:
+                simulation.refresh()
                 observation = builder.build(simulation.data, instruction=self.task.prompt, sim_time_s=simulation.time_s)
                 reply = process.act(observation)
                 self.log.add_observation(observation, reply.sent_sha256)

@@ -1,4 +1,4 @@
-"""Bed, pillow, knee roll, arm board, room and light."""
+"""Bed, pillow, arm board, room and light."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float) -> None:
         "solimp": [0.98, 0.99, 0.004, 0.5, 2.0],
         "friction": [0.8, 0.005, 0.0001],
         "condim": 3,
+        "priority": 1,
     }
 
     def add(name: str, kind: mujoco.mjtGeom, size: list[float], pos: list[float], rgba: list[float], **kwargs) -> None:

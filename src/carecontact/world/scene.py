@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from carecontact.contract.protocol import Protocol
+from carecontact.contract.protocol import Protocol, Tissue
 from carecontact.world.cameras import add_cameras
 from carecontact.world.furniture import add_furniture, add_light
 from carecontact.world.human.body import Array, Body, load_body
@@ -20,7 +20,7 @@ from carecontact.world.human.refine import refined
 from carecontact.world.human.shell import limb_shell, trunk_shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, add_skeleton, body_name
 from carecontact.world.human.skin import add_skin
-from carecontact.world.human.tissue import Region, add_tissue, set_damping, shell_mass
+from carecontact.world.human.tissue import Region, add_tissue, set_damping, shell_points
 from carecontact.world.robot import add_robot
 from carecontact.world.sensors import add_sensors
 
@@ -70,10 +70,8 @@ def build_spec(
 
     front = np.array([0.0, -1.0, 0.0])
     tissue = {
-        region: row if target in (None, region) else row.model_copy(update={
-            "spacing_m": row.off_target_spacing_m, "coarse_spacing_m": row.off_target_spacing_m})
-        for region, row in protocol.person.tissue.items()
-    }  # fmt: skip
+        region: row if target in (None, region) else off_target(row) for region, row in protocol.person.tissue.items()
+    }
     shells = {
         region: trunk_shell(body, front, tissue[region]) if region == "abdomen"
         else limb_shell(body, segment, upward_in_bind(body, segment), tissue[region])
@@ -83,8 +81,8 @@ def build_spec(
     root = np.array([PELVIS_X_M, 0.0, protocol.scene.mattress_top_m + height])
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, SUPINE.ravel())
-    masses = {SOFT_SEGMENTS[r]: shell_mass(s, tissue[r]) for r, s in shells.items()}
-    rows = add_skeleton(spec, body, root_position=root, root_quat=quat, shell_mass=masses)
+    points = {SOFT_SEGMENTS[r]: shell_points(s, tissue[r]) for r, s in shells.items()}
+    rows = add_skeleton(spec, body, root_position=root, root_quat=quat, shell_points=points)
     regions = {r: add_tissue(spec, body, r, s, tissue[r]) for r, s in shells.items()}
     for region, shell in shells.items():
         site_quat = np.zeros(4)
@@ -117,6 +115,18 @@ def build_scene(protocol: Protocol, *, target: str | None, samples: int = 10, sk
         model = spec.compile()
     set_damping(model, regions)
     return Scene(model=model, protocol=protocol, body=body, hinges=tuple(rows), regions=regions, samples=samples)
+
+
+def off_target(tissue: Tissue) -> Tissue:
+    """The same tissue on the coarse mesh of a region that is not the task's target."""
+    scaled = ("a_n_m3", "b_n_m4", "c_n_m5", "damping_ns_m3")
+    return tissue.model_copy(
+        update={
+            "spacing_m": tissue.off_target_spacing_m,
+            "coarse_spacing_m": tissue.off_target_spacing_m,
+            **{name: getattr(tissue, name) * tissue.off_target_scale for name in scaled},
+        }
+    )
 
 
 def upward_in_bind(body: Body, segment: str) -> Array:

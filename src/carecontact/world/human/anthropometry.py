@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from carecontact.errors import SceneError
 from carecontact.world.human.body import Array, Body
 
 
@@ -69,18 +70,57 @@ class SegmentInertia:
     """(3,) about those columns"""
 
 
+TRUNK_LENGTH_MM = {
+    "M": {"thorax": 242.1, "abdomen": 215.5, "pelvis": 145.7},
+    "F": {"thorax": 228.0, "abdomen": 205.3, "pelvis": 181.5},
+}
+"""Cervicale to xiphion to omphalion to mid-hip, Table 4; from the neck down."""
+
+
+def without_points(row: SegmentInertia, masses: Array, places: Array) -> tuple[float, Array, Array]:
+    """What is left of a segment when point masses are taken out.
+
+    Args:
+        masses: (n,) [kg]
+        places: (n, 3) mesh frame
+
+    Returns mass, centre of mass (3,) and inertia tensor (3, 3) about it in the mesh frame. Raises SceneError if the
+    points weigh or spread more than the segment has.
+    """
+
+    def about(point: Array, mass: Array, at: Array) -> Array:
+        r = at - point
+        return np.einsum("n,nij->ij", mass, (r**2).sum(1)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None, :])
+
+    tensor = row.axes @ np.diag(row.moments_kgm2) @ row.axes.T
+    mass = row.mass_kg - float(masses.sum())
+    if mass <= 0:
+        raise SceneError(f"a shell of {masses.sum():.2f} kg is heavier than its segment of {row.mass_kg:.2f} kg")
+    centre = (row.mass_kg * row.centre_m - masses @ places) / mass
+    left = tensor + about(centre, np.array([row.mass_kg]), row.centre_m[None]) - about(centre, masses, places)
+    moments = np.linalg.eigvalsh(left)
+    if moments[0] <= 0 or moments[0] + moments[1] < moments[2] * (1 - 1e-6):
+        raise SceneError(
+            f"a shell leaves its segment no possible inertia, principal moments {moments.round(6).tolist()}"
+        )
+    return mass, centre, left
+
+
 def segment_ends(body: Body, segment: str) -> tuple[Array, Array]:
     """First and second end of a segment as de Leva measures it, on this body [m]."""
     j = body.joint_centre
     kind = segment.removeprefix("left_").removeprefix("right_")
-    trunk = {"thorax": ("neck", "thorax"), "abdomen": ("thorax", "abdomen"), "pelvis": ("abdomen", "pelvis")}
     if kind == "head":
         top = j["head"].copy()
         top[2] = body.vertices[:, 2].max()
         return top, j["neck"]
-    if kind in trunk:
-        first, second = trunk[kind]
-        return j[first], j[second]
+    if kind in TRUNK_LENGTH_MM[body.sex]:
+        # The rig's spine joints are not de Leva's landmarks: his lengths, stacked from neck to hips, in proportion.
+        lengths = TRUNK_LENGTH_MM[body.sex]
+        ends = np.concatenate([[0.0], np.cumsum(list(lengths.values()))]) / sum(lengths.values())
+        k = list(lengths).index(kind)
+        line = j["pelvis"] - j["neck"]
+        return j["neck"] + ends[k] * line, j["neck"] + ends[k + 1] * line
     if kind == "foot":
         points = body.vertices_of(segment)
         heel, toe = points[points[:, 1].argmax()], points[points[:, 1].argmin()]

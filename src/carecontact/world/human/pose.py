@@ -28,7 +28,7 @@ def lying_pose_deg(comfort_arm_deg: float) -> dict[str, float]:
         "right_forearm_flexion": 12.0, "right_forearm_supination": 58.0, "right_hand_flexion": 0.0,
         "left_upper_arm_abduction": 22.0, "left_upper_arm_flexion": -17.0, "left_upper_arm_rotation": 10.0,
         "left_forearm_flexion": 14.0, "left_forearm_supination": 45.0,
-        **{f"{s}_thigh_flexion": 0.4 for s in ("left", "right")},
+        **{f"{s}_thigh_flexion": 1.8 for s in ("left", "right")},
         **{f"{s}_thigh_abduction": 3.0 for s in ("left", "right")},
         **{f"{s}_foot_plantarflexion": 18.0 for s in ("left", "right")},
     }  # fmt: skip

@@ -11,8 +11,11 @@ from carecontact.contract.protocol import Tissue
 from carecontact.errors import SceneError
 from carecontact.world.human.body import Array, Body
 
+PINNED_BEYOND_DEG = {"forearm": 128.0, "upper_arm": 105.0}
+"""Round a limb from its top. The forearm is also pushed from the side: 90 degrees must lie between free vertices."""
 FINE_HALF_LENGTH_M = 0.085
 """Scrub strokes of +-60 mm plus two tool radii."""
+BELLY_HALF_WIDTH_M = 0.135
 LIMB_SPAN = {"forearm": (0.05, 0.96), "upper_arm": (0.25, 0.97)}
 """Share of the joint-to-joint line that a shell covers; the upper arm's begins under the armpit, where it is a tube."""
 
@@ -33,6 +36,8 @@ class Shell:
     """(N,) fixed to the bone: border ring and underside"""
     area: Array
     """(N,) share of the surface [m^2]"""
+    axis_points: Array
+    """(N, 3) point of the region's axis (belly: of its back plane) inward of each vertex"""
     frame_origin: Array
     frame: Array
     """(3, 3) columns x (along), y, z (outward at the middle): the region frame in the mesh frame"""
@@ -76,21 +81,13 @@ def limb_shell(body: Body, segment: str, outward: Array, tissue: Tissue) -> Shel
         )
     pinned = np.zeros((len(t), len(theta)), bool)
     pinned[[0, -1]] = True
-    pinned[:, np.abs(theta) > np.radians(105.0)] = True
+    pinned[:, np.abs(theta) > np.radians(PINNED_BEYOND_DEG[segment.partition("_")[2]])] = True
     surface = vertices[len(t) // 2, np.abs(theta).argmin()]
     centre = probe[len(t) // 2]
     depth = float((surface - centre) @ z)
-    return _finish(
-        vertices,
-        pinned,
-        x,
-        start + 0.5 * along + (centre - start - ((centre - start) @ x) * x),
-        x,
-        z,
-        length,
-        radius,
-        depth,
-    )
+    origin = start + 0.5 * along + (centre - start - ((centre - start) @ x) * x)
+    axis_points = np.repeat(probe[:, None], len(theta), 1)
+    return _finish(vertices, pinned, axis_points, x, origin, x, z, length, radius, depth)
 
 
 def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
@@ -99,7 +96,12 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
     y = np.cross(z, x)
     low, high = belly_span(body)
     t = graded(np.array([low, high]), np.array([low + 0.03, high - 0.03]), tissue.spacing_m, tissue.coarse_spacing_m)
-    s = graded(np.array([-0.135, 0.135]), np.array([-0.085, 0.085]), tissue.spacing_m, tissue.coarse_spacing_m)
+    s = graded(
+        np.array([-BELLY_HALF_WIDTH_M, BELLY_HALF_WIDTH_M]),
+        np.array([-0.085, 0.085]),
+        tissue.spacing_m,
+        tissue.coarse_spacing_m,
+    )
     trunk = body.vertices[body.faces]
     centre_height = (low + high) / 2
     triangles = trunk[
@@ -107,9 +109,10 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
         & (np.abs(trunk[:, :, 0].mean(1)) < 0.2)
     ]
     back = np.array([0.0, body.joint_centre["thorax"][1], 0.0])
-    vertices = np.empty((len(t), len(s), 3))
+    vertices, axis_points = np.empty((2, len(t), len(s), 3))
     for i, height in enumerate(t):
         origins = back + s[:, None] * y + height * x
+        axis_points[i] = origins
         vertices[i] = origins + _cast(triangles, origins, np.repeat(z[None], len(s), 0))[:, None] * z
     pinned = np.zeros((len(t), len(s)), bool)
     pinned[[0, -1]] = True
@@ -117,7 +120,7 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
     surface = vertices[len(t) // 2, np.abs(s).argmin()]
     depth = float((surface - back) @ z)
     origin = back + centre_height * x
-    return _finish(vertices, pinned, x, origin, x, z, high - low, 0.135, depth)
+    return _finish(vertices, pinned, axis_points, x, origin, x, z, high - low, BELLY_HALF_WIDTH_M, depth)
 
 
 def belly_span(body: Body) -> tuple[float, float]:
@@ -179,8 +182,8 @@ def _cast(triangles: Array, origins: Array, directions: Array) -> Array:
 
 
 def _finish(
-    grid: Array, pinned: npt.NDArray[np.bool_], axis: Array, origin: Array, x: Array, z: Array, length: float,
-    radius: float, depth: float,
+    grid: Array, pinned: npt.NDArray[np.bool_], axis_points: Array, axis: Array, origin: Array, x: Array, z: Array,
+    length: float, radius: float, depth: float,
 ) -> Shell:  # fmt: skip
     rows, columns = grid.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
@@ -207,6 +210,7 @@ def _finish(
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     return Shell(
         vertices=vertices, normals=normals, tangents=tangents, triangles=triangles, pinned=pinned.ravel(), area=area,
+        axis_points=axis_points.reshape(-1, 3),
         frame_origin=origin, frame=np.stack([x, np.cross(z, x), z], 1), length_m=length, radius_m=radius,
         axis_depth_m=depth,
     )  # fmt: skip

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import mujoco
 import numpy as np
 
-from carecontact.world.human.anthropometry import segment_inertias
+from carecontact.world.human.anthropometry import segment_inertias, without_points
 from carecontact.world.human.body import PARENT, Array, Body
 from carecontact.world.human.joints import Hinge, hinges
 from carecontact.world.human.pose import FIXED_SEGMENTS, lying_pose_deg, rotation_from_bind
-from carecontact.world.human.shell import belly_span
+from carecontact.world.human.shell import BELLY_HALF_WIDTH_M, LIMB_SPAN, belly_span
 
 # Collision bits. The robot has contype 1; bed and arm board have conaffinity 3 and so meet both robot and proxies.
 ROBOT_ONLY = {"contype": 0, "conaffinity": 1}
 BED_ONLY = {"contype": 2, "conaffinity": 0}
 HIDDEN_GROUP = 3
+LIMB_REACH_M = 0.09
+"""Surface nearer to a limb's axis than this is the limb's."""
 
 SOFT_SEGMENTS = {"forearm": "right_forearm", "upper_arm": "right_upper_arm", "abdomen": "abdomen"}
 
@@ -29,11 +33,17 @@ def tissue_body_name(region: str) -> str:
 
 
 def add_skeleton(
-    spec: mujoco.MjSpec, body: Body, *, root_position: Array, root_quat: Array, shell_mass: dict[str, float]
+    spec: mujoco.MjSpec,
+    body: Body,
+    *,
+    root_position: Array,
+    root_quat: Array,
+    shell_points: dict[str, tuple[Array, Array]],
 ) -> list[Hinge]:
     """Add every segment under a free root; returns the hinges in the order of their joints.
 
-    ``shell_mass`` [kg] is taken off the segment that carries a shell, so that the person's mass stays the body's.
+    ``shell_points``: segment -> masses and places of its free shell vertices. They are taken off the segment's bone, so
+    that bone and shell together have the segment's mass, centre of mass and inertia.
     """
     inertias = segment_inertias(body)
     rows, pose = hinges(body), lying_pose_deg(0.0)
@@ -49,12 +59,10 @@ def add_skeleton(
         bodies[segment] = made
         row = inertias[segment]
         made.explicitinertial = True
-        made.mass = row.mass_kg - shell_mass.get(segment, 0.0)
-        made.ipos = row.centre_m - at
-        quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, row.axes.ravel())
-        made.iquat = quat
-        made.inertia = row.moments_kgm2
+        mass, centre, tensor = without_points(row, *shell_points.get(segment, (np.zeros(0), np.zeros((0, 3)))))
+        made.mass = mass
+        made.ipos = centre - at
+        made.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         if segment in FIXED_SEGMENTS:
             turn = np.zeros(4)
             mujoco.mju_mat2Quat(turn, rotation_from_bind(rows, segment, pose).ravel())
@@ -114,8 +122,9 @@ def _add_bed_proxies(body: Body, bodies: dict[str, mujoco.MjsBody]) -> None:
         heel = foot[foot[:, 1].argmax()]
         sphere(f"{side}_foot", f"{side}_heel", heel, 0.025)
         # Limbs turn about their own axis: a sphere about that axis meets the bed in the same way however they lie.
-        for segment, along, name in (
-            ("upper_arm", 0.95, "elbow"), ("forearm", 0.92, "wrist"), ("hand", 0.55, "hand"),
+        # Radius: the share of the section's points that lie inside it, so that the skin does not sink into the board.
+        for segment, along, name, inside in (
+            ("upper_arm", 0.95, "elbow", 60), ("forearm", 0.92, "wrist", 85), ("hand", 0.55, "hand", 60),
         ):  # fmt: skip
             full = f"{side}_{segment}"
             points = body.vertices_of(full, *([f"{side}_forearm"] if segment == "upper_arm" else []))
@@ -125,8 +134,9 @@ def _add_bed_proxies(body: Body, bodies: dict[str, mujoco.MjsBody]) -> None:
             centre = j[full] + along * axis
             near = points[np.abs((points - centre) @ unit) < 0.02]
             off = near - centre
-            radius = float(np.median(np.linalg.norm(off - np.outer(off @ unit, unit), axis=1)))
             centre = centre + (off.mean(0) - (off.mean(0) @ unit) * unit)
+            off = near - centre
+            radius = float(np.percentile(np.linalg.norm(off - np.outer(off @ unit, unit), axis=1), inside))
             bodies[full].add_geom(
                 name=f"human_proxy_{side}_{name}", type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=centre - j[full],
                 size=[radius, 0, 0], mass=0, group=HIDDEN_GROUP, condim=3, **BED_ONLY,
@@ -138,14 +148,10 @@ def _add_bed_proxies(body: Body, bodies: dict[str, mujoco.MjsBody]) -> None:
 
 def _add_rigid_surface(spec: mujoco.MjSpec, body: Body, bodies: dict[str, mujoco.MjsBody]) -> None:
     """Convex hulls of the segments without a shell: robot contact there is a result too (off target)."""
-    soft = set(SOFT_SEGMENTS.values())
-    for segment in body.segments:
-        if segment in soft or segment.endswith("clavicle"):
-            continue
-        points = _rigid_points(body, segment)
+    for name, segment, points in _hulls(body):
         if len(points) > 400:
             points = points[:: len(points) // 400]
-        name = f"human_hull_{segment}"
+        name = f"human_hull_{name}"
         spec.add_mesh(name=name, uservert=(points - body.joint_centre[segment]).ravel(), maxhullvert=40)
         bodies[segment].add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, mass=0, group=HIDDEN_GROUP, condim=3,
@@ -154,14 +160,45 @@ def _add_rigid_surface(spec: mujoco.MjSpec, body: Body, bodies: dict[str, mujoco
         )  # fmt: skip
 
 
-def _rigid_points(body: Body, segment: str) -> Array:
-    """(n, 3) surface points that a segment's hull encloses. Chest and pelvis end where the soft belly begins."""
+def _hulls(body: Body) -> Iterator[tuple[str, str, Array]]:
+    """(name, segment, points (n, 3)) of every rigid hull: what no shell covers, so that nothing is open."""
     low, high = belly_span(body)
-    if segment == "thorax":
-        points = body.vertices_of("thorax", "left_clavicle", "right_clavicle")
-        return points[points[:, 2] > high]
-    if segment == "pelvis":
-        # The rig gives the pelvis few vertices; the top of the thighs and the lowest abdomen close it.
-        points = body.vertices_of("pelvis", "left_thigh", "right_thigh", "abdomen")
-        return points[(points[:, 2] > low - 0.13) & (points[:, 2] < low)]
-    return body.vertices_of(segment)
+    for segment in body.segments:
+        if segment.endswith("clavicle"):
+            continue
+        if segment == "thorax":
+            points = body.vertices_of("thorax", "left_clavicle", "right_clavicle")
+            yield segment, segment, points[points[:, 2] > high]
+        elif segment == "pelvis":
+            # The rig gives the pelvis few vertices; the top of the thighs and the lowest abdomen close it.
+            points = body.vertices_of("pelvis", "left_thigh", "right_thigh", "abdomen")
+            yield segment, segment, points[(points[:, 2] > low - 0.13) & (points[:, 2] < low + 0.005)]
+        elif segment == "abdomen":
+            trunk = body.vertices_of("thorax", "abdomen", "pelvis")
+            trunk = trunk[(trunk[:, 2] > low - 0.01) & (trunk[:, 2] < high + 0.03)]
+            yield "left_flank", segment, trunk[trunk[:, 0] > BELLY_HALF_WIDTH_M - 0.015]
+            yield "right_flank", segment, trunk[trunk[:, 0] < -BELLY_HALF_WIDTH_M + 0.015]
+            yield "lower_back", segment, trunk[trunk[:, 1] > body.joint_centre["thorax"][1]]
+        elif segment in SOFT_SEGMENTS.values():
+            yield from _limb_ends(body, segment)
+        else:
+            yield segment, segment, body.vertices_of(segment)
+
+
+def _limb_ends(body: Body, segment: str) -> Iterator[tuple[str, str, Array]]:
+    """A soft limb's rigid ends beside its shell: shoulder cap and elbow, elbow and wrist."""
+    side, _, kind = segment.partition("_")
+    start, along = LIMB_SPAN[kind]
+    neighbours = {
+        "upper_arm": (f"{side}_clavicle", f"{side}_forearm"),
+        "forearm": (f"{side}_upper_arm", f"{side}_hand"),
+    }
+    points = body.vertices_of(segment, *neighbours[kind])
+    axis = body.axis_vector(segment)
+    share = (points - body.joint_centre[segment]) @ axis / (axis @ axis)
+    off = points - body.joint_centre[segment] - share[:, None] * axis
+    near = np.linalg.norm(off, axis=1) < LIMB_REACH_M
+    # The shoulder's cap reaches over the joint; a hull over the bent elbow would stand out of the upper arm.
+    before = -0.25 if kind == "upper_arm" else -0.03
+    yield f"{segment}_near_end", segment, points[near & (share > before) & (share < start + 0.02)]
+    yield f"{segment}_far_end", segment, points[near & (share > along - 0.02) & (share < 1.03)]

@@ -13,12 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.protocol import Tissue
-from carecontact.world.human.body import Body
+from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import HIDDEN_GROUP, ROBOT_ONLY, SOFT_SEGMENTS, body_name, tissue_body_name
 
 FLEX_RADIUS_M = 0.002
 FLEX_GROUP = 4
+CORE_MIN_RADIUS_M = 0.006
 SOLREF = (0.01, 1.0)
 SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
 
@@ -32,9 +33,10 @@ class Region:
     """(n,) shell vertices that are free, in the order of their bodies"""
 
 
-def shell_mass(shell: Shell, tissue: Tissue) -> float:
-    """Mass of the free vertices [kg]."""
-    return float(tissue.areal_mass_kg_m2 * shell.area[~shell.pinned].sum())
+def shell_points(shell: Shell, tissue: Tissue) -> tuple[Array, Array]:
+    """Masses (n,) [kg] and places (n, 3) of the free vertices in the mesh frame."""
+    free = ~shell.pinned
+    return tissue.areal_mass_kg_m2 * shell.area[free], shell.vertices[free] - shell.normals[free] * FLEX_RADIUS_M
 
 
 def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissue: Tissue) -> Region:
@@ -57,6 +59,8 @@ def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissu
         names.append(name)
         area, n, t = float(shell.area[k]), shell.normals[k], shell.tangents[k]
         vertex = carrier.add_body(name=name, pos=local[k], mass=tissue.areal_mass_kg_m2 * area, explicitinertial=True)
+        # Left unset, the compiler would put the mass at twice the body's offset from the bone.
+        vertex.ipos = [0, 0, 0]
         vertex.inertia = np.full(3, vertex.mass * 1e-5)
         law = [tissue.a_n_m3 * area, tissue.b_n_m4 * area, tissue.c_n_m5 * area]
         vertex.add_joint(name=f"{name}_n", type=slide, axis=-n, stiffness=law)
@@ -72,33 +76,21 @@ def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissu
     return Region(name=region, shell=shell, tissue=tissue, vertex_index=np.array(free))
 
 
-def _add_core(spec: mujoco.MjSpec, region: str, shell: Shell, tissue: Tissue, origin: npt.NDArray[np.float64]) -> None:
-    """The rigid core at the measured tissue depth: what the tool meets when the tissue is used up."""
-    kwargs = dict(
-        name=f"human_core_{region}", mass=0, group=HIDDEN_GROUP, condim=3, friction=[tissue.friction, 0.005, 0.0001],
-        solref=list(SOLREF), solimp=list(SOLIMP), priority=1, **ROBOT_ONLY,
+def _add_core(spec: mujoco.MjSpec, region: str, shell: Shell, tissue: Tissue, origin: Array) -> None:
+    """The rigid core, one tissue depth under the surface everywhere: what the tool meets when the tissue is used up.
+
+    The hull of the shell moved inward along its normals, but never past the region's axis.
+    """
+    toward = shell.vertices - shell.axis_points
+    room = np.einsum("ij,ij->i", toward, shell.normals) - CORE_MIN_RADIUS_M
+    inner = shell.vertices - np.clip(tissue.thickness_m, 0.0, np.maximum(room, 0.0))[:, None] * shell.normals
+    name = f"human_core_{region}"
+    points = np.concatenate([inner, shell.axis_points]) - origin
+    spec.add_mesh(name=name, uservert=points.ravel(), maxhullvert=60)
+    spec.body(body_name(SOFT_SEGMENTS[region])).add_geom(
+        name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, mass=0, group=HIDDEN_GROUP, condim=3,
+        friction=[tissue.friction, 0.005, 0.0001], solref=list(SOLREF), solimp=list(SOLIMP), priority=1, **ROBOT_ONLY,
     )  # fmt: skip
-    bone = spec.body(body_name(SOFT_SEGMENTS[region]))
-    x, _, z = shell.frame.T
-    centre = shell.frame_origin - origin
-    if region == "abdomen":
-        # A flat-topped box with the patch's footprint, its top one tissue depth under the belly's middle.
-        quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, shell.frame.ravel())
-        half_height = (shell.axis_depth_m - tissue.thickness_m) / 2
-        bone.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre + z * half_height, quat=quat,
-            size=[shell.length_m / 2, shell.radius_m * 0.8, half_height], **kwargs,
-        )  # fmt: skip
-        return
-    radius = max(0.008, shell.axis_depth_m - tissue.thickness_m)
-    half = shell.length_m / 2
-    bone.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        fromto=np.r_[centre - x * half, centre + x * half],
-        size=[radius, 0, 0],
-        **kwargs,
-    )
 
 
 def set_damping(model: mujoco.MjModel, regions: dict[str, Region], *, scale: float = 1.0) -> None:

@@ -1,0 +1,71 @@
+"""What besides policy name and protocol decides a run's numbers: sources, packages and baked assets."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import sys
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from carecontact.contract.trial import TrialSpec
+from carecontact.trials.failed import package_versions
+
+POLICY_PATH = "CARECONTACT_POLICY_PATH"
+"""Tells a trial's process where ``module:Class`` policies are looked for."""
+
+
+class Identity(BaseModel):
+    """Trials with different ones must not share a folder."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    policy_sha256: str | None
+    """Of the file of a ``module:Class`` policy's module; None for a registered policy, which the version stands for."""
+    versions: dict[str, str]
+    sha256: dict[str, str]
+    """Of the body's and the robot's baked archives; keys and values are those of a recording's header."""
+
+    def differences(self, *, versions: Mapping[str, str], sha256: Mapping[str, str]) -> list[str]:
+        """Of this one from what something older says; what that does not mention does not count."""
+        pairs = [(name, versions.get(name), now) for name, now in self.versions.items()]
+        pairs += [(f"{name} sha256", sha256.get(name, "")[:12], now[:12]) for name, now in self.sha256.items()]
+        return [f"{name} was {old}, is {now}" for name, old, now in pairs if old and old != now]
+
+
+def identity_of(spec: TrialSpec, *, search_path: Sequence[str]) -> Identity:
+    """``search_path``: folders in which ``module:Class`` is looked for before the installed packages."""
+    versions = package_versions()
+    source = policy_source(spec.policy, search_path=search_path)
+    assets = resources.files("carecontact") / "assets"
+    archives = {"body": f"bodies/{spec.protocol.person.body}.npz", "robot": "panda/panda.npz"}
+    return Identity(
+        policy_sha256=None if source is None else hashlib.sha256(source.read_bytes()).hexdigest(),
+        versions={name: versions[name] for name in ("carecontact", "mujoco")},
+        sha256={what: hashlib.sha256((assets / path).read_bytes()).hexdigest() for what, path in archives.items()},
+    )
+
+
+def policy_source(policy: str, *, search_path: Sequence[str]) -> Path | None:
+    """File of a ``module:Class`` policy's module, found as the policy's process will find it but without importing it.
+
+    None for a registered policy and where there is no such file.
+    """
+    module, colon, _ = policy.partition(":")
+    if not colon:
+        return None
+    importlib.invalidate_caches()
+    places: Sequence[str] | None = [place for place in (*search_path, *sys.path) if place]
+    name, found = "", None
+    for part in module.split("."):
+        name = f"{name}.{part}" if name else part
+        found = None if places is None else PathFinder.find_spec(name, list(places))
+        if found is None:
+            return None
+        places = found.submodule_search_locations
+    source = Path(found.origin) if found is not None and found.origin else None
+    return source if source is not None and source.is_file() else None

@@ -1,0 +1,48 @@
+"""Faults of a protocol that would make every trial of a run fail for the same reason."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+import numpy as np
+
+from carecontact.contract.protocol import Protocol
+from carecontact.errors import ConfigError
+
+SENSOR_HISTORY_STEPS = 10
+"""Physics steps that ``world.scene.build_scene`` lets the sensors keep; a target period must fit in."""
+
+
+def check_protocol(protocol: Protocol) -> None:
+    """Raises ConfigError naming every field that the world or the scorer cannot do; imports no simulator."""
+    from carecontact.world.human.body import body_names
+
+    faults: list[str] = []
+    if protocol.person.body not in body_names():
+        faults.append(f"person.body: no body named {protocol.person.body!r}; valid: {', '.join(body_names())}")
+    dt_s, period_s = protocol.physics.dt_s, protocol.physics.target_period_s
+    if round(period_s / dt_s) > SENSOR_HISTORY_STEPS:
+        faults.append(f"physics.dt_s: {dt_s:g} is below a {SENSOR_HISTORY_STEPS}th of target_period_s {period_s:g}")
+    contact = protocol.contact
+    for name, cutoff_hz, rate_hz in (
+        ("filter_hz", contact.filter_hz, 1 / dt_s),
+        ("peak_filter_hz", contact.peak_filter_hz, 1 / dt_s),
+        ("stroke_filter_hz", contact.stroke_filter_hz, min(contact.stroke_sample_hz, 1 / dt_s)),
+    ):
+        if cutoff_hz >= rate_hz / 2:
+            faults.append(f"contact.{name}: {cutoff_hz:g} is not below half of the {rate_hz:g} Hz that it filters")
+    for joint, (angle, (low, high)) in enumerate(
+        zip(protocol.scene.parked_joint_rad, _robot_joint_range_rad(), strict=True), start=1
+    ):
+        if not low <= angle <= high:
+            faults.append(
+                f"scene.parked_joint_rad: joint {joint} at {angle:g} is outside the robot's {low:.4f} to {high:.4f}"
+            )
+    if faults:
+        raise ConfigError(f"protocol {protocol.id} cannot run: {'; '.join(faults)}")
+
+
+def _robot_joint_range_rad() -> list[tuple[float, float]]:
+    archive = resources.files("carecontact") / "assets" / "panda" / "panda.npz"
+    with resources.as_file(archive) as path, np.load(path) as arrays:
+        return [(float(low), float(high)) for low, high in arrays["joint_range_rad"]]
