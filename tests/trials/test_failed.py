@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from carecontact import __version__
-from carecontact.trials.failed import package_versions, reason
+from carecontact.trials.failed import reason
+from carecontact.trials.versions import package_versions
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,6 @@ def test_the_shipped_protocol_can_run() -> None:
             {"parked_joint_rad": (0, 0, 0, 0, 0, 1, 0)},
             r"joint 4 at 0 is outside the robot's -3.0718 to",
         ),
-        ("physics", {"dt_s": 0.001}, r"physics.dt_s: 0.001"),
         ("contact", {"peak_filter_hz": 250.0}, r"contact.peak_filter_hz: 250"),
     ],
 )

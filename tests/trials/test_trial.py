@@ -15,7 +15,8 @@ from carecontact.protocols import load_protocol
 from carecontact.recording import canonical_hash, read_recording
 from carecontact.scoring import score_recording
 from carecontact.sim.rendering import SceneRenderer
-from carecontact.trials.trial import POLICY_PATH_VARIABLE, run_trial
+from carecontact.trials.identity import POLICY_PATH
+from carecontact.trials.trial import run_trial
 
 POLICIES = '''
 import numpy as np
@@ -55,7 +56,7 @@ def spec(policy: str, task: str = "T1", seed: int = 0) -> TrialSpec:
 def test_same_spec_in_fresh_processes_gives_the_same_recording(policies: Path, tmp_path: Path) -> None:
     hashes = []
     for name in ("a.h5", "b.h5"):
-        environment = {**__import__("os").environ, POLICY_PATH_VARIABLE: str(policies)}
+        environment = {**__import__("os").environ, POLICY_PATH: str(policies)}
         asked = {"spec": spec("my_policies:Wave").model_dump(mode="json"), "out": str(tmp_path / name)}
         done = subprocess.run(
             [sys.executable, "-m", "carecontact.trials.worker"],

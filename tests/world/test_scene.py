@@ -150,7 +150,14 @@ def test_other_streams_of_the_recording_have_sensors(scene: Scene) -> None:
     assert not any(h.segment in FIXED_SEGMENTS for h in scene.hinges)
     moving = {h.segment for h in scene.hinges}
     assert {f"{s}_{n}" for s in ("left", "right") for n in ("upper_arm", "forearm", "hand")} <= moving
-    assert set(scene.model.sensor_history[:, 0].tolist()) == {scene.samples}
+    assert set(scene.model.sensor_history[:, 0].tolist()) == {10}
+
+
+def test_a_finer_step_keeps_every_sample_of_a_period() -> None:
+    fine = PROTOCOL.model_copy(update={"physics": PROTOCOL.physics.model_copy(update={"dt_s": 0.001})})
+    model = build_scene(fine, target="abdomen", skin=False).model
+    assert model.opt.timestep == 0.001
+    assert set(model.sensor_history[:, 0].tolist()) == {20}
 
 
 def test_only_the_targets_shell_is_fine(scene: Scene, target: str | None, scene_of: Callable[..., Scene]) -> None:

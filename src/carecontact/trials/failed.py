@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-import sys
-from importlib import metadata
 
-from carecontact import __version__
 from carecontact.contract.trial import TrialSpec
 from carecontact.recording.schema import REGIONS, SEGMENTS, Failure, Header, Recording, empty_arrays
+from carecontact.trials.versions import package_versions
 
 EVIDENCE_CHARACTERS = 4000
 """Length of the tail of a traceback or of stderr kept in a recording; the whole is in the trial's log."""
@@ -38,17 +36,6 @@ def harness_error_recording(spec: TrialSpec, *, kind: str, message: str) -> Reco
         solver_warnings=[],
     )
     return Recording(header=header, arrays=empty_arrays(0))
-
-
-def package_versions() -> dict[str, str]:
-    """Of what decides a trial's numbers, without importing any of it."""
-    versions = {"python": ".".join(map(str, sys.version_info[:3])), "carecontact": __version__}
-    for package in ("mujoco", "numpy", "scipy", "mediapipe", "opencv-python-headless"):
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = "not installed"
-    return versions
 
 
 def reason(message: str) -> str:

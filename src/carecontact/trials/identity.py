@@ -13,7 +13,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from carecontact.contract.trial import TrialSpec
-from carecontact.trials.failed import package_versions
+from carecontact.trials.versions import package_versions
 
 POLICY_PATH = "CARECONTACT_POLICY_PATH"
 """Tells a trial's process where ``module:Class`` policies are looked for."""

@@ -7,13 +7,11 @@ import os
 import time
 from collections import deque
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
-from carecontact import __version__
 from carecontact.contract.action import Action, ActionBounds, check_action
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.contract.protocol import Protocol
@@ -27,8 +25,10 @@ from carecontact.sim.close_up import render_close_up
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Samples, Settled, Simulation
+from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.log import TrialLog
 from carecontact.trials.randomization import comfort_arm_deg
+from carecontact.trials.versions import package_versions
 from carecontact.world.robot import panda_sha256
 from carecontact.world.scene import build_scene
 
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 EMBODIMENT = "panda-closed-gripper-caps"
-POLICY_PATH_VARIABLE = "CARECONTACT_POLICY_PATH"
 
 
 @dataclass
@@ -67,7 +66,7 @@ def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> R
     settled = simulation.settle(comfort_arm_deg(protocol, spec.seed))
     settled_wall = time.monotonic()
     if search_path is None:
-        search_path = [p for p in os.environ.get(POLICY_PATH_VARIABLE, "").split(os.pathsep) if p]
+        search_path = [p for p in os.environ.get(POLICY_PATH, "").split(os.pathsep) if p]
     trial = _Trial(spec, simulation, settled)
     with SceneRenderer(scene.model, protocol=protocol) as renderer:
         card, ended = trial.run(renderer, list(search_path))
@@ -81,7 +80,7 @@ def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> R
         card=None if card is None else json.loads(json.dumps(asdict(card))),
         embodiment=EMBODIMENT, comfort_arm_deg=settled.comfort_arm_deg, segments=list(SEGMENTS), regions=list(REGIONS),
         human_joints=simulation.joint_names, pose_base_in_world=simulation.pose_base_in_world.tolist(),
-        versions=_versions(),
+        versions=package_versions(),
         sha256={
             "model": model_sha256, "protocol": protocol.sha256, "body": scene.body.sha256, "robot": panda_sha256()
         },
@@ -218,13 +217,3 @@ class _Trial:
             renderer, self.simulation.scene, data, region=self.task.region
         )
         self.log.extra["report/peak_time_s"] = np.array([self.peak.time_s], "<f8")
-
-
-def _versions() -> dict[str, str]:
-    out = {"carecontact": __version__}
-    for package in ("mujoco", "numpy", "mediapipe", "scipy"):
-        try:
-            out[package] = version(package)
-        except PackageNotFoundError:
-            out[package] = "missing"
-    return out

@@ -34,8 +34,6 @@ class Scene:
     body: Body
     hinges: tuple[Hinge, ...]
     regions: dict[str, Region]
-    samples: int
-    """Sensor history length in physics steps."""
 
     @property
     def model_sha256(self) -> str:
@@ -47,13 +45,12 @@ class Scene:
 
 
 def build_spec(
-    protocol: Protocol, *, target: str | None, samples: int = 10, skin: bool = True
+    protocol: Protocol, *, target: str | None, skin: bool = True
 ) -> tuple[mujoco.MjSpec, Body, list[Hinge], dict[str, Region]]:
     """The uncompiled world.
 
     Args:
         target: the region whose shell is fine; the others are soft too, on a coarser mesh. None: all fine.
-        samples: sensor history length in physics steps.
         skin: False leaves the visual skin out.
     """
     body = load_body(protocol.person.body)
@@ -102,19 +99,20 @@ def build_spec(
     add_light(spec)
     add_robot(spec, protocol)
     add_cameras(spec, protocol)
-    add_sensors(spec, rows, samples=samples)
+    # One control period is one C call between two moves of the target: the sensors keep all of its steps.
+    add_sensors(spec, rows, samples=round(protocol.physics.target_period_s / protocol.physics.dt_s))
     return spec, body, rows, regions
 
 
-def build_scene(protocol: Protocol, *, target: str | None, samples: int = 10, skin: bool = True) -> Scene:
+def build_scene(protocol: Protocol, *, target: str | None, skin: bool = True) -> Scene:
     """Compile the world. The comfort-arm angle is no part of the model: it is set when the person settles."""
-    spec, body, rows, regions = build_spec(protocol, target=target, samples=samples, skin=skin)
+    spec, body, rows, regions = build_spec(protocol, target=target, skin=skin)
     with warnings.catch_warnings():
         # The shells' mechanics are their anchors; the compiler cannot know that and warns of a flex without any.
         warnings.filterwarnings("ignore", message="flex .* is not rigid")
         model = spec.compile()
     set_damping(model, regions)
-    return Scene(model=model, protocol=protocol, body=body, hinges=tuple(rows), regions=regions, samples=samples)
+    return Scene(model=model, protocol=protocol, body=body, hinges=tuple(rows), regions=regions)
 
 
 def off_target(tissue: Tissue) -> Tissue:
