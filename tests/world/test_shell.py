@@ -6,7 +6,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
@@ -226,6 +226,7 @@ def test_graded(start: int, left: int, middle: int, right: int, spacing_mm: int,
 
 
 @given(millimetres, st.integers(2, 40))
+@example(99, 9)
 def test_graded_without_margins_is_even(length: int, spacing_mm: int) -> None:
     span = np.array([0.0, length / 1000])
     at = graded(span, span, spacing_mm / 1000, 1.0)

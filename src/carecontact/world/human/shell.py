@@ -130,7 +130,7 @@ def belly_span(body: Body) -> tuple[float, float]:
 
 def graded(span: Array, fine: Array, spacing: float, coarse: float) -> Array:
     """Coordinates over ``span``: at most ``spacing`` apart inside ``fine``, about ``coarse`` outside."""
-    inner = np.linspace(fine[0], fine[1], int(np.ceil((fine[1] - fine[0]) / spacing)) + 1)
+    inner = np.linspace(fine[0], fine[1], int(np.ceil((fine[1] - fine[0]) / spacing - 1e-9)) + 1)
 
     def outer(distance: float) -> Array:
         if distance <= 0:
