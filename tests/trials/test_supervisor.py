@@ -291,7 +291,10 @@ def test_interrupt_kills_the_workers_and_keeps_what_is_finished(bench: Bench) ->
         "Bench(Path(sys.argv[2])).run(specs(2), {'T1-s001': 'hang'}, jobs=1)\n"
     )
     process = subprocess.Popen(
-        [sys.executable, "-c", program, str(Path(__file__).parent), str(bench.folder)], stderr=subprocess.DEVNULL
+        [sys.executable, "-c", program, str(Path(__file__).parent), str(bench.folder)],
+        stderr=subprocess.DEVNULL,
+        # A shell's background job ignores Ctrl-C and hands that on: tests started so would wait for ever.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     deadline = time.monotonic() + 60
     while "child" not in bench.ran() and time.monotonic() < deadline:
