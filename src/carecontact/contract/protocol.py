@@ -81,7 +81,7 @@ class Tissue(Section):
     """Factor on stiffness and damping there: a coarser mesh spreads a tool's load over more anchors, and the region
     must answer the tool alike whichever task is run."""
     thickness_m: Positive
-    """Depth of the rigid core under the surface."""
+    """Depth of the rigid core under the surface, at most: see world.human.tissue."""
     measured_depth_m: Positive
     """Results deeper than this are extrapolated."""
     friction: Positive

@@ -77,9 +77,11 @@ def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissu
 
 
 def _add_core(spec: mujoco.MjSpec, region: str, shell: Shell, tissue: Tissue, origin: Array) -> None:
-    """The rigid core, one tissue depth under the surface everywhere: what the tool meets when the tissue is used up.
+    """The rigid core that the tool meets when the tissue is used up.
 
-    The hull of the shell moved inward along its normals, but never past the region's axis.
+    The convex hull of the shell moved inward by the tissue's thickness along its normals, but never past the region's
+    axis. Where the region is not convex the hull bridges it and lies shallower than the thickness: along the normals
+    of man-adult the median depth is 14 of 18 mm (forearm), 26 of 32 mm (upper arm) and 28 of 50 mm (abdomen).
     """
     toward = shell.vertices - shell.axis_points
     room = np.einsum("ij,ij->i", toward, shell.normals) - CORE_MIN_RADIUS_M
