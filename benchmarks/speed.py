@@ -1,9 +1,11 @@
 """Speed of the physics, of a whole trial and of the command line, as JSON on standard output.
 
-    python benchmarks/speed.py [--task T3] [--without-trial]
+    python benchmarks/speed.py [--task T3] [--without-trial] [--before CHECKOUT]
 
 Timings on a shared machine wander: physics is the best of several batches in CPU seconds of this process, and the ratio
-of contact to rest is taken in the same run.
+of contact to rest is taken in the same run. ``--before`` measures the physics of another checkout of this project in
+turn with this one's, so that old and new stand beside each other. Physics is measured at the protocol's step and in the
+fast mode, with the share of each stage of a step in contact: what limits it.
 """
 
 from __future__ import annotations
@@ -22,12 +24,13 @@ import numpy as np
 
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.protocol import Protocol
-from carecontact.protocols import load_protocol
+from carecontact.protocols import adapted, load_protocol
 from carecontact.recording.schema import REGION_SEGMENT, SEGMENTS
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import build_scene
 
 BATCHES, BATCH_STEPS = 8, 250
+REGIONS = ("forearm", "upper_arm", "abdomen")
 DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 
 
@@ -74,8 +77,51 @@ def physics(protocol: Protocol, region: str) -> dict[str, object]:
         },
         "build_wall_s": round(built - start, 2), "settle_wall_s": round(settled - built, 2), "force_n": round(force, 1),
         "us_per_step_rest": rest, "us_per_step_contact": contact, "contact_over_rest": round(contact / rest, 2),
-        "real_time_factor_contact": round(dt * 1e6 / contact, 2),
+        "real_time_factor_contact": round(dt * 1e6 / contact, 2), "stages_in_contact": stage_shares(simulation),
     }  # fmt: skip
+
+
+STAGES = {
+    "kinematics": ("mjTIMER_POS_KINEMATICS",), "inertia": ("mjTIMER_POS_INERTIA",),
+    "collision": ("mjTIMER_POS_COLLISION",), "making constraints": ("mjTIMER_POS_MAKE", "mjTIMER_POS_PROJECT"),
+    "velocity": ("mjTIMER_VELOCITY",), "constraint solver": ("mjTIMER_CONSTRAINT",),
+    "integration": ("mjTIMER_ADVANCE",),
+}  # fmt: skip
+
+
+def stage_shares(simulation: Simulation) -> dict[str, float]:
+    """Share of each stage in the wall time of a step."""
+    data, steps = simulation.data, 200
+    mujoco.set_mjcb_time(time.perf_counter)
+    try:
+        for timer in data.timer:
+            timer.duration = 0.0
+        simulation.advance(steps)
+        spent = {
+            name: data.timer[int(getattr(mujoco.mjtTimer, name))].duration for row in STAGES.values() for name in row
+        }
+        total = data.timer[int(mujoco.mjtTimer.mjTIMER_STEP)].duration
+    finally:
+        mujoco.set_mjcb_time(None)
+    return {stage: round(sum(spent[name] for name in row) / total, 3) for stage, row in STAGES.items()}
+
+
+def beside(checkout: Path) -> list[dict[str, object]]:
+    """Physics of another checkout and of this one, region by region in turn, each in a process of its own."""
+    rows = []
+    for region in REGIONS:
+        pair = {}
+        for name, root in (("before", checkout), ("now", Path(__file__).resolve().parents[1])):
+            code = (
+                f"import sys; sys.path.insert(0, {str(root / 'benchmarks')!r}); import json, speed; "
+                f"print(json.dumps(speed.physics(speed.load_protocol(), {region!r})))"
+            )
+            environment = {**os.environ, "PYTHONPATH": str(root / "src")}
+            done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, env=environment)
+            pair[name] = json.loads(done.stdout)
+        ratio = pair["before"]["us_per_step_contact"] / pair["now"]["us_per_step_contact"]
+        rows.append({"region": region, "before_over_now_in_contact": round(ratio, 2), **pair})
+    return rows
 
 
 def whole_trial(task: str) -> dict[str, object]:
@@ -102,13 +148,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", default="T3", help="task of the whole trial")
     parser.add_argument("--without-trial", action="store_true")
+    parser.add_argument("--before", type=Path, help="another checkout to measure beside this one")
     arguments = parser.parse_args()
     protocol = load_protocol()
     out: dict[str, object] = {
         "mujoco": mujoco.__version__, "cores": os.cpu_count(), "load_before": os.getloadavg()[0],
-        "physics": [physics(protocol, region) for region in ("forearm", "upper_arm", "abdomen")],
+        "physics": [physics(protocol, region) for region in REGIONS],
+        "physics_fast": [physics(adapted(protocol, fast=True), region) for region in REGIONS],
         "help_s": help_seconds(),
     }  # fmt: skip
+    if arguments.before:
+        out["beside"] = beside(arguments.before.resolve())
     if not arguments.without_trial:
         out["trial"] = whole_trial(arguments.task)
     print(json.dumps(out, indent=2))

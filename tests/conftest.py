@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,14 @@ settings.load_profile("repeatable")
 
 if TYPE_CHECKING:
     from carecontact.world.scene import Scene
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_files_at_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Settled states that tests keep, in this process and in those that they start, go to a folder of their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CARECONTACT_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """Where should the robot stand? An inverse-kinematics study that chooses the base, its yaw and the parked posture.
 
     python tools/reachability.py --figure docs/figures/reachability.png [--write src/carecontact/protocols/NAME.toml]
+    python tools/reachability.py --check    does the protocol's place serve every shipped body?
 
 For every candidate base the tool must point down at nine points of the person (forearm, upper arm, abdomen; middle and
 +-60 mm along the axis), 80 mm above and 20 mm below the skin, for three comfort angles. A base is scored by its worst
@@ -12,22 +13,23 @@ from __future__ import annotations
 import argparse
 import re
 from dataclasses import dataclass, replace
-from importlib import resources
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.protocol import Protocol
 from carecontact.protocols import load_protocol
+from carecontact.sim.simulation import Simulation
+from carecontact.world.human.body import body_names
+from carecontact.world.human.skeleton import body_name
+from carecontact.world.scene import build_scene
 from panda_kinematics import Arm, pointing_down
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-PELVIS_WORLD_X_M = -0.03
-ARM_RADIUS_M = {"forearm": 0.036, "upper_arm": 0.045}
-ARM_AXIS_ABOVE_MATTRESS_M = 0.045
 ABOVE_M, BELOW_M, ALONG_M = 0.08, -0.02, 0.06
 COMFORT_DEG = (45.0, 52.5, 60.0)
 TOOL_YAWS = np.deg2rad(np.arange(0, 360, 30.0))
@@ -64,33 +66,31 @@ class Targets:
 
 
 def person_targets(protocol: Protocol) -> Targets:
-    """From the body's joint centres; mesh z is world +x, mesh -y is +z and mesh x is -y when supine."""
-    body = np.load(resources.files("carecontact.assets") / "bodies" / f"{protocol.person.body}.npz")
-    to_world = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])
-    vertices = np.asarray(body["vertices_m"], np.float64) @ to_world.T
-    joints = np.asarray(body["joint_centres_m"], np.float64) @ to_world.T
-    segments = [str(s) for s in body["segments"]]
-    trunk = np.isin(body["weight_segment"][:, 0], [segments.index(s) for s in ("pelvis", "abdomen", "thorax")])
-    top = protocol.scene.mattress_top_m
-    shift = np.array([PELVIS_WORLD_X_M - joints[segments.index("pelvis")][0], 0, top - vertices[trunk, 2].min()])
-    vertices, joints = vertices + shift, dict(zip(segments, joints + shift, strict=True))
-    upper = np.linalg.norm(joints["right_forearm"] - joints["right_upper_arm"])
-    lower = np.linalg.norm(joints["right_hand"] - joints["right_forearm"])
-    shoulder = np.array([*joints["right_upper_arm"][:2], top + ARM_AXIS_ABOVE_MATTRESS_M])
+    """Where the shells of the protocol's body lie once it has settled, for every comfort angle."""
+    scene = build_scene(protocol, target=None, skin=False)
+    simulation = Simulation(scene)
+    model, data = scene.model, simulation.data
     skin, label, arms = [], [], []
-    for angle in np.deg2rad(COMFORT_DEG):
-        along = np.array([-np.cos(angle), np.sin(angle), 0])
-        elbow = shoulder + upper * along
-        arms.append([shoulder, elbow, elbow + lower * along])
-        for name, middle in (("upper_arm", shoulder + upper / 2 * along), ("forearm", elbow + lower / 2 * along)):
-            for offset in (-ALONG_M, 0.0, ALONG_M):
-                skin.append(middle + offset * along + [0, 0, ARM_RADIUS_M[name]])
-                label.append(name)
-    belly_x = (joints["pelvis"][0] + joints["thorax"][0]) / 2
-    for offset in (-ALONG_M, 0.0, ALONG_M):
-        near = (np.abs(vertices[:, 0] - belly_x - offset) < 0.02) & (np.abs(vertices[:, 1]) < 0.02)
-        skin.append(np.array([belly_x + offset, 0, vertices[near, 2].max()]))
-        label.append("abdomen")
+
+    def add(region: str) -> None:
+        flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, region)
+        first = model.flex_vertadr[flex]
+        points = data.flexvert_xpos[first : first + model.flex_vertnum[flex]]
+        site = data.site(f"region_{region}")
+        along = site.xmat.reshape(3, 3)[:, 0]
+        for offset in (-ALONG_M, 0.0, ALONG_M):
+            place = site.xpos + offset * along
+            near = points[np.linalg.norm(points[:, :2] - place[:2], axis=1) < 0.02]
+            skin.append(np.array([*place[:2], near[:, 2].max()]))
+            label.append(region)
+
+    for angle in COMFORT_DEG:
+        simulation.settle(angle)
+        mujoco.mj_forward(model, data)
+        arms.append([data.body(body_name(f"right_{s}")).xpos.copy() for s in ("upper_arm", "forearm", "hand")])
+        add("upper_arm")
+        add("forearm")
+    add("abdomen")
     return Targets(skin=np.array(skin), label=label, arms=np.array(arms))
 
 
@@ -262,6 +262,37 @@ def study_parked(arm: Arm, base: Array, yaw_deg: float, protocol: Protocol, targ
     return sorted(found, key=lambda p: -p.score)
 
 
+def check_place(arm: Arm, protocol: Protocol) -> bool:
+    """Print how the protocol's own base and parked posture serve every shipped body; True if they reach everything."""
+    base, yaw_deg = np.array(protocol.scene.robot_base_m), protocol.scene.robot_yaw_deg
+    half = np.deg2rad(yaw_deg) / 2
+    turn = matrix_from_quat(np.array([np.cos(half), 0, 0, np.sin(half)]))
+    box = np.array([protocol.impedance.workspace_low_m, protocol.impedance.workspace_high_m])
+    good = True
+    for name in body_names():
+        targets = person_targets(protocol.overridden({"person.body": name}))
+        study = study_base(arm, base, yaw_deg, targets)
+        points = (targets.poses - base) @ turn
+        parked = np.tile(np.array(protocol.scene.parked_joint_rad), (len(points), 1))
+        tool = turn @ arm.links(parked[:1])[0, 8, :3, :3]
+        start = np.full(len(points), np.arctan2(tool[1, 0], tool[0, 0]))
+        path, error = follow(arm, parked, points, np.tile(limb_yaws(targets, start[0]), 2), start, turn)
+        margin = arm.margin(path.reshape(-1, 7)).reshape(path.shape[:2]).min(0)
+        room = np.minimum(points - box[0], box[1] - points).min()
+        reached = bool(study.reached.all() and (error < 2e-3).all() and room > 0)
+        good &= reached
+        worst = int(margin.argmin())
+        heights = ("above", "below")
+        missed = [f"{targets.label[k % len(targets.label)]} {heights[k // len(targets.label)]}"
+                  for k in np.flatnonzero(~study.reached | (error > 2e-3))]  # fmt: skip
+        print(f"{name:18} {'reaches all' if reached else 'misses ' + ', '.join(missed)}; "
+              f"margin {study.margin.min():.3f}, manipulability {study.manipulability.min():.3f}; "
+              f"along paths from parked "
+              f"margin {margin.min():.3f} ({targets.label[worst % len(targets.label)]}), error {error.max():.1e}; "
+              f"{room * 1000:.0f} mm inside the workspace")  # fmt: skip
+    return good
+
+
 def workspace_box(
     base: Array, yaw_deg: float, parked: Parked, protocol: Protocol, targets: Targets
 ) -> tuple[Array, Array]:
@@ -322,8 +353,11 @@ def main() -> None:
     parser.add_argument("--figure", type=Path)
     parser.add_argument("--write", type=Path, help="protocol file to edit in place")
     parser.add_argument("--finalists", type=int, default=3, help="bases whose paths from a parked posture are studied")
+    parser.add_argument("--check", action="store_true", help="only check the protocol's place, with every shipped body")
     options = parser.parse_args()
     protocol, arm = load_protocol(options.protocol), Arm()
+    if options.check:
+        raise SystemExit(0 if check_place(arm, protocol) else 1)
     targets = person_targets(protocol)
     rows = [
         (base, base_yaw_deg(base, targets), study_base(arm, base, base_yaw_deg(base, targets), targets))

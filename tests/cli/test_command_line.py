@@ -90,6 +90,15 @@ def test_list_of_what_grows(what: str, some: str, capsys: pytest.CaptureFixture[
     assert some in [line.split()[0] for line in capsys.readouterr().out.splitlines()]
 
 
+def test_listed_bodies_say_who_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "bodies"]) == 0
+    rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert len(rows) == 10
+    for told in ("woman", "old", "1.57 m", "50.5 kg", "BMI 20.5", "Apache-2.0"):
+        assert told in rows["woman-old-light"]
+    assert "docs/bodies.md" in rows["smplx:FILE.npz?sex=F"]
+
+
 def test_nothing_is_printed_before_jobs_is_checked(tmp_path: Path) -> None:
     for command in (["run", "--policy", "hover", "--out", "r"], ["demo", "--out", "r"]):
         assert carecontact(*command, "--jobs", "0", cwd=tmp_path).stdout == ""

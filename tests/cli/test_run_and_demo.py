@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import shutil
 import sys
 from importlib import resources
 from pathlib import Path
@@ -15,6 +16,7 @@ import carecontact.cli.run as cli_run
 from carecontact.cli import main
 from carecontact.cli.demo import missing_successes
 from carecontact.cli.score import differences
+from carecontact.recording import Recording, read_recording, write_recording
 from carecontact.scoring import score_run
 from carecontact.trials.supervisor import run_trials
 
@@ -188,3 +190,56 @@ def test_differences_match_trials_by_id() -> None:
     lines = differences(before, after)
     assert lines[0].startswith("1 value(s) differ")
     assert lines[1].startswith("  trials.a: null -> ")
+
+
+def test_another_body_shows_everywhere_and_is_never_pooled(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
+    title = "bathing-v1-draft with body woman-old-light"
+    assert main([*command, "--body", "woman-old-light"]) == 0
+    told = capsys.readouterr().out
+    assert f"1 trial(s) of {title} into r" in told
+    assert f"protocol: {title}" in told
+    results = json.loads(Path("r/results.json").read_text())
+    assert results["protocol"]["overrides"] == {"person.body": "woman-old-light"}
+    assert title in Path("r/report.html").read_text()
+    assert json.loads(Path("r/manifest.json").read_text())["protocol"]["overrides"] == results["protocol"]["overrides"]
+
+    for other in ([], ["--body", "man-old-light"]):
+        assert main([*command, *other]) == 2
+        assert f"{title} " in capsys.readouterr().err
+    assert main([*command[:-1], "own"]) == 0
+    shutil.copy("own/T1-s000.h5", "r/T1-s001.h5")
+    recording = read_recording("r/T1-s001.h5")
+    spec = recording.header.spec.model_copy(update={"seed": 1})
+    write_recording(
+        Recording(header=recording.header.model_copy(update={"spec": spec}), arrays=recording.arrays),
+        Path("r/T1-s001.h5"),
+    )
+    assert main(["score", "r"]) == 2
+    assert "trials of 2 protocols must not be pooled" in capsys.readouterr().err
+
+
+def test_naming_the_protocols_own_body_is_no_override(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
+    assert main(command) == 0
+    assert main([*command, "--body", "man-adult"]) == 0
+    assert " with body" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [("giant", "no body named 'giant'; valid: man-adult"), ("smplx:none.npz?sex=F", "No such file or directory"),
+     ("smplx:none.npz", "say ?sex=F or ?sex=M")],
+)  # fmt: skip
+def test_a_body_that_there_is_not_is_one_line(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], body: str, told: str
+) -> None:
+    assert main(["run", "--policy", "hover", "--out", "r", "--body", body]) == 2
+    said = capsys.readouterr().err
+    assert told in said
+    assert said.count("\n") == 1
+    assert not Path("r").exists()

@@ -148,3 +148,35 @@ def test_ids_that_name_files_name_them_in_the_runs_folder(name: str) -> None:
             Protocol.model_validate(content)
         place["id"] = held
     assert Protocol.model_validate(content) == load_protocol()
+
+
+def test_an_override_is_another_hash_and_title_but_the_same_id() -> None:
+    own = PROTOCOL.person.body
+    other = PROTOCOL.overridden(body="woman-old-light")
+    assert (other.id, other.person.body) == (PROTOCOL.id, "woman-old-light")
+    assert other.overrides == {"person.body": "woman-old-light"}
+    assert other.title == f"{PROTOCOL.id} with body woman-old-light"
+    assert other.sha256 != PROTOCOL.sha256
+    assert PROTOCOL.title == PROTOCOL.id
+    # Naming what the protocol has anyway changes nothing, and neither does the round trip that a worker gets.
+    assert PROTOCOL.overridden(body=own) == PROTOCOL
+    assert Protocol.model_validate(other.model_dump(mode="json")) == other
+    edited = PROTOCOL.model_copy(update={"person": PROTOCOL.person.model_copy(update={"body": "woman-old-light"})})
+    assert edited.sha256 != other.sha256, "a changed file is not the same as an announced override"
+
+
+def test_every_override_is_told_and_can_be_taken_back() -> None:
+    rows = {region: row.model_copy(update={"a_n_m3": 2 * row.a_n_m3}) for region, row in PROTOCOL.person.tissue.items()}
+    other = PROTOCOL.overridden(body="woman-old-light", tissue_set=("twice", rows), dt_s=0.004)
+    assert other.overrides == {"person.body": "woman-old-light", "person.tissue_set": "twice", "physics.dt_s": "0.004"}
+    assert (other.person.tissue, other.physics.dt_s) == (rows, 0.004)
+    assert other.title == f"{PROTOCOL.id} with body woman-old-light and tissue twice and time step [s] 0.004"
+    assert other.without_overrides(PROTOCOL) == PROTOCOL
+    easier = other.model_copy(update={"gates": other.gates.model_copy(update={"region_share": 0.1})})
+    assert easier.without_overrides(PROTOCOL) != PROTOCOL, "what was changed besides shows"
+
+
+def test_one_override_keeps_another() -> None:
+    assert PROTOCOL.overridden(body="woman-old-light").overridden(dt_s=0.004) == PROTOCOL.overridden(
+        body="woman-old-light", dt_s=0.004
+    )

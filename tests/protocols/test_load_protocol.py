@@ -104,3 +104,9 @@ def test_hash_does_not_change_with_comments_spacing_or_spelling(tmp_path: Path, 
 def test_hash_changes_with_a_prompt(tmp_path: Path) -> None:
     other = load_protocol(written(tmp_path, TEXT.replace("gently touch the abdomen", "gently touch the  abdomen")))
     assert other.sha256 != load_protocol().sha256
+
+
+def test_a_file_does_not_claim_overrides(tmp_path: Path) -> None:
+    path = written(tmp_path, f'{TEXT}\n[overrides]\n"person.body" = "man-old-light"\n')
+    with pytest.raises(ConfigError, match="overrides are written by a command"):
+        load_protocol(path)

@@ -1,4 +1,4 @@
-"""The world as physics: history, settling, force balance, passive response."""
+"""The world as physics: history, settling, passive response. Force balance: tests/validation."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import pytest
 from carecontact.recording.schema import SEGMENTS
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import Scene
-
-from .conftest import move_to, top_of_forearm
 
 FOREARM = SEGMENTS.index("right_forearm")
 
@@ -70,61 +68,6 @@ def test_person_comes_to_rest_inside_every_joint_range(forearm_scene: Scene, ang
         for c in simulation.data.contact[: simulation.data.ncon]
     ]
     assert all("bed_" in a or "bed_" in b for a, b in touching), touching
-
-
-def test_force_balances_by_three_independent_paths(settled: Simulation) -> None:
-    """Contact sensor = anchors = change of the bed's reaction; and = joint torques mapped to the tip."""
-    top = top_of_forearm(settled)
-    move_to(settled, top + [0, 0, 0.10], 4.0)
-    move_to(settled, top + [0, 0, 0.02], 2.0)
-    settled.advance(1000)
-    bed_before, anchors_before, tip_before = bed_reaction(settled), anchor_force(settled), tip_force(settled)
-    weight = settled.scene.body.mass_kg * 9.81
-    assert bed_before[2] == pytest.approx(weight, rel=0.01)
-    for depth in (0.015, 0.030):
-        move_to(settled, top - [0, 0, depth], 2.0)
-        force = settled.advance(1000)[-1].force[-1, FOREARM]
-        size = np.linalg.norm(force)
-        assert size > 3.0
-        assert 0.002 < settled.indentation()[0] < 0.009
-        assert np.linalg.norm(anchor_force(settled) - anchors_before - force) <= 0.01 * size
-        assert np.linalg.norm(bed_before - bed_reaction(settled) - force) <= 0.01 * size
-        assert np.linalg.norm(tip_force(settled) - tip_before - force) <= 0.02 * size
-
-
-def bed_reaction(simulation: Simulation) -> np.ndarray:
-    """Force on the person from bed and board, world (3,), summed by hand over the contacts."""
-    model, data = simulation.model, simulation.data
-    total, wrench = np.zeros(3), np.zeros(6)
-    for i in range(data.ncon):
-        contact = data.contact[i]
-        names = [model.geom(g).name if g >= 0 else "" for g in contact.geom]
-        if any(n.startswith("bed_") for n in names) and any(n.startswith("human_") for n in names):
-            mujoco.mj_contactForce(model, data, i, wrench)
-            on_second = contact.frame.reshape(3, 3).T @ wrench[:3]
-            total += on_second if names[1].startswith("human_") else -on_second
-    return total
-
-
-def anchor_force(simulation: Simulation) -> np.ndarray:
-    """Force that the anchors hand to the bone, world (3,)."""
-    model, data = simulation.model, simulation.data
-    total = np.zeros(3)
-    for k in simulation.scene.regions["forearm"].vertex_index:
-        for kind in "ntb":
-            joint = model.joint(f"forearm_v{k}_{kind}").id
-            total -= data.qfrc_passive[model.jnt_dofadr[joint]] * data.xaxis[joint]
-    return total
-
-
-def tip_force(simulation: Simulation) -> np.ndarray:
-    """Force that the robot exerts at its tip, from joint torques alone, world (3,)."""
-    model, data = simulation.model, simulation.data
-    position, rotation = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-    mujoco.mj_jacSite(model, data, position, rotation, model.site("tcp").id)
-    dofs = [model.joint(f"robot_joint{i}").dofadr[0] for i in range(1, 8)]
-    torque = (data.qfrc_actuator + data.qfrc_passive + data.qfrc_applied - data.qfrc_bias)[dofs]
-    return np.linalg.lstsq(np.vstack([position, rotation])[:, dofs].T, torque, rcond=None)[0][:3]
 
 
 def pushed_sideways(simulation: Simulation, newton: float) -> Iterator[None]:

@@ -220,7 +220,7 @@ def test_manifest_names_the_run_and_does_not_depend_on_order(bench: Bench) -> No
         "schema": "carecontact-run-1",
         "purpose": "run",
         "policy": "hover",
-        "protocol": {"id": PROTOCOL.id, "sha256": PROTOCOL.sha256},
+        "protocol": {"id": PROTOCOL.id, "sha256": PROTOCOL.sha256, "overrides": {}},
         "trials": ["T1-s000", "T1-s001", "T1-s002"],
     }
     bench.run(specs(2))

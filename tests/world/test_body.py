@@ -29,7 +29,29 @@ def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_unknown_body_lists_the_shipped_ones() -> None:
     with pytest.raises(UnknownNameError, match="no body named 'giant'; valid: ") as caught:
         load_body("giant")
-    assert caught.value.valid == body_names()
+    assert set(body_names()) < set(caught.value.valid)
+    assert any(name.startswith("smplx:FILE.npz") for name in caught.value.valid)
+
+
+def test_shipped_bodies_are_man_and_woman_adult_and_old_light_and_heavy() -> None:
+    names = {
+        f"{who}-{age}-{build}" for who in ("man", "woman") for age in ("adult", "old") for build in ("light", "heavy")
+    }
+    assert set(body_names()) == {"man-adult", *names}
+
+
+def test_name_sex_age_and_build_agree(body: Body) -> None:
+    who, age, *build = body.name.split("-")
+    assert (body.sex, body.age_group) == ("M" if who == "man" else "F", age)
+    if build:
+        assert body.bmi == pytest.approx({"light": 20.5, "heavy": 32.0}[build[0]], abs=0.15)
+    assert 1.5 < body.stature_m < 1.8
+
+
+def test_archive_is_under_its_limit(body: Body) -> None:
+    folder = resources.files("carecontact") / "assets" / "bodies"
+    assert len((folder / f"{body.name}.npz").read_bytes()) < 800_000
+    assert len((folder / f"{body.name}.skin.png").read_bytes()) < 320_000
 
 
 def test_a_changed_archive_is_refused(copied: Path) -> None:
@@ -75,7 +97,7 @@ def test_faces_fit_vertices_and_texture(body: Body) -> None:
 def test_surface_is_wound_outward_and_encloses_the_bodys_volume(body: Body) -> None:
     corner = body.vertices[body.faces]
     volume = np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])).sum() / 6
-    assert volume == pytest.approx(body.meta["measured_by_anny"]["volume"], rel=1e-3)
+    assert volume == pytest.approx(body.meta["measured_by_anny"]["volume"], rel=5e-3)  # the arms were moved after
     # Lean tissue, fat and bone together: 0.95 to 1.1 g/cm^3.
     assert 950 < body.mass_kg / volume < 1100
 

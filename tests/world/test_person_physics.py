@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from carecontact.world.human.anthropometry import segment_inertias
-from carecontact.world.human.body import Body
 from carecontact.world.human.pose import lying_pose_deg
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name, tissue_body_name
 from carecontact.world.scene import Scene
@@ -18,17 +17,16 @@ RADIUS, OPEN_M = 0.012, 0.040
 
 
 @pytest.mark.parametrize("region", sorted(SOFT_SEGMENTS))
-def test_bone_and_shell_together_have_the_segments_inertia(
-    scene_of: Callable[..., Scene], body: Body, region: str
-) -> None:
+def test_bone_and_shell_together_have_the_segments_inertia(scene_of: Callable[..., Scene], region: str) -> None:
     """Mass, centre of mass and inertia tensor of de Leva's segment, summed over the compiled bodies by hand."""
-    model = scene_of(region).model
+    model, body = scene_of(region).model, scene_of(region).body
     segment = SOFT_SEGMENTS[region]
     bone = model.body(body_name(segment)).id
     carrier = model.body(tissue_body_name(region)).id
     row, origin = segment_inertias(body)[segment], body.joint_centre[segment]
     mass, moment, tensor = 0.0, np.zeros(3), np.zeros((3, 3))
-    for b in [bone, *np.flatnonzero(model.body_parentid == carrier)]:
+    cells = np.flatnonzero(model.body_parentid == carrier)
+    for b in [bone, *np.flatnonzero(np.isin(model.body_parentid, cells))]:
         base = np.zeros(3) if b == bone else model.body_pos[b]
         at = origin + base + model.body_ipos[b]
         turn = np.zeros(9)
@@ -49,7 +47,7 @@ def test_nothing_of_the_person_is_open_to_the_tool(scene_of: Callable[..., Scene
     scene = scene_of("forearm")
     model = scene.model
     data = mujoco.MjData(model)
-    pose = lying_pose_deg(52.5)
+    pose = lying_pose_deg(scene.body, 52.5)
     for hinge in scene.hinges:
         angle = pose.get(hinge.name, hinge.bind_deg)
         data.qpos[model.joint(f"human_{hinge.name}").qposadr[0]] = np.radians(angle)

@@ -11,20 +11,21 @@ import pytest
 from carecontact.contract.policy import CAMERAS
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
-from carecontact.world.human.body import body_names
 from carecontact.world.human.pose import FIXED_SEGMENTS
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name, tissue_body_name
 from carecontact.world.scene import Scene, build_scene
 from carecontact.world.sensors import CONTACT_SLOTS
 
 PROTOCOL = load_protocol()
+# Every body is built and settled in test_every_body.
+BODIES = ("man-adult", "woman-old-heavy")
 TARGETS = (*REGIONS, None)
 ROBOT_BIT, PERSON_BIT = 1, 2
 
 
 @pytest.fixture(
     scope="module",
-    params=[(b, t) for b in body_names() for t in TARGETS],
+    params=[(b, t) for b in BODIES for t in TARGETS],
     ids=lambda p: f"{p[0]}-{p[1] or 'all fine'}",
 )
 def scene(request: pytest.FixtureRequest, scene_of: Callable[[str | None], Scene]) -> Scene:
@@ -164,12 +165,12 @@ def test_only_the_targets_shell_is_fine(scene: Scene, target: str | None, scene_
     fine = scene_of(None).regions
     assert set(scene.regions) == set(REGIONS)
     for name, region in scene.regions.items():
-        most = len(fine[name].shell.vertices)
         if target in (None, name):
             assert region.tissue == PROTOCOL.person.tissue[name]
-            assert len(region.shell.vertices) == most
+            if scene.body.name == PROTOCOL.person.body:
+                assert len(region.shell.vertices) == len(fine[name].shell.vertices)
         else:
-            assert len(region.shell.vertices) < 0.5 * most
+            assert len(region.shell.vertices) < 0.3 * len(fine[name].shell.vertices)
             own = PROTOCOL.person.tissue[name]
             assert region.tissue.spacing_m == own.off_target_spacing_m
             for law in ("a_n_m3", "c_n_m5", "damping_ns_m3"):
@@ -191,10 +192,15 @@ def test_shell_vertices_are_anchored_by_the_law(scene: Scene) -> None:
             np.testing.assert_allclose(
                 model.jnt_stiffnesspoly[joint.id], [tissue.b_n_m4 * area, tissue.c_n_m5 * area], rtol=1e-9
             )
-            np.testing.assert_allclose(joint.axis, -region.shell.normals[k], atol=1e-9)
-            assert model.dof_damping[model.joint(f"{name}_v{k}_t").dofadr[0]] == pytest.approx(
-                tissue.damping_ns_m3 * area
-            )
+            cell = region.shell.cell[k]
+            np.testing.assert_allclose(joint.axis, -region.shell.cell_frames[cell, :, 2], atol=1e-9)
+        for c, frame in enumerate(region.shell.cell_frames):
+            area = region.shell.area[region.shell.cell == c].sum()
+            for kind, axis in zip("tb", frame.T[:2], strict=True):
+                joint = model.joint(f"{name}_cell{c}_{kind}")
+                np.testing.assert_allclose(joint.axis, axis, atol=1e-9)
+                assert model.jnt_stiffness[joint.id] == pytest.approx(tissue.a_n_m3 * area)
+                assert model.dof_damping[joint.dofadr[0]] == pytest.approx(tissue.damping_ns_m3 * area)
 
 
 def test_cameras_are_those_of_the_protocol_and_look_where_it_says(model: mujoco.MjModel) -> None:
@@ -225,7 +231,8 @@ def test_person_lies_on_the_back_on_the_bed_head_to_plus_x(scene: Scene) -> None
     assert max(abs(at[s][0]) for s in ("head", "right_foot", "left_foot")) < 1.0
     # The belly's region frame points to the ceiling and to the head.
     x, _, z = data.site("region_abdomen").xmat.reshape(3, 3).T
-    assert (x[0], z[2]) == pytest.approx((1.0, 1.0))
+    # The trunk lies within 1.5 degrees of level.
+    assert (x[0], z[2]) == pytest.approx((1.0, 1.0), abs=1e-3)
 
 
 def test_region_frames_lie_on_their_bones(scene: Scene) -> None:

@@ -6,14 +6,23 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from carecontact.errors import SceneError
 from carecontact.protocols import load_protocol
 from carecontact.world.human.body import Body
-from carecontact.world.human.shell import FINE_HALF_LENGTH_M, Shell, belly_span, graded, limb_shell, trunk_shell
+from carecontact.world.human.shell import (
+    CELL_ROUND_DEG,
+    FINE_HALF_LENGTH_M,
+    FINE_HALF_ROUND_DEG,
+    PINNED_BEYOND_DEG,
+    SIDE_HALF_ROUND_DEG,
+    Shell,
+    belly_half_width,
+    belly_span,
+    limb_shell,
+    trunk_shell,
+)
 from carecontact.world.human.skeleton import SOFT_SEGMENTS
 from carecontact.world.scene import upward_in_bind
 
@@ -52,13 +61,10 @@ def region_coordinates(shell: Shell) -> np.ndarray:
     return (shell.vertices - shell.frame_origin) @ shell.frame
 
 
-def columns(shell: Shell) -> int:
-    """Of the structured grid: its first cells are joined to the next row, which starts one row of vertices later."""
-    return int(np.diff(np.sort(shell.triangles, axis=1), axis=1).sum(1).max()) - 1
-
-
-def grid(shell: Shell, values: np.ndarray) -> np.ndarray:
-    return values.reshape(-1, columns(shell), *values.shape[1:])
+def edges_of(shell: Shell) -> np.ndarray:
+    """(E, 2)"""
+    pairs = np.concatenate([shell.triangles[:, [0, 1]], shell.triangles[:, [1, 2]], shell.triangles[:, [2, 0]]])
+    return np.unique(np.sort(pairs, axis=1), axis=0)
 
 
 def test_areas_share_out_the_triangles(shell: Shell) -> None:
@@ -87,16 +93,28 @@ def test_triangles_are_wound_outward_like_their_corners(shell: Shell) -> None:
     assert agreement[~shell.pinned[shell.triangles]].min() > 0.5
 
 
-def test_tangents_lie_in_the_surface_along_the_region(shell: Shell) -> None:
-    np.testing.assert_allclose(np.linalg.norm(shell.tangents, axis=1), 1.0, atol=1e-12)
-    np.testing.assert_allclose(np.einsum("ij,ij->i", shell.tangents, shell.normals), 0.0, atol=1e-12)
-    along = shell.tangents @ shell.frame[:, 0]
-    assert along.min() > 0
-    assert along[~shell.pinned].min() > 0.7
+def test_cells_part_the_free_vertices_and_their_frames_follow_the_surface(region: str, shell: Shell) -> None:
+    assert (shell.cell[shell.pinned] == -1).all()
+    assert set(shell.cell[~shell.pinned]) == set(range(len(shell.cell_frames)))
+    for c, frame in enumerate(shell.cell_frames):
+        np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-12)
+        mine = shell.cell == c
+        # The vertices of a cell move along its normal: it must be close to theirs.
+        turn = np.degrees(np.arccos(np.clip(shell.normals[mine] @ frame[:, 2], -1, 1)))
+        assert turn.max() < 45
+        assert frame[:, 0] @ shell.frame[:, 0] > 0.7
+    free = ~shell.pinned
+    along = np.einsum("ij,ij->i", shell.normals[free], shell.cell_frames[shell.cell[free], :, 2])
+    assert np.degrees(np.arccos(np.clip(along, -1, 1))).mean() < 0.7 * CELL_ROUND_DEG
 
 
-def test_vertices_lie_on_the_bodys_surface(body: Body, shell: Shell) -> None:
-    assert distance_to_surface(body, shell.vertices).max() < 1e-3
+def test_vertices_lie_on_the_bodys_smoothed_surface(body: Body, shell: Shell) -> None:
+    """The body's own faces are flat and 20 mm wide; the shell rounds their ridges by a millimetre or two."""
+    distance = distance_to_surface(body, shell.vertices[~shell.pinned])
+    over = distance[np.isfinite(distance)]  # a point beside a convex edge lies over no face
+    assert len(over) > 0.9 * len(distance)
+    assert np.median(over) < 1.5e-3
+    assert np.percentile(over, 97) < 5e-3
 
 
 def test_shell_is_the_outer_surface(body: Body, shell: Shell) -> None:
@@ -104,7 +122,7 @@ def test_shell_is_the_outer_surface(body: Body, shell: Shell) -> None:
     free = np.flatnonzero(~shell.pinned)[::3]
     points, normals = shell.vertices[free], shell.normals[free]
     assert inside(body, points - 0.01 * normals).mean() > 0.99
-    assert inside(body, points + 0.001 * normals).mean() < 0.01
+    assert inside(body, points + 0.006 * normals).mean() < 0.06
 
 
 def test_shell_lies_on_its_segment_and_its_neighbours(body: Body, region: str, shell: Shell) -> None:
@@ -127,33 +145,39 @@ def test_border_is_pinned(region: str, shell: Shell) -> None:
         assert set(np.flatnonzero(shell.pinned)) == border
     else:
         # The underside lies on the board: it is fixed to the bone too.
-        pinned = grid(shell, shell.pinned)
-        assert (pinned[1:-1] == pinned[1]).all()
-        y, z = grid(shell, region_coordinates(shell))[len(pinned) // 2, :, 1:].T
-        angle = np.abs(np.degrees(np.arctan2(y, z)))
-        np.testing.assert_array_equal(pinned[1], angle > (128 if region == "forearm" else 105))
+        angle = np.abs(np.degrees(shell.grid[:, 1]))
+        assert shell.pinned[angle > PINNED_BEYOND_DEG[region]].all()
+        inner = ~np.isin(np.arange(len(angle)), sorted(border))
+        np.testing.assert_array_equal(shell.pinned[inner], (angle > PINNED_BEYOND_DEG[region])[inner])
 
 
 def test_fine_patch_is_as_fine_as_asked(region: str, shell: Shell) -> None:
+    """On the patch neighbours stand about the spacing apart, nowhere half again, and the patch is all that the tool
+    reaches."""
     spacing = TISSUE[region].spacing_m
-    local, points = grid(shell, region_coordinates(shell)), grid(shell, shell.vertices)
-    along = local[:, 0, 0]
-    centre, half = (along[0] + along[-1]) / 2, (along[-1] - along[0]) / 2
-    reach = min(FINE_HALF_LENGTH_M, half - 0.01) if region != "abdomen" else half - 0.03
-    fine_rows = np.abs(along - centre) <= reach + 1e-6
-    assert fine_rows.sum() > 8
-    assert np.diff(along[fine_rows]).max() <= spacing + 1e-9
+    edges = edges_of(shell)
+    length = np.linalg.norm(np.diff(shell.vertices[edges], axis=1)[:, 0], axis=1)
+    fine = length[shell.fine[edges].all(1)]
+    assert np.mean(fine) <= spacing * 1.02
+    assert fine.max() <= spacing * 1.4
+    assert length[~shell.pinned[edges].any(1)].max() <= TISSUE[region].coarse_spacing_m * 1.4
+    x, y = shell.grid.T
+    x = x - (x.min() + x.max()) / 2
     if region == "abdomen":
-        across = local[0, :, 1]
-        fine_columns = np.abs(across) <= 0.085 + 1e-6
-        assert np.abs(np.diff(across[fine_columns])).max() <= spacing + 1e-9
+        reached = (np.abs(x) < x.max() - 0.031) & (np.abs(y) < min(0.08, y.max() - 0.03))
     else:
-        middle = local[len(local) // 2]
-        fine_columns = np.abs(np.degrees(np.arctan2(middle[:, 1], middle[:, 2]))) < 63
-    # Round a limb the spacing is that at its middle; where the limb is thicker or the belly slopes it stretches.
-    step = np.linalg.norm(np.diff(points[:, fine_columns], axis=1), axis=2)[fine_rows]
-    assert np.median(step) <= spacing * 1.15
-    assert step.max() <= spacing * 1.6
+        reached = (np.abs(x) < min(FINE_HALF_LENGTH_M, x.max() - 0.01)) & (np.abs(np.degrees(y)) < FINE_HALF_ROUND_DEG)
+        if region == "forearm":
+            reached |= (np.abs(x) < 0.035) & (np.abs(np.degrees(y)) < SIDE_HALF_ROUND_DEG)
+    assert reached.sum() > 200
+    assert shell.fine[reached].all()
+
+
+def test_shell_of_the_belly_keeps_clear_of_the_sides(body: Body) -> None:
+    low, high = belly_span(body)
+    trunk = body.vertices_of("pelvis", "abdomen", "thorax")
+    trunk = trunk[(trunk[:, 2] > low) & (trunk[:, 2] < high)]
+    assert 0.06 < belly_half_width(body) < np.abs(trunk[:, 0]).max()
 
 
 def test_coarser_tissue_makes_a_coarser_shell_of_the_same_area(body: Body, region: str, shell: Shell) -> None:
@@ -170,6 +194,7 @@ def test_coarser_tissue_makes_a_coarser_shell_of_the_same_area(body: Body, regio
     assert len(other.vertices) < 0.5 * len(shell.vertices)
     assert other.area.sum() == pytest.approx(shell.area.sum(), rel=0.06)
     np.testing.assert_allclose(other.frame, shell.frame, atol=1e-9)
+    assert other.axis_depth_m == pytest.approx(shell.axis_depth_m)
 
 
 def test_region_frame(body: Body, region: str, shell: Shell) -> None:
@@ -192,46 +217,14 @@ def test_region_frame(body: Body, region: str, shell: Shell) -> None:
 
 def test_limb_radius_is_that_of_an_arm(body: Body) -> None:
     radius = {region: sampled(body, region).radius_m for region in ("forearm", "upper_arm")}
-    # Girth 23 to 31 cm at the forearm's and 26 to 38 cm at the upper arm's middle would be any adult's.
-    assert 0.028 < radius["forearm"] < radius["upper_arm"] < 0.060
+    # Girth 16 to 31 cm at the forearm's and 26 to 38 cm at the upper arm's middle would be any adult's.
+    assert 0.025 < radius["forearm"] < radius["upper_arm"] < 0.060
 
 
 def test_region_that_leaves_the_body_is_refused(body: Body) -> None:
     tissue = TISSUE["abdomen"]
     with pytest.raises(SceneError, match=r"a ray from .* misses the body's surface"):
         trunk_shell(body, np.array([0.0, 0.0, 1.0]), tissue)
-
-
-millimetres = st.integers(1, 400)
-
-
-@given(st.integers(-200, 200), millimetres, millimetres, millimetres, st.integers(2, 40), st.floats(1.0, 4.0))
-def test_graded(start: int, left: int, middle: int, right: int, spacing_mm: int, ratio: float) -> None:
-    fine = np.array([start + left, start + left + middle]) / 1000
-    span = np.array([start, start + left + middle + right]) / 1000
-    spacing = spacing_mm / 1000
-    at = graded(span, fine, spacing, spacing * ratio)
-    steps = np.diff(at)
-    np.testing.assert_allclose(at[[0, -1]], span, atol=1e-12)
-    assert (steps > 0).all()
-    for edge in fine:
-        assert np.abs(at - edge).min() < 1e-12
-    inner = (at[:-1] > fine[0] - 1e-9) & (at[1:] < fine[1] + 1e-9)
-    assert steps[inner].max() <= spacing + 1e-12
-    # No finer than needed either: one vertex less would be too coarse.
-    assert inner.sum() - 1 < middle / 1000 / spacing + 1e-9
-    # Outside a whole number of steps has to fit: the coarse spacing within a half of itself.
-    outer = steps[~inner]
-    assert outer.max() <= spacing * ratio * 1.5 + 1e-12
-
-
-@given(millimetres, st.integers(2, 40))
-@example(99, 9)
-def test_graded_without_margins_is_even(length: int, spacing_mm: int) -> None:
-    span = np.array([0.0, length / 1000])
-    at = graded(span, span, spacing_mm / 1000, 1.0)
-    np.testing.assert_allclose(np.diff(at), span[1] / (len(at) - 1), rtol=1e-9)
-    assert len(at) == -(-length // spacing_mm) + 1
 
 
 def distance_to_surface(body: Body, points: np.ndarray) -> np.ndarray:

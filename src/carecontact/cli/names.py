@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
-
 from carecontact.protocols import load_protocol, shipped_protocols
 
 
@@ -33,8 +31,26 @@ def _protocols(protocol: str) -> list[tuple[str, str]]:
 
 
 def _bodies(protocol: str) -> list[tuple[str, str]]:
-    folder = resources.files("carecontact") / "assets" / "bodies"
-    return [(p.name.removesuffix(".npz"), "") for p in sorted(folder.iterdir(), key=str) if p.name.endswith(".npz")]
+    from carecontact.world.human.body import body_names, load_body
+
+    sexes = {"F": "woman", "M": "man"}
+    rows = [
+        (
+            body.name,
+            f"{sexes[body.sex]:5}  {body.age_group:5}  {body.stature_m:.2f} m  {body.mass_kg:5.1f} kg  "
+            f"BMI {body.bmi:.1f}  {body.licence}",
+        )
+        for body in map(load_body, body_names())
+    ]
+    return [*rows, ("smplx:FILE.npz?sex=F", "Your own SMPL-X model, see docs/bodies.md.")]
+
+
+def _tissue(protocol: str) -> list[tuple[str, str]]:
+    from carecontact.protocols.tissue_sets import load_tissue_set, shipped_tissue_sets
+
+    loaded = {name: load_tissue_set(name) for name in shipped_tissue_sets()}
+    rows = [(name, f"{s.description} sha256 {s.sha256[:12]}") for name, s in loaded.items()]
+    return [*rows, ("FILE.toml", "Your own, as calibrate writes it, see docs/calibration.md.")]
 
 
 def _metrics(protocol: str) -> list[tuple[str, str]]:
@@ -44,4 +60,7 @@ def _metrics(protocol: str) -> list[tuple[str, str]]:
     return [(name, f"{metric.title}{units[name]}, {metric.better} is better") for name, metric in METRICS.items()]
 
 
-KINDS = {"tasks": _tasks, "policies": _policies, "protocols": _protocols, "bodies": _bodies, "metrics": _metrics}
+KINDS = {
+    "tasks": _tasks, "policies": _policies, "protocols": _protocols, "bodies": _bodies, "tissue": _tissue,
+    "metrics": _metrics,
+}  # fmt: skip

@@ -42,6 +42,13 @@ class Run:
     """3 or 0-19 or 0,4,7 or all."""
     protocol: str = "bathing-v1-draft"
     """Id of a shipped protocol, or a .toml file."""
+    body: str | None = None
+    """Another person than the protocol's: a name of `carecontact list bodies` or smplx:FILE.npz?sex=F (or M). Every
+    output says so, and such trials are never pooled with the protocol's own."""
+    tissue: str | None = None
+    """Other tissue than the protocol's: a name of `carecontact list tissue` or a .toml file, as calibrate writes it."""
+    fast: Switch = False
+    """Physics steps of 4 ms instead of the protocol's: fewer steps a second, for development."""
     jobs: int | None = None
     """Trials at once; default: one per core."""
     retry_failed: Switch = False
@@ -58,6 +65,9 @@ class Run:
             tasks=self.tasks,
             seeds=self.seeds,
             protocol=self.protocol,
+            body=self.body,
+            tissue=self.tissue,
+            fast=self.fast,
             jobs=self.jobs,
             retry_failed=self.retry_failed,
         )
@@ -108,10 +118,75 @@ class Report:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Validate:
+    """Prove that the simulated person is physically valid: eight checks and two measurements, with pass lines."""
+
+    body: tuple[str, ...] = ()
+    """Bodies to check (see `carecontact list bodies`); default: the protocol's."""
+    quick: Switch = False
+    """The short form of every check, for continuous integration; the full one takes many minutes a body."""
+    checks: str = "all"
+    """force-balance,energy or all."""
+    protocol: str = "bathing-v1-draft"
+    """Id of a shipped protocol, or a .toml file."""
+    out: Path = Path("runs/validation")
+    """Folder for validation.json and the figures."""
+    verbose: Switch = False
+    """Print every measured quantity, not only missed lines."""
+
+    after_interrupt: ClassVar[str] = "; nothing was written for the body that was being checked"
+
+    def __call__(self) -> int:
+        from carecontact.cli.validate import validate
+
+        return validate(
+            bodies=self.body,
+            quick=self.quick,
+            checks=self.checks,
+            protocol=self.protocol,
+            out=self.out,
+            verbose=self.verbose,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate:
+    """Fit a region's tissue to measured indentation trials, with certificate and figure; see docs/calibration.md."""
+
+    trials: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRIALS.csv")]
+    region: Literal["forearm", "upper_arm", "abdomen"] | None = None
+    """Rows whose site begins with this; needed unless --verify is given."""
+    body: str = "man-adult"
+    """Whose surface is pressed (see `carecontact list bodies`)."""
+    protocol: str = "bathing-v1-draft"
+    """Whose mesh, mass and thickness the tissue keeps."""
+    out: Path = Path("runs/calibration")
+    """Folder for certificate.json, tissue.toml and calibration.png."""
+    verify: Path | None = None
+    """A certificate.json: simulate it again on the same trials and compare; exit status 1 outside its band."""
+
+    after_interrupt: ClassVar[str] = "; nothing was written"
+
+    def __call__(self) -> int:
+        from carecontact.cli.calibrate import calibrate
+
+        return calibrate(
+            trials=self.trials,
+            region=self.region,
+            body=self.body,
+            protocol=self.protocol,
+            out=self.out,
+            certificate=self.verify,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class List:
     """What can be named on the command line."""
 
-    what: Annotated[Literal["tasks", "policies", "protocols", "bodies", "metrics", "all"], tyro.conf.Positional] = "all"
+    what: Annotated[
+        Literal["tasks", "policies", "protocols", "bodies", "tissue", "metrics", "all"], tyro.conf.Positional
+    ] = "all"
     protocol: str = "bathing-v1-draft"
     """Whose tasks."""
 
@@ -135,7 +210,16 @@ class Doctor:
         return doctor()
 
 
-COMMANDS = {"run": Run, "demo": Demo, "score": Score, "report": Report, "list": List, "doctor": Doctor}
+COMMANDS = {
+    "run": Run,
+    "demo": Demo,
+    "score": Score,
+    "report": Report,
+    "validate": Validate,
+    "calibrate": Calibrate,
+    "list": List,
+    "doctor": Doctor,
+}
 
 
 def parse(arguments: Sequence[str]) -> Command:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from carecontact.cli.policy_name import check_policy
 from carecontact.cli.progress import progress
 from carecontact.cli.score import report, rescore
-from carecontact.protocols import load_protocol, shipped_protocols
+from carecontact.protocols import adapted, load_protocol, shipped_protocols
 from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.plan import parse_seeds, parse_tasks, plan_trials
 from carecontact.trials.preflight import check_protocol
@@ -27,13 +27,18 @@ def run(
     tasks: str,
     seeds: str,
     protocol: str,
+    body: str | None = None,
+    tissue: str | None = None,
+    fast: bool = False,
     jobs: int | None,
     retry_failed: bool,
     purpose: Purpose = "run",
 ) -> int:
-    """Exit status 1 if the harness failed in any trial or a recording was skipped; a policy that fails is a result."""
+    """``body``, ``tissue``, ``fast``: see ``protocols.adapted``.
+
+    Exit status 1 if the harness failed in any trial or a recording was skipped; a policy that fails is a result."""
     check_jobs(jobs)
-    rules = load_protocol(protocol)
+    rules = adapted(load_protocol(protocol), body=body, tissue=tissue, fast=fast)
     check_protocol(rules)
     task_ids, seed_list = parse_tasks(tasks, protocol=rules), parse_seeds(seeds, protocol=rules)
     folder = Path.cwd()
@@ -58,8 +63,9 @@ def run(
 
 def protocol_title(protocol: Protocol) -> str:
     """Its id; a file that keeps a shipped id but is another protocol is not shown as the shipped one."""
-    modified = protocol.id in shipped_protocols() and load_protocol(protocol.id).sha256 != protocol.sha256
-    return f"{protocol.id} (modified)" if modified else protocol.id
+    shipped = load_protocol(protocol.id) if protocol.id in shipped_protocols() else None
+    modified = shipped is not None and protocol.without_overrides(shipped).sha256 != shipped.sha256
+    return f"{protocol.title} (modified)" if modified else protocol.title
 
 
 def _tell_failures(summary: RunSummary, *, out: Path) -> int:

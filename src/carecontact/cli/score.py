@@ -39,6 +39,8 @@ def rescore(folder: Path, *, compare: bool = True) -> RunScores:
     if path is not None:
         for line in differences(before, _results(folder)):
             print(line)
+        if run.scores[0].overrides:
+            print(f"protocol: {run.scores[0].protocol_title}")
         print_table(run.scores)
     failed = harness_errors(run.scores)
     if failed:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -13,6 +14,13 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 Vec3 = tuple[float, float, float]
 FileStem = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
 """An id that names files, so that it can name none elsewhere."""
+
+
+OVERRIDABLE = {"person.body": "body", "person.tissue_set": "tissue", "physics.dt_s": "time step [s]"}
+"""Field of a protocol that a command may replace -> its word in ``Protocol.title``."""
+
+
+Region = Literal["forearm", "upper_arm", "abdomen"]
 
 
 class Section(BaseModel):
@@ -70,6 +78,9 @@ class Tissue(Section):
     c_n_m5: float
     damping_ns_m3: Positive
     """[N s/m per m^2]"""
+    coupling_n_m: Annotated[float, Field(ge=0)] = 0.0
+    """G of f_int: each unit of difference between neighbours' indentation is resisted by G times the surface gradient;
+    load spreads over sqrt(G / a). 0: neighbours act alone."""
     areal_mass_kg_m2: Positive
     spacing_m: Positive
     """Vertex spacing on the patch that the tool can reach; round a limb, at its middle section."""
@@ -91,14 +102,14 @@ class Tissue(Section):
 class Person(Section):
     body: str
     tissue_set: str
-    tissue: dict[Literal["forearm", "upper_arm", "abdomen"], Tissue]
+    tissue: dict[Region, Tissue]
 
 
 class Task(Section):
     id: FileStem
     name: str
     action: Literal["touch", "push", "scrub"]
-    region: Literal["forearm", "upper_arm", "abdomen"]
+    region: Region
     prompt: str
 
 
@@ -190,6 +201,52 @@ class Protocol(Section):
     contact: ContactDefinition
     gates: Gates
     limits: ForceLimits
+    overrides: dict[str, str] = {}
+    """What of the file was replaced for this run, as ``person.body`` -> its value; see ``overridden``."""
+
+    @property
+    def title(self) -> str:
+        """See ``protocol_title``."""
+        return protocol_title(self.id, self.overrides)
+
+    def overridden(
+        self,
+        *,
+        body: str | None = None,
+        tissue_set: tuple[str, dict[Region, Tissue]] | None = None,
+        dt_s: float | None = None,
+    ) -> Protocol:
+        """A copy with these replaced and ``overrides`` saying so; another sha256, the same id.
+
+        What already has the wanted value is no override, so that naming the protocol's own body is the protocol itself.
+        The id stays because the seeds' random numbers come from it: trials are paired over what is replaced.
+
+        Args:
+            tissue_set: its id and a row for every region.
+        """
+        person, physics, said = self.person, self.physics, dict(self.overrides)
+        if body is not None and body != person.body:
+            person, said["person.body"] = person.model_copy(update={"body": body}), body
+        if tissue_set is not None and tissue_set != (person.tissue_set, person.tissue):
+            name, rows = tissue_set
+            person = person.model_copy(update={"tissue_set": name, "tissue": rows})
+            said["person.tissue_set"] = name
+        if dt_s is not None and dt_s != physics.dt_s:
+            physics, said["physics.dt_s"] = physics.model_copy(update={"dt_s": dt_s}), f"{dt_s:g}"
+        return self.model_copy(update={"person": person, "physics": physics, "overrides": said})
+
+    def without_overrides(self, original: Protocol) -> Protocol:
+        """A copy whose replaced fields are ``original``'s again: equal to it unless more was changed than announced."""
+        person, physics = self.person, self.physics
+        if "person.body" in self.overrides:
+            person = person.model_copy(update={"body": original.person.body})
+        if "person.tissue_set" in self.overrides:
+            person = person.model_copy(
+                update={"tissue_set": original.person.tissue_set, "tissue": original.person.tissue}
+            )
+        if "physics.dt_s" in self.overrides:
+            physics = physics.model_copy(update={"dt_s": original.physics.dt_s})
+        return self.model_copy(update={"person": person, "physics": physics, "overrides": {}})
 
     def task(self, task_id: str) -> Task:
         """Raises KeyError; callers that face users check the id first."""
@@ -249,7 +306,14 @@ class Protocol(Section):
     @property
     def sha256(self) -> str:
         """Of the canonical JSON, so that spelling and comments in the TOML do not count."""
-        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+        content = self.model_dump(mode="json", exclude=None if self.overrides else {"overrides"})
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:
+    """For people: the id and what was replaced, ``bathing-v1-draft with body woman-old-light``."""
+    replaced = [f"{OVERRIDABLE.get(field, field)} {value}" for field, value in sorted(overrides.items())]
+    return f"{protocol_id} with {' and '.join(replaced)}" if replaced else protocol_id
 
 
 def _sideless(segment: str) -> str:

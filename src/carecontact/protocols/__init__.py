@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -33,9 +34,46 @@ def load_protocol(name_or_path: str = DEFAULT_PROTOCOL) -> Protocol:
     else:
         raise UnknownNameError("protocol", name_or_path, shipped_protocols())
     try:
-        return Protocol.model_validate(tomllib.loads(data.decode()))
+        protocol = Protocol.model_validate(_with_tissue(tomllib.loads(data.decode())))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{place}: not TOML: {error}") from None
     except ValidationError as error:
         lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']} (got {str(e['input'])[:80]})" for e in error.errors()]
         raise ConfigError(f"{place}: {len(lines)} field(s) wrong\n" + "\n".join(lines)) from None
+    if protocol.overrides:
+        raise ConfigError(f"{place}: overrides are written by a command, never by a file; change the fields themselves")
+    return protocol
+
+
+def _with_tissue(fields: dict[str, Any]) -> dict[str, Any]:
+    """A file that only names a tissue set gets its rows; one that spells the rows out keeps them."""
+    from carecontact.protocols.tissue_sets import load_tissue_set
+
+    person = fields.get("person")
+    if not isinstance(person, dict) or "tissue" in person or not isinstance(person.get("tissue_set"), str):
+        return fields
+    rows = load_tissue_set(person["tissue_set"]).tissue
+    return {**fields, "person": {**person, "tissue": {region: row.model_dump() for region, row in rows.items()}}}
+
+
+FAST_DT_S = 0.004
+"""The fast mode's physics step; ``carecontact validate`` shows what it does to the scores."""
+
+
+def adapted(protocol: Protocol, *, body: str | None = None, tissue: str | None = None, fast: bool = False) -> Protocol:
+    """The protocol with another person, other tissue or the fast time step; its title, hash and every output say so.
+
+    Args:
+        body: a shipped body or ``smplx:FILE.npz?sex=F``.
+        tissue: a shipped tissue set or a TOML file.
+
+    Raises UnknownNameError, or ConfigError naming file, field and what was expected.
+    """
+    from carecontact.protocols.tissue_sets import load_tissue_set
+
+    chosen = None if tissue is None else load_tissue_set(tissue)
+    return protocol.overridden(
+        body=body,
+        tissue_set=None if chosen is None else (chosen.id, dict(chosen.tissue)),
+        dt_s=FAST_DT_S if fast else None,
+    )

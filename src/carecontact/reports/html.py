@@ -80,7 +80,7 @@ def write_report(
         .render(
             version=__version__,
             policy=everything[0].policy if everything else None,
-            protocol_id=everything[0].protocol_id if everything else None,
+            protocol_id=everything[0].protocol_title if everything else None,
             verdict=verdict(steps, everything),
             steps=steps,
             funnel_svg=funnel_svg(steps),

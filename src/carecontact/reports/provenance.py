@@ -17,7 +17,7 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
     """Name and value; several values where the trials differ. ``headers``: of the recordings that were read."""
     protocols = [h.spec.protocol for h in headers]
     rows = [
-        ("Protocol", _distinct(s.protocol_id for s in scores)),
+        ("Protocol", _distinct(s.protocol_title for s in scores)),
         ("Protocol sha256", _distinct(s.protocol_sha256 for s in scores)),
         ("Protocol state", _distinct("frozen" if p.frozen else "draft" for p in protocols)),
         ("Policy", _distinct(s.policy for s in scores)),

@@ -6,6 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from carecontact.contract.protocol import protocol_title
+
 Anatomy = Literal["process_failure", "target", "off_target", "none"]
 FailureMode = Literal[
     "process_failure",
@@ -34,6 +36,8 @@ class TrialScore(BaseModel):
     language_backend: str
     protocol_id: str
     protocol_sha256: str
+    overrides: dict[str, str] = {}
+    """Field of the protocol -> what a command replaced it with."""
     recording_sha256: str
     """Canonical hash of the recording that was scored."""
     world: dict[str, str]
@@ -94,6 +98,10 @@ class TrialScore(BaseModel):
     metric_versions: dict[str, str]
     additional: dict[str, float | None] = {}
     """Metric id -> value, for registered metrics beyond C1 to C5."""
+
+    @property
+    def protocol_title(self) -> str:
+        return protocol_title(self.protocol_id, self.overrides)
 
     @property
     def is_judged(self) -> bool:

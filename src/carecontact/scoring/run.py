@@ -61,7 +61,7 @@ def check_one_run(scores: Sequence[TrialScore]) -> None:
     """Raises ConfigError if the scores are of several protocols, policies or worlds: their rates must not be pooled."""
     protocols, policies = set[str](), set[str]()
     for score in scores:
-        protocols.add(f"{score.protocol_id} ({score.protocol_sha256[:12]})")
+        protocols.add(f"{score.protocol_title} ({score.protocol_sha256[:12]})")
         policies.add(score.policy)
     for what, found in (("protocols", protocols), ("policies", policies)):
         if len(found) > 1:
@@ -117,7 +117,9 @@ def results(run: RunScores) -> dict[str, Any]:
         "schema": RESULTS_SCHEMA,
         "policy": first.policy if first else None,
         "language_backend": sorted(backends),
-        "protocol": {"id": first.protocol_id, "sha256": first.protocol_sha256} if first else None,
+        "protocol": {"id": first.protocol_id, "sha256": first.protocol_sha256, "overrides": first.overrides}
+        if first
+        else None,
         "metric_versions": first.metric_versions if first else {},
         "versions": run.versions,
         "skipped": run.skipped,

@@ -47,6 +47,7 @@ def score_recording(recording: Recording) -> TrialScore:
         language_backend=str(header.card.get("language_backend", "none")) if header.card else "none",
         protocol_id=protocol.id,
         protocol_sha256=protocol.sha256,
+        overrides=protocol.overrides,
         recording_sha256=canonical_hash(recording),
         world=_world(contact),
         ended=header.ended,

@@ -147,7 +147,7 @@ class Simulation:
 
     def _rest_joints_at(self, comfort_arm_deg: float) -> F64:
         """Set the passive joints' rest angles, which live in the model; returns them (J,) [rad]."""
-        pose = lying_pose_deg(comfort_arm_deg)
+        pose = lying_pose_deg(self.scene.body, comfort_arm_deg)
         angles = np.radians([pose.get(hinge.name, hinge.bind_deg) for hinge in self.scene.hinges])
         self.model.qpos_spring[self._human_qpos] = angles
         return angles
@@ -169,13 +169,11 @@ class Simulation:
         return worst
 
     def comfort_arm_deg(self) -> float:
-        """Humerus long axis against the trunk's long axis in the frontal plane [deg]."""
-        at = {
-            n: self.data.xpos[self.model.body(body_name(n)).id]
-            for n in ("right_upper_arm", "right_forearm", "pelvis", "neck")
-        }
-        humerus, trunk = at["right_forearm"] - at["right_upper_arm"], at["pelvis"] - at["neck"]
-        return float(np.degrees(np.arctan2(abs(humerus[1]), humerus[0] * np.sign(trunk[0]))))
+        """Humerus long axis against the trunk's long axis in the trunk's frontal plane [deg]."""
+        shoulder, elbow = (self.data.body(body_name(n)).xpos for n in ("right_upper_arm", "right_forearm"))
+        # The thorax's axes are those of the mesh frame: x to the left, z up the trunk.
+        x, _, z = (elbow - shoulder) @ self.data.body(body_name("thorax")).xmat.reshape(3, 3)
+        return float(np.degrees(np.arctan2(-x, -z)))
 
     # -- running ----------------------------------------------------------------------------------------------------
 

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.trials.versions import package_versions
+from carecontact.world.human.body import SMPLX_PREFIX, smplx_path
 
 POLICY_PATH = "CARECONTACT_POLICY_PATH"
 """Tells a trial's process where ``module:Class`` policies are looked for."""
@@ -42,11 +43,15 @@ def identity_of(spec: TrialSpec, *, search_path: Sequence[str]) -> Identity:
     versions = package_versions()
     source = policy_source(spec.policy, search_path=search_path)
     assets = resources.files("carecontact") / "assets"
-    archives = {"body": f"bodies/{spec.protocol.person.body}.npz", "robot": "panda/panda.npz"}
+    body = spec.protocol.person.body
+    shipped = assets / "bodies" / f"{body}.npz"
+    archives = {
+        "body": smplx_path(body) if body.startswith(SMPLX_PREFIX) else shipped, "robot": assets / "panda" / "panda.npz"
+    }  # fmt: skip
     return Identity(
         policy_sha256=None if source is None else hashlib.sha256(source.read_bytes()).hexdigest(),
         versions={name: versions[name] for name in ("carecontact", "mujoco")},
-        sha256={what: hashlib.sha256((assets / path).read_bytes()).hexdigest() for what, path in archives.items()},
+        sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()},
     )
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from carecontact.contract.protocol import protocol_title
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.recording import read_recording
@@ -27,6 +28,7 @@ class ProtocolName(BaseModel):
 
     id: str
     sha256: str
+    overrides: dict[str, str] = {}
 
 
 class Manifest(BaseModel):
@@ -99,7 +101,7 @@ def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity,
     manifest = Manifest(
         purpose=earlier.purpose if earlier else purpose,
         policy=specs[0].policy,
-        protocol=ProtocolName(id=protocol.id, sha256=protocol.sha256),
+        protocol=ProtocolName(id=protocol.id, sha256=protocol.sha256, overrides=protocol.overrides),
         identity=identity,
         trials=sorted({*(earlier.trials if earlier else ()), *(spec.trial_id for spec in specs)}),
     )
@@ -124,8 +126,9 @@ def read_manifest(out: Path) -> Manifest | None:
 
 def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity: Identity) -> None:
     if (manifest.policy, manifest.protocol.sha256) != (spec.policy, spec.protocol.sha256):
+        title = protocol_title(manifest.protocol.id, manifest.protocol.overrides)
         raise ConfigError(
-            f"{out} holds another run (policy {manifest.policy}, protocol {manifest.protocol.id} "
+            f"{out} holds another run (policy {manifest.policy}, protocol {title} "
             f"{manifest.protocol.sha256[:12]}); wanted {_told(spec)}: use another --out"
         )
     held = manifest.identity
@@ -148,4 +151,4 @@ def _check_header(header: Header, spec: TrialSpec, *, path: Path, identity: Iden
 
 
 def _told(spec: TrialSpec) -> str:
-    return f"policy {spec.policy}, protocol {spec.protocol.id} {spec.protocol.sha256[:12]}"
+    return f"policy {spec.policy}, protocol {spec.protocol.title} {spec.protocol.sha256[:12]}"

@@ -7,16 +7,18 @@ from importlib import resources
 import numpy as np
 
 from carecontact.contract.protocol import Protocol
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, UnknownNameError
 
 
 def check_protocol(protocol: Protocol) -> None:
     """Raises ConfigError naming every field that the world or the scorer cannot do; imports no simulator."""
-    from carecontact.world.human.body import body_names
+    from carecontact.world.human.body import load_body
 
     faults: list[str] = []
-    if protocol.person.body not in body_names():
-        faults.append(f"person.body: no body named {protocol.person.body!r}; valid: {', '.join(body_names())}")
+    try:
+        load_body(protocol.person.body)
+    except (ConfigError, UnknownNameError) as error:
+        faults.append(f"person.body: {error}")
     dt_s, contact = protocol.physics.dt_s, protocol.contact
     for name, cutoff_hz, rate_hz in (
         ("filter_hz", contact.filter_hz, 1 / dt_s),

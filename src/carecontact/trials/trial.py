@@ -24,6 +24,7 @@ from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS, EndR
 from carecontact.sim.close_up import render_close_up
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.rendering import SceneRenderer
+from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.log import TrialLog
@@ -63,7 +64,7 @@ def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> R
     # Before anything runs: settling writes the seed's rest angles into the model, a policy its stiffness.
     model_sha256 = scene.model_sha256
     simulation = Simulation(scene)
-    settled = simulation.settle(comfort_arm_deg(protocol, spec.seed))
+    settled = settle(simulation, comfort_arm_deg(protocol, spec.seed), model_sha256=model_sha256)
     settled_wall = time.monotonic()
     if search_path is None:
         search_path = [p for p in os.environ.get(POLICY_PATH, "").split(os.pathsep) if p]

@@ -6,17 +6,16 @@ import mujoco
 import numpy as np
 
 from carecontact.contract.protocol import Scene
+from carecontact.world.human.pose import BOARD_HEIGHT_M
 
 BED_TOUCH = {"contype": 0, "conaffinity": 3}
 LOOK_ONLY = {"contype": 0, "conaffinity": 0}
-BOARD_HEIGHT_M = 0.022
-"""Padded board above the mattress: it bends the elbow a little, so that every arm joint rests inside its range."""
 PILLOW_HEIGHT_M = 0.045
 
 BOX, CYLINDER, ELLIPSOID = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_ELLIPSOID
 
 
-def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float) -> None:
+def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float, head_y: float) -> None:
     world = spec.worldbody
     top = scene.mattress_top_m
     linen, wood, steel = [0.80, 0.86, 0.90, 1], [0.62, 0.50, 0.38, 1], [0.42, 0.44, 0.48, 1]
@@ -41,8 +40,8 @@ def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float) -> None:
     for a in (-0.95, 0.95):
         for b in (-0.40, 0.40):
             add(f"bed_leg_{a}_{b}", CYLINDER, [0.025, (top - 0.22) / 2, 0], [a, b, (top - 0.22) / 2], steel)
-    add("bed_pillow", ELLIPSOID, [0.16, 0.27, 0.045], [head_x + 0.02, 0, top + 0.012], [0.95, 0.95, 0.93, 1])
-    add("bed_pillow_contact", BOX, [0.12, 0.2, PILLOW_HEIGHT_M / 2], [head_x + 0.02, 0, top + PILLOW_HEIGHT_M / 2],
+    add("bed_pillow", ELLIPSOID, [0.16, 0.27, 0.045], [head_x + 0.02, head_y, top + 0.012], [0.95, 0.95, 0.93, 1])
+    add("bed_pillow_contact", BOX, [0.12, 0.2, PILLOW_HEIGHT_M / 2], [head_x + 0.02, head_y, top + PILLOW_HEIGHT_M / 2],
         [0, 0, 0, 0], group=3, **soft, **BED_TOUCH)  # fmt: skip
     low, high = np.array(scene.board_low_m), np.array(scene.board_high_m)
     middle, half = (low + high) / 2, (high - low) / 2

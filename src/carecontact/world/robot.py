@@ -24,8 +24,9 @@ from carecontact.errors import AssetError, SceneError
 
 N_JOINTS = 7
 CAP_RADIUS_M = 0.012
-CAP_HALF_WIDTH_M = 0.007
-"""Of the capsule's cylinder, along the finger pair (hand y): the cap is 24 mm thick and 38 mm wide."""
+CAP_SEMI_AXES_M = (CAP_RADIUS_M, 0.019, CAP_RADIUS_M)
+"""Ellipsoid in the hand's axes, widest along the finger pair. Against a shell's triangles an ellipsoid makes one
+contact each; a capsule made up to five, some of them millimetres too deep."""
 CAP_CENTRE_Z_M = 0.105
 TCP_Z_M = CAP_CENTRE_Z_M + CAP_RADIUS_M
 """In the hand's frame, whose z points out of the tool."""
@@ -214,9 +215,9 @@ def _add_tool(hand: mujoco.MjsBody, meshes: list[str]) -> None:
     _make_colliding(shaft)
     cap = hand.add_geom(
         name="robot_tool_cap",
-        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        fromto=[0, -CAP_HALF_WIDTH_M, CAP_CENTRE_Z_M, 0, CAP_HALF_WIDTH_M, CAP_CENTRE_Z_M],
-        size=[CAP_RADIUS_M, 0, 0],
+        type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+        pos=[0, 0, CAP_CENTRE_Z_M],
+        size=CAP_SEMI_AXES_M,
     )
     _make_colliding(cap)
     cap.group, cap.rgba = VISUAL_GROUP, CAP_COLOUR

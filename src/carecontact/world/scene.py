@@ -15,7 +15,7 @@ from carecontact.world.furniture import add_furniture, add_light
 from carecontact.world.human.body import Array, Body, load_body
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.joints import hinges as all_hinges
-from carecontact.world.human.pose import SUPINE, lying_pose_deg, rotation_from_bind
+from carecontact.world.human.pose import lying_pose_deg, root_position, rotation_from_bind, trunk_rotation
 from carecontact.world.human.refine import refined
 from carecontact.world.human.shell import limb_shell, trunk_shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, add_skeleton, body_name
@@ -23,8 +23,6 @@ from carecontact.world.human.skin import add_skin
 from carecontact.world.human.tissue import Region, add_tissue, set_damping, shell_points
 from carecontact.world.robot import add_robot
 from carecontact.world.sensors import add_sensors
-
-PELVIS_X_M = -0.03
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +63,9 @@ def build_spec(
     spec.option.impratio = 10.0
     spec.memory = 400 * 2**20
 
+    # Before the person: the solver eliminates the last degrees of freedom first, and the robot's, which every contact
+    # has, would fill its matrix.
+    add_robot(spec, protocol)
     front = np.array([0.0, -1.0, 0.0])
     tissue = {
         region: row if target in (None, region) else off_target(row) for region, row in protocol.person.tissue.items()
@@ -74,10 +75,8 @@ def build_spec(
         else limb_shell(body, segment, upward_in_bind(body, segment), tissue[region])
         for region, segment in SOFT_SEGMENTS.items()
     }  # fmt: skip
-    height = body.vertices_of("pelvis", "abdomen", "thorax")[:, 1].max() - body.joint_centre["pelvis"][1]
-    root = np.array([PELVIS_X_M, 0.0, protocol.scene.mattress_top_m + height])
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, SUPINE.ravel())
+    root, quat = root_position(body, protocol.scene.mattress_top_m), np.zeros(4)
+    mujoco.mju_mat2Quat(quat, trunk_rotation(body).ravel())
     points = {SOFT_SEGMENTS[r]: shell_points(s, tissue[r]) for r, s in shells.items()}
     rows = add_skeleton(spec, body, root_position=root, root_quat=quat, shell_points=points)
     regions = {r: add_tissue(spec, body, r, s, tissue[r]) for r, s in shells.items()}
@@ -95,9 +94,8 @@ def build_spec(
     if skin:
         add_skin(spec, body if target is None else refined(body, SOFT_SEGMENTS[target], times=2))
     head_x = root[0] + body.joint_centre["head"][2] - body.joint_centre["pelvis"][2] + 0.04
-    add_furniture(spec, protocol.scene, head_x=head_x)
+    add_furniture(spec, protocol.scene, head_x=head_x, head_y=float(root[1]))
     add_light(spec)
-    add_robot(spec, protocol)
     add_cameras(spec, protocol)
     # One control period is one C call between two moves of the target: the sensors keep all of its steps.
     add_sensors(spec, rows, samples=round(protocol.physics.target_period_s / protocol.physics.dt_s))
@@ -129,9 +127,9 @@ def off_target(tissue: Tissue) -> Tissue:
 
 def upward_in_bind(body: Body, segment: str) -> Array:
     """Direction in the segment's bind frame that faces up in the nominal lying pose (mid comfort angle)."""
-    rows, pose = all_hinges(body), lying_pose_deg(52.5)
+    rows, pose = all_hinges(body), lying_pose_deg(body, 52.5)
     chain = ["right_upper_arm"] if segment == "right_upper_arm" else ["right_upper_arm", "right_forearm"]
-    rotation = SUPINE
+    rotation = trunk_rotation(body)
     for link in chain:
         rotation = rotation @ rotation_from_bind(rows, link, pose)
     return rotation.T @ np.array([0.0, 0.0, 1.0])

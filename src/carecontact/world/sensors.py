@@ -8,7 +8,7 @@ from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.skeleton import body_name, tissue_body_name
 
-CONTACT_SLOTS = {"soft": 64, "rigid": 12}
+CONTACT_SLOTS = {"soft": 96, "rigid": 12}
 """Contacts kept per segment for the normal sum; the recording says so if a segment ever had more at once."""
 
 # MuJoCo 4.0 mjtConDataField bits, in the order in which a slot lays them out.

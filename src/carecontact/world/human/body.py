@@ -1,4 +1,7 @@
-"""A baked body: geometry only, read with numpy. ``tools/bake_body.py`` makes the archives."""
+"""A person's geometry, mass, sex and age group, read with numpy.
+
+Shipped archives are made by ``tools/bake_body.py``; ``world.human.smplx`` reads a user's own SMPL-X file.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,8 @@ import json
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +30,9 @@ PARENT: dict[str, str | None] = {
     **{f"{s}_shank": f"{s}_thigh" for s in ("left", "right")},
     **{f"{s}_foot": f"{s}_shank" for s in ("left", "right")},
 }  # fmt: skip
+Sex = Literal["M", "F"]
+AgeGroup = Literal["adult", "old"]
+SMPLX_PREFIX = "smplx:"
 CHILD_ALONG = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shank", "shank": "foot"}
 
 
@@ -39,6 +46,13 @@ class Body:
     """Bind pose, mesh frame: z up, facing -y, the person's left is +x [m]."""
 
     name: str
+    """As ``load_body`` takes it."""
+    sex: Sex
+    """Chooses the rows of de Leva's table."""
+    age_group: AgeGroup
+    """Chooses the ranges of motion."""
+    mass_kg: float
+    licence: str
     vertices: Array
     """(V, 3)"""
     faces: npt.NDArray[np.int64]
@@ -54,7 +68,9 @@ class Body:
     is_eye: npt.NDArray[np.bool_]
     landmarks: dict[str, Array]
     meta: dict[str, Any]
+    """Provenance."""
     sha256: str
+    """Of the file."""
 
     @cached_property
     def owner(self) -> npt.NDArray[np.int64]:
@@ -81,18 +97,32 @@ class Body:
         return self.joint_centre[f"{side}_{CHILD_ALONG[name]}"] - self.joint_centre[segment]
 
     @property
-    def mass_kg(self) -> float:
-        return float(self.meta["measured_by_anny"]["mass"])
+    def stature_m(self) -> float:
+        return float(np.ptp(self.vertices[:, 2]))
 
     @property
-    def sex(self) -> str:
-        return str(self.meta["parameters"]["sex"])
+    def bmi(self) -> float:
+        """[kg/m^2]"""
+        return self.mass_kg / self.stature_m**2
+
+
+def smplx_path(name: str) -> Path:
+    """The file that ``smplx:FILE.npz?...`` names."""
+    return Path(name.removeprefix(SMPLX_PREFIX).partition("?")[0])
 
 
 def load_body(name: str) -> Body:
-    """Raises UnknownNameError, or AssetError when the archive's recorded hash is missing or another one."""
+    """A shipped body by name, or ``smplx:FILE.npz?sex=F``.
+
+    Raises UnknownNameError, AssetError when a shipped archive's recorded hash is missing or another one, and
+    ConfigError for an SMPL-X file that cannot be used.
+    """
+    if name.startswith(SMPLX_PREFIX):
+        from carecontact.world.human.smplx import load_smplx
+
+        return load_smplx(name)
     if name not in body_names():
-        raise UnknownNameError("body", name, body_names())
+        raise UnknownNameError("body", name, [*body_names(), f"{SMPLX_PREFIX}FILE.npz?sex=F (your own)"])
     folder = resources.files("carecontact") / "assets" / "bodies"
     data = (folder / f"{name}.npz").read_bytes()
     digest = hashlib.sha256(data).hexdigest()
@@ -110,8 +140,13 @@ def load_body(name: str) -> Body:
     # The rig's root and first spine bone share one point; the pelvis turns about the hips, the trunk about L5/S1.
     centres["pelvis"] = (centres["left_thigh"] + centres["right_thigh"]) / 2
     centres["abdomen"] = centres["pelvis"] + 0.25 * (centres["thorax"] - centres["pelvis"])
+    meta = json.loads(arrays["meta_json"].tobytes())
     return Body(
         name=name,
+        sex=meta["parameters"]["sex"],
+        age_group=meta["parameters"]["age"],
+        mass_kg=float(meta["measured_by_anny"]["mass"]),
+        licence=meta["licence"],
         vertices=arrays["vertices_m"].astype(np.float64),
         faces=arrays["faces"].astype(np.int64),
         uv=arrays["uv"].astype(np.float64),
@@ -124,6 +159,6 @@ def load_body(name: str) -> Body:
         landmarks=dict(
             zip([str(n) for n in arrays["landmark_names"]], arrays["landmarks_m"].astype(np.float64), strict=True)
         ),
-        meta=json.loads(arrays["meta_json"].tobytes()),
+        meta=meta,
         sha256=digest,
     )

@@ -1,6 +1,6 @@
 """The person's hinges: axis, range of motion, passive stiffness and damping.
 
-Ranges: AAOS 1965 adult means (shoulder, elbow, wrist, hip, knee, ankle); trunk and neck ranges are assumed. Angles are
+Ranges go by the body's age group, see ``RANGE_DEG``. Angles are
 anatomical: zero is the anatomical position with the forearm in neutral rotation, so ``qpos`` reads as in a clinic.
 Order in a segment is the order of rotation, outermost first: shoulder abduction, flexion, rotation.
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carecontact.world.human.body import Array, Body
+from carecontact.world.human.body import AgeGroup, Array, Body
 
 ASSUMED = "assumed"
 
@@ -27,61 +27,108 @@ class Hinge:
     range_deg: tuple[float, float]
     stiffness_nm_rad: float
     damping_nms_rad: float
+    range_source: str
     source: str
     """Of stiffness and damping."""
 
 
+AAOS = "American Academy of Orthopaedic Surgeons 1965, Joint Motion, adult means"
+AGED = "Walker et al. 1984, Phys Ther 64:919, healthy men and women of 60 to 84 years, means"
+RANGE_DEG: dict[str, dict[AgeGroup, tuple[float, float]]] = {
+    "upper_arm_abduction": {"adult": (0, 180), "old": (0, 165)},
+    "upper_arm_flexion": {"adult": (-60, 180), "old": (-44, 165)},
+    "upper_arm_rotation": {"adult": (-90, 70), "old": (-81, 62)},
+    "forearm_flexion": {"adult": (0, 150), "old": (4, 143)},
+    "forearm_supination": {"adult": (-80, 80), "old": (-71, 74)},
+    "hand_flexion": {"adult": (-70, 80), "old": (-63, 64)},
+    "hand_deviation": {"adult": (-30, 20), "old": (-26, 19)},
+    "thigh_flexion": {"adult": (-15, 125), "old": (-15, 125)},
+    "thigh_abduction": {"adult": (-25, 45), "old": (-25, 45)},
+    "thigh_rotation": {"adult": (-45, 45), "old": (-45, 45)},
+    "shank_flexion": {"adult": (0, 130), "old": (0, 130)},
+    "foot_plantarflexion": {"adult": (-20, 50), "old": (-20, 50)},
+}
+"""Low and high of the arms' and legs' hinges: adults AAOS, the old Walker et al. (arms) and AAOS (legs, whose hinges
+are welded in the lying pose). Internal rotation, supination, radial deviation and flexion are positive."""
+SHOULDER = "assumed, middle of the plausible 0.5 to 5 N m/rad and 0.2 to 1.5 N m s/rad"
+WRIST = "assumed; stiffer in deviation than in flexion as Formica et al. 2012, J Neurophysiol 108:1158, found"
+ELBOW = "stiffness within the 0.4 to 1.8 N m/rad of the literature on the relaxed elbow; damping assumed"
+
+
 def hinges(body: Body) -> list[Hinge]:
+    """Every hinge of a body in the order of its joints; the ranges are those of its age group."""
     rows: list[Hinge] = []
 
     def add(
-        segment: str, motion: str, axis: Array, bind: float, low: float, high: float, k: float, d: float, source: str
-    ) -> None:
+        segment: str, motion: str, axis: Array, bind: float, k: float, d: float, source: str = ASSUMED,
+        range_deg: tuple[float, float] | None = None,
+    ) -> None:  # fmt: skip
+        """Trunk and neck name their range, which is assumed; limbs look it up."""
         unit = np.asarray(axis, np.float64) / np.linalg.norm(axis)
+        kind = f"{segment.partition('_')[2]}_{motion}"
+        if range_deg is None:
+            range_deg = RANGE_DEG[kind][body.age_group]
+            aged = body.age_group == "old" and segment.endswith(("arm", "hand"))
+            range_source = AGED if aged else AAOS
+        else:
+            range_source = ASSUMED
         rows.append(
             Hinge(
-                name=f"{segment}_{motion}", segment=segment, axis=unit, bind_deg=bind, range_deg=(low, high),
-                stiffness_nm_rad=k, damping_nms_rad=d, source=source,
+                name=f"{segment}_{motion}", segment=segment, axis=unit, bind_deg=bind, range_deg=range_deg,
+                stiffness_nm_rad=k, damping_nms_rad=d, range_source=range_source, source=source,
             )
         )  # fmt: skip
 
     x, y, z = np.eye(3)
-    for segment, k, d in (("abdomen", 60.0, 20.0), ("thorax", 60.0, 20.0)):
-        add(segment, "flexion", x, 0, -20, 40, k, d, ASSUMED)
-        add(segment, "lateral", y, 0, -25, 25, k, d, ASSUMED)
-    add("neck", "flexion", x, 0, -45, 45, 8.0, 3.0, ASSUMED)
-    add("neck", "rotation", z, 0, -60, 60, 4.0, 2.0, ASSUMED)
+    for segment in ("abdomen", "thorax"):
+        add(segment, "flexion", x, 0, 60.0, 20.0, range_deg=(-20, 40))
+        add(segment, "lateral", y, 0, 60.0, 20.0, range_deg=(-25, 25))
+    add("neck", "flexion", x, 0, 8.0, 3.0, range_deg=(-45, 45))
+    add("neck", "rotation", z, 0, 4.0, 2.0, range_deg=(-60, 60))
 
     for side, sign in (("left", 1.0), ("right", -1.0)):
         upper, fore, hand = (f"{side}_{n}" for n in ("upper_arm", "forearm", "hand"))
         u, f = body.direction(upper), body.direction(fore)
-        elbow = np.cross(u, f)
-        elbow_bind = float(np.degrees(np.arccos(np.clip(u @ f, -1, 1))))
+        elbow = elbow_axis(u, f)
+        elbow_bind = float(np.degrees(np.arctan2(np.cross(u, f) @ elbow, u @ f)))
         abduction_bind = float(np.degrees(np.arctan2(abs(u[0]), -u[2])))
-        shoulder = "stiffness and damping within 0.5-5 N m/rad and 0.2-1.5 N m s/rad (plausible range, assumed mid)"
-        add(upper, "abduction", -sign * y, abduction_bind, 0, 180, 1.5, 0.5, shoulder)
+        raised_bind = float(np.degrees(np.arcsin(np.clip(-u[1], -1, 1))))
+        add(upper, "abduction", -sign * y, abduction_bind, 1.5, 0.5, SHOULDER)
         # Lifts the humerus out of the frontal plane at any abduction; its range is that of flexion and extension.
-        add(upper, "flexion", np.cross(u, -y), 0, -60, 180, 1.5, 0.5, shoulder)
-        add(upper, "rotation", sign * u, 0, -90, 70, 1.5, 0.5, shoulder + "; positive is internal")
-        add(fore, "flexion", elbow, elbow_bind, 0, 150, 1.0, 0.2, "elbow stiffness 0.4-1.8 N m/rad in the literature")
+        add(upper, "flexion", np.cross(u, -y), raised_bind, 1.5, 0.5, SHOULDER)
+        add(upper, "rotation", sign * u, 0, 1.5, 0.5, SHOULDER)
+        add(fore, "flexion", elbow, elbow_bind, 1.0, 0.2, ELBOW)
         palm, radial = hand_axes(body, side)
-        add(fore, "supination", -sign * f, supination_of(palm, elbow, f, sign), -80, 80, 0.5, 0.03, ASSUMED)
+        add(fore, "supination", -sign * f, supination_of(palm, elbow, f, sign), 0.5, 0.03)
         h = body.direction(hand)
-        add(hand, "flexion", np.cross(h, palm), 0, -70, 80, 0.3, 0.03, "passive wrist flexion")
-        add(
-            hand, "deviation", np.cross(h, radial), 0, -30, 20, 1.0, 0.03, "passive wrist deviation; positive is radial"
-        )
+        add(hand, "flexion", np.cross(h, palm), 0, 0.3, 0.03, WRIST)
+        add(hand, "deviation", np.cross(h, radial), 0, 1.0, 0.03, WRIST)
 
         thigh, shank, foot = (f"{side}_{n}" for n in ("thigh", "shank", "foot"))
         t, s = body.direction(thigh), body.direction(shank)
         hip_bind = float(np.degrees(np.arctan2(-t[1], -t[2])))
         knee_bind = hip_bind - float(np.degrees(np.arctan2(-s[1], -s[2])))
-        add(thigh, "flexion", -x, hip_bind, -15, 125, 5.0, 1.0, "damping 1.0 N m s/rad; stiffness assumed")
-        add(thigh, "abduction", -sign * y, float(np.degrees(np.arctan2(abs(t[0]), -t[2]))), -25, 45, 5.0, 1.0, ASSUMED)
-        add(thigh, "rotation", sign * t, 0, -45, 45, 5.0, 1.0, ASSUMED)
-        add(shank, "flexion", x, knee_bind, 0, 130, 3.0, 1.0, "damping 1.0 N m s/rad; stiffness assumed")
-        add(foot, "plantarflexion", x, 0, -20, 50, 5.0, 0.5, ASSUMED)
+        add(thigh, "flexion", -x, hip_bind, 5.0, 1.0)
+        add(thigh, "abduction", -sign * y, float(np.degrees(np.arctan2(abs(t[0]), -t[2]))), 5.0, 1.0)
+        add(thigh, "rotation", sign * t, 0, 5.0, 1.0)
+        add(shank, "flexion", x, knee_bind, 3.0, 1.0)
+        add(foot, "plantarflexion", x, 0, 5.0, 0.5)
     return rows
+
+
+STRAIGHT_DEG = 10.0
+
+
+def elbow_axis(upper: Array, forearm: Array) -> Array:
+    """(3,) unit axis about which the elbow flexes: across its bend.
+
+    An arm straighter than STRAIGHT_DEG has none that can be told (a T-pose), or is bent by its carrying angle rather
+    than by flexion: there it is the axis about which the forearm comes forward.
+    """
+    across = np.cross(upper, forearm)
+    bend = float(np.degrees(np.arcsin(np.clip(np.linalg.norm(across), 0, 1))))
+    axis = across if bend > STRAIGHT_DEG else np.cross(upper, np.array([0.0, -1.0, 0.0]))
+    return axis / np.linalg.norm(axis)
 
 
 def supination_of(palm: Array, elbow: Array, forearm: Array, sign: float) -> float:

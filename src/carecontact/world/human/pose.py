@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import pairwise
+
 import numpy as np
 
-from carecontact.world.human.body import Array
-from carecontact.world.human.joints import Hinge
+from carecontact.world.human.bed_contact import Proxy, bed_proxies, trunk_tilt
+from carecontact.world.human.body import PARENT, Array, Body
+from carecontact.world.human.joints import Hinge, hinges
+
+BOARD_HEIGHT_M = 0.022
+"""Padded arm board above the mattress: it bends the elbow a little, so that every arm joint rests inside its range."""
+RIGHT_SHOULDER_M = (0.438, 0.195)
+"""World x and y of the right shoulder's centre: whoever lies there, the comfort arm starts beside its board."""
 
 # Columns are the mesh frame's axes in the world: mesh z (head) -> +x, mesh -y (front) -> +z, mesh x (left) -> -y.
 SUPINE = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -18,20 +27,91 @@ FIXED_SEGMENTS = frozenset(
 )
 
 
-def lying_pose_deg(comfort_arm_deg: float) -> dict[str, float]:
+LIES_DEG = {
+    "right_upper_arm_rotation": 0.0, "right_forearm_supination": 58.0, "right_hand_flexion": 0.0,
+    "left_upper_arm_abduction": 22.0, "left_upper_arm_rotation": 10.0, "left_forearm_supination": 45.0,
+    **{f"{s}_thigh_abduction": 3.0 for s in ("left", "right")},
+    **{f"{s}_foot_plantarflexion": 18.0 for s in ("left", "right")},
+}  # fmt: skip
+"""The same for every body; the right arm lies palm up on its board. Hinges not named here keep the bind pose, but for
+shoulder, elbow and hip flexion, which follow from the body's own thickness."""
+
+
+LEAST_ELBOW_DEG = 7.0
+"""From the end of the elbow's range."""
+
+
+def lying_pose_deg(body: Body, comfort_arm_deg: float) -> dict[str, float]:
     """Hinge -> anatomical angle [deg]; hinges not named keep the bind pose.
 
-    The right arm lies palm up on its board, slightly bent; the heels rest on the mattress.
+    The trunk rests on buttocks and shoulder blades. From there shoulder, elbow and hip are flexed until elbow, wrist
+    and heel (or calf) just touch what is under them: the board under the right arm, else the mattress.
     """
-    return {
-        "right_upper_arm_abduction": comfort_arm_deg, "right_upper_arm_flexion": -12.0, "right_upper_arm_rotation": 0.0,
-        "right_forearm_flexion": 12.0, "right_forearm_supination": 58.0, "right_hand_flexion": 0.0,
-        "left_upper_arm_abduction": 22.0, "left_upper_arm_flexion": -17.0, "left_upper_arm_rotation": 10.0,
-        "left_forearm_flexion": 14.0, "left_forearm_supination": 45.0,
-        **{f"{s}_thigh_flexion": 1.8 for s in ("left", "right")},
-        **{f"{s}_thigh_abduction": 3.0 for s in ("left", "right")},
-        **{f"{s}_foot_plantarflexion": 18.0 for s in ("left", "right")},
-    }  # fmt: skip
+    rows, at = hinges(body), {proxy.name: proxy for proxy in bed_proxies(body)}
+    pose = {**LIES_DEG, "right_upper_arm_abduction": comfort_arm_deg}
+    trunk = trunk_rotation(body)
+    mattress = _height(body, rows, pose, trunk, at["right_buttock"])
+
+    def flex(hinge: str, touching: tuple[str, ...], above_m: float, low: float, high: float) -> None:
+        """Set one hinge so that the lowest of some spheres lies ``above_m`` over the mattress."""
+
+        def gap(angle: float) -> float:
+            pose[hinge] = angle
+            return min(_height(body, rows, pose, trunk, at[name]) for name in touching) - mattress - above_m
+
+        pose[hinge] = angle_of_root(gap, low, high)
+
+    for side, board in (("left", 0.0), ("right", BOARD_HEIGHT_M)):
+        shoulder, elbow = f"{side}_upper_arm_flexion", f"{side}_forearm_flexion"
+        flex(shoulder, (f"{side}_elbow",), board, -45.0, 30.0)
+        flex(elbow, (f"{side}_wrist",), board, 0.0, 60.0)
+        least = next(row.range_deg[0] for row in rows if row.name == elbow) + LEAST_ELBOW_DEG
+        if pose[elbow] < least:
+            # A slim arm would lie straight: turn it outward, so that the elbow is bent along the board instead.
+            pose[elbow] = least
+            turned, palm = f"{side}_upper_arm_rotation", f"{side}_forearm_supination"
+            for _ in range(4):  # turning lifts the elbow a little
+                flex(turned, (f"{side}_wrist",), board, -80.0, LIES_DEG[turned])
+                flex(shoulder, (f"{side}_elbow",), board, -45.0, 30.0)
+            pose[palm] = LIES_DEG[palm] + pose[turned] - LIES_DEG[turned]
+        flex(f"{side}_thigh_flexion", (f"{side}_heel", f"{side}_calf"), 0.0, -14.0, 30.0)
+    return pose
+
+
+def angle_of_root(gap: Callable[[float], float], low: float, high: float) -> float:
+    """Where a rising function crosses zero, by bisection; the end of the range where it does not."""
+    for _ in range(24):
+        middle = (low + high) / 2
+        low, high = (middle, high) if gap(middle) < 0 else (low, middle)
+    return (low + high) / 2
+
+
+def trunk_rotation(body: Body) -> Array:
+    """(3, 3) mesh frame -> world of the trunk on its supports: supine, with the head end a little lower."""
+    return axis_rotation(np.array([0.0, 1.0, 0.0]), trunk_tilt(body)) @ SUPINE
+
+
+def root_position(body: Body, mattress_top_m: float) -> Array:
+    """(3,) of the pelvis in the world: the right shoulder at its place beside the board, buttocks on the mattress."""
+    trunk, pelvis = trunk_rotation(body), body.joint_centre["pelvis"]
+    buttock = next(proxy for proxy in bed_proxies(body) if proxy.name == "right_buttock")
+    shoulder = trunk @ (body.joint_centre["right_upper_arm"] - pelvis)
+    height = mattress_top_m - _height(body, [], {}, trunk, buttock)
+    return np.array([RIGHT_SHOULDER_M[0] - shoulder[0], RIGHT_SHOULDER_M[1] - shoulder[1], height])
+
+
+def _height(body: Body, rows: list[Hinge], pose: dict[str, float], trunk: Array, proxy: Proxy) -> float:
+    """Height of a sphere's lowest point over the pelvis joint in the pose [m]."""
+    chain: list[str] = []
+    segment: str | None = proxy.segment
+    while segment is not None:
+        chain.insert(0, segment)
+        segment = PARENT[segment]
+    turn, place = trunk, np.zeros(3)
+    for parent, child in pairwise(chain):
+        place = place + turn @ (body.joint_centre[child] - body.joint_centre[parent])
+        turn = turn @ rotation_from_bind(rows, child, pose)
+    return float(place[2] + (turn @ (proxy.centre - body.joint_centre[proxy.segment]))[2]) - proxy.radius_m
 
 
 def rotation_from_bind(rows: list[Hinge], segment: str, pose_deg: dict[str, float]) -> Array:

@@ -2,42 +2,74 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.protocol import Tissue
-from carecontact.errors import SceneError
 from carecontact.world.human.body import Array, Body
+from carecontact.world.human.surface_mesh import (
+    GROWTH,
+    distance_outside,
+    first_hits,
+    graded,
+    graded_from_middle,
+    normals_and_areas,
+    smooth_field,
+    zip_rows,
+)
 
 PINNED_BEYOND_DEG = {"forearm": 128.0, "upper_arm": 105.0}
 """Round a limb from its top. The forearm is also pushed from the side: 90 degrees must lie between free vertices."""
-FINE_HALF_LENGTH_M = 0.085
-"""Scrub strokes of +-60 mm plus two tool radii."""
-BELLY_HALF_WIDTH_M = 0.135
+SHELL_HALF_DEG = 150.0
+FINE_HALF_LENGTH_M, FINE_HALF_ROUND_DEG = 0.085, 60.0
+"""Limb patch from above: scrub strokes of +-60 mm plus two tool radii, and as far round as it comes from above."""
+SIDE_HALF_LENGTH_M, SIDE_HALF_ROUND_DEG = 0.035, 100.0
+"""Forearm patch at mid-length where it is pushed sideways."""
+BELLY_WIDTH_SHARE = 0.82
+"""Of the narrowest section's half breadth: further out the trunk's side begins, which no ray from behind reaches."""
+BELLY_FINE_HALF_WIDTH_M, BELLY_FINE_MARGIN_M = 0.080, 0.03
+"""The fine patch is this wide at most, and this far from the shell's border."""
 LIMB_SPAN = {"forearm": (0.05, 0.96), "upper_arm": (0.25, 0.97)}
 """Share of the joint-to-joint line that a shell covers; the upper arm's begins under the armpit, where it is a tube."""
+CELL_LENGTH_M, CELL_ROUND_DEG, BELLY_CELL_M = 0.040, 14.0, 0.040
+"""Vertices of one cell glide over the bone together; round a limb the cells are narrow: with 24 degrees
+where on a cell the tool lands changed its force by 5 %, with 14 by 2 %."""
+LIMB_SAMPLES, BELLY_SAMPLES = (41, 61), 41
+"""Rays along and round a limb, and each way over the belly."""
+SMOOTHING_M = 0.012
+"""Standard deviation of the smoothing of the sampled surface: the body's own faces are 20 mm wide, and their ridges
+made the force of a press vary by 9-16 % from place to place."""
+ROW_RATIO = np.sqrt(3) / 2
+"""Rows of a triangular lattice stand this much closer than the points in a row."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shell:
-    """A structured grid of I x J vertices: i along the region's axis, j across it."""
+    """Vertices in rows across the region's axis, triangulated; cells of vertices that glide together."""
 
     vertices: Array
     """(N, 3) mesh frame"""
     normals: Array
     """(N, 3) outward unit"""
-    tangents: Array
-    """(N, 3) unit, along the region's axis"""
     triangles: npt.NDArray[np.int64]
     """(M, 3) wound outward"""
     pinned: npt.NDArray[np.bool_]
     """(N,) fixed to the bone: border ring and underside"""
+    fine: npt.NDArray[np.bool_]
+    """(N,) on the patch that the tool reaches"""
     area: Array
     """(N,) share of the surface [m^2]"""
+    cell: npt.NDArray[np.int64]
+    """(N,) number of the cell; -1 where pinned"""
+    cell_frames: Array
+    """(C, 3, 3) columns: tangent along the region, tangent across, outward normal"""
     axis_points: Array
     """(N, 3) point of the region's axis (belly: of its back plane) inward of each vertex"""
+    grid: Array
+    """(N, 2) place along the axis from the shell's start [m], and across: angle round a limb [rad], on the belly [m]"""
     frame_origin: Array
     frame: Array
     """(3, 3) columns x (along), y, z (outward at the middle): the region frame in the mesh frame"""
@@ -48,46 +80,76 @@ class Shell:
 
 
 def limb_shell(body: Body, segment: str, outward: Array, tissue: Tissue) -> Shell:
-    """A tube around a limb, fine where its normal faces ``outward`` and mid-length, pinned at the ends and below.
+    """A tube around a limb, fine where the tool reaches it, pinned at the ends and below.
 
     Args:
         outward: (3,) direction in the mesh frame that faces up in the lying pose.
     """
+    kind = segment.partition("_")[2]
     start, along = body.joint_centre[segment], body.axis_vector(segment)
     length = float(np.linalg.norm(along))
     x = along / length
     z = outward - (outward @ x) * x
     z /= np.linalg.norm(z)
     y = np.cross(z, x)
-    low, high = LIMB_SPAN[segment.partition("_")[2]]
-    span = np.array([low, high]) * length
-    fine = np.clip(span.mean() + np.array([-FINE_HALF_LENGTH_M, FINE_HALF_LENGTH_M]), *(span + [0.01, -0.01]))
-    t = graded(span, fine, tissue.spacing_m, tissue.coarse_spacing_m)
+    low, high = np.array(LIMB_SPAN[kind]) * length
     faces = body.vertices[body.faces]
     triangles = faces[np.abs((faces.mean(1) - (start + along / 2)) @ x) < length / 2 + 0.03]
     middle = triangles.mean(1) - start
     triangles = triangles[np.linalg.norm(middle - np.outer(middle @ x, x), axis=1) < 0.12]
-    # The joint line runs off centre: measure round the section's own centre.
-    probe = _section_centres(triangles, start, x, y, z, t)
-    radius = float(np.median(_cast(triangles, probe[len(t) // 2][None], _ring(y, z, 12))))
-    fine_angle, coarse_angle = tissue.spacing_m / radius, tissue.coarse_spacing_m / radius
-    half = np.radians(150.0)
-    theta = graded(np.array([-half, half]), np.radians([-62.0, 62.0]), fine_angle, coarse_angle)
-    directions = np.cos(theta)[:, None] * z + np.sin(theta)[:, None] * y
-    vertices = np.empty((len(t), len(theta), 3))
-    for i, centre in enumerate(probe):
-        vertices[i] = (
-            centre + _cast(triangles, np.repeat(centre[None], len(theta), 0), directions)[:, None] * directions
-        )
-    pinned = np.zeros((len(t), len(theta)), bool)
-    pinned[[0, -1]] = True
-    pinned[:, np.abs(theta) > np.radians(PINNED_BEYOND_DEG[segment.partition("_")[2]])] = True
-    surface = vertices[len(t) // 2, np.abs(theta).argmin()]
-    centre = probe[len(t) // 2]
-    depth = float((surface - centre) @ z)
-    origin = start + 0.5 * along + (centre - start - ((centre - start) @ x) * x)
-    axis_points = np.repeat(probe[:, None], len(theta), 1)
-    return _finish(vertices, pinned, axis_points, x, origin, x, z, length, radius, depth)
+
+    half_length = min(FINE_HALF_LENGTH_M, (high - low) / 2 - 0.01)
+    fine, coarse = tissue.spacing_m, tissue.coarse_spacing_m
+
+    def away(t: Array, theta: Array, radius: float) -> Array:
+        """Distance outside the fine patch over the surface [m]."""
+        along = t - (low + high) / 2
+
+        def outside(half_length: float, half_deg: float) -> Array:
+            round_ = distance_outside(theta, np.radians(half_deg)) * radius
+            return np.hypot(distance_outside(along, half_length), round_)
+
+        top = outside(half_length, FINE_HALF_ROUND_DEG)
+        return np.minimum(top, outside(SIDE_HALF_LENGTH_M, SIDE_HALF_ROUND_DEG)) if kind == "forearm" else top
+
+    def spacing(distance: Array) -> Array:
+        return np.clip(fine + GROWTH * distance, None, coarse)
+
+    t = graded(low, high, lambda u: ROW_RATIO * spacing(away(u, np.zeros(len(u)), 1.0)))
+    # The joint line runs off centre: measure round the sections' own centres.
+    sections = np.linspace(low, high, LIMB_SAMPLES[0])
+    line = _centre_line(triangles, start, x, y, z, sections)
+    turns = np.linspace(-np.pi, np.pi, LIMB_SAMPLES[1])
+    directions = _directions(y, z, turns)
+    measured = np.array([first_hits(triangles, centre, directions) for centre in line(sections)])
+    radius = float(np.median(measured[len(sections) // 2]))
+    radius_at = smooth_field(
+        sections, turns, measured, sigma=(SMOOTHING_M / np.ptp(sections), SMOOTHING_M / (2 * np.pi * radius)), wrap=True
+    )
+    half = np.radians(SHELL_HALF_DEG)
+    rows, angles = [], []
+    for i, (at, centre) in enumerate(zip(t, line(t), strict=True)):
+
+        def step(theta: Array, at=at) -> Array:
+            radii = radius_at(at, theta)
+            return spacing(away(at, theta, float(np.median(radii)))) / radii
+
+        theta = graded_from_middle(half, step, half_step=bool(i % 2))
+        rows.append(centre + radius_at(at, theta)[:, None] * _directions(y, z, theta))
+        angles.append(theta)
+    grid = np.stack([np.repeat(t, [len(a) for a in angles]), np.concatenate(angles)], 1)
+    ends = (grid[:, 0] == t[0]) | (grid[:, 0] == t[-1])
+    pinned = ends | (np.abs(grid[:, 1]) > np.radians(PINNED_BEYOND_DEG[kind]))
+    centre = line(np.array([length / 2]))[0]
+    depth = float(radius_at(length / 2, np.zeros(1))[0])
+    cell_length, cell_round = _cell(tissue, CELL_LENGTH_M), _cell(tissue, np.radians(CELL_ROUND_DEG) * radius) / radius
+    return _finish(
+        rows, grid - [low, 0.0], pinned=pinned, fine=away(grid[:, 0], grid[:, 1], radius) <= 1e-9,
+        cell_size=(cell_length, min(cell_round, np.pi / 4)),
+        axis_points=np.repeat(line(t), [len(a) for a in angles], 0),
+        origin=start + 0.5 * along + (centre - start - ((centre - start) @ x) * x), frame=np.stack([x, y, z], 1),
+        length=length, radius=radius, depth=depth,
+    )  # fmt: skip
 
 
 def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
@@ -95,32 +157,65 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
     x, z = np.array([0.0, 0.0, 1.0]), outward / np.linalg.norm(outward)
     y = np.cross(z, x)
     low, high = belly_span(body)
-    t = graded(np.array([low, high]), np.array([low + 0.03, high - 0.03]), tissue.spacing_m, tissue.coarse_spacing_m)
-    s = graded(
-        np.array([-BELLY_HALF_WIDTH_M, BELLY_HALF_WIDTH_M]),
-        np.array([-0.085, 0.085]),
-        tissue.spacing_m,
-        tissue.coarse_spacing_m,
-    )
-    trunk = body.vertices[body.faces]
-    centre_height = (low + high) / 2
-    triangles = trunk[
-        (np.abs(trunk[:, :, 2].mean(1) - centre_height) < (high - low) / 2 + 0.04)
-        & (np.abs(trunk[:, :, 0].mean(1)) < 0.2)
+    faces = body.vertices[body.faces]
+    triangles = faces[
+        (np.abs(faces[:, :, 2].mean(1) - (low + high) / 2) < (high - low) / 2 + 0.04)
+        & (np.abs(faces[:, :, 0].mean(1)) < 0.2)
     ]
+    half_length, half_width = (high - low) / 2 - BELLY_FINE_MARGIN_M, belly_half_width(body)
+    fine_half_width = min(BELLY_FINE_HALF_WIDTH_M, half_width - BELLY_FINE_MARGIN_M)
+
+    def away(t: Array, s: Array) -> Array:
+        return np.hypot(distance_outside(t - (low + high) / 2, half_length), distance_outside(s, fine_half_width))
+
+    def spacing(distance: Array) -> Array:
+        return np.clip(tissue.spacing_m + GROWTH * distance, None, tissue.coarse_spacing_m)
+
     back = np.array([0.0, body.joint_centre["thorax"][1], 0.0])
-    vertices, axis_points = np.empty((2, len(t), len(s), 3))
+
+    def foot(t: Array | float, s: Array) -> Array:
+        """(n, 3) points of the back plane."""
+        return back + np.asarray(s)[:, None] * y + np.broadcast_to(t, np.shape(s))[:, None] * x
+
+    heights = np.linspace(low, high, BELLY_SAMPLES)
+    breadths = np.linspace(-half_width, half_width, BELLY_SAMPLES)
+    measured = np.array(
+        [first_hits(triangles, foot(h, breadths), np.repeat(z[None], BELLY_SAMPLES, 0)) for h in heights]
+    )
+    depth_at = smooth_field(
+        heights, breadths, measured, sigma=(SMOOTHING_M / (high - low), SMOOTHING_M / (2 * half_width)), wrap=False
+    )
+
+    def slant(at: Array, to: Array) -> Array:
+        """Length of the surface over a unit of the plane, between points (n, 2) of it."""
+        gap = np.linalg.norm(to - at, axis=1)
+        return np.hypot(1.0, (depth_at(to[:, 0], to[:, 1]) - depth_at(at[:, 0], at[:, 1])) / gap)
+
+    def step_along(u: Array) -> Array:
+        middle = np.stack([u, np.zeros(len(u))], 1)
+        return ROW_RATIO * spacing(away(u, np.zeros(len(u)))) / slant(middle - [1e-3, 0], middle + [1e-3, 0])
+
+    rows, across, origins = [], [], []
+    t = graded(low, high, step_along)
     for i, height in enumerate(t):
-        origins = back + s[:, None] * y + height * x
-        axis_points[i] = origins
-        vertices[i] = origins + _cast(triangles, origins, np.repeat(z[None], len(s), 0))[:, None] * z
-    pinned = np.zeros((len(t), len(s)), bool)
-    pinned[[0, -1]] = True
-    pinned[:, [0, -1]] = True
-    surface = vertices[len(t) // 2, np.abs(s).argmin()]
-    depth = float((surface - back) @ z)
-    origin = back + centre_height * x
-    return _finish(vertices, pinned, axis_points, x, origin, x, z, high - low, BELLY_HALF_WIDTH_M, depth)
+
+        def step(s: Array, height=height) -> Array:
+            at = np.stack([np.full(len(s), height), s], 1)
+            return spacing(away(height, s)) / slant(at - [0, 1e-3], at + [0, 1e-3])
+
+        s = graded_from_middle(half_width, step, half_step=bool(i % 2))
+        rows.append(foot(height, s) + depth_at(height, s)[:, None] * z)
+        across.append(s)
+        origins.append(foot(height, s))
+    grid = np.stack([np.repeat(t, [len(a) for a in across]), np.concatenate(across)], 1)
+    pinned = (grid[:, 0] == t[0]) | (grid[:, 0] == t[-1]) | (np.abs(grid[:, 1]) >= half_width - 1e-9)
+    origin = back + (low + high) / 2 * x
+    cell = _cell(tissue, BELLY_CELL_M)
+    return _finish(
+        rows, grid - [low, 0.0], pinned=pinned, fine=away(grid[:, 0], grid[:, 1]) <= 1e-9, cell_size=(cell, cell),
+        axis_points=np.concatenate(origins), origin=origin, frame=np.stack([x, y, z], 1), length=high - low,
+        radius=half_width, depth=float(depth_at((low + high) / 2, np.zeros(1))[0]),
+    )  # fmt: skip
 
 
 def belly_span(body: Body) -> tuple[float, float]:
@@ -128,89 +223,63 @@ def belly_span(body: Body) -> tuple[float, float]:
     return float(body.joint_centre["pelvis"][2]) + 0.02, float(body.joint_centre["thorax"][2]) + 0.07
 
 
-def graded(span: Array, fine: Array, spacing: float, coarse: float) -> Array:
-    """Coordinates over ``span``: at most ``spacing`` apart inside ``fine``, about ``coarse`` outside."""
-    inner = np.linspace(fine[0], fine[1], int(np.ceil((fine[1] - fine[0]) / spacing - 1e-9)) + 1)
-
-    def outer(distance: float) -> Array:
-        if distance <= 0:
-            return np.zeros(0)
-        count = max(1, round(distance / coarse))
-        steps = np.arange(1, count + 1) / count
-        return distance * steps
-
-    left, right = outer(fine[0] - span[0]), outer(span[1] - fine[1])
-    return np.concatenate([fine[0] - left[::-1], inner, fine[1] + right])
+def belly_half_width(body: Body) -> float:
+    """Half the width of the belly's shell [m]."""
+    low, high = belly_span(body)
+    faces = body.vertices[body.faces_of("pelvis", "abdomen", "thorax", "left_thigh", "right_thigh")]
+    heights = np.linspace(low, high, 15)
+    middle = np.stack([np.zeros(15), np.full(15, body.joint_centre["thorax"][1]), heights], 1)
+    breadth = first_hits(faces, middle, np.tile([1.0, 0.0, 0.0], (15, 1)))
+    return BELLY_WIDTH_SHARE * float(breadth.min())
 
 
-def _ring(y: Array, z: Array, count: int) -> Array:
-    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    return np.cos(angle)[:, None] * z + np.sin(angle)[:, None] * y
+def _cell(tissue: Tissue, size: float) -> float:
+    """On a coarse mesh at least a step of it."""
+    return max(size, tissue.spacing_m)
 
 
-def _section_centres(triangles: Array, start: Array, x: Array, y: Array, z: Array, t: Array) -> Array:
-    """(len(t), 3) centre of each cross-section: midpoint of opposite surface points, twice."""
-    directions = _ring(y, z, 12)
-    out = start + t[:, None] * x
+def _directions(y: Array, z: Array, theta: Array) -> Array:
+    return np.cos(theta)[:, None] * z + np.sin(theta)[:, None] * y
+
+
+def _centre_line(triangles: Array, start: Array, x: Array, y: Array, z: Array, t: Array) -> Callable[[Array], Array]:
+    """The line through the sections' centres (midpoints of opposite surface points), as a cubic along the limb."""
+    directions = _directions(y, z, np.linspace(0, 2 * np.pi, 12, endpoint=False))
+    off = np.zeros((len(t), 3))
     for _ in range(2):
-        hits = _cast(triangles, np.repeat(out, 12, 0), np.tile(directions, (len(t), 1))).reshape(len(t), 12)
-        out = out + np.einsum("ij,jk->ik", hits, directions) / 6
-    return out
-
-
-def _cast(triangles: Array, origins: Array, directions: Array) -> Array:
-    """Distance to the first hit along each ray (Moeller and Trumbore 1997). Raises SceneError when a ray misses."""
-    a, e1, e2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    first = np.empty(len(directions))
-    for k, (o, d) in enumerate(zip(np.broadcast_to(origins, directions.shape), directions, strict=True)):
-        p = np.cross(d, e2)
-        det = np.einsum("ij,ij->i", e1, p)
-        ok = np.abs(det) > 1e-12
-        inverse = np.where(ok, 1 / np.where(ok, det, 1), 0)
-        s = o - a
-        u = np.einsum("ij,ij->i", s, p) * inverse
-        q = np.cross(s, e1)
-        v = q @ d * inverse
-        distance = np.einsum("ij,ij->i", e2, q) * inverse
-        hit = ok & (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & (distance > 0)
-        if not hit.any():
-            raise SceneError(
-                f"a ray from {np.round(o, 3).tolist()} misses the body's surface: the region does not fit this body"
-            )
-        first[k] = distance[hit].min()
-    return first
+        for i, at in enumerate(t):
+            off[i] += first_hits(triangles, start + at * x + off[i], directions) @ directions / 6
+    fit = np.polynomial.Polynomial.fit
+    across = [fit(t, off @ axis, 3) for axis in (y, z)]
+    return lambda u: start + u[:, None] * x + across[0](u)[:, None] * y + across[1](u)[:, None] * z
 
 
 def _finish(
-    grid: Array, pinned: npt.NDArray[np.bool_], axis_points: Array, axis: Array, origin: Array, x: Array, z: Array,
-    length: float, radius: float, depth: float,
+    rows: list[Array], grid: Array, *, pinned: npt.NDArray[np.bool_], fine: npt.NDArray[np.bool_],
+    cell_size: tuple[float, float], axis_points: Array, origin: Array, frame: Array, length: float, radius: float,
+    depth: float,
 ) -> Shell:  # fmt: skip
-    rows, columns = grid.shape[:2]
-    index = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    even = ((np.arange(rows - 1)[:, None] + np.arange(columns - 1)) % 2 == 0)[..., None]
-    first = np.where(even, np.stack([a, b, d], -1), np.stack([a, b, c], -1))
-    second = np.where(even, np.stack([a, d, c], -1), np.stack([b, d, c], -1))
-    triangles = np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
-    vertices = grid.reshape(-1, 3)
-    face = np.cross(
-        vertices[triangles[:, 1]] - vertices[triangles[:, 0]], vertices[triangles[:, 2]] - vertices[triangles[:, 0]]
-    )
-    centre = vertices[triangles].mean(1)
-    outward = centre - origin
-    outward -= np.outer(outward @ x, x)
-    if (np.einsum("ij,ij->i", face, outward) < 0).mean() > 0.5:
-        triangles, face = triangles[:, ::-1], -face
-    normals, area = np.zeros_like(vertices), np.zeros(len(vertices))
-    for k in range(3):
-        np.add.at(normals, triangles[:, k], face)
-        np.add.at(area, triangles[:, k], np.linalg.norm(face, axis=1) / 6)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    tangents = axis - np.outer(normals @ axis, np.ones(3)) * normals
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    vertices, triangles = np.concatenate(rows), zip_rows(rows)
+    x = frame[:, 0]
+    normals, area = normals_and_areas(vertices, triangles)
+    if np.einsum("ij,ij->i", normals, vertices - axis_points).mean() < 0:
+        triangles, normals = triangles[:, ::-1], -normals
+    along = np.floor(grid[:, 0] / cell_size[0]).astype(np.int64)
+    # A cell's middle, not its edge, lies on top, where the tool meets the region most.
+    across = np.floor(grid[:, 1] / cell_size[1] + 0.5).astype(np.int64)
+    key = np.where(pinned, -1, along * 1000 + across + 500)
+    free_keys = np.unique(key[~pinned])
+    cell = np.where(pinned, -1, np.searchsorted(free_keys, key))
+    frames = np.empty((len(free_keys), 3, 3))
+    for k in range(len(free_keys)):
+        mine = cell == k
+        n = (area[mine, None] * normals[mine]).sum(0)
+        n /= np.linalg.norm(n)
+        tangent = x - (x @ n) * n
+        tangent /= np.linalg.norm(tangent)
+        frames[k] = np.stack([tangent, np.cross(n, tangent), n], 1)
     return Shell(
-        vertices=vertices, normals=normals, tangents=tangents, triangles=triangles, pinned=pinned.ravel(), area=area,
-        axis_points=axis_points.reshape(-1, 3),
-        frame_origin=origin, frame=np.stack([x, np.cross(z, x), z], 1), length_m=length, radius_m=radius,
-        axis_depth_m=depth,
+        vertices=vertices, normals=normals, triangles=triangles, pinned=pinned, fine=fine & ~pinned, area=area,
+        cell=cell, cell_frames=frames, axis_points=axis_points, grid=grid, frame_origin=origin, frame=frame,
+        length_m=length, radius_m=radius, axis_depth_m=depth,
     )  # fmt: skip

@@ -8,10 +8,11 @@ import mujoco
 import numpy as np
 
 from carecontact.world.human.anthropometry import segment_inertias, without_points
+from carecontact.world.human.bed_contact import bed_proxies
 from carecontact.world.human.body import PARENT, Array, Body
 from carecontact.world.human.joints import Hinge, hinges
 from carecontact.world.human.pose import FIXED_SEGMENTS, lying_pose_deg, rotation_from_bind
-from carecontact.world.human.shell import BELLY_HALF_WIDTH_M, LIMB_SPAN, belly_span
+from carecontact.world.human.shell import LIMB_SPAN, belly_half_width, belly_span
 
 # Collision bits. The robot has contype 1; bed and arm board have conaffinity 3 and so meet both robot and proxies.
 ROBOT_ONLY = {"contype": 0, "conaffinity": 1}
@@ -46,7 +47,7 @@ def add_skeleton(
     that bone and shell together have the segment's mass, centre of mass and inertia.
     """
     inertias = segment_inertias(body)
-    rows, pose = hinges(body), lying_pose_deg(0.0)
+    rows, pose = hinges(body), lying_pose_deg(body, 0.0)
     bodies: dict[str, mujoco.MjsBody] = {}
     for segment in body.segments:
         parent = PARENT[segment]
@@ -89,61 +90,11 @@ def _add_hinge(to: mujoco.MjsBody, hinge: Hinge) -> None:
 
 
 def _add_bed_proxies(body: Body, bodies: dict[str, mujoco.MjsBody]) -> None:
-    """Spheres and short capsules tangent to the back of the body: they meet only the bed."""
-
-    def sphere(segment: str, name: str, surface: Array, radius: float) -> None:
-        centre = surface - np.array([0, radius, 0]) - body.joint_centre[segment]
-        bodies[segment].add_geom(
-            name=f"human_proxy_{name}", type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=centre, size=[radius, 0, 0], mass=0,
-            group=HIDDEN_GROUP, condim=3, **BED_ONLY,
+    for proxy in bed_proxies(body):
+        bodies[proxy.segment].add_geom(
+            name=f"human_proxy_{proxy.name}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[proxy.radius_m, 0, 0], mass=0,
+            pos=proxy.centre - body.joint_centre[proxy.segment], group=HIDDEN_GROUP, condim=3, **BED_ONLY,
         )  # fmt: skip
-
-    def back_of(points: Array, near: Array, radius: float = 0.04) -> Array:
-        """Rearmost surface point near a point, seen along the body's front-back axis."""
-        close = points[np.hypot(points[:, 0] - near[0], points[:, 2] - near[2]) < radius]
-        if len(close) == 0:
-            close = points[[np.hypot(points[:, 0] - near[0], points[:, 2] - near[2]).argmin()]]
-        return np.array([near[0], close[:, 1].max(), near[2]])
-
-    j = body.joint_centre
-    trunk = body.vertices_of("pelvis", "abdomen", "thorax", "left_thigh", "right_thigh")
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        hip = j[f"{side}_thigh"]
-        sphere("pelvis", f"{side}_buttock", back_of(trunk, np.array([sign * 0.08, 0, hip[2] - 0.01])), 0.07)
-        sphere(
-            "thorax",
-            f"{side}_scapula",
-            back_of(trunk, np.array([sign * 0.09, 0, j[f"{side}_upper_arm"][2] - 0.06])),
-            0.06,
-        )
-        calf = j[f"{side}_shank"] + 0.35 * body.axis_vector(f"{side}_shank")
-        sphere(f"{side}_shank", f"{side}_calf", back_of(body.vertices_of(f"{side}_shank"), calf), 0.04)
-        foot = body.vertices_of(f"{side}_foot")
-        heel = foot[foot[:, 1].argmax()]
-        sphere(f"{side}_foot", f"{side}_heel", heel, 0.025)
-        # Limbs turn about their own axis: a sphere about that axis meets the bed in the same way however they lie.
-        # Radius: the share of the section's points that lie inside it, so that the skin does not sink into the board.
-        for segment, along, name, inside in (
-            ("upper_arm", 0.95, "elbow", 60), ("forearm", 0.92, "wrist", 85), ("hand", 0.55, "hand", 60),
-        ):  # fmt: skip
-            full = f"{side}_{segment}"
-            points = body.vertices_of(full, *([f"{side}_forearm"] if segment == "upper_arm" else []))
-            axis = body.axis_vector(full)
-            length = float(np.linalg.norm(axis))
-            unit = axis / length
-            centre = j[full] + along * axis
-            near = points[np.abs((points - centre) @ unit) < 0.02]
-            off = near - centre
-            centre = centre + (off.mean(0) - (off.mean(0) @ unit) * unit)
-            off = near - centre
-            radius = float(np.percentile(np.linalg.norm(off - np.outer(off @ unit, unit), axis=1), inside))
-            bodies[full].add_geom(
-                name=f"human_proxy_{side}_{name}", type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=centre - j[full],
-                size=[radius, 0, 0], mass=0, group=HIDDEN_GROUP, condim=3, **BED_ONLY,
-            )  # fmt: skip
-    head = body.vertices_of("head")
-    occiput = head[head[:, 1].argmax()]
-    sphere("head", "occiput", np.array([0, occiput[1], occiput[2]]), 0.07)
 
 
 def _add_rigid_surface(spec: mujoco.MjSpec, body: Body, bodies: dict[str, mujoco.MjsBody]) -> None:
@@ -176,8 +127,8 @@ def _hulls(body: Body) -> Iterator[tuple[str, str, Array]]:
         elif segment == "abdomen":
             trunk = body.vertices_of("thorax", "abdomen", "pelvis")
             trunk = trunk[(trunk[:, 2] > low - 0.01) & (trunk[:, 2] < high + 0.03)]
-            yield "left_flank", segment, trunk[trunk[:, 0] > BELLY_HALF_WIDTH_M - 0.015]
-            yield "right_flank", segment, trunk[trunk[:, 0] < -BELLY_HALF_WIDTH_M + 0.015]
+            yield "left_flank", segment, trunk[trunk[:, 0] > belly_half_width(body) - 0.015]
+            yield "right_flank", segment, trunk[trunk[:, 0] < 0.015 - belly_half_width(body)]
             yield "lower_back", segment, trunk[trunk[:, 1] > body.joint_centre["thorax"][1]]
         elif segment in SOFT_SEGMENTS.values():
             yield from _limb_ends(body, segment)

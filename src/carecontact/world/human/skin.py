@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import AssetError
-from carecontact.world.human.body import Array, Body
+from carecontact.world.human.body import Array, Body, body_names
 from carecontact.world.human.skeleton import body_name
 
 TEXTURE_SIZE = 1024
@@ -24,6 +24,9 @@ class Appearance:
     hair: tuple[int, int, int] = (62, 43, 30)
 
 
+GREY = (168, 164, 158)
+
+
 def baked_texture(name: str) -> npt.NDArray[np.uint8]:
     """(TEXTURE_SIZE, TEXTURE_SIZE, 3) default texture of a shipped body. Raises AssetError if missing or broken."""
     path = resources.files("carecontact") / "assets" / "bodies" / f"{name}.skin.png"
@@ -34,6 +37,13 @@ def baked_texture(name: str) -> npt.NDArray[np.uint8]:
     if image is None or image.shape != (TEXTURE_SIZE, TEXTURE_SIZE, 3):
         raise AssetError(f"skin of body {name}: {path} is not a {TEXTURE_SIZE} x {TEXTURE_SIZE} colour PNG")
     return np.ascontiguousarray(image[..., ::-1], np.uint8)
+
+
+def texture_of(body: Body) -> npt.NDArray[np.uint8]:
+    """A shipped body's own texture; any other body is painted now, in the colours of its age."""
+    if body.name in body_names():
+        return baked_texture(body.name)
+    return paint(body, Appearance(hair=GREY) if body.age_group == "old" else Appearance())
 
 
 def add_skin(spec: mujoco.MjSpec, body: Body) -> None:
@@ -49,7 +59,7 @@ def add_skin(spec: mujoco.MjSpec, body: Body) -> None:
         rows = np.flatnonzero(mine.any(1))
         ids.append(rows.astype(np.int32))
         weights.append(np.where(mine[rows], body.weight[vertex[rows]], 0).sum(1).astype(np.float32))
-    texture = baked_texture(body.name)
+    texture = texture_of(body)
     made = spec.add_texture(
         name="human_skin", type=mujoco.mjtTexture.mjTEXTURE_2D, width=TEXTURE_SIZE, height=TEXTURE_SIZE, nchannel=3
     )
@@ -93,12 +103,21 @@ def _face_colours(body: Body, appearance: Appearance) -> Array:
     colour[flush] *= [1.0, 0.94, 0.92]
 
     thigh = body.joint_centre["left_thigh"][2]
-    legs = np.isin(segment, ["pelvis", "abdomen", "left_thigh", "right_thigh"])
+    legs = np.isin(segment, ["pelvis", "abdomen", "thorax", "left_thigh", "right_thigh"])
     shorts = legs & (centre[:, 2] > thigh - 0.17) & (centre[:, 2] < thigh + 0.035)
     fold = 1 + 0.10 * np.sin(centre @ [70.0, 25, 12])
     colour[shorts] = cloth * fold[shorts, None]
     waistband = legs & (centre[:, 2] > thigh + 0.018) & (centre[:, 2] < thigh + 0.035)
     colour[waistband] = cloth * 0.6
+
+    if body.sex == "F":
+        chest = body.vertices_of("thorax", "left_clavicle", "right_clavicle")
+        below_shoulder = chest[chest[:, 2] < body.joint_centre["right_upper_arm"][2] - 0.07]
+        upper = below_shoulder[below_shoulder[:, 2] > body.joint_centre["right_upper_arm"][2] - 0.20]
+        bust = upper[upper[:, 1].argmin(), 2]
+        trunk = np.isin(segment, ["thorax", "left_clavicle", "right_clavicle"])
+        top = trunk & (np.abs(centre[:, 2] - bust + 0.005) < 0.075)
+        colour[top] = cloth * fold[top, None]
 
     _paint_head(body, centre, segment, colour, skin, hair, mottle)
     return colour

@@ -1,0 +1,1 @@
+"""Real to sim: measured indentation trials in, fitted tissue with a certificate out."""

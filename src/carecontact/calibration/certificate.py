@@ -1,0 +1,135 @@
+"""The certificate of a calibration: what was fitted, to what, how well, and with which model."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from carecontact.contract.protocol import Tissue
+from carecontact.errors import ConfigError
+
+VERSION = "carecontact-calibration-1"
+
+
+class Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Value(Part):
+    value: float | None
+    """None: not identified, see the notes."""
+    ci95: tuple[float, float] | None
+    """Percentiles 2.5 and 97.5 over resampled trials; None for a single trial."""
+
+
+class Model(Part):
+    name: str
+    formula: str
+    parameters: dict[str, float]
+    rms: float
+    aicc: float
+    left_out_rms: float | None
+
+
+class Response(Part):
+    """One replay of the calibrated law, for comparison on another machine."""
+
+    trials: list[str]
+    speed_mm_s: float
+    along_mm: float
+    across_mm: float
+    tilt_deg: float
+    depth_mm: list[float]
+    loading_n: list[float]
+    unloading_n: list[float] | None
+
+
+class Content(Part):
+    region: str
+    body: str
+    base_tissue_set: str
+    """From which mesh, mass, friction and thickness come"""
+    synthetic: bool
+    """Every trial's site says so."""
+    tissue: Tissue
+    """The row as written; its damping is the fitted one only where ``law`` has it."""
+    law: dict[str, Value]
+    damping: str
+    """How D_c was come by."""
+    stiffness: dict[str, Value]
+    """Of the calibrated simulation, mean over trials [N/mm]"""
+    measured_stiffness: dict[str, float]
+    identified: list[Model]
+    """Best first by AICc"""
+    agreement: dict[str, Value]
+    held_out: dict[str, Value] | None
+    """Every trial under a law fitted without its fold"""
+    trials: int
+    subjects: int
+    measured_depth_mm: float
+    """Reached past touch by at least half of the trials; beyond it the row extrapolates"""
+    measured_force_n: float
+    gate_n: float
+    """Safety gate of the region in the protocol"""
+    gate_is_extrapolated: bool
+    responses: list[Response]
+    band: dict[str, float]
+    """What --verify allows"""
+    hashes: dict[str, str]
+    versions: dict[str, str]
+    notes: list[str]
+
+
+class Certificate(Part):
+    version: str
+    content: Content
+    sha256: str
+    """Of ``content`` as canonical JSON: sorted keys, no spaces."""
+    made: str
+    """Date and time, outside the hash."""
+
+
+def content_sha256(content: Content) -> str:
+    text = json.dumps(content.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def write_certificate(path: Path, content: Content, *, made: str) -> Certificate:
+    certificate = Certificate(version=VERSION, content=content, sha256=content_sha256(content), made=made)
+    path.write_text(json.dumps(certificate.model_dump(mode="json"), indent=1) + "\n", encoding="utf-8")
+    return certificate
+
+
+def read_certificate(path: Path) -> Certificate:
+    """Raises ConfigError where the file is missing, is none of ours or was changed after it was written."""
+    try:
+        certificate = Certificate.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file; name a certificate.json of carecontact calibrate") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or "the file"
+        raise ConfigError(f"{path}: not a calibration certificate: {place}: {first['msg']}") from None
+    if certificate.version != VERSION:
+        raise ConfigError(f"{path}: version {certificate.version!r}; this carecontact reads {VERSION!r}")
+    if content_sha256(certificate.content) != certificate.sha256:
+        raise ConfigError(f"{path}: its content does not have the hash it states: it was changed after it was written")
+    return certificate
+
+
+def tissue_set_toml(region: str, tissue: Tissue, *, base: str, description: str, digest: str) -> str:
+    """A tissue set with one row of its own, every field of Tissue in its order; other regions are the base set's."""
+    lines = [
+        f'id = "calibrated-{region.replace("_", "-")}-{digest[:8]}"',
+        f"description = {json.dumps(description)}",
+        f"base = {json.dumps(base)}",
+        "",
+        f"[tissue.{region}]",
+    ]
+    for name, value in tissue.model_dump().items():
+        # A JSON string is a TOML basic string.
+        lines.append(f"{name} = {json.dumps(value) if isinstance(value, str) else repr(float(value))}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,187 @@
+"""From a trial's samples to force over depth: baseline off, zeroed at touch, on a grid of depths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.calibration.trial import Array, Trial
+from carecontact.errors import ConfigError
+
+GRID = np.linspace(0.025, 1.0, 40)
+"""Shares of a trial's deepest point at which forces are compared."""
+TOUCH_SHARE = 0.02
+"""Touch is where force first exceeds this share of the peak, the preload or three times the noise, the largest."""
+MIN_FREE_SAMPLES = 5
+PATH_STEP_S = 0.002
+SPIKE_SHARE = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """One trial, zeroed. Simulations of it are zeroed by the same force, so that the rule's bias is in both."""
+
+    trial: Trial
+    touch_force_n: float
+    """Force at depth zero."""
+    noise_n: float
+    """Standard deviation about the baseline, or of second differences where nothing was recorded out of contact."""
+    drift_n_s: float
+    depth_m: Array
+    """(n,) of every sample"""
+    force_n: Array
+    """(n,) of every sample, baseline off"""
+    deepest_m: float
+    loading_n: Array
+    """(40,) at GRID * deepest_m"""
+    unloading_n: Array
+    """(40,) likewise; nan where the trial does not unload"""
+    path_s: Array
+    """(p,) even times of the smoothed path"""
+    path_m: Array
+    """(p,) depth past touch"""
+    loading_m_s: Array
+    """(40,) speed of the path at GRID * deepest_m"""
+    unloading_m_s: Array
+    """(40,) negative; nan where the trial does not unload"""
+
+    @property
+    def grid_m(self) -> Array:
+        return GRID * self.deepest_m
+
+    @property
+    def peak_n(self) -> float:
+        return float(self.loading_n[-1])
+
+
+def make_curve(trial: Trial) -> Curve:
+    """Raises ConfigError where a trial never rises clearly above its own noise."""
+    load, unload = trial.phase == 0, trial.phase == 2
+    free = _free_samples(trial)
+    time, raw = trial.time_s, despiked(trial.force_n)
+    # Second differences see noise alone; taken where nothing was recorded out of contact.
+    offset, drift, noise = 0.0, 0.0, float(np.std(np.diff(trial.force_n[load], 2)) / np.sqrt(6))
+    if free.sum() >= MIN_FREE_SAMPLES:
+        # A slope seen over a small part of the trial would be blown up over the rest.
+        slope = np.ptp(time[free]) > 0.3 * np.ptp(time)
+        fit = np.polyfit(time[free], raw[free], 1 if slope else 0)
+        drift, offset = (float(fit[0]), float(fit[1])) if slope else (0.0, float(fit[0]))
+        noise = float(np.std(raw[free] - np.polyval(fit, time[free])))
+    force = raw - offset - drift * time
+    peak = float(np.median(force[load][-3:]))
+    touch_force = max(trial.preload_n, TOUCH_SHARE * peak, 3 * noise)
+    if touch_force > 0.3 * peak:
+        raise ConfigError(
+            f"trial {trial.trial_id!r}: its peak of {peak:.3g} N is not clear of preload ({trial.preload_n:g} N) and "
+            f"noise ({noise:.2g} N); leave the trial out"
+        )
+    depth, f = trial.indentation_m[load], force[load]
+    if free.sum() < MIN_FREE_SAMPLES:
+        touch_force = max(float(np.median(f[:3])), touch_force)
+    zero = _crossing(depth, f, touch_force)
+    deepest = float(depth.max() - zero)
+    grid = GRID * deepest
+    unloading = np.full(len(GRID), np.nan)
+    if trial.unloads:
+        back = trial.indentation_m[unload] - zero
+        unloading = _on_grid(back, force[unload], grid)
+        unloading[grid < back.min() - 0.02 * deepest] = np.nan
+    path_s, path = _smooth_path(trial, zero)
+    path_speed = np.gradient(path, path_s)
+    turn = int(path.argmax())
+    last_loaded = float(time[load][-1])
+    inward, outward = path_s <= max(last_loaded, path_s[turn]), path_s >= path_s[turn]
+    unloading_speed = np.full(len(GRID), np.nan)
+    if trial.unloads:
+        unloading_speed = np.interp(grid, path[outward][::-1], path_speed[outward][::-1])
+    return Curve(
+        trial=trial, touch_force_n=touch_force, noise_n=noise, drift_n_s=drift, depth_m=trial.indentation_m - zero,
+        force_n=force, deepest_m=deepest, loading_n=_on_grid(depth - zero, f, grid), unloading_n=unloading,
+        path_s=path_s, path_m=path, loading_m_s=np.interp(grid, path[inward], path_speed[inward]),
+        unloading_m_s=np.where(np.isfinite(unloading), unloading_speed, np.nan),
+    )  # fmt: skip
+
+
+def despiked(force: Array) -> Array:
+    """Spikes of one or two samples, further than a tenth of the range from the median of five, become that median."""
+    out = force.copy()
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(force, 5), axis=1)
+    low, high = np.percentile(force, [2, 98])
+    out[2:-2] = np.where(np.abs(force[2:-2] - middle) > SPIKE_SHARE * (high - low), middle, force[2:-2])
+    return out
+
+
+def _smooth_path(trial: Trial, zero: float) -> tuple[Array, Array]:
+    """Depth past touch at even times, smoothed over a twelfth of the loading: replays move along it."""
+    from scipy.signal import savgol_filter
+
+    loading_s = float(np.ptp(trial.time_s[trial.phase == 0]))
+    step = min(PATH_STEP_S, loading_s / 60)
+    time = np.arange(trial.time_s[0], trial.time_s[-1] + step / 2, step)
+    depth = np.interp(time, trial.time_s, trial.indentation_m) - zero
+    window = min(2 * round(loading_s / step / 24) + 1, len(depth) - (len(depth) + 1) % 2)
+    return time, np.asarray(savgol_filter(depth, max(window, 5), 2))
+
+
+def _free_samples(trial: Trial) -> npt.NDArray[np.bool_]:
+    """Samples out of contact: before a hinge fitted to the foot of the loading, and after release at the same depth."""
+    load = np.flatnonzero(trial.phase == 0)
+    time, depth, force = trial.time_s[load], trial.indentation_m[load], despiked(trial.force_n)[load]
+    start = float(np.median(force[: max(3, len(force) // 50)]))
+    window = max(1, len(force) // 30)
+    calm = np.convolve(force, np.ones(window) / window, mode="same")
+    below = np.flatnonzero(calm[: -window or None] - start <= 0.12 * (force[-3:].mean() - start))
+    upto = max(int(below[-1]) + 1 if len(below) else 0, 3)
+    out = np.zeros(len(trial.time_s), bool)
+    if upto < 2 * MIN_FREE_SAMPLES:
+        return out
+    best, hinge = np.inf, depth[0]
+    for candidate in np.linspace(depth[0], depth[upto - 1], 40):
+        basis = np.stack([np.ones(upto), np.maximum(depth[:upto] - candidate, 0.0)], 1)
+        error = float(np.sum((force[:upto] - basis @ np.linalg.lstsq(basis, force[:upto], rcond=None)[0]) ** 2))
+        if error < best:
+            best, hinge = error, candidate
+    # The hinge is straight and the foot is curved: true touch lies a little before it.
+    clear = hinge - 0.25 * (depth[upto - 1] - hinge)
+    out[load] = (trial.indentation_m[load] < clear) & (time < time[upto - 1])
+    after = np.flatnonzero(trial.phase == 2)
+    out[after] = trial.indentation_m[after] < clear - 0.05 * np.ptp(depth)
+    return out
+
+
+def _crossing(depth: Array, force: Array, threshold: float) -> float:
+    """Depth at which the force passes the threshold for good: by a parabola through the samples about it."""
+    below = np.flatnonzero(force <= threshold)
+    if not len(below):
+        return float(depth[0])
+    # Noise crosses many times: the middle between the first sample above and the last below.
+    first, last = int(np.argmax(force > threshold)), int(below[-1])
+    guess = float((depth[first] + depth[last]) / 2)
+    above = depth[np.argmax(force > 3 * threshold)]
+    reach = max(float(above - guess), 1e-5)
+    near = (depth > guess - reach) & (depth < guess + reach)
+    if near.sum() < 6:
+        return guess
+    c2, c1, c0 = np.polyfit(depth[near] - guess, force[near], 2)
+    roots = np.roots([c2, c1, c0 - threshold])
+    roots = roots[np.isreal(roots)].real
+    roots = roots[(np.abs(roots) < reach) & (2 * c2 * roots + c1 > 0)]
+    return guess + float(roots[np.abs(roots).argmin()]) if len(roots) else guess
+
+
+def _on_grid(depth: Array, force: Array, grid: Array) -> Array:
+    """Means of the samples nearest to each depth of an even grid; interpolated where there are none."""
+    step = grid[1] - grid[0]
+    index = np.rint((depth - grid[0]) / step).astype(int)
+    inside = (index >= 0) & (index < len(grid))
+    count = np.bincount(index[inside], minlength=len(grid))
+    mean_force = np.bincount(index[inside], force[inside], minlength=len(grid))
+    mean_depth = np.bincount(index[inside], depth[inside], minlength=len(grid))
+    order = np.argsort(depth)
+    filled = count >= 3
+    knots = np.r_[mean_depth[filled] / count[filled], depth[order][~filled[np.clip(index[order], 0, len(grid) - 1)]]]
+    values = np.r_[mean_force[filled] / count[filled], force[order][~filled[np.clip(index[order], 0, len(grid) - 1)]]]
+    order = np.argsort(knots)
+    return np.interp(grid, knots[order], values[order])

@@ -1,0 +1,160 @@
+"""Measured trials replayed on the bench: same indenter, place, direction, speed, depth and touch rule."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from carecontact.calibration.curve import GRID, Curve, despiked
+from carecontact.calibration.trial import Array, Condition
+from carecontact.contract.protocol import Tissue
+from carecontact.sim.bench import APPROACH_M, Bench, Indenter, Press, make_shell, touch_depth
+from carecontact.world.human.body import Body
+
+DEPTH_CLASS = 0.06
+"""Trials of one condition share a replay if their deepest points differ by less than this share."""
+TURN_TOLERANCE_M = 5e-5
+"""How well a replay must turn at the measured depth past its own touch."""
+
+
+TIME_STEP_S = 0.001
+"""Half of the scene's: at 2 ms the contact lets go after a fast turn, and damping would be fitted to that."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Trials that one simulated press answers."""
+
+    condition: Condition
+    members: tuple[int, ...]
+    """Indices of curves"""
+    path_s: Array
+    """(p,) time and"""
+    path_m: Array
+    """(p,) depth past touch of the member of median depth: the path that the indenter takes in the replay"""
+    deepest_m: float
+    """Of that path."""
+    touch_force_n: float
+    unloads: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replayed:
+    """One simulated press on its group's grid, nan where it was not asked."""
+
+    press: Press
+    zero_m: float
+    """Indentation at which its force passed the group's touch force."""
+    loading_n: Array
+    unloading_n: Array
+
+
+def group_curves(curves: Sequence[Curve]) -> tuple[Group, ...]:
+    """Trials of one condition, of nearly one depth and duration, in a fixed order."""
+    keyed: dict[tuple[Condition, bool, int], list[int]] = {}
+    for index, curve in enumerate(curves):
+        held = curve.trial.time_s[curve.trial.phase == 1]
+        hold = round(10 * float(np.ptp(held))) if len(held) else 0
+        keyed.setdefault((curve.trial.condition, curve.trial.unloads, hold), []).append(index)
+    groups = []
+    for (condition, unloads, _), members in keyed.items():
+        order = sorted(members, key=lambda k: curves[k].deepest_m)
+        while order:
+            limit = curves[order[0]].deepest_m * (1 + DEPTH_CLASS)
+            inside = [k for k in order if curves[k].deepest_m <= limit]
+            order = order[len(inside) :]
+            middle = curves[inside[len(inside) // 2]]
+            groups.append(
+                Group(
+                    condition=condition,
+                    members=tuple(sorted(inside)),
+                    path_s=middle.path_s,
+                    path_m=middle.path_m,
+                    deepest_m=float(middle.path_m.max()),
+                    touch_force_n=float(np.mean([curves[k].touch_force_n for k in inside])),
+                    unloads=unloads,
+                )
+            )
+    return tuple(groups)
+
+
+class Replay:
+    """All groups on benches that are compiled once, one per indenter."""
+
+    def __init__(self, *, body: Body, region: str, tissue: Tissue, groups: Sequence[Group]) -> None:
+        self.groups, self.tissue = tuple(groups), tissue
+        shell = make_shell(body, region, tissue)
+        self.benches: dict[tuple[str, float | None], Bench] = {}
+        for group in groups:
+            key = _indenter_key(group.condition)
+            if key not in self.benches:
+                self.benches[key] = Bench(
+                    body=body,
+                    region=region,
+                    tissue=tissue,
+                    shell=shell,
+                    indenter=Indenter(shape=key[0], size_m=key[1]),  # type: ignore[arg-type]
+                    dt_s=TIME_STEP_S,
+                )
+        self._zero = [0.0] * len(self.groups)
+
+    def forget(self) -> None:
+        """Begin the next run as a new Replay would, so that its answer does not depend on the runs before."""
+        self._zero = [0.0] * len(self.groups)
+
+    def run(self, tissue: Tissue, only: Sequence[int] | None = None) -> list[Replayed | None]:
+        """One press per group under this law; None for groups not in ``only``."""
+        for bench in self.benches.values():
+            bench.set_law(tissue)
+        wanted = range(len(self.groups)) if only is None else only
+        return [self._run(k) if k in wanted else None for k in range(len(self.groups))]
+
+    def _run(self, number: int) -> Replayed:
+        group, bench = self.groups[number], self.benches[_indenter_key(self.groups[number].condition)]
+        c = group.condition
+        # Touch depends on the law, and where to turn on touch: start from the last answer and repeat if it has moved.
+        stride = max(1, round(np.ptp(group.path_s) / 300 / bench.model.opt.timestep))
+        for _ in range(6):
+            guess = self._zero[number]
+            press = bench.follow(
+                *_from_outside(group.path_s, group.path_m + guess), along_m=c.along_m, across_m=c.across_m,
+                tilt_deg=c.tilt_deg, stride=stride,
+            )  # fmt: skip
+            turn = int(press.indentation_m.argmax())
+            depth, force = press.indentation_m, despiked(press.force_n)
+            self._zero[number] = touch_depth(depth[: turn + 1], force[: turn + 1], group.touch_force_n)
+            if abs(self._zero[number] - guess) < TURN_TOLERANCE_M:
+                break
+        zero = self._zero[number]
+        grid = GRID * group.deepest_m
+        unloading = np.full(len(GRID), np.nan)
+        if group.unloads:
+            unloading = np.interp(grid, (depth[turn:] - zero)[::-1], force[turn:][::-1])
+        return Replayed(
+            press=press,
+            zero_m=zero,
+            loading_n=np.interp(grid, depth[: turn + 1] - zero, force[: turn + 1]),
+            unloading_n=unloading,
+        )
+
+
+def on_trial(replayed: Replayed, group: Group, curve: Curve) -> tuple[Array, Array]:
+    """Simulated loading and unloading forces on one trial's own grid; nan past the depth that the replay reached."""
+    grid = np.where(curve.grid_m <= group.deepest_m * 1.0001, curve.grid_m, np.nan)
+    depth = GRID * group.deepest_m
+    return np.interp(grid, depth, replayed.loading_n), np.interp(grid, depth, replayed.unloading_n)
+
+
+def _from_outside(time: Array, depth: Array) -> tuple[Array, Array]:
+    """The path without its wait before touch, begun a little outside at the speed it has there."""
+    inside = int(np.argmax(depth > 0.0))
+    slow = max(inside, 5)
+    speed = max((depth[slow] - depth[slow - 5]) / (time[slow] - time[slow - 5]), 1e-4)
+    lead = (depth[inside] + APPROACH_M) / speed
+    return np.r_[time[inside] - lead, time[inside:]], np.r_[-APPROACH_M, depth[inside:]]
+
+
+def _indenter_key(condition: Condition) -> tuple[str, float | None]:
+    return condition.indenter_shape, condition.indenter_size_m

@@ -1,0 +1,72 @@
+"""Named sets of tissue laws: one TOML file each, a row per soft region; a protocol names one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from importlib import resources
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from carecontact.contract.protocol import FileStem, Region, Section, Tissue
+from carecontact.errors import ConfigError, UnknownNameError
+
+
+class TissueSet(Section):
+    id: FileStem
+    description: str
+    base: str | None = None
+    """The set from which regions without a row of their own are taken."""
+    tissue: dict[Region, Tissue]
+
+    @property
+    def sha256(self) -> str:
+        """Of the rows as canonical JSON: spelling, comments and name do not count."""
+        rows = {region: row.model_dump(mode="json") for region, row in self.tissue.items()}
+        return hashlib.sha256(json.dumps(rows, sort_keys=True).encode()).hexdigest()
+
+
+def shipped_tissue_sets() -> list[str]:
+    folder = resources.files("carecontact.protocols") / "tissue"
+    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
+
+
+def load_tissue_set(name_or_path: str) -> TissueSet:
+    """A shipped set by id, or a TOML file by path; regions that it leaves out come from its base.
+
+    Raises UnknownNameError, or ConfigError naming file, field and what was expected.
+    """
+    shipped = name_or_path in shipped_tissue_sets()
+    if shipped:
+        data = (resources.files("carecontact.protocols") / "tissue" / f"{name_or_path}.toml").read_bytes()
+    elif name_or_path.endswith(".toml"):
+        try:
+            data = Path(name_or_path).read_bytes()
+        except OSError as error:
+            raise ConfigError(f"tissue set {name_or_path}: {error.strerror}") from None
+    else:
+        raise UnknownNameError("tissue set", name_or_path, [*shipped_tissue_sets(), "FILE.toml"])
+    try:
+        made = TissueSet.model_validate(tomllib.loads(data.decode()))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"tissue set {name_or_path}: not TOML: {error}") from None
+    except ValidationError as error:
+        lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']} (got {str(e['input'])[:80]})" for e in error.errors()]
+        raise ConfigError(f"tissue set {name_or_path}: {len(lines)} field(s) wrong\n" + "\n".join(lines)) from None
+    if not shipped and made.id in shipped_tissue_sets():
+        raise ConfigError(f"tissue set {name_or_path}: the id {made.id} is a shipped set's; choose another")
+    missing = [region for region in ("forearm", "upper_arm", "abdomen") if region not in made.tissue]
+    if missing and made.base is None:
+        raise ConfigError(
+            f"tissue set {name_or_path}: no row for {', '.join(missing)}; add base = one of "
+            f"{', '.join(shipped_tissue_sets())}, whose rows then serve"
+        )
+    if made.base is not None:
+        if made.base not in shipped_tissue_sets():
+            raise ConfigError(
+                f"tissue set {name_or_path}: base {made.base!r}; valid: {', '.join(shipped_tissue_sets())}"
+            )
+        made = made.model_copy(update={"tissue": {**load_tissue_set(made.base).tissue, **made.tissue}})
+    return made

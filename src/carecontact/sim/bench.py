@@ -1,0 +1,384 @@
+"""The indentation bench: one soft region on a held bone, pressed by a rigid indenter whose motion is prescribed.
+
+The bone does not move and gravity is off, so that force against indentation is the tissue's alone. The indenter is a
+very heavy body on one slide, put back on its path at every sample: unlike a mocap body it has a velocity, without which
+contact damping would let the indenter sink in by about 20 ms times its speed.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.protocol import Tissue
+from carecontact.errors import ConfigError, SceneError
+from carecontact.world.human.body import Array, Body
+from carecontact.world.human.shell import Shell, limb_shell, trunk_shell
+from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name, tissue_body_name
+from carecontact.world.human.tissue import add_tissue, set_damping
+from carecontact.world.robot import CAP_SEMI_AXES_M
+from carecontact.world.scene import upward_in_bind
+
+Shape = Literal["flat", "hemisphere", "cap"]
+
+FLAT_EDGE_M = 0.002
+"""Rounding of a flat indenter's rim: sharp ones let rim vertices slip past about 6 mm."""
+FLAT_DOME_M = 0.0001
+"""Bulge of a flat face: where it lay parallel to the triangles, contact points would jump and the force with them."""
+SHANK_M = 0.03
+FLAT_DOME_M = 0.0003
+"""Rise of a flat indenter's face from its middle to its rim: a plane against plane triangles has no point of contact of
+its own, and the force jumped by 0.5 N where a triangle came to lie in it; domed by 0.3 mm it is smooth to 0.07 N."""
+LAW_FIELDS = ("a_n_m3", "b_n_m4", "c_n_m5", "damping_ns_m3")
+INDENTER_MASS_KG = 1e3
+UNSTABLE = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
+APPROACH_M = 0.0005
+SEARCH_M = 0.02
+"""Touch is looked for from this far outside the surface to as far inside it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Indenter:
+    """A rigid indenter, pressed along its axis; ``cap`` is the shipped tool lying across the region.
+
+    Args:
+        size_m: radius of the flat disc or of the hemisphere; None for the cap, whose size is the tool's.
+        edge_m: radius of a flat indenter's rim, at most ``size_m``; its flat part is smaller by as much.
+    """
+
+    shape: Shape
+    size_m: float | None = None
+    edge_m: float = FLAT_EDGE_M
+
+    def __post_init__(self) -> None:
+        if self.shape not in ("flat", "hemisphere", "cap"):
+            raise ConfigError(f"indenter shape {self.shape!r}; valid: flat, hemisphere, cap")
+        if (self.size_m is None) != (self.shape == "cap"):
+            raise ConfigError("a cap has the shipped tool's size; flat and hemisphere need size_m, their radius")
+        if self.size_m is not None and not 0.001 <= self.size_m <= 0.1:
+            raise ConfigError(f"indenter radius {self.size_m} m; valid: 0.001 to 0.1 m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Press:
+    """One press, sampled from first geometric touch of the undeformed surface on; forces are on the indenter."""
+
+    time_s: Array
+    """(n,) 0 at geometric touch"""
+    indentation_m: Array
+    """(n,) travel of the indenter past geometric touch"""
+    speed_m_s: Array
+    """(n,) prescribed; positive inward"""
+    force_n: Array
+    """(n,) along the indenter's axis, positive when the tissue pushes it out"""
+    anchor_force_n: Array
+    """(n,) sum of spring and damper forces of the shell's anchors along the same axis"""
+    loading: npt.NDArray[np.bool_]
+    """(n,) moving inward"""
+
+    def at_depths(self, depths_m: Array, *, zero_n: float = 0.02) -> Array:
+        """(k,) loading force at depths counted from where it first exceeds ``zero_n``, as a load cell finds touch.
+
+        Raises SceneError where the press does not reach the deepest one.
+        """
+        depth, force = self.indentation_m[self.loading], self.force_n[self.loading]
+        zero = touch_depth(depth, force, zero_n)
+        if np.max(depths_m) > depth[-1] - zero + 1e-9:
+            raise SceneError(
+                f"the press ends {1000 * (depth[-1] - zero):.2f} mm past touch; {1000 * np.max(depths_m):.2f} mm asked"
+            )
+        return np.interp(depths_m, depth - zero, force)
+
+
+def touch_depth(depth_m: Array, force_n: Array, threshold_n: float) -> float:
+    """Depth at which a loading force first crosses the threshold, interpolated. Raises SceneError if it never does."""
+    over = np.flatnonzero(force_n > threshold_n)
+    if not len(over):
+        raise SceneError(f"force never exceeds {threshold_n} N: the indenter does not touch the region here")
+    k = int(over[0])
+    if k == 0:
+        return float(depth_m[0])
+    share = (threshold_n - force_n[k - 1]) / (force_n[k] - force_n[k - 1])
+    return float(depth_m[k - 1] + share * (depth_m[k] - depth_m[k - 1]))
+
+
+def make_shell(body: Body, region: str, tissue: Tissue) -> Shell:
+    """The region's shell as the scene builds it."""
+    if region == "abdomen":
+        return trunk_shell(body, np.array([0.0, -1.0, 0.0]), tissue)
+    segment = SOFT_SEGMENTS[region]
+    return limb_shell(body, segment, upward_in_bind(body, segment), tissue)
+
+
+class Bench:
+    """Compiled once; then any number of presses, at any place and speed, and any law on the same mesh.
+
+    Args:
+        region: forearm, upper_arm or abdomen.
+        dt_s: implicitfast solves contacts as if the vertices were undamped: with the shipped damping, a fast retreat
+            needs 1 ms (2 ms let go of the indenter after the turn) and a mesh twice as fine 0.5 ms.
+        shell: of this body, region and tissue, if it is there already.
+    """
+
+    def __init__(
+        self,
+        *,
+        body: Body,
+        region: str,
+        tissue: Tissue,
+        indenter: Indenter,
+        dt_s: float = 0.002,
+        shell: Shell | None = None,
+    ) -> None:
+        self.body, self.region, self.indenter = body, region, indenter
+        self.shell = shell or make_shell(body, region, tissue)
+        segment = SOFT_SEGMENTS[region]
+        self._bone_in_mesh = body.joint_centre[segment]
+        spec = mujoco.MjSpec()
+        spec.compiler.degree = False
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        spec.option.impratio = 10
+        spec.option.timestep = dt_s
+        spec.option.gravity = [0, 0, 0]
+        # The solver's tolerance is relative to the trace of the inertia matrix, nearly all of which is the indenter's.
+        spec.option.tolerance = 1e-8 / INDENTER_MASS_KG
+        # Solved island by island, some presses of fine meshes diverged (MuJoCo 4.0.0, Newton); solved whole, none did.
+        spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+        bone = spec.worldbody.add_body(name=body_name(segment))
+        bone.add_body(name=tissue_body_name(region))
+        # Every spring and damper is linear in its own coefficient: those of a unit law, scaled, are those of any law.
+        unit = tissue.model_copy(update=dict.fromkeys(LAW_FIELDS, 1.0))
+        made = add_tissue(spec, body, region, self.shell, unit)
+        _add_indenter(spec, indenter)
+        spec.add_sensor(
+            name="force", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname="indenter",
+            reftype=mujoco.mjtObj.mjOBJ_XBODY, refname=body_name(segment), intprm=[2, 3, 1],
+        )  # fmt: skip
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="flex .* is not rigid")
+            self.model = spec.compile()
+        set_damping(self.model, {region: made})
+        self._unit = (
+            self.model.jnt_stiffness.copy(), self.model.jnt_stiffnesspoly.copy(), self.model.dof_damping.copy()
+        )  # fmt: skip
+        self._data = mujoco.MjData(self.model)
+        slide = self.model.joint("indenter")
+        self._slide_q, self._slide_v = int(slide.qposadr[0]), int(slide.dofadr[0])
+        self.tissue = tissue
+        self.set_law(tissue)
+
+    def set_law(self, tissue: Tissue) -> None:
+        """Change stiffness and damping in the compiled model. Raises ConfigError where the mesh would change too."""
+        for name in Tissue.model_fields:
+            before, after = getattr(self.tissue, name), getattr(tissue, name)
+            if name not in (*LAW_FIELDS, "source", "measured_depth_m") and before != after:
+                raise ConfigError(f"{name} {before} -> {after} changes more than the law: make a new Bench")
+        stiffness, polynomial, damping = self._unit
+        self.model.jnt_stiffness[:] = tissue.a_n_m3 * stiffness
+        self.model.jnt_stiffnesspoly[:] = polynomial * [tissue.b_n_m4, tissue.c_n_m5]
+        self.model.dof_damping[:] = tissue.damping_ns_m3 * damping
+        self.tissue = tissue
+
+    def place(self, along_m: float, across_m: float, tilt_deg: float = 0.0) -> tuple[Array, Array, Array]:
+        """Surface point, inward press direction and the region's axis seen from there, in the bone's frame, (3,) each.
+
+        The point lies under (along, across) of the region frame; the direction is the surface's inward normal, turned
+        by ``tilt_deg`` toward the region's axis. Raises SceneError where there is no surface.
+        """
+        x, _, z = self.shell.frame.T
+        local = (self.shell.vertices - self.shell.frame_origin) @ self.shell.frame
+        corner = local[self.shell.triangles]
+        e1, e2 = corner[:, 1, :2] - corner[:, 0, :2], corner[:, 2, :2] - corner[:, 0, :2]
+        foot = np.array([along_m, across_m]) - corner[:, 0, :2]
+        area = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = (foot[:, 0] * e2[:, 1] - foot[:, 1] * e2[:, 0]) / area
+            v = (e1[:, 0] * foot[:, 1] - e1[:, 1] * foot[:, 0]) / area
+        weight = np.stack([1 - u - v, u, v], 1)
+        upward = (self.shell.normals[self.shell.triangles] @ z).mean(1) > 0.1
+        inside = np.flatnonzero(upward & (weight > -1e-9).all(1))
+        if not len(inside):
+            raise SceneError(
+                f"no surface of the {self.region} lies under along {1000 * along_m:.1f} mm, "
+                f"across {1000 * across_m:.1f} mm; the region's middle is 0, 0"
+            )
+        best = inside[(weight[inside] * corner[inside, :, 2]).sum(1).argmax()]
+        nodes = self.shell.triangles[best]
+        point = weight[best] @ self.shell.vertices[nodes] - self._bone_in_mesh
+        inward = -weight[best] @ self.shell.normals[nodes]
+        inward /= np.linalg.norm(inward)
+        axis = x - (x @ inward) * inward
+        axis /= np.linalg.norm(axis)
+        tilt = np.radians(tilt_deg)
+        direction = np.cos(tilt) * inward + np.sin(tilt) * axis
+        return point, direction, np.cos(tilt) * axis - np.sin(tilt) * inward
+
+    def press(
+        self,
+        *,
+        along_m: float = 0.0,
+        across_m: float = 0.0,
+        depth_m: float,
+        speed_m_s: float = 0.005,
+        tilt_deg: float = 0.0,
+        unload: bool = False,
+        hold_s: float = 0.0,
+        acceleration_m_s2: float = 1.0,
+        sample_s: float | None = None,
+    ) -> Press:
+        """Press ``depth_m`` past geometric touch at constant speed; slow down, hold and retreat if ``unload``.
+
+        Args:
+            acceleration_m_s2: at the turn, raised where it would take more than half the depth. Without ``unload`` and
+                ``hold_s`` the press ends at full speed.
+            sample_s: time between samples, rounded to steps; default: 150 samples on the way in, at least 200 per s.
+        """
+        if sample_s is None:
+            sample_s = min(0.005, depth_m / speed_m_s / 150)
+        dt = self.model.opt.timestep
+        approach = APPROACH_M + 5 * dt * speed_m_s
+        turns = unload or hold_s > 0
+        rate = max(acceleration_m_s2, speed_m_s**2 / depth_m)
+        brake_m, brake_s = (speed_m_s**2 / 2 / rate, speed_m_s / rate) if turns else (0.0, 0.0)
+        cruise = (approach + depth_m - brake_m) / speed_m_s
+        stops = np.cumsum([cruise, brake_s, hold_s, *((brake_s, cruise) if unload else ())])
+        time = np.arange(0.0, stops[-1] + dt / 2, dt)
+        late = time - stops[0]
+        path = np.where(late < 0, depth_m - brake_m + speed_m_s * late, depth_m)
+        if turns:
+            braking = (late >= 0) & (late < brake_s)
+            path[braking] = depth_m - rate / 2 * (brake_s - late[braking]) ** 2
+        if unload:
+            back = time - stops[2]
+            leaving = (back > 0) & (back <= brake_s)
+            path[leaving] = depth_m - rate / 2 * back[leaving] ** 2
+            gone = back > brake_s
+            path[gone] = depth_m - brake_m - speed_m_s * (back[gone] - brake_s)
+        return self.follow(
+            time, path, along_m=along_m, across_m=across_m, tilt_deg=tilt_deg, stride=max(1, round(sample_s / dt))
+        )
+
+    def follow(
+        self,
+        time_s: Array,
+        depth_m: Array,
+        *,
+        along_m: float = 0.0,
+        across_m: float = 0.0,
+        tilt_deg: float = 0.0,
+        stride: int = 1,
+    ) -> Press:
+        """Move along any path: depth past geometric touch over time, from out of contact on, every ``stride`` steps.
+
+        The path is taken as straight between its points.
+        """
+        dt = self.model.opt.timestep
+        touch, inward = self._touch(along_m, across_m, tilt_deg)
+        outward = -inward
+        count = int((time_s[-1] - time_s[0]) / (stride * dt) + 1e-9)
+        time = time_s[0] + np.arange(count + 1) * stride * dt
+        travel = touch + np.interp(time, time_s, depth_m)
+        speed = np.r_[np.diff(travel) / (stride * dt), 0.0]
+        model, data = self.model, self._data
+        # Every joint is a slide on a body that never turns: a dof is a joint, its axis that of the bone's frame.
+        lever = model.jnt_axis @ outward
+        lever[self._slide_v] = 0.0
+        force, anchors = np.zeros(count + 1), np.zeros(count + 1)
+        for k in range(count):
+            data.qpos[self._slide_q], data.qvel[self._slide_v] = travel[k], speed[k]
+            mujoco.mj_step(model, data, stride)
+            # Sensors and passive forces belong to the state in which the last step began, one step before sample k + 1.
+            force[k + 1] = -data.sensordata @ outward  # the sensor's is the force on the region
+            anchors[k + 1] = data.qfrc_passive @ lever
+        # MuJoCo resets a state that diverged and goes on; the warning is all that tells of it.
+        if any(data.warning[kind].number for kind in UNSTABLE):
+            raise SceneError(f"the press diverged at a time step of {dt} s")
+        time = time - dt
+        depth = np.interp(time, time_s, depth_m)
+        first = int(np.argmax(depth >= 0))
+        speed = np.r_[speed[0], speed[:-1]]
+        return Press(
+            time_s=(time - time[first] + depth[first] / max(speed[first], 1e-9))[first:],
+            indentation_m=depth[first:],
+            speed_m_s=speed[first:],
+            force_n=force[first:],
+            anchor_force_n=anchors[first:],
+            loading=(speed > 0)[first:],
+        )
+
+    def response(
+        self,
+        depths_m: Array,
+        *,
+        along_m: float = 0.0,
+        across_m: float = 0.0,
+        speed_m_s: float = 0.005,
+        tilt_deg: float = 0.0,
+        zero_n: float = 0.02,
+    ) -> Array:
+        """(k,) loading force at depths past the touch that a load cell would see; see Press.at_depths."""
+        deepest = float(np.max(depths_m))
+        press = self.press(
+            along_m=along_m, across_m=across_m, depth_m=deepest + 0.002, speed_m_s=speed_m_s, tilt_deg=tilt_deg
+        )
+        return press.at_depths(np.asarray(depths_m), zero_n=zero_n)
+
+    def _touch(self, along_m: float, across_m: float, tilt_deg: float) -> tuple[float, Array]:
+        """Reset the bench, aim the indenter; the slide's travel at first touch, and the inward direction."""
+        point, direction, axis = self.place(along_m, across_m, tilt_deg)
+        frame = np.stack([axis, np.cross(-direction, axis), -direction], 1)
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, frame.ravel())
+        model, data = self.model, self._data
+        mujoco.mj_resetData(model, data)
+        data.mocap_pos[0], data.mocap_quat[0] = point, quat
+
+        def touches(travel: float) -> bool:
+            data.qpos[self._slide_q] = travel
+            mujoco.mj_fwdPosition(model, data)
+            return data.ncon > 0
+
+        outside, inside = -SEARCH_M, 0.001
+        if touches(outside) or not touches(inside):
+            raise SceneError(f"the {self.region} has no free surface of {self.indenter.shape} size at this place")
+        while inside - outside > 1e-6:
+            middle = (inside + outside) / 2
+            inside, outside = (middle, outside) if touches(middle) else (inside, middle)
+        return inside, direction
+
+
+def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter) -> None:
+    """A mocap carriage, whose pose aims the press, and on it a heavy body on one slide; its tip is at the origin."""
+    carriage = spec.worldbody.add_body(name="carriage", mocap=True)
+    probe = carriage.add_body(name="indenter", mass=INDENTER_MASS_KG, explicitinertial=True, inertia=[1.0, 1.0, 1.0])
+    probe.add_joint(name="indenter", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, -1])
+    common = {"contype": 1, "conaffinity": 0, "condim": 3, "mass": 0}
+    size = indenter.size_m or 0.0
+    if indenter.shape == "cap":
+        probe.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=CAP_SEMI_AXES_M, pos=[0, 0, CAP_SEMI_AXES_M[2]], **common
+        )
+    elif indenter.shape == "hemisphere":
+        probe.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[size, 0, 0], pos=[0, 0, size], **common)
+    else:
+        edge = min(indenter.edge_m, size)
+        flat = size - edge
+        turn = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+        face = [(r, FLAT_DOME_M * (r / flat) ** 2) for r in np.linspace(0, flat, 6)[1:]] if flat > 0 else []
+        rim = [
+            (flat + edge * np.sin(s), FLAT_DOME_M + edge * (1 - np.cos(s))) for s in np.linspace(0, np.pi / 2, 6)[1:]
+        ]
+        rings = [*face, *rim, (size, edge + 0.03)]
+        points = [[0.0, 0.0, 0.0], *([r * np.cos(a), r * np.sin(a), h] for r, h in rings for a in turn)]
+        spec.add_mesh(name="flat", uservert=np.array(points).ravel())
+        probe.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="flat", **common)

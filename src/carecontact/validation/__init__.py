@@ -1,0 +1,1 @@
+"""Is the simulated person physically valid? One check a file; ``carecontact.validation.run`` runs them."""

@@ -1,0 +1,79 @@
+"""Check 5: the person's tissue answers the references' own indenters as people's does."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from carecontact.validation.pressing import person_bench
+from carecontact.validation.reference import FITTED, KEPT_OUT, SPEED_M_S, Reference
+from carecontact.validation.result import Array, CheckResult, Measure
+from carecontact.validation.subject import Subject
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TITLE = "Calibration residual"
+NRMSE_LIMIT_PERCENT, WORST_LIMIT_PERCENT = 5.0, 10.0
+"""Of the mean over held-out places, since the references are middles over people and, on the belly, over five sites;
+and of the worst single place, whose curvature is the body's own."""
+HELD_OUT_M: dict[str, tuple[tuple[float, float], ...]] = {
+    "forearm": ((0.016, -0.007), (-0.019, 0.009), (0.045, -0.009), (-0.052, 0.004), (0.006, 0.011)),
+    "upper_arm": ((0.016, -0.007), (-0.019, 0.009), (0.006, 0.011)),
+    "abdomen": ((0.018, -0.020), (-0.020, 0.026), (0.012, 0.040), (-0.014, -0.045), (0.004, 0.012)),
+}
+"""Places (along, across) of the region's frame at least 8 mm from those of tools/fit_tissue.py."""
+QUICK_PLACES = 2
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    measures: list[Measure] = []
+    curves: dict[str, Array] = {}
+    for reference in FITTED if quick else (*FITTED, *KEPT_OUT):
+        places = HELD_OUT_M[reference.region][: QUICK_PLACES if quick else None]
+        curve = responses(subject, reference, places)
+        fitted = reference in FITTED
+        scale = reference.force_n.max()
+        each = 100 * np.sqrt(np.mean((curve - reference.force_n) ** 2, axis=1)) / scale
+        mean = curve.mean(0)
+        inside = (mean >= reference.low_n) & (mean <= reference.high_n)
+        kind = "held-out places" if fitted else "kept out of every fit"
+        measured = subject.tissue(reference.region).measured_depth_m
+        measures += [
+            Measure(name=f"{reference.name}, {kind}: NRMSE of the mean curve", unit="%",
+                    value=float(100 * np.sqrt(np.mean((mean - reference.force_n) ** 2)) / scale),
+                    limit=NRMSE_LIMIT_PERCENT if fitted else None),
+            Measure(name=f"{reference.name}, {kind}: NRMSE of the worst place", value=float(each.max()), unit="%",
+                    limit=WORST_LIMIT_PERCENT if fitted else None),
+            Measure(name=f"{reference.name}, {kind}: share of depths inside people's P5-P95", unit="%",
+                    value=float(100 * inside[1:].mean()), limit=100.0, side="at least", decides=False),
+            Measure(name=f"{reference.name}: share of depths beyond the law's measured range", unit="%",
+                    value=float(100 * (reference.depth_m > measured + 1e-9).mean())),
+        ]  # fmt: skip
+        curves |= {f"{reference.name}/places": curve}
+    return CheckResult(check="calibration-residual", title=TITLE, measures=tuple(measures), curves=curves)
+
+
+def responses(subject: Subject, reference: Reference, places: tuple[tuple[float, float], ...]) -> Array:
+    """(places, n) force [N] of the person at the reference's depths, with its indenter and speed."""
+    bench = person_bench(subject, reference.region, reference.indenter)
+    return np.array([bench.response(reference.depth_m, along_m=x, across_m=y, speed_m_s=SPEED_M_S) for x, y in places])
+
+
+def draw(result: CheckResult, figure: Figure) -> None:
+    shown = [r for r in (*FITTED, *KEPT_OUT) if f"{r.name}/places" in result.curves]
+    figure.set_size_inches(2.3 * len(shown), 2.5)
+    for axes, reference in zip(np.atleast_1d(figure.subplots(1, len(shown))), shown, strict=True):
+        depth = 1000 * reference.depth_m
+        axes.fill_between(depth, reference.low_n, reference.high_n, color="0.88", lw=0, label="people, P5-P95")
+        axes.plot(depth, reference.force_n, "--", color="C4", lw=1.6, label="people, middle")
+        curve = result.curves[f"{reference.name}/places"]
+        axes.plot(depth, curve.T, color="C0", lw=0.5, alpha=0.6)
+        axes.plot(depth, curve.mean(0), color="C0", label="this person")
+        place, _, source = reference.name.partition(" (")
+        axes.set(xlabel="indentation [mm]", title=f"{place}\n{source.rstrip(')')}"
+                 f"{'' if reference in FITTED else ', kept out'}", xlim=(0, None), ylim=(0, None))  # fmt: skip
+        axes.title.set_fontsize(7.5)
+    figure.axes[0].set_ylabel("force [N]")
+    figure.axes[0].legend(loc="upper left")

@@ -1,0 +1,234 @@
+"""Check 3: the scores do not hang on the time step or on the mesh; how the force grows with the tool's size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from carecontact.contract.protocol import Tissue
+from carecontact.errors import SceneError
+from carecontact.recording.schema import REGIONS
+from carecontact.sim.bench import Bench, Indenter, Shape
+from carecontact.validation.moves import PRESS, SCRUB, Behaviour
+from carecontact.validation.pressing import declared_bench, tool
+from carecontact.validation.reference import ABDOMEN, FOREARM, Reference
+from carecontact.validation.result import Array, CheckResult, Measure
+from carecontact.validation.scores import Scores, behaviour_scores
+from carecontact.validation.subject import Subject
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TITLE = "Convergence in time step and mesh"
+SCORES = ("c1_n", "c1_filtered_n", "c5_n", "stroke_m")
+NAMES = {"c1_n": "C1", "c1_filtered_n": "C1 at 100 Hz", "c5_n": "C5", "stroke_m": "stroke"}
+STEP_LIMIT_PERCENT = {"c1_n": 2.0, "c1_filtered_n": 2.0, "c5_n": 5.0, "stroke_m": 2.0}
+MESH_LIMIT_PERCENT = 5.0
+MESH_REFERENCES = (FOREARM, ABDOMEN)
+PLACES_M = ((0.0, 0.0), (0.020, 0.008))
+TOOL_DEPTHS_M = np.linspace(0.001, 0.008, 8)
+RECALIBRATIONS = 2
+RADIUS_FACTORS = (0.5, 1.0, 2.0)
+TREND_DEPTH_M = 0.004
+TRENDS: dict[str, tuple[Shape, float, tuple[float, float]]] = {
+    "sphere": ("hemisphere", 0.012, (0.7, 0.9)),
+    "flat": ("flat", 0.0107, (1.5, 1.9)),
+}
+"""Indenter, middle radius [m], exponents of force over radius for a bonded layer 20 to 30 mm thick."""
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    measures: list[Measure] = []
+    curves: dict[str, Array] = {}
+    dt = subject.protocol.physics.dt_s
+    regions = ("forearm",) if quick else REGIONS
+    behaviours = (SCRUB,) if quick else (PRESS, SCRUB)
+    shipped = {region: _scores(subject, region, behaviours) for region in regions}
+    for factor, decides in ((0.5, True), (2.0, False)):
+        if quick and not decides:
+            continue
+        other = subject.with_dt(dt * factor)
+        for region in regions:
+            what = f"{region}: time step {1000 * dt:g} to {1000 * dt * factor:g} ms"
+            scores = _scores(other, region, behaviours)
+            measures += [
+                Measure(name=f"{what}, {behaviour} {NAMES[field]}", value=change, unit="%",
+                        limit=STEP_LIMIT_PERCENT[field], decides=decides)
+                for behaviour, field, change in _changes(shipped[region], scores)
+            ]  # fmt: skip
+    if not quick:
+        for reference in MESH_REFERENCES:
+            try:
+                measures += mesh(subject, reference, shipped[reference.region], curves)
+            except SceneError as error:
+                # The rest of the check still says something.
+                name = f"{reference.region}: mesh twice as fine, not measured: {error}"
+                measures.append(Measure(name=name, value=float("nan"), unit="%", limit=MESH_LIMIT_PERCENT))
+        for name, (shape, radius, known) in TRENDS.items():
+            forces = trend(subject, shape, radius)
+            sizes = np.log(radius * np.array(RADIUS_FACTORS))
+            measures += [
+                Measure(name=f"tool radius x 0.5, 1, 2, {name}: exponent of force "
+                             f"(bonded layer: {known[0]} to {known[1]})",
+                        value=float(np.polyfit(sizes, np.log(forces), 1)[0])),
+            ]  # fmt: skip
+            curves[f"trend/{name}"] = np.stack([1000 * radius * np.array(RADIUS_FACTORS), forces])
+    curves["changes"] = np.array([[m.value, m.limit or 0.0] for m in measures if m.limit is not None])
+    return CheckResult(check="convergence", title=TITLE, measures=tuple(measures), curves=curves)
+
+
+def _scores(subject: Subject, region: str, behaviours: Sequence[Behaviour]) -> dict[str, Scores]:
+    return {b.name: behaviour_scores(subject, region, b) for b in behaviours}
+
+
+def _changes(before: dict[str, Scores], after: dict[str, Scores]) -> list[tuple[str, str, float]]:
+    """(behaviour, score, change [%]); a press has no stroke."""
+    out = []
+    for behaviour in before:
+        for field in SCORES:
+            if behaviour == PRESS.name and field == "stroke_m":
+                continue
+            old, new = getattr(before[behaviour], field), getattr(after[behaviour], field)
+            out.append((behaviour, field, float(100 * abs(new / old - 1))))
+    return out
+
+
+def mesh(subject: Subject, reference: Reference, shipped: dict[str, Scores], curves: dict[str, Array]) -> list[Measure]:
+    """A mesh twice as fine, with the same law per area and with its law fitted anew at the calibration indenter.
+
+    Laws belong to a mesh: a coarser one spreads a small tool's load further, and its anchors are fitted to make up
+    for it.
+    """
+    region = reference.region
+    tissue = subject.tissue(region)
+    finer = tissue.model_copy(
+        update={"spacing_m": tissue.spacing_m / 2, "coarse_spacing_m": tissue.coarse_spacing_m / 2}
+    )
+    fine = subject.with_tissue(region, finer)
+    depths = reference.depth_m[1:]
+    # On the bench both meshes run at half the time step, so that only the mesh differs and the finer one is stable.
+    dt = subject.protocol.physics.dt_s / 2
+    wanted = _mean_response(declared_bench(subject, region, reference.indenter, dt_s=dt), depths)
+    bench = declared_bench(fine, region, reference.indenter, dt_s=dt)
+    same_law = _mean_response(bench, depths)
+    fitted = recalibrated(bench, depths, wanted)
+    new_law = _mean_response(bench, depths)
+    at_tool = _mean_response(declared_bench(subject, region, tool(), dt_s=dt), TOOL_DEPTHS_M)
+    fine_tool = declared_bench(fine, region, tool(), dt_s=dt)
+    tool_same = _mean_response(fine_tool, TOOL_DEPTHS_M)
+    fine_tool.set_law(fitted)
+    tool_new = _mean_response(fine_tool, TOOL_DEPTHS_M)
+    scene = _scores(subject.with_tissue(region, fitted), region, (PRESS, SCRUB))
+    curves |= {
+        f"mesh/{region}/reference": 1.0 * np.stack([1000 * depths, wanted, same_law, new_law]),
+        f"mesh/{region}/tool": np.stack([1000 * TOOL_DEPTHS_M, at_tool, tool_same, tool_new]),
+    }
+    what = f"{region}: mesh twice as fine"
+
+    def line(name: str, value: float, *, decides: bool = True) -> Measure:
+        return Measure(name=f"{what}, {name}", value=value, unit="%", limit=MESH_LIMIT_PERCENT, decides=decides)
+
+    return [
+        line("same law, calibration indenter", _nrmse(same_law, wanted), decides=False),
+        line("same law, tool", _nrmse(tool_same, at_tool), decides=False),
+        line("law fitted anew, calibration indenter", _nrmse(new_law, wanted)),
+        line("law fitted anew, tool", _nrmse(tool_new, at_tool)),
+        *(line(f"law fitted anew, {behaviour} {NAMES[field]}", change)
+          for behaviour, field, change in _changes(shipped, scene)),
+    ]  # fmt: skip
+
+
+def _mean_response(bench: Bench, depths: Array) -> Array:
+    return np.mean([bench.response(depths, along_m=x, across_m=y, speed_m_s=0.010) for x, y in PLACES_M], axis=0)
+
+
+def _nrmse(got: Array, wanted: Array) -> float:
+    return float(100 * np.sqrt(np.mean((got - wanted) ** 2)) / wanted.max())
+
+
+def recalibrated(bench: Bench, depths: Array, wanted: Array) -> Tissue:
+    """Fit stiffness (a with b, and c, by one factor each) so that the bench answers ``wanted``; sets it and returns it.
+
+    Gauss-Newton on the factors' logarithms: two parameters that act almost linearly need few steps.
+    """
+    start = bench.tissue
+
+    def law(p: Array) -> Tissue:
+        first, second = np.exp(p)
+        return start.model_copy(update={
+            "a_n_m3": start.a_n_m3 * first, "b_n_m4": start.b_n_m4 * first, "c_n_m5": start.c_n_m5 * second,
+        })  # fmt: skip
+
+    def response(p: Array) -> Array:
+        bench.set_law(law(p))
+        return _mean_response(bench, depths)
+
+    p, step = np.zeros(2), 0.1
+    for _ in range(RECALIBRATIONS):
+        base = response(p)
+        jacobian = np.stack([(response(p + step * e) - base) / step for e in np.eye(2)], 1)
+        p = p + np.clip(np.linalg.lstsq(jacobian, wanted - base, rcond=None)[0], -1.0, 1.0)
+    bench.set_law(law(p))
+    return law(p)
+
+
+def trend(subject: Subject, shape: Shape, radius_m: float) -> Array:
+    """(3,) force [N] at TREND_DEPTH_M for RADIUS_FACTORS, on the belly: there the largest too meets only tissue."""
+    return np.array([
+        declared_bench(subject, "abdomen", Indenter(shape=shape, size_m=radius_m * factor)).response(
+            np.array([TREND_DEPTH_M])
+        )[0]
+        for factor in RADIUS_FACTORS
+    ])  # fmt: skip
+
+
+def draw(result: CheckResult, figure: Figure) -> None:
+    regions = [r.region for r in MESH_REFERENCES if f"mesh/{r.region}/tool" in result.curves]
+    figure.set_size_inches(2.4 + 2.3 * (len(regions) + bool(regions)), 2.7)
+    axes = np.atleast_1d(figure.subplots(1, 1 + len(regions) + bool(regions)))
+    _draw_step(result.measures, axes[0])
+    for panel, region in zip(axes[1:], regions, strict=False):
+        for kind, style in (("reference", "-"), ("tool", "--")):
+            depth, shipped, same, fitted = result.curves[f"mesh/{region}/{kind}"]
+            where = "calibration indenter" if kind == "reference" else "tool"
+            panel.plot(depth, shipped, style, color="k", label=f"shipped mesh, {where}")
+            panel.plot(depth, same, style, color="C1", lw=0.9, label="finer, same law" if kind == "reference" else None)
+            panel.plot(depth, fitted, style, color="C0", lw=0.9, label="finer, fitted" if kind == "reference" else None)
+        # A press that diverged must not hide the others.
+        highest = max(result.curves[f"mesh/{region}/{kind}"][1].max() for kind in ("reference", "tool"))
+        panel.set(xlabel="indentation [mm]", title=region, ylim=(0, 1.25 * highest))
+    if regions:
+        axes[1].set_ylabel("force [N]")
+        figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        for name, (_, _, known) in TRENDS.items():
+            radius, force = result.curves[f"trend/{name}"]
+            (line,) = axes[-1].loglog(radius, force, "o-", ms=3, label=name)
+            for exponent in known:
+                axes[-1].loglog(
+                    radius, force[1] * (radius / radius[1]) ** exponent, ":", color=line.get_color(), lw=0.8
+                )
+        axes[-1].set(xlabel="tool radius [mm]", ylabel="force [N]", title="tool size (dotted: layer)")
+        axes[-1].minorticks_off()
+        axes[-1].set_xticks([6, 12, 24], ["6", "12", "24"])
+        axes[-1].set_yticks([0.25, 0.5, 1, 2, 4], ["0.25", "0.5", "1", "2", "4"])
+        axes[-1].legend()
+
+
+def _draw_step(measures: Sequence[Measure], axes: Axes) -> None:
+    rows = [m for m in measures if "time step" in m.name and m.decides]
+    names = [m.name.partition(", ")[2] for m in rows]
+    labels = list(dict.fromkeys(names))
+    for region in REGIONS:
+        mine = [m for m in rows if m.name.startswith(f"{region}:")]
+        if mine:
+            axes.plot([m.value for m in mine], [labels.index(m.name.partition(", ")[2]) for m in mine], "o", ms=4,
+                      label=region.replace("_", " "))  # fmt: skip
+    limits = {m.name.partition(", ")[2]: m.limit or 0.0 for m in rows}
+    axes.plot([limits[label] for label in labels], range(len(labels)), "|", color="0.3", ms=12, label="limit")
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set(xlabel="change at half the time step [%]", title="time step", xlim=(0, None))
+    axes.invert_yaxis()
+    axes.legend()

@@ -1,0 +1,90 @@
+"""Check 6: the same trial in two fresh processes is the same recording, bit for bit."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from carecontact.contract.trial import TrialSpec
+from carecontact.recording import canonical_hash, read_recording
+from carecontact.recording.schema import REGION_SEGMENT, Recording
+from carecontact.scoring.contact import find_contact
+from carecontact.validation.result import CheckResult, Measure
+from carecontact.validation.subject import Subject
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TITLE = "Determinism"
+TRIAL_S, QUICK_TRIAL_S = 20.0, 7.5
+POLICY, TASK, SEED = "state-machine", "T1", 0
+LONGEST_S = 600.0
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    """Runs the package's own trials: a planted scene factory does not reach them."""
+    phases = subject.protocol.phases.model_copy(update={"time_limit_s": QUICK_TRIAL_S if quick else TRIAL_S})
+    spec = TrialSpec(protocol=subject.protocol.model_copy(update={"phases": phases}), task_id=TASK, seed=SEED,
+                     policy=POLICY)  # fmt: skip
+    first, second = two_recordings(spec)
+    different = sum(
+        not np.array_equal(first.arrays[path], second.arrays[path])
+        for path in first.arrays
+        if not path.startswith("wall/")
+    )
+    contact = find_contact(first)
+    segment = first.header.segments.index(REGION_SEGMENT[spec.protocol.task(TASK).region])
+    return CheckResult(
+        check="determinism", title=TITLE,
+        curves={"time": contact.time_s, "force": np.stack([contact.force_norm[:, segment],
+                                                            find_contact(second).force_norm[:, segment]])},
+        measures=(
+            Measure(name="canonical hashes that differ", value=float(canonical_hash(first) != canonical_hash(second)),
+                    limit=0.0),
+            Measure(name="arrays that differ in any bit", value=float(different), limit=0.0),
+            Measure(name="physics steps compared", value=float(len(contact.time_s)), limit=1000.0, side="at least"),
+            Measure(name="largest force in them", value=float(contact.force_norm.max()), unit="N", limit=0.5,
+                    side="at least"),
+        ),
+    )  # fmt: skip
+
+
+def two_recordings(spec: TrialSpec) -> tuple[Recording, Recording]:
+    """Run a trial twice in fresh processes at once. Raises RecordingError or OSError if one leaves nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder) / f"{n}.h5" for n in (1, 2)]
+        running = []
+        for path in paths:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "carecontact.trials.worker"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+            asked = json.dumps({"spec": spec.model_dump(mode="json"), "out": str(path)})
+            assert process.stdin is not None
+            process.stdin.write(asked.encode())
+            process.stdin.close()
+            running.append(process)
+        try:
+            for process in running:
+                process.wait(LONGEST_S)
+        finally:
+            for process in running:
+                process.kill()
+        first, second = (read_recording(path) for path in paths)
+        return first, second
+
+
+def draw(result: CheckResult, figure: Figure) -> None:
+    figure.set_size_inches(3.6, 2.4)
+    axes = figure.subplots()
+    time, (first, second) = result.curves["time"], result.curves["force"]
+    axes.plot(time, first, label="first process")
+    axes.plot(time, second, ":", label="second process")
+    axes.set(xlabel="time [s]", ylabel="force [N]", title="one trial, run twice")
+    axes.legend()

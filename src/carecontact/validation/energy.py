@@ -1,0 +1,153 @@
+"""Check 2: a dropped limb never gains energy, and a loading loop takes as much work as the damping law says."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from carecontact.recording.schema import REGIONS
+from carecontact.sim.bench import Press
+from carecontact.sim.simulation import Simulation
+from carecontact.validation.pressing import declared_bench, person_bench, tool
+from carecontact.validation.result import Array, CheckResult, Measure
+from carecontact.validation.subject import Subject
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TITLE = "Passive drop and loading loops"
+LIFTS_DEG = {
+    "forearm": {"right_forearm_flexion": 40.0},
+    "whole arm": {"right_upper_arm_flexion": 25.0, "right_forearm_flexion": 20.0},
+}
+"""Added to the settled angles: enough that the limb falls freely before it meets the board."""
+DROP_S = 1.5
+GAIN_LIMIT_PERCENT = 1.0
+LOOP_DEPTH_M, LOOP_SPEEDS_M_S, QUICK_SPEEDS_M_S = 0.004, (0.005, 0.020, 0.080), (0.020,)
+LOOP_SHARE_PERCENT = 80.0
+"""Of the work that the declared damping takes in the same loop; springs without dampers leave under a fifth."""
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    measures: list[Measure] = []
+    curves: dict[str, Array] = {}
+    for name in ("whole arm",) if quick else LIFTS_DEG:
+        simulation = subject.at_rest("forearm")
+        settled = Energy(simulation)()
+        time, energy, given = drop(simulation, LIFTS_DEG[name])
+        lifted, own = energy[0] - settled, energy - given
+        measures += [
+            Measure(name=f"{name} dropped: energy lifted", value=float(lifted), unit="J"),
+            Measure(name=f"{name} dropped: gain without work from bed and end stops, of the energy lifted",
+                    value=float(100 * (own - np.minimum.accumulate(own)).max() / lifted), unit="%",
+                    limit=GAIN_LIMIT_PERCENT),
+            Measure(name=f"{name} dropped: net work given by bed and end stops, of the energy lifted",
+                    value=float(100 * given.max() / lifted), unit="%", limit=GAIN_LIMIT_PERCENT),
+            Measure(name=f"{name} dropped: share of the energy lost in the end",
+                    value=float(100 * (energy[0] - energy[-1]) / lifted), unit="%", limit=80.0, side="at least"),
+        ]  # fmt: skip
+        curves |= {f"drop/{name}": np.stack([time, energy - settled, own - settled])}
+    for region in ("forearm",) if quick else REGIONS:
+        benches = person_bench(subject, region, tool()), declared_bench(subject, region, tool())
+        for speed in QUICK_SPEEDS_M_S if quick else LOOP_SPEEDS_M_S:
+            loop, declared = (
+                bench.press(depth_m=LOOP_DEPTH_M, speed_m_s=speed, unload=True, sample_s=bench.model.opt.timestep)
+                for bench in benches
+            )
+            name = f"{region} loop at {1000 * speed:.0f} mm/s"
+            measures += [
+                Measure(name=f"{name}: work", value=1000 * _work(loop), unit="mJ", limit=0.0, side="at least"),
+                Measure(name=f"{name}: share of the work of the declared law", unit="%",
+                        value=100 * _work(loop) / _work(declared), limit=LOOP_SHARE_PERCENT, side="at least",
+                        decides=speed <= QUICK_SPEEDS_M_S[0]),
+            ]  # fmt: skip
+            curves |= {f"loop/{region}/{1000 * speed:.0f}": np.stack([loop.indentation_m, loop.force_n])}
+    return CheckResult(check="energy", title=TITLE, measures=tuple(measures), curves=curves)
+
+
+def _work(loop: Press) -> float:
+    """That the indenter does on the tissue over the whole loop [J]."""
+    return float(np.trapezoid(loop.force_n, loop.indentation_m))
+
+
+def drop(simulation: Simulation, lift_deg: dict[str, float]) -> tuple[Array, Array, Array]:
+    """Lift joints by angles and let go.
+
+    Returns at every step time (n,) [s], the person's mechanical energy (n,) [J] and the work (n,) [J] that bed contacts
+    and end stops have done on the person so far. The bed is padded: what it stores and returns is no gain.
+    """
+    model, data = simulation.model, simulation.data
+    for joint, angle in lift_deg.items():
+        data.qpos[model.joint(f"human_{joint}").qposadr[0]] += np.radians(angle)
+    data.qvel[:] = 0.0
+    energy = Energy(simulation)
+    rows, given = [energy()], [0.0]
+    for _ in range(round(DROP_S / model.opt.timestep)):
+        before = data.qvel[energy.dof].copy()
+        mujoco.mj_step(model, data)
+        # An impulse changes the kinetic energy by its product with the mean of the velocities before and after.
+        velocity = (before + data.qvel[energy.dof]) / 2
+        given.append(given[-1] + float(data.qfrc_constraint[energy.dof] @ velocity) * model.opt.timestep)
+        rows.append(energy())
+    return np.arange(len(rows)) * model.opt.timestep, np.array(rows), np.array(given)
+
+
+class Energy:
+    """Kinetic energy, weight and springs (joints, tissue, coupling) of the person; contacts and the robot are left out.
+
+    A spring's force a x + b x^2 + c x^3 stores a x^2 / 2 + b x^3 / 3 + c x^4 / 4.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._model, self._data = simulation.model, simulation.data
+        model = simulation.model
+        root = model.body("human_pelvis").id
+        self._bodies = np.flatnonzero(model.body_rootid == root)
+        joints = np.flatnonzero(np.isin(model.jnt_bodyid, self._bodies))
+        self.dof = np.isin(model.dof_bodyid, self._bodies)
+        self._springs = joints[model.jnt_type[joints] != mujoco.mjtJoint.mjJNT_FREE]
+        self._mass_times_v = np.zeros(model.nv)
+
+    def __call__(self) -> float:
+        """[J]"""
+        model, data = self._model, self._data
+        # A step leaves poses where it began; bring them and the mass matrix to where it ended.
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
+        mujoco.mj_makeM(model, data)
+        velocity = np.where(self.dof, data.qvel, 0.0)
+        mujoco.mj_mulM(model, data, self._mass_times_v, velocity)
+        weight = -float(model.body_mass[self._bodies] @ data.xipos[self._bodies] @ model.opt.gravity)
+        at = model.jnt_qposadr[self._springs]
+        x = data.qpos[at] - model.qpos_spring[at]
+        b, c = model.jnt_stiffnesspoly[self._springs].T
+        springs = float((model.jnt_stiffness[self._springs] * x**2 / 2 + b * x**3 / 3 + c * x**4 / 4).sum())
+        coupling = float((model.tendon_stiffness * data.ten_length**2 / 2).sum())
+        return 0.5 * float(velocity @ self._mass_times_v) + weight + springs + coupling
+
+
+def draw(result: CheckResult, figure: Figure) -> None:
+    figure.set_size_inches(6.6, 2.6)
+    left, right = figure.subplots(1, 2)
+    for colour, name in zip(("C0", "C1"), LIFTS_DEG, strict=True):
+        if f"drop/{name}" in result.curves:
+            time, energy, own = result.curves[f"drop/{name}"]
+            left.plot(time, energy, color=colour, label=name)
+            left.plot(time, own, color=colour, ls=":", label=f"{name}, without the bed's work")
+    left.set(
+        xlim=(0, 0.6), xlabel="time after release [s]", ylabel="energy over the settled state [J]", title="passive drop"
+    )
+    left.axhline(0.0, color="0.5", lw=0.6)
+    left.set_ylim(None, 1.6 * left.get_ylim()[1])
+    left.legend(loc="upper right")
+    regions = dict(zip(REGIONS, ("C0", "C1", "C2"), strict=True))
+    for region, colour in regions.items():
+        depth, force = result.curves.get(f"loop/{region}/{1000 * QUICK_SPEEDS_M_S[0]:.0f}", np.zeros((2, 0)))
+        if len(depth):
+            right.plot(1000 * depth, force, color=colour, label=region.replace("_", " "))
+    right.set(xlabel="indentation [mm]", ylabel="force [N]",
+              title=f"loading and unloading at {1000 * QUICK_SPEEDS_M_S[0]:.0f} mm/s")  # fmt: skip
+    right.legend()

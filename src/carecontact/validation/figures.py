@@ -1,0 +1,36 @@
+"""One look for every figure, without a display."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from carecontact.validation.result import CheckResult
+
+# Okabe and Ito's palette: told apart by colour-blind readers and in print.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLE = {
+    "font.size": 8, "axes.titlesize": 9, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7,
+    "ytick.labelsize": 7, "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7,
+    "lines.linewidth": 1.3, "legend.frameon": False, "savefig.dpi": 200, "figure.constrained_layout.use": True,
+    "axes.grid": True, "grid.color": "0.9", "grid.linewidth": 0.5,
+}  # fmt: skip
+
+
+def draw_figure(result: CheckResult, draw: Callable[[CheckResult, Figure], None], path: Path) -> None:
+    """Write a check's figure as PNG."""
+    import matplotlib
+    from cycler import cycler
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    style: Any = {**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}
+    with matplotlib.rc_context(style):
+        figure = Figure(layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(result, figure)
+        figure.savefig(path, metadata={"Software": None})

@@ -1,0 +1,141 @@
+"""Check 1: one press, its force measured by four paths that share no arithmetic."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from carecontact.errors import SceneError
+from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
+from carecontact.sim.simulation import Samples, Simulation
+from carecontact.validation.force_paths import AnchorForce, bed_reaction, tip_force, touches_hard_parts
+from carecontact.validation.moves import move_to, surface_point
+from carecontact.validation.result import Array, CheckResult, Measure
+from carecontact.validation.subject import Subject
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TITLE = "Force balance by independent paths"
+RANGE_M = (0.003, 0.008)
+LEVELS_M, QUICK_LEVELS_M = (0.0033, 0.0046, 0.0059, 0.0072), (0.0035, 0.0070)
+"""Depths at which the tool stops and the forces are read."""
+SPEED_M_S = 0.004
+"""Between two levels; at a level the tool rests."""
+REST_M_S, LONGEST_REST_S, READ_S = 1e-4, 3.0, 0.06
+"""The tool rests when it is slower than this, and no longer than that is waited for it."""
+STIFFNESS = (1000.0, 20.0)
+"""Translational and rotational: the stiffer, the less the target has to run ahead of the tool."""
+GRAVITY_M_S2 = 9.81
+LONGEST_PRESS_S = 10.0
+PATHS = ("contact", "anchors", "joint torques", "bed")
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    measures: list[Measure] = []
+    curves: dict[str, Array] = {}
+    for region in ("forearm",) if quick else REGIONS:
+        rows, weight = press_in_levels(subject.hovering(region), region, QUICK_LEVELS_M if quick else LEVELS_M)
+        size = np.linalg.norm(rows["contact"], axis=1)
+        gap = {path: np.linalg.norm(rows[path] - rows["contact"], axis=1) / size for path in PATHS[1:]}
+        wanted_weight = subject.scene(region).body.mass_kg * GRAVITY_M_S2
+
+        def line(name: str, share: float, limit: float, region: str = region) -> Measure:
+            return Measure(name=f"{region}: {name}", value=100 * float(share), unit="%", limit=limit)
+
+        deep = rows["indentation"]
+        measures += [
+            line("contact against anchors", gap["anchors"].max(), 1.0),
+            line("contact against robot joint torques", gap["joint torques"].max(), 2.0),
+            line("bed reaction against weight and press", gap["bed"].max(), 1.0),
+            line("bed against weight before the press", abs(weight / wanted_weight - 1), 1.0),
+            Measure(name=f"{region}: tool speed at the readings", value=1000 * float(rows["speed"].max()), unit="mm/s",
+                    limit=2.0, side="below"),
+            Measure(name=f"{region}: readings out of range or on hard parts",
+                    value=float(((deep < RANGE_M[0]) | (deep > RANGE_M[1]) | (rows["hard"] > 0)).sum()), limit=0.0),
+            Measure(name=f"{region}: largest force", value=float(size.max()), unit="N"),
+        ]  # fmt: skip
+        curves[f"{region}/indentation"] = deep
+        curves |= {f"{region}/{path}": np.linalg.norm(rows[path], axis=1) for path in PATHS}
+        curves |= {f"{region}/gap {path}": 100 * gap[path] for path in PATHS[1:]}
+    return CheckResult(check="force-balance", title=TITLE, measures=tuple(measures), curves=curves)
+
+
+def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, ...]) -> tuple[dict[str, Array], float]:
+    """Press down at the region's middle and stop at each level of indentation.
+
+    Returns one row a level, n of them, and the bed's upward force before [N]. Rows: indentation (n,) [m], speed (n,) of
+    the tool [m/s], hard (n,) how often core or pinned vertices carried load, and for each of PATHS the force that the
+    robot exerts on the person (n, 3) [N], with its value before the press taken off. Raises SceneError if a level is
+    not reached.
+    """
+    column, index = SEGMENTS.index(REGION_SEGMENT[region]), REGIONS.index(region)
+    anchors = AnchorForce(simulation, region)
+    period = simulation.protocol.physics.target_period_s
+    simulation.set_stiffness(*STIFFNESS)
+    top = surface_point(simulation, region)
+    height, tangent, last = float(top[2]) + 0.002, 0.0, (0.0, 0.0)
+    move_to(simulation, np.array([*top[:2], height]), seconds=0.6)
+
+    def go(speed: float) -> Samples:
+        nonlocal height
+        # A spring between target and tool: the target runs ahead by what the tissue's stiffness asks for.
+        height -= speed * period * (1.0 + tangent / STIFFNESS[0])
+        return move_to(simulation, np.array([*top[:2], height]), seconds=period)[-1]
+
+    def read() -> tuple[Array, float, int]:
+        """(4, 3) forces by path, the tool's largest speed and how often hard parts were met, once the tool rests.
+
+        Taken step by step over whole target periods: within one the posture torque lets the tip swing a little.
+        """
+        for _ in range(round(LONGEST_REST_S / period)):
+            if go(0.0).tcp_speed.max() < REST_M_S:
+                break
+        forces, speed, hard = [], 0.0, 0
+        for _ in range(round(READ_S / simulation.model.opt.timestep)):
+            samples = simulation.advance(1)[-1]
+            forces.append([samples.force[-1, column], anchors(), tip_force(simulation), -bed_reaction(simulation)])
+            speed = max(speed, float(samples.tcp_speed.max()))
+            hard += touches_hard_parts(simulation, region)
+        return np.mean(forces, axis=0), speed, hard
+
+    before = read()[0]
+    rows: dict[str, list] = {name: [] for name in ("indentation", "speed", "hard", *PATHS)}
+    for level in levels_m:
+        began = simulation.time_s
+        while (depth := float(simulation.indentation()[index])) < level:
+            if simulation.time_s > began + LONGEST_PRESS_S:
+                raise SceneError(f"{region}: the press came {1000 * depth:.1f} mm deep, {1000 * level:.1f} mm wanted")
+            force = float(np.linalg.norm(go(SPEED_M_S).force[-1, column]))
+            if depth - last[0] > 2e-4:
+                tangent = float(np.clip((force - last[1]) / (depth - last[0]), 0.0, 8000.0))
+                last = (depth, force)
+        forces, speed, hard = read()
+        rows["indentation"].append(float(simulation.indentation()[index]))
+        rows["speed"].append(speed)
+        rows["hard"].append(hard)
+        for path, of_path in zip(PATHS, forces - before, strict=True):
+            rows[path].append(of_path)
+    return {name: np.array(values) for name, values in rows.items()}, -float(before[PATHS.index("bed"), 2])
+
+
+def draw(result: CheckResult, figure: Figure) -> None:
+    regions = [region for region in REGIONS if f"{region}/indentation" in result.curves]
+    figure.set_size_inches(2.4 * len(regions) + 0.6, 3.6)
+    axes = figure.subplots(2, len(regions), squeeze=False, sharex="col", sharey="row", height_ratios=[3, 2])
+    markers = {"contact": "o", "anchors": "s", "joint torques": "^", "bed": "D"}
+    for region, (above, below) in zip(regions, axes.T, strict=True):
+        depth = 1000 * result.curves[f"{region}/indentation"]
+        for number, (path, marker) in enumerate(markers.items()):
+            above.plot(depth, result.curves[f"{region}/{path}"], marker, ms=9 - 2 * number, mfc="none", label=path)
+            if path != "contact":
+                below.plot(depth, np.maximum(result.curves[f"{region}/gap {path}"], 1e-4), marker + "-", ms=4,
+                           mfc="none", color=above.lines[-1].get_color())  # fmt: skip
+        for limit, style in ((1.0, "--"), (2.0, ":")):
+            below.axhline(limit, color="0.4", lw=0.8, ls=style)
+        below.set(xlabel="indentation [mm]", yscale="log")
+        above.set_title(region.replace("_", " "))
+    axes[0, 0].set_ylabel("force [N]")
+    axes[1, 0].set_ylabel("off contact [%]\n(lines: 1 %; torques 2 %)")
+    axes[0, 0].legend()

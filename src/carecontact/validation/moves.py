@@ -1,0 +1,107 @@
+"""Scripted motions of the tool: the same command every time, so that only the person differs between two runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carecontact.contract.geometry import matrix_from_quat
+from carecontact.sim.simulation import Samples, Simulation
+from carecontact.validation.result import Array
+
+DOWN = np.array([0.0, 1.0, 0.0, 0.0])
+"""quat_wxyz in the robot's base of a tool whose z points to the floor."""
+
+
+def skin_points(simulation: Simulation, region: str) -> Array:
+    """(n, 3) free shell vertices in the world now [m]; the skin lies the flex radius above them."""
+    ids = [simulation.model.body(f"{region}_v{k}").id for k in simulation.scene.regions[region].vertex_index]
+    return simulation.data.xpos[ids]
+
+
+def surface_point(simulation: Simulation, region: str, offset: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """(3,) highest skin near the region's middle plus a horizontal ``offset`` (along, across) of its axis [m]."""
+    along, across = axes(simulation, region)
+    points, middle = skin_points(simulation, region), simulation.data.site(f"region_{region}").xpos
+    at = middle[:2] + offset[0] * along[:2] + offset[1] * across[:2]
+    distance = np.linalg.norm(points[:, :2] - at, axis=1)
+    near = points[distance < max(0.015, float(distance.min()) + 1e-6)]
+    return np.array([*at, near[:, 2].max()])
+
+
+def axes(simulation: Simulation, region: str) -> tuple[Array, Array]:
+    """Horizontal unit vectors (3,) along the region's axis and across it."""
+    along = simulation.data.site(f"region_{region}").xmat.reshape(3, 3)[:, 0].copy()
+    along[2] = 0.0
+    along /= np.linalg.norm(along)
+    return along, np.cross([0.0, 0.0, 1.0], along)
+
+
+def in_base(simulation: Simulation, position_in_world: Array) -> Array:
+    base = simulation.pose_base_in_world
+    return matrix_from_quat(base[3:]).T @ (np.asarray(position_in_world) - base[:3])
+
+
+def move_to(simulation: Simulation, position_in_world: Array, *, seconds: float) -> list[Samples]:
+    """Send the impedance target, pointing down, to a point in the world and run until it is there."""
+    simulation.set_goal(np.r_[in_base(simulation, position_in_world), DOWN], seconds)
+    return simulation.advance(round(seconds / simulation.model.opt.timestep))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Behaviour:
+    """A contact as a policy might make it: down into the region, to and fro along its axis, up again."""
+
+    name: str
+    overtravel_m: float
+    """How far under the skin the target goes; the force is the impedance's."""
+    half_stroke_m: float = 0.0
+    strokes: int = 0
+    speed_m_s: float = 0.10
+    pause_s: float = 0.0
+    """Rest at each end of a stroke."""
+    hold_s: float = 0.4
+
+
+PRESS = Behaviour(name="press", overtravel_m=0.025, hold_s=0.8)
+SCRUB = Behaviour(name="scrub", overtravel_m=0.020, half_stroke_m=0.040, strokes=2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Performance:
+    samples: list[Samples]
+    indentation_m: Array
+    """(p, R) largest inward anchor displacement of each region after every target period."""
+
+
+def perform(simulation: Simulation, region: str, behaviour: Behaviour) -> Performance:
+    """Run a behaviour from the hover over the region; the target follows the skin's slope along the stroke."""
+    along, _ = axes(simulation, region)
+    reach = max(behaviour.half_stroke_m, 0.01)
+    middle, low, high = (surface_point(simulation, region, (offset, 0.0)) for offset in (0.0, -reach, reach))
+    slope = float(high[2] - low[2]) / (2 * reach)
+    samples: list[Samples] = []
+    indentation: list[Array] = []
+
+    def go(distance: float, seconds: float, *, lift: float = 0.0) -> None:
+        goal = middle + distance * along + [0, 0, distance * slope - behaviour.overtravel_m + lift]
+        simulation.set_goal(np.r_[in_base(simulation, goal), DOWN], seconds)
+        period = round(simulation.protocol.physics.target_period_s / simulation.model.opt.timestep)
+        for _ in range(round(seconds / simulation.protocol.physics.target_period_s)):
+            samples.extend(simulation.advance(period))
+            indentation.append(simulation.indentation())
+
+    go(0.0, 0.8)
+    go(0.0, behaviour.hold_s)
+    place = 0.0
+    for stroke in range(behaviour.strokes):
+        goal = behaviour.half_stroke_m * (1 if stroke % 2 == 0 else -1)
+        go(goal, abs(goal - place) / behaviour.speed_m_s)
+        if behaviour.pause_s:
+            go(goal, behaviour.pause_s)
+        place = goal
+    if place:
+        go(0.0, abs(place) / behaviour.speed_m_s)
+    go(0.0, 0.6, lift=behaviour.overtravel_m + 0.02)
+    return Performance(samples=samples, indentation_m=np.array(indentation))

@@ -1,0 +1,37 @@
+"""The person under test on the indentation bench: its own anchors, taken from the compiled scene."""
+
+from __future__ import annotations
+
+import mujoco
+
+from carecontact.sim.bench import Bench, Indenter
+from carecontact.validation.force_paths import anchor_joints
+from carecontact.validation.subject import Subject
+
+
+def person_bench(subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None) -> Bench:
+    """A bench whose stiffness, damping and friction are those of the compiled person, whatever the protocol says."""
+    bench = declared_bench(subject, region, indenter, dt_s=dt_s)
+    there, here = subject.scene(region).model, bench.model
+    for j in anchor_joints(there, region):
+        joint = here.joint(there.joint(j).name)
+        here.jnt_stiffness[joint.id] = there.jnt_stiffness[j]
+        here.jnt_stiffnesspoly[joint.id] = there.jnt_stiffnesspoly[j]
+        here.dof_damping[joint.dofadr[0]] = there.dof_damping[there.jnt_dofadr[j]]
+    flex = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, region) for model in (here, there)]
+    here.flex_friction[flex[0]] = there.flex_friction[flex[1]]
+    return bench
+
+
+def declared_bench(subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None) -> Bench:
+    """A bench with the law that the protocol declares, on the person's own mesh."""
+    scene = subject.scene(region)
+    return Bench(
+        body=scene.body, region=region, tissue=subject.tissue(region), indenter=indenter,
+        dt_s=dt_s or subject.protocol.physics.dt_s, shell=scene.regions[region].shell,
+    )  # fmt: skip
+
+
+def tool() -> Indenter:
+    """The shipped tool, lying across the region."""
+    return Indenter(shape="cap")

@@ -1,0 +1,80 @@
+"""What a check hands back: measured quantities, the lines that decide, and the curves of its figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """One measured quantity; with a limit it is a pass line."""
+
+    name: str
+    value: float
+    unit: str = ""
+    limit: float | None = None
+    side: Literal["at most", "at least", "below"] = "at most"
+    decides: bool = True
+    """False: the limit is stated and shown, but missing it does not fail the check."""
+
+    @property
+    def met(self) -> bool | None:
+        """None without a limit. A value that is not finite meets nothing."""
+        if self.limit is None:
+            return None
+        if not isfinite(self.value):
+            return False
+        if self.side == "below":
+            return self.value < self.limit
+        return self.value <= self.limit if self.side == "at most" else self.value >= self.limit
+
+    def as_json(self) -> dict[str, Any]:
+        """Six digits: what lies beyond them is rounding of the platform, no measurement."""
+        value = float(f"{self.value:.6g}") if isfinite(self.value) else None
+        out: dict[str, Any] = {"name": self.name, "value": value, "unit": self.unit}
+        if self.limit is not None:
+            out |= {"limit": self.limit, "side": self.side, "decides": self.decides, "met": self.met}
+        return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckResult:
+    check: str
+    """Name on the command line."""
+    title: str
+    measures: tuple[Measure, ...]
+    curves: Mapping[str, Array] = field(default_factory=dict)
+    """What the figure draws, by name; the check's own ``draw`` knows the shapes."""
+    error: str | None = None
+    """Why the check could not be finished; then it has failed."""
+
+    @property
+    def passed(self) -> bool:
+        """Every deciding line is met, there is one, and the check came to its end."""
+        deciding = [m for m in self.measures if m.limit is not None and m.decides]
+        return self.error is None and bool(deciding) and all(m.met for m in deciding)
+
+    @property
+    def missed(self) -> list[Measure]:
+        return [m for m in self.measures if m.decides and m.met is False]
+
+    def value(self, name: str) -> float:
+        """Raises KeyError, naming what there is."""
+        values = {m.name: m.value for m in self.measures}
+        if name not in values:
+            raise KeyError(f"no measure {name!r}; there are: {', '.join(values)}")
+        return values[name]
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "check": self.check, "title": self.title, "passed": self.passed, "error": self.error,
+            "measures": [m.as_json() for m in self.measures],
+        }  # fmt: skip

@@ -1,0 +1,94 @@
+"""The scorer's own C1, C5 and stroke of a scripted contact, so that the checks judge the numbers that are reported."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from carecontact.contract.trial import TrialSpec
+from carecontact.errors import SceneError
+from carecontact.recording.schema import REGIONS, SEGMENTS, Header, Recording
+from carecontact.scoring.c1_peak_force import peak_force
+from carecontact.scoring.c5_force_stability import force_stability
+from carecontact.scoring.contact import find_contact
+from carecontact.scoring.progress import measure_episodes
+from carecontact.sim.simulation import Samples, Simulation
+from carecontact.validation.moves import Behaviour, Performance, perform
+from carecontact.validation.subject import Subject
+
+TOUCHED_M = 0.0002
+"""Indentation above which the tissue counts as touched."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scores:
+    c1_n: float
+    c1_filtered_n: float
+    c5_n: float
+    stroke_m: float
+    beyond_measured: float
+    """Share of the time in tissue that was spent deeper than the reference measurements went."""
+
+
+def scores_of(simulation: Simulation, region: str, performance: Performance) -> Scores:
+    """NaN throughout if the region was not touched, and for the filtered peak where the time step is too long for it.
+
+    Raises SceneError where MuJoCo warned on the way.
+    """
+    dt, cutoff = simulation.model.opt.timestep, simulation.protocol.contact.peak_filter_hz
+    warnings = simulation.solver_warnings()
+    if warnings:
+        raise SceneError(
+            f"MuJoCo warned in a scripted contact at a time step of {1000 * dt:g} ms: {', '.join(warnings)}"
+        )
+    contact = find_contact(_recording(simulation, region, performance.samples))
+    spread = force_stability(contact)
+    if spread is None or contact.reported != contact.target:
+        return Scores(c1_n=np.nan, c1_filtered_n=np.nan, c5_n=np.nan, stroke_m=np.nan, beyond_measured=np.nan)
+    # The scorer's filter needs a sample rate of more than twice its cutoff.
+    peak = peak_force(contact) if 2 * cutoff * dt < 1 else None
+    depth = performance.indentation_m[:, REGIONS.index(region)]
+    measured = simulation.scene.regions[region].tissue.measured_depth_m
+    return Scores(
+        c1_n=float(contact.force_in_window.max()), c1_filtered_n=np.nan if peak is None else peak.filtered, c5_n=spread,
+        stroke_m=sum(episode.stroke_m for episode in measure_episodes(contact)),
+        beyond_measured=float((depth > measured).sum() / max(1, (depth > TOUCHED_M).sum())),
+    )  # fmt: skip
+
+
+def behaviour_scores(subject: Subject, region: str, behaviour: Behaviour) -> Scores:
+    simulation = subject.hovering(region)
+    return scores_of(simulation, region, perform(simulation, region, behaviour))
+
+
+def _recording(simulation: Simulation, region: str, samples: Sequence[Samples]) -> Recording:
+    """What the scorer reads of a trial whose policy was the script."""
+    protocol = simulation.protocol
+    shells = [simulation.scene.regions[r].shell for r in REGIONS]
+    spec = TrialSpec(
+        protocol=protocol, task_id=next(t.id for t in protocol.tasks if t.region == region), seed=0, policy="scripted"
+    )
+    header = Header(
+        spec=spec, ended="done", failure=None, card=None, embodiment="", comfort_arm_deg=None, segments=list(SEGMENTS),
+        regions=list(REGIONS), human_joints=simulation.joint_names,
+        pose_base_in_world=simulation.pose_base_in_world.tolist(), versions={}, sha256={}, solver_warnings=[],
+    )  # fmt: skip
+    return Recording(
+        header=header,
+        arrays={
+            "scorer/time_s": np.concatenate([s.time_s for s in samples]),
+            "scorer/force_human_from_robot_in_world": np.concatenate([s.force for s in samples]),
+            "scorer/normal_force": np.concatenate([s.normal for s in samples]),
+            "scorer/pose_tcp_in_world": np.concatenate([s.tcp_pose for s in samples]),
+            "scorer/region_pose_in_world": np.concatenate([s.region_pose for s in samples]),
+            "scorer/region_size_m": np.array([[s.length_m, s.radius_m, s.axis_depth_m] for s in shells]),
+        },
+    )
+
+
+def force_norm(samples: Sequence[Samples], region_segment: str) -> np.ndarray:
+    """(n,) norm of the robot's force on one segment at every step [N]."""
+    column = SEGMENTS.index(region_segment)
+    return np.linalg.norm(np.concatenate([s.force[:, column] for s in samples]), axis=1)

@@ -1,0 +1,118 @@
+"""Acceptance: a scrubbing tool glides; the force neither rattles nor drops out for single steps.
+
+The arm is held, as a patient may hold it: left loose it goes along with a firm tool, and nothing slides.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.recording.schema import REGION_SEGMENT
+from carecontact.scoring.filters import low_pass
+from carecontact.sim.simulation import Samples, Simulation
+from carecontact.validation.moves import DOWN, axes, in_base, skin_points, surface_point
+from carecontact.validation.passive_response import lock_arm
+from carecontact.validation.result import Array, CheckResult, Measure
+from carecontact.validation.scores import force_norm
+from carecontact.validation.subject import Subject
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TITLE = "Smoothness of scrubbing"
+REGION = "forearm"
+FORCES_N, QUICK_FORCES_N = (5.0, 15.0), (5.0,)
+SPEED_M_S, HALF_STROKE_M, STROKES, QUICK_STROKES = 0.10, 0.090, 4, 2
+"""Of the target. Damping and friction hold the tool about 45 mm behind it, so the tool itself covers half of that."""
+STEADY = 0.7
+"""Share of the speed above which the tool counts as scrubbing; below, it turns, and there the force really jumps."""
+NOISE_ABOVE_HZ, NOISE_LIMIT_N = 20.0, 0.15
+SAMPLE_HZ, DROP_SHARE, DROP_N = 500.0, 0.3, 0.3
+SERVO_S, SERVO_RAD_S = 2.0, 6.0
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    measures: list[Measure] = []
+    curves: dict[str, Array] = {}
+    for wanted in QUICK_FORCES_N if quick else FORCES_N:
+        simulation = subject.hovering(REGION)
+        lock_arm(simulation)
+        time, force, steady = scrub(simulation, wanted, strokes=QUICK_STROKES if quick else STROKES)
+        high = force - low_pass(force, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=1 / (time[1] - time[0]), zero_phase=True)
+        name = f"scrubbing at {wanted:.0f} N"
+        measures += [
+            Measure(name=f"{name}: force noise above 20 Hz, rms", value=float(high[steady].std()), unit="N",
+                    limit=NOISE_LIMIT_N),
+            Measure(name=f"{name}: single-step dropouts", value=float(dropouts(time, force)[steady].sum()), limit=0.0),
+            Measure(name=f"{name}: mean force off the wanted one", unit="%", limit=25.0,
+                    value=float(100 * abs(force[steady].mean() / wanted - 1))),
+            Measure(name=f"{name}: share of the time at speed", value=float(100 * steady.mean()), unit="%",
+                    limit=25.0, side="at least"),
+        ]  # fmt: skip
+        curves[f"{wanted:.0f} N"] = np.stack([time, force, steady.astype(np.float64)])
+    return CheckResult(check="smoothness", title=TITLE, measures=tuple(measures), curves=curves)
+
+
+def dropouts(time_s: Array, force_n: Array) -> npt.NDArray[np.bool_]:
+    """(n,) where a 500 Hz sample falls more than 30 % and 0.3 N below the median of its two neighbours each side."""
+    stride = max(1, round(1 / (SAMPLE_HZ * (time_s[1] - time_s[0]))))
+    sampled = force_n[::stride]
+    around = np.stack([np.roll(sampled, k) for k in (-2, -1, 1, 2)])
+    middle = np.median(around, axis=0)
+    fallen = (sampled < (1 - DROP_SHARE) * middle) & (sampled < middle - DROP_N)
+    fallen[:2] = fallen[-2:] = False
+    out = np.zeros(len(force_n), bool)
+    out[::stride] = fallen
+    return out
+
+
+def scrub(simulation: Simulation, newton: float, *, strokes: int) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """To and fro over the skin at a mean force; time [s], force [N] and whether the tool moves at speed, each (n,).
+
+    The target follows the skin's profile at rest under the tool; its depth is set by the measured force, slowly
+    enough (about 1 Hz) to leave the noise alone.
+    """
+    stiffness = simulation.protocol.impedance.translational_n_m
+    along, across = axes(simulation, REGION)
+    top = surface_point(simulation, REGION)
+    skin = skin_points(simulation, REGION) - top
+    line = (np.abs(skin @ across) < 0.012) & (skin[:, 2] > -0.03)
+    profile = np.polynomial.Polynomial.fit(skin[line] @ along, skin[line, 2], 3)
+    period, dt = simulation.protocol.physics.target_period_s, simulation.model.opt.timestep
+    tip = simulation.data.site("tcp")
+    depth = newton / stiffness
+
+    def go(place: float) -> list[Samples]:
+        nonlocal depth
+        under = float(profile((tip.xpos - top) @ along))
+        goal = top + place * along + [0, 0, under - depth]
+        simulation.set_goal(np.r_[in_base(simulation, goal), DOWN], period)
+        samples = simulation.advance(round(period / dt))
+        depth += SERVO_RAD_S * period * (newton - force_norm(samples, REGION_SEGMENT[REGION]).mean()) / stiffness
+        return samples
+
+    for _ in range(round(SERVO_S / period)):
+        go(0.0)
+    samples: list[Samples] = []
+    place, direction = 0.0, 1.0
+    for _ in range(round(strokes * 2 * HALF_STROKE_M / SPEED_M_S / period)):
+        place += direction * SPEED_M_S * period
+        samples += go(place)
+        if abs(place) >= HALF_STROKE_M - 1e-9:
+            direction = -np.sign(place)
+    time, speed = (np.concatenate([getattr(s, name) for s in samples]) for name in ("time_s", "tcp_speed"))
+    return time - time[0], force_norm(samples, REGION_SEGMENT[REGION]), speed > STEADY * SPEED_M_S
+
+
+def draw(result: CheckResult, figure: Figure) -> None:
+    figure.set_size_inches(5.0, 2.6)
+    axes = figure.subplots()
+    for name, (time, force, steady) in result.curves.items():
+        (line,) = axes.plot(time, np.where(steady > 0, force, np.nan), lw=0.8, label=f"about {name}")
+        axes.plot(time, force, lw=0.5, color=line.get_color(), alpha=0.4)
+    axes.set(xlabel="time [s]", ylabel="force [N]", ylim=(0, None),
+             title=f"scrubbing the {REGION} at {SPEED_M_S:.1f} m/s (pale: turning)")  # fmt: skip
+    axes.legend()

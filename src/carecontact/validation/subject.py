@@ -1,0 +1,88 @@
+"""The person under test: scenes from a factory, built and settled once, handed out at rest or with the tool above."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from typing import Protocol as Interface
+
+from carecontact.contract.protocol import Protocol, Tissue
+from carecontact.errors import SceneError
+from carecontact.sim.simulation import Simulation
+from carecontact.validation.moves import move_to, surface_point
+from carecontact.validation.result import Array
+from carecontact.world.scene import Scene, build_scene
+
+COMFORT_ARM_DEG = 52.5
+"""Middle of the protocol's range."""
+HOVER_M = 0.020
+"""Height of the tool's tip over the skin from which the scripted contacts begin."""
+
+
+class MakeScene(Interface):
+    """``build_scene``, or what a test puts in its place to plant a defect."""
+
+    def __call__(self, protocol: Protocol, *, target: str | None, skin: bool) -> Scene: ...
+
+
+class Subject:
+    """Every simulation handed out has a model of its own, so that a check may change it."""
+
+    def __init__(self, protocol: Protocol, *, make_scene: MakeScene = build_scene) -> None:
+        self.protocol, self.make_scene = protocol, make_scene
+        self._scenes: dict[str, Scene] = {}
+        self._rest: dict[str, Array] = {}
+        self._hover: dict[str, Array] = {}
+
+    def scene(self, region: str) -> Scene:
+        """The compiled world in which ``region`` is the target; not to be changed."""
+        if region not in self._scenes:
+            self._scenes[region] = self.make_scene(self.protocol, target=region, skin=False)
+        return self._scenes[region]
+
+    def at_rest(self, region: str) -> Simulation:
+        """Settled, robot parked, t = 0. Raises SettleError if the person does not come to rest."""
+        if region not in self._rest:
+            simulation = Simulation(_own_model(self.scene(region)))
+            simulation.settle(COMFORT_ARM_DEG)
+            self._rest[region] = simulation.integration_state()
+        return self._restored(region, self._rest[region])
+
+    def hovering(self, region: str) -> Simulation:
+        """Settled, the tool pointing down at rest HOVER_M over the region's middle, t = 0. Raises SceneError if MuJoCo
+        warned on the way there."""
+        if region not in self._hover:
+            simulation = self.at_rest(region)
+            top = surface_point(simulation, region)
+            move_to(simulation, top + [0, 0, 0.10], seconds=3.0)
+            move_to(simulation, top + [0, 0, HOVER_M], seconds=0.8)
+            move_to(simulation, top + [0, 0, HOVER_M], seconds=0.6)
+            if warnings := simulation.solver_warnings():
+                raise SceneError(f"MuJoCo warned while the tool moved over the {region}: {', '.join(warnings)}")
+            self._hover[region] = simulation.integration_state()
+        return self._restored(region, self._hover[region])
+
+    def tissue(self, region: str) -> Tissue:
+        """What the protocol declares."""
+        return {str(name): row for name, row in self.protocol.person.tissue.items()}[region]
+
+    def with_dt(self, dt_s: float) -> Subject:
+        """The same person at another time step."""
+        return self.variant(physics=self.protocol.physics.model_copy(update={"dt_s": dt_s}))
+
+    def with_tissue(self, region: str, tissue: Tissue) -> Subject:
+        person = self.protocol.person
+        return self.variant(person=person.model_copy(update={"tissue": {**person.tissue, region: tissue}}))
+
+    def variant(self, **update: object) -> Subject:
+        """Another protocol through the same factory."""
+        return Subject(self.protocol.model_copy(update=update), make_scene=self.make_scene)
+
+    def _restored(self, region: str, state: Array) -> Simulation:
+        simulation = Simulation(_own_model(self.scene(region)))
+        simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
+        return simulation
+
+
+def _own_model(scene: Scene) -> Scene:
+    return replace(scene, model=copy.copy(scene.model))

@@ -1,0 +1,104 @@
+"""Acceptance: wherever the tool lands on the target, the same indentation asks for nearly the same force."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.recording.schema import REGIONS
+from carecontact.sim.bench import Bench
+from carecontact.validation.pressing import person_bench, tool
+from carecontact.validation.result import Array, CheckResult, Measure
+from carecontact.validation.subject import Subject
+from carecontact.world.human.shell import Shell
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TITLE = "Uniformity over the target"
+DEPTHS_M, CV_LIMITS_PERCENT = np.array([0.004, 0.008]), (8.0, 4.0)
+PLACES, QUICK_PLACES = 20, 6
+SEED = 20
+BORDER_M = 0.019
+"""Kept free along the mask's border: half the tool's width."""
+UPWARD = 0.5
+"""The mask is what a tool from above meets: normals within 60 degrees of the region's outward direction."""
+SPEED_M_S = 0.010
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    measures: list[Measure] = []
+    curves: dict[str, Array] = {}
+    for region in ("forearm",) if quick else REGIONS:
+        bench = person_bench(subject, region, tool())
+        rng = np.random.default_rng([SEED, REGIONS.index(region)])
+        places = random_places(bench.shell, rng, QUICK_PLACES if quick else PLACES)
+        force = np.array([_press(bench, place) for place in places])
+        for depth, limit, column in zip(DEPTHS_M, CV_LIMITS_PERCENT, force.T, strict=True):
+            measures.append(
+                Measure(name=f"{region}: variation of peak force over {len(places)} places at {1000 * depth:.0f} mm",
+                        value=float(100 * column.std() / column.mean()), unit="%", limit=limit)
+            )  # fmt: skip
+        shell = bench.shell
+        seen = shell.normals @ shell.frame[:, 2] > 0.0
+        curves |= {
+            f"{region}/points": np.c_[_flat(shell), mask(shell), shell.pinned][seen], f"{region}/places": places,
+            f"{region}/force": force,
+        }  # fmt: skip
+    return CheckResult(check="uniformity", title=TITLE, measures=tuple(measures), curves=curves)
+
+
+def _press(bench: Bench, place: Array) -> Array:
+    return bench.response(DEPTHS_M, along_m=place[0], across_m=place[1], speed_m_s=SPEED_M_S)
+
+
+def _flat(shell: Shell) -> Array:
+    """(N, 2) vertices along and across the region's frame [m]."""
+    return ((shell.vertices - shell.frame_origin) @ shell.frame)[:, :2]
+
+
+def mask(shell: Shell) -> npt.NDArray[np.bool_]:
+    """(N,) vertices of the target: the fine patch as seen by a tool that comes from outside."""
+    return shell.fine & ~shell.pinned & (shell.normals @ shell.frame[:, 2] > UPWARD)
+
+
+def random_places(shell: Shell, rng: np.random.Generator, count: int) -> Array:
+    """(count, 2) places (along, across) [m] on the mask, BORDER_M away from every vertex outside it."""
+    points, inside = shell.vertices, mask(shell)
+    upward = shell.normals @ shell.frame[:, 2] > 0.0
+    flat = _flat(shell)
+    chosen = []
+    low, high = flat[inside].min(0), flat[inside].max(0)
+    while len(chosen) < count:
+        place = rng.uniform(low, high)
+        nearest = np.where(upward, np.linalg.norm(flat - place, axis=1), np.inf).argmin()
+        if inside[nearest] and np.linalg.norm(points[~inside] - points[nearest], axis=1).min() > BORDER_M:
+            chosen.append(place)
+    return np.array(chosen)
+
+
+def draw(result: CheckResult, figure: Figure) -> None:
+    regions = [region for region in REGIONS if f"{region}/points" in result.curves]
+    figure.set_size_inches(max(3.4, 2.5 * len(regions)), 4.2)
+    axes = figure.subplots(2, len(regions), squeeze=False)
+    for (above, below), region in zip(axes.T, regions, strict=True):
+        along, across, inside, pinned = result.curves[f"{region}/points"].T
+        above.plot(1000 * along, 1000 * across, ".", ms=1.5, color="0.8")
+        above.plot(1000 * along[pinned > 0], 1000 * across[pinned > 0], ".", ms=1.5, color="k", label="pinned")
+        above.plot(1000 * along[inside > 0], 1000 * across[inside > 0], ".", ms=2.5, color="C5", label="target mask")
+        places, force = result.curves[f"{region}/places"], result.curves[f"{region}/force"]
+        above.plot(*1000 * places.T, "x", ms=4, color="C1", label="pressed")
+        above.set_aspect("equal")
+        above.grid(visible=False)
+        above.set(xlabel="along [mm]", title=region.replace("_", " "))
+        for k, depth in enumerate(DEPTHS_M):
+            cv = 100 * force[:, k].std() / force[:, k].mean()
+            below.plot(np.sort(force[:, k] / force[:, k].mean()), "o-", ms=3, lw=0.7,
+                       label=f"{1000 * depth:.0f} mm, CV {cv:.1f} %")  # fmt: skip
+        below.set(xlabel="places in order of force", ylim=(0.6, 1.6))
+        below.legend(loc="upper left")
+    axes[0, 0].set_ylabel("across [mm]")
+    axes[1, 0].set_ylabel("force / mean")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)

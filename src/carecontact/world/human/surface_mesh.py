@@ -1,0 +1,143 @@
+"""Triangles between rows of points, rays onto a surface, and the quantities of a triangulated patch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.errors import SceneError
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+GROWTH = 0.4
+"""Metres of spacing gained per metre away from the fine patch."""
+
+
+def graded(low: float, high: float, spacing: Callable[[Array], Array]) -> Array:
+    """Coordinates from ``low`` to ``high``, both included, nowhere further apart than ``spacing`` says.
+
+    Args:
+        spacing: (n,) coordinates -> (n,) widest step there.
+    """
+    fine, steps = _step_count(low, high, spacing)
+    count = max(1, int(np.ceil(steps[-1] - 1e-6)))
+    return np.interp(np.arange(count + 1) / count * steps[-1], steps, fine)
+
+
+def graded_from_middle(half_width: float, spacing: Callable[[Array], Array], *, half_step: bool) -> Array:
+    """Coordinates from ``-half_width`` to ``half_width``, mirrored, so that the rows of a lattice agree at its middle.
+
+    Args:
+        half_step: no point at the middle but half a step beside it, as every other row of a triangular lattice.
+    """
+    fine, steps = _step_count(0.0, half_width, spacing)
+    shift = 0.5 if half_step else 0.0
+    count = max(1, int(np.ceil(steps[-1] - shift - 1e-6)))
+    at = (np.arange(count) + shift) * steps[-1] / (count + shift)
+    side = np.concatenate([np.interp(at, steps, fine), [half_width]])
+    return np.concatenate([-side[::-1], side if half_step else side[1:]])
+
+
+def _step_count(low: float, high: float, spacing: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """Fine coordinates and how many steps of the wanted width lie before each."""
+    fine = np.linspace(low, high, 2001)
+    middle = (fine[1:] + fine[:-1]) / 2
+    return fine, np.concatenate([[0.0], np.cumsum(np.diff(fine) / spacing(middle))])
+
+
+def distance_outside(u: Array, half_width: float) -> Array:
+    return np.maximum(np.abs(u) - half_width, 0.0)
+
+
+def zip_rows(rows: list[Array]) -> Indices:
+    """(M, 3) triangles between neighbouring rows of points (n_i, 3); rows may differ in length.
+
+    Advances on the side whose next diagonal is shorter, from the rows' first points to their last.
+    """
+    first = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
+    triangles: list[tuple[int, int, int]] = []
+    for k, (a, b) in enumerate(pairwise(rows)):
+        i = j = 0
+        while i < len(a) - 1 or j < len(b) - 1:
+            along_a = i < len(a) - 1 and (
+                j == len(b) - 1 or np.linalg.norm(a[i + 1] - b[j]) <= np.linalg.norm(b[j + 1] - a[i])
+            )
+            p, q = int(first[k] + i), int(first[k + 1] + j)
+            triangles.append((p, p + 1, q) if along_a else (p, q + 1, q))
+            i, j = (i + 1, j) if along_a else (i, j + 1)
+    return np.array(triangles)
+
+
+def normals_and_areas(vertices: Array, triangles: Indices) -> tuple[Array, Array]:
+    """(N, 3) unit normals by the triangles' winding and (N,) area shares [m^2] of the vertices."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    face = np.cross(b - a, c - a)
+    normals, area = np.zeros_like(vertices), np.zeros(len(vertices))
+    for k in range(3):
+        np.add.at(normals, triangles[:, k], face)
+        np.add.at(area, triangles[:, k], np.linalg.norm(face, axis=1) / 6)
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True), area
+
+
+def smooth_field(
+    u: Array, v: Array, values: Array, *, sigma: tuple[float, float], wrap: bool
+) -> Callable[[float | Array, Array], Array]:
+    """A smooth function of (u, v) through values sampled on a regular grid, blurred by a Gaussian.
+
+    Args:
+        values: (len(u), len(v)).
+        sigma: standard deviations as shares of the spans of u and v.
+        wrap: v is an angle whose ends meet; the last column repeats the first.
+
+    The blur leaves a linear trend as it is, at the borders too: it is applied to what a plane does not explain, and the
+    samples beyond a border are the point reflections of those inside.
+    """
+    from scipy.interpolate import RectBivariateSpline
+    from scipy.ndimage import gaussian_filter1d
+
+    width = [s * (n - 1) for s, n in zip(sigma, values.shape, strict=True)]
+
+    def reflected(a: Array, count: int) -> Array:
+        return np.concatenate([2 * a[:1] - a[count:0:-1], a, 2 * a[-1:] - a[-2 : -count - 2 : -1]])
+
+    count = min(len(u) - 1, int(np.ceil(4 * width[0])) + 1)
+    out = gaussian_filter1d(reflected(values, count), width[0], axis=0)[count:-count]
+    if wrap:
+        out = gaussian_filter1d(out[:, :-1], width[1], axis=1, mode="wrap")
+        out = np.concatenate([out, out[:, :1]], 1)
+    else:
+        count = min(len(v) - 1, int(np.ceil(4 * width[1])) + 1)
+        out = gaussian_filter1d(reflected(out.T, count), width[1], axis=0)[count:-count].T
+    spline = RectBivariateSpline(u, v, out)
+    return lambda at_u, at_v: spline.ev(np.broadcast_to(at_u, np.shape(at_v)), at_v)
+
+
+def first_hits(triangles: Array, origins: Array, directions: Array) -> Array:
+    """(n,) distance to the first hit along each ray (Moeller and Trumbore 1997).
+
+    Args:
+        triangles: (m, 3, 3) corners.
+        origins, directions: (n, 3); one origin serves all rays too.
+
+    Raises SceneError when a ray misses.
+    """
+    a, e1, e2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    o = np.broadcast_to(origins, directions.shape)
+    normal = np.cross(e1, e2)
+    # The method's triple products for all rays and triangles at once, as matrix products.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = -1 / (directions @ normal.T)
+        turned = np.cross(o, directions)
+        u = (turned @ e2.T - directions @ np.cross(e2, a).T) * inverse
+        v = (directions @ np.cross(e1, a).T - turned @ e1.T) * inverse
+        distance = (o @ normal.T - np.einsum("ij,ij->i", a, normal)) * inverse
+        hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & (distance > 0)
+    first = np.where(hit, distance, np.inf).min(1)
+    if np.isinf(first).any():
+        place = np.round(o[np.isinf(first)][0], 3).tolist()
+        raise SceneError(f"a ray from {place} misses the body's surface: the region does not fit this body")
+    return first

@@ -1,0 +1,154 @@
+"""The command on small data: what it writes, prints and verifies."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carecontact.calibration.certificate import content_sha256, read_certificate
+from carecontact.cli import main
+from carecontact.protocols import load_protocol
+from carecontact.protocols.tissue_sets import load_tissue_set
+from tests.calibration.conftest import HEADER, save
+
+
+def presses(count: int) -> list[str]:
+    """Loading only, F = 0.25 d + 0.05 d^2 [N, mm] to 3 mm at 20 mm/s with a ball, a few percent apart."""
+    out = []
+    for number in range(count):
+        travel = np.linspace(-1.0, 3.0, 80)
+        d = np.maximum(travel, 0.0)
+        force = (0.25 * d + 0.05 * d**2) * (1 + 0.03 * (number - 1))
+        out += [
+            f"t{number},forearm synthetic,p{number},{(s + 1) / 20:.5f},{s:.5f},{f:.5f},load,20,hemisphere,10,0,none"
+            for s, f in zip(travel, force, strict=True)
+        ]
+    return out
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("calibration")
+    trials = save(folder / "trials.csv", presses(3))
+    assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(folder / "out")]) == 0
+    return folder
+
+
+def test_certificate_says_what_was_found(made: Path) -> None:
+    content = read_certificate(made / "out" / "certificate.json").content
+    assert content.trials == content.subjects == 3
+    assert content.synthetic
+    nrmse = content.agreement["nrmse"].value
+    assert nrmse is not None
+    assert nrmse < 0.08
+    low, high = content.law["a_n_m3"].ci95 or (0.0, 0.0)
+    assert 0 < low <= high
+    # Trials that do not unload say nothing of damping.
+    assert content.law["damping_ns_m3"].value is None
+    assert content.agreement["loop_error"].value is None
+    assert any("no trial unloads" in note for note in content.notes)
+    assert content.gate_is_extrapolated
+    assert content.measured_depth_mm == pytest.approx(2.95, abs=0.15)
+
+
+def test_row_is_a_tissue_set(made: Path) -> None:
+    chosen = load_tissue_set(str(made / "out" / "tissue.toml"))
+    content = read_certificate(made / "out" / "certificate.json").content
+    assert chosen.tissue["forearm"] == content.tissue
+    assert chosen.tissue["abdomen"] == load_protocol().person.tissue["abdomen"]
+    assert "synthetic" in chosen.tissue["forearm"].source
+
+
+def test_figure_is_written(made: Path) -> None:
+    assert (made / "out" / "calibration.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_same_data_same_content(made: Path) -> None:
+    """Nothing in it depends on when or where it was made."""
+    again = made / "again"
+    assert main(["calibrate", str(made / "trials.csv"), "--region", "forearm", "--out", str(again)]) == 0
+    first, second = (read_certificate(folder / "certificate.json") for folder in (made / "out", again))
+    assert first.sha256 == second.sha256
+
+
+def test_verify_passes_here(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["calibrate", str(made / "trials.csv"), "--verify", str(made / "out" / "certificate.json")]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert "the certificate holds here" in out
+    # On the same machine to the last digit that is written.
+    assert "0.000%" in out
+
+
+def forged(made: Path, change: dict[str, float]) -> Path:
+    """A certificate of another law whose hash is right."""
+    old = read_certificate(made / "out" / "certificate.json")
+    content = old.content.model_copy(update={"tissue": old.content.tissue.model_copy(update=change)})
+    path = made / "forged.json"
+    text = old.model_copy(update={"content": content, "sha256": content_sha256(content)}).model_dump(mode="json")
+    path.write_text(json.dumps(text))
+    return path
+
+
+def test_verify_fails_where_forces_are_others(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    law = read_certificate(made / "out" / "certificate.json").content.tissue
+    path = forged(made, {"a_n_m3": 1.2 * law.a_n_m3})
+    assert main(["calibrate", str(made / "trials.csv"), "--verify", str(path)]) == 1
+    out = capsys.readouterr().out
+    assert "FAIL" in out
+    assert "does not hold here" in out
+
+
+def test_verify_wants_the_same_data(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = save(made / "other.csv", presses(2))
+    assert main(["calibrate", str(other), "--verify", str(made / "out" / "certificate.json")]) == 2
+    assert "verify with the same file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [("{}", "not a calibration certificate"), ("", "not a calibration certificate"), (None, "no such file")],
+)
+def test_bad_certificates(text: str | None, told: str, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = made / "bad.json"
+    path.unlink(missing_ok=True)
+    if text is not None:
+        path.write_text(text)
+    assert main(["calibrate", str(made / "trials.csv"), "--verify", str(path)]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_changed_certificate_is_refused(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (made / "out" / "certificate.json").read_text().replace('"trials": 3', '"trials": 30')
+    (made / "changed.json").write_text(text)
+    assert main(["calibrate", str(made / "trials.csv"), "--verify", str(made / "changed.json")]) == 2
+    assert "was changed after it was written" in capsys.readouterr().err
+
+
+def test_a_single_trial_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    trials = save(tmp_path / "t.csv", presses(1))
+    assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(tmp_path / "out")]) == 0
+    content = read_certificate(tmp_path / "out" / "certificate.json").content
+    assert content.held_out is None
+    assert content.law["a_n_m3"].ci95 is None
+    assert "a single trial" in capsys.readouterr().out
+
+
+def test_user_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    trials = save(tmp_path / "t.csv", presses(1), header=HEADER.replace("force_N", "force"))
+    assert main(["calibrate", str(trials), "--region", "forearm"]) == 2
+    assert "no column force_N" in capsys.readouterr().err
+    assert main(["calibrate", str(trials)]) == 2
+    assert "--region is missing" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("region", ["forearm", "abdomen"])
+def test_shipped_examples_are_small_and_labelled(region: str) -> None:
+    path = Path(__file__).parents[2] / "examples" / "calibration" / f"{region}_synthetic.csv"
+    text = path.read_text()
+    assert path.stat().st_size < 300_000
+    assert text.startswith("# SYNTHETIC")
+    assert all("synthetic" in line for line in text.splitlines()[2:])

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from carecontact.cli import main
+from carecontact.validation import energy
+from carecontact.validation.result import CheckResult, Measure
+
+
+def verdict(value: float) -> CheckResult:
+    return CheckResult(
+        check="energy", title=energy.TITLE, measures=(Measure(name="made up", value=value, unit="J", limit=1.0),)
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "status", "word"), [(0.5, 0, "passed"), (1.5, 1, "FAILED"), (float("nan"), 1, "FAILED")]
+)
+def test_exit_status_and_record_follow_the_verdict(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path,
+    value: float, status: int, word: str,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(energy, "run", lambda subject, *, quick: verdict(value))
+    monkeypatch.setattr(energy, "draw", lambda result, figure: figure.subplots())
+    arguments = ["validate", "--quick", "--checks", "energy", "--out", str(tmp_path / "out")]
+    assert main(arguments) == status
+    told = capsys.readouterr().out
+    assert word in told
+    assert ("made up" in told) is (status == 1)
+    record = json.loads((tmp_path / "out" / "validation.json").read_text())
+    assert record["passed"] is (status == 0)
+    assert record["quick"] is True
+    assert (tmp_path / "out" / "energy.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [(["--checks", "energie"], "force-balance"), (["--checks", "energy,energy"], "each once"),
+     (["--body", "nobody"], "man-adult"), (["--protocol", "nothing"], "bathing-v1-draft")],
+)  # fmt: skip
+def test_a_wrong_name_is_one_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], told: str
+) -> None:
+    assert main(["validate", "--quick", "--out", str(tmp_path), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert "Traceback" not in error
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,162 @@
+"""The indentation bench against what mechanics says of it."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from carecontact.contract.protocol import Tissue
+from carecontact.errors import ConfigError, SceneError
+from carecontact.protocols import load_protocol
+from carecontact.sim.bench import LAW_FIELDS, Bench, Indenter, make_shell, touch_depth
+from carecontact.world.human.body import load_body
+from carecontact.world.human.tissue import add_tissue, set_damping
+
+TISSUE = load_protocol().person.tissue
+BALL = Indenter(shape="hemisphere", size_m=0.010)
+
+
+def scaled(tissue: Tissue, factor: float) -> Tissue:
+    return tissue.model_copy(update={name: factor * getattr(tissue, name) for name in LAW_FIELDS})
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench(body=load_body("man-adult"), region="forearm", tissue=TISSUE["forearm"], indenter=BALL)
+
+
+@pytest.fixture
+def restored(bench: Bench) -> Bench:
+    bench.set_law(TISSUE["forearm"])
+    return bench
+
+
+@pytest.mark.parametrize(
+    "indenter", [BALL, Indenter(shape="flat", size_m=0.0107), Indenter(shape="cap")], ids=lambda i: i.shape
+)
+def test_force_is_the_sum_of_the_anchors(indenter: Indenter) -> None:
+    bench = Bench(body=load_body("man-adult"), region="forearm", tissue=TISSUE["forearm"], indenter=indenter)
+    press = bench.press(depth_m=0.004, speed_m_s=0.002)
+    on = press.force_n > 0.5
+    assert on.sum() > 20
+    np.testing.assert_allclose(press.anchor_force_n[on], press.force_n[on], rtol=0.01)
+    # A jump of contact points would show as a step: two samples are at most 10 um apart.
+    assert np.abs(np.diff(press.force_n)).max() < 0.05
+
+
+def test_stiffer_law_gives_nearly_as_much_more_force(restored: Bench) -> None:
+    """The contact is a spring in series with the anchors, so that the force grows a little less than the law."""
+    depths = np.array([0.001, 0.002, 0.004])
+    soft = restored.response(depths, speed_m_s=0.002)
+    restored.set_law(scaled(TISSUE["forearm"], 1.5))
+    ratio = restored.response(depths, speed_m_s=0.002) / soft
+    assert np.all((ratio > 1.15) & (ratio < 1.5))
+
+
+def test_changed_law_is_the_law_that_would_have_been_compiled(restored: Bench) -> None:
+    other = TISSUE["forearm"].model_copy(
+        update={"a_n_m3": 3e6, "b_n_m4": 2e8, "c_n_m5": 7e9, "damping_ns_m3": 5e4, "source": "another"}
+    )
+    restored.set_law(other)
+    spec = mujoco.MjSpec()
+    bone = spec.worldbody.add_body(name="human_right_forearm")
+    bone.add_body(name="human_right_forearm_tissue")
+    region = add_tissue(spec, restored.body, "forearm", restored.shell, other)
+    with pytest.warns(UserWarning, match="not rigid"):
+        compiled = spec.compile()
+    set_damping(compiled, {"forearm": region})
+    n = compiled.njnt
+    np.testing.assert_allclose(restored.model.jnt_stiffness[:n], compiled.jnt_stiffness)
+    np.testing.assert_allclose(restored.model.jnt_stiffnesspoly[:n], compiled.jnt_stiffnesspoly)
+    np.testing.assert_allclose(restored.model.dof_damping[:n], compiled.dof_damping)
+
+
+def test_another_mesh_needs_another_bench(restored: Bench) -> None:
+    with pytest.raises(ConfigError, match="areal_mass_kg_m2"):
+        restored.set_law(TISSUE["forearm"].model_copy(update={"areal_mass_kg_m2": 5.0}))
+
+
+def test_same_press_twice_is_the_same_to_the_bit(restored: Bench) -> None:
+    first = restored.press(depth_m=0.003, along_m=0.01, unload=True)
+    restored.press(depth_m=0.005, speed_m_s=0.05)
+    np.testing.assert_array_equal(restored.press(depth_m=0.003, along_m=0.01, unload=True).force_n, first.force_n)
+
+
+def test_press_goes_in_brakes_holds_and_comes_out(restored: Bench) -> None:
+    press = restored.press(depth_m=0.003, speed_m_s=0.02, unload=True, hold_s=0.1, acceleration_m_s2=0.5)
+    held = press.indentation_m > 0.003 - 1e-9
+    assert np.ptp(press.time_s[held]) == pytest.approx(0.1, abs=0.006)
+    # Time starts at geometric touch; the brake takes v^2 / 2 a = 0.4 mm.
+    cruising = press.loading & (press.indentation_m < 0.0025)
+    np.testing.assert_allclose(press.indentation_m[cruising], 0.02 * press.time_s[cruising], atol=1e-9)
+    assert np.abs(np.diff(press.speed_m_s)).max() <= 0.5 * np.diff(press.time_s).max() * 1.01
+    assert press.speed_m_s[-1] == pytest.approx(-0.02)
+    assert press.indentation_m[-1] < 0.0
+    assert np.trapezoid(press.force_n, press.indentation_m) > 0
+
+
+def test_any_path_is_followed(restored: Bench) -> None:
+    time = np.linspace(0.0, 1.0, 60)
+    path = 0.002 * np.sin(4 * np.pi * time) ** 2 - 0.0002
+    press = restored.follow(time, path)
+    # Half a sample of delay in a sensor would show at once: the force falls and rises with the path.
+    assert np.corrcoef(press.indentation_m, press.force_n)[0, 1] > 0.9
+    assert press.indentation_m.max() == pytest.approx(path.max(), abs=2e-5)
+
+
+def test_more_damping_loses_more(restored: Bench) -> None:
+    """Not twice as much for twice the damping: contact and time stepping lose some of their own."""
+    areas = []
+    for factor in (1.0, 2.0):
+        row = TISSUE["forearm"]
+        restored.set_law(row.model_copy(update={"damping_ns_m3": factor * row.damping_ns_m3}))
+        press = restored.press(depth_m=0.004, speed_m_s=0.003, unload=True)
+        areas.append(np.trapezoid(press.force_n, press.indentation_m))
+    assert 1.3 < areas[1] / areas[0] < 2.1
+
+
+def test_ball_does_not_care_which_way_it_is_turned(restored: Bench) -> None:
+    """A quarter turn of the carriage about its axis leaves a hemisphere's press as it was."""
+    restored.press(depth_m=0.003)
+    point, inward, axis = restored.place(0.0, 0.0)
+    crosswise = np.cross(inward, axis)
+    normal = restored.press(depth_m=0.003).force_n
+    original = restored.place
+    try:
+        restored.place = lambda *_: (point, inward, crosswise)  # type: ignore[method-assign]
+        turned = restored.press(depth_m=0.003).force_n
+    finally:
+        restored.place = original  # type: ignore[method-assign]
+    np.testing.assert_allclose(turned[: len(normal)], normal[: len(turned)], atol=0.01)
+
+
+def test_place_lies_on_the_shell_and_tilt_turns_toward_the_axis(bench: Bench) -> None:
+    shell = make_shell(bench.body, "forearm", TISSUE["forearm"])
+    point, inward, axis = bench.place(0.012, -0.006)
+    local = (point + bench._bone_in_mesh - shell.frame_origin) @ shell.frame
+    np.testing.assert_allclose(local[:2], [0.012, -0.006], atol=1e-9)
+    assert np.linalg.norm(shell.vertices - point - bench._bone_in_mesh, axis=1).min() < TISSUE["forearm"].spacing_m
+    assert inward @ shell.frame[:, 2] < -0.8
+    _, tilted, _ = bench.place(0.012, -0.006, 20.0)
+    assert np.degrees(np.arccos(tilted @ inward)) == pytest.approx(20.0)
+    assert tilted @ axis == pytest.approx(np.sin(np.radians(20.0)))
+
+
+def test_off_the_region_is_an_error(bench: Bench) -> None:
+    with pytest.raises(SceneError, match="no surface of the forearm"):
+        bench.place(0.5, 0.0)
+
+
+def test_touch_is_interpolated() -> None:
+    assert touch_depth(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.5, 1.0]), 0.75) == pytest.approx(1.5)
+    with pytest.raises(SceneError, match="never exceeds"):
+        touch_depth(np.array([0.0, 1.0]), np.array([0.0, 0.5]), 0.75)
+
+
+@pytest.mark.parametrize(
+    ("shape", "size"), [("cap", 0.01), ("flat", None), ("hemisphere", 10.0), ("wedge", 0.01)]
+)  # fmt: skip
+def test_impossible_indenters_are_refused(shape: str, size: float | None) -> None:
+    with pytest.raises(ConfigError, match=r"indenter|cap"):
+        Indenter(shape=shape, size_m=size)  # type: ignore[arg-type]

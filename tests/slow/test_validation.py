@@ -1,0 +1,48 @@
+"""The validation passes on the shipped persons and fails, by the right check, on persons with a planted defect."""
+
+from __future__ import annotations
+
+import pytest
+
+from carecontact.protocols import load_protocol
+from carecontact.validation.run import CHECKS, validate
+from carecontact.world.human.body import body_names
+from tests.validation.defects import at_ten_milliseconds, half_stiff, undamped
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize("body", body_names())
+def test_a_shipped_body_passes_the_short_form(body: str) -> None:
+    validation = validate(load_protocol(), body=body, quick=True)
+    assert len(validation.results) == len(CHECKS)
+    assert {r.check: r.error or [f"{m.name} {m.value:.3g}" for m in r.missed] for r in validation.results} == {
+        name: [] for name in CHECKS
+    }
+
+
+def test_the_protocols_body_passes_the_full_form() -> None:
+    validation = validate(load_protocol())
+    assert {r.check: r.error or [f"{m.name} {m.value:.3g}" for m in r.missed] for r in validation.results} == {
+        name: [] for name in CHECKS
+    }
+
+
+def test_zeroed_damping_fails_the_energy_check() -> None:
+    result = validate(load_protocol(), make_scene=undamped, quick=True, checks=["energy"]).results[0]
+    assert not result.passed
+    assert result.error or any("work of the declared law" in m.name for m in result.missed)
+
+
+def test_half_stiffness_fails_the_calibration_residual() -> None:
+    result = validate(load_protocol(), make_scene=half_stiff, quick=True, checks=["calibration-residual"]).results[0]
+    missed = [m for m in result.missed if "NRMSE" in m.name]
+    assert {m.name.partition(",")[0] for m in missed} == {"forearm", "abdomen"}
+    assert min(m.value for m in missed) > 20.0
+
+
+def test_a_time_step_of_ten_milliseconds_fails_the_convergence() -> None:
+    result = validate(at_ten_milliseconds(load_protocol()), quick=True, checks=["convergence"]).results[0]
+    assert not result.passed
+    raw = [m for m in result.missed if "time step 10 to 5 ms" in m.name and "100 Hz" not in m.name]
+    assert raw or "MuJoCo warned" in (result.error or "")

@@ -1,0 +1,42 @@
+"""Persons with one thing wrong, as factories for ``validate(make_scene=...)``."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from carecontact.contract.protocol import Protocol
+from carecontact.recording.schema import REGIONS
+from carecontact.validation.force_paths import anchor_joints
+from carecontact.world.scene import Scene, build_scene
+
+
+def undamped(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    scene = build_scene(protocol, target=target, skin=skin)
+    scene.model.dof_damping[_human_dofs(scene.model)] = 0.0
+    return scene
+
+
+def half_stiff(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    scene = build_scene(protocol, target=target, skin=skin)
+    for region in REGIONS:
+        joints = anchor_joints(scene.model, region)
+        scene.model.jnt_stiffness[joints] *= 0.5
+        scene.model.jnt_stiffnesspoly[joints] *= 0.5
+    return scene
+
+
+def without_joint_limits(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    scene = build_scene(protocol, target=target, skin=skin)
+    for j in range(scene.model.njnt):
+        if scene.model.joint(j).name.startswith("human_"):
+            scene.model.jnt_limited[j] = 0
+    return scene
+
+
+def at_ten_milliseconds(protocol: Protocol) -> Protocol:
+    return protocol.model_copy(update={"physics": protocol.physics.model_copy(update={"dt_s": 0.010})})
+
+
+def _human_dofs(model: mujoco.MjModel) -> np.ndarray:
+    return np.flatnonzero(np.isin(model.dof_bodyid, np.flatnonzero(model.body_rootid == model.body("human_pelvis").id)))

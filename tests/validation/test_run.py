@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carecontact.contract.protocol import Protocol
+from carecontact.errors import SettleError, UnknownNameError
+from carecontact.protocols import load_protocol
+from carecontact.validation.result import CheckResult
+from carecontact.validation.run import CHECKS, validate, write
+from carecontact.world.scene import Scene, build_scene
+
+from .defects import without_joint_limits
+
+
+def test_unknown_checks_and_bodies_are_named() -> None:
+    with pytest.raises(UnknownNameError, match="force-balance"):
+        validate(load_protocol(), checks=["force-ballance"])
+    with pytest.raises(UnknownNameError, match="man-adult"):
+        validate(load_protocol(), body="nobody", checks=["energy"])
+
+
+def test_a_person_that_does_not_settle_fails_the_check_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[CheckResult] = []
+
+    def never(*_: object) -> None:
+        raise SettleError("person still moves at 12.0 mm/s")
+
+    monkeypatch.setattr("carecontact.sim.simulation.Simulation.settle", never)
+    validation = validate(load_protocol(), quick=True, checks=["energy", "stability"], on_check=told.append)
+    assert not validation.passed
+    assert [r.error for r in told] == ["person still moves at 12.0 mm/s"] * 2
+
+
+def test_two_runs_write_the_same_record_without_traces_of_the_machine(tmp_path: Path) -> None:
+    records = []
+    for name in ("a", "b"):
+        validation = validate(load_protocol(), quick=True, checks=["uniformity"])
+        paths = write(validation, tmp_path / name)
+        assert [p.name for p in paths] == ["validation.json", "uniformity.png"]
+        assert (tmp_path / name / "uniformity.png").read_bytes().startswith(b"\x89PNG")
+        records.append((tmp_path / name / "validation.json").read_text())
+    assert records[0] == records[1]
+    record = json.loads(records[0])
+    assert record["body"]["name"] == load_protocol().person.body
+    assert record["mujoco"]
+    assert len(record["model_sha256"]) == 64
+    assert str(tmp_path) not in records[0]
+    measured = {m["name"]: m for m in record["checks"][0]["measures"]}
+    assert all(m["unit"] == "%" and m["limit"] > 0 for m in measured.values())
+
+
+def test_missing_joint_limits_fail_the_passive_response() -> None:
+    validation = validate(load_protocol(), make_scene=without_joint_limits, quick=True, checks=["passive-response"])
+    missed = [m.name for m in validation.results[0].missed]
+    assert missed
+    assert all("past its end stop" in name for name in missed)
+
+
+def test_the_factory_builds_every_world(subject) -> None:
+    """Variants too: a defect must not get lost where a check changes the time step or the tissue."""
+    built: list[float] = []
+
+    def watched(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+        built.append(protocol.physics.dt_s)
+        return build_scene(protocol, target=target, skin=skin)
+
+    from carecontact.validation.subject import Subject
+
+    watching = Subject(load_protocol(), make_scene=watched)
+    watching.with_dt(0.001).scene("forearm")
+    region = watching.tissue("forearm").model_copy(update={"friction": 0.123})
+    scene = watching.with_tissue("forearm", region).scene("forearm")
+    assert built == [0.001, 0.002]
+    assert np.isclose(scene.model.flex_friction[:, 0], 0.123).sum() == 1
+
+
+def test_every_check_has_a_title_of_its_own() -> None:
+    from importlib import import_module
+
+    titles = [import_module(f"carecontact.validation.{module}").TITLE for module in CHECKS.values()]
+    assert len(set(titles)) == len(CHECKS) == 10

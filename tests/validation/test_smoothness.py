@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carecontact.validation.smoothness import dropouts
+
+
+def steady_force(count: int = 200, dt: float = 0.002) -> tuple[np.ndarray, np.ndarray]:
+    time = np.arange(count) * dt
+    return time, 5.0 + 0.5 * np.sin(2 * np.pi * 2.0 * time)
+
+
+@given(st.integers(2, 197))
+def test_a_single_low_sample_is_found_where_it_is(at: int) -> None:
+    time, force = steady_force()
+    force[at] *= 0.5
+    assert np.flatnonzero(dropouts(time, force)).tolist() == [at]
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.0, 1.5])
+def test_a_shallow_dip_and_a_spike_are_none(factor: float) -> None:
+    time, force = steady_force()
+    force[100] *= factor
+    assert not dropouts(time, force).any()
+
+
+def test_small_forces_do_not_count() -> None:
+    time, force = steady_force()
+    force = force * 0.05
+    force[100] = 0.0
+    assert not dropouts(time, force).any()
+
+
+def test_a_lasting_step_is_no_dropout() -> None:
+    time, force = steady_force()
+    force[100:] *= 0.3
+    assert dropouts(time, force).sum() <= 1
+    assert not dropouts(time, np.minimum(force, 100.0))[102:].any()

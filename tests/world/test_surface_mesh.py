@@ -1,0 +1,101 @@
+"""Rows, triangles, rays and smoothing, on shapes with known answers."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carecontact.errors import SceneError
+from carecontact.world.human.surface_mesh import (
+    distance_outside,
+    first_hits,
+    graded,
+    graded_from_middle,
+    normals_and_areas,
+    smooth_field,
+    zip_rows,
+)
+
+lengths = st.floats(0.02, 0.5)
+steps = st.floats(0.003, 0.05)
+
+
+@given(st.floats(-1.0, 1.0), lengths, steps)
+def test_even_grading_is_even_and_no_finer_than_asked(low: float, length: float, step: float) -> None:
+    at = graded(low, low + length, lambda u: np.full(len(u), step))
+    np.testing.assert_allclose(np.diff(at), length / (len(at) - 1), rtol=1e-6)
+    assert at[0] == low
+    assert at[-1] == pytest.approx(low + length)
+    assert length / (len(at) - 1) <= step * (1 + 1e-5)
+    assert length / max(1, len(at) - 2) >= step * (1 - 1e-5) or len(at) == 2
+
+
+@given(lengths, steps, st.floats(1.2, 4.0), st.floats(0.1, 0.9))
+def test_grading_is_fine_inside_and_coarse_outside(half: float, fine: float, ratio: float, share: float) -> None:
+    def spacing(u: np.ndarray) -> np.ndarray:
+        return np.clip(fine + 0.4 * distance_outside(u, share * half), None, ratio * fine)
+
+    for half_step in (False, True):
+        at = graded_from_middle(half, spacing, half_step=half_step)
+        np.testing.assert_allclose(at, -at[::-1], atol=1e-12)
+        assert (np.diff(at) > 0).all()
+        middle = (at[1:] + at[:-1]) / 2
+        # Where the wished spacing grows along a step, a step may be as wide as at its outer end.
+        wide = np.maximum(spacing(at[1:]), spacing(at[:-1]))
+        assert (np.diff(at) <= wide * (1 + 1e-3)).all(), middle
+        assert (0.0 in at) != half_step or len(at) == 2
+
+
+def test_rows_of_unlike_length_are_zipped_without_gap_or_overlap() -> None:
+    rng = np.random.default_rng(0)
+    rows = [
+        np.stack([np.full(n, 0.1 * k), np.sort(np.r_[0, rng.uniform(0.01, 0.99, n - 2), 1]), np.zeros(n)], 1)
+        for k, n in enumerate((3, 9, 4, 4, 12))
+    ]
+    triangles, points = zip_rows(rows), np.concatenate(rows)
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    signed = np.cross(b - a, c - a)[:, 2] / 2
+    assert (np.sign(signed) == np.sign(signed[0])).all()
+    assert np.abs(signed).sum() == pytest.approx(0.4)
+    shared = Counter(tuple(sorted(e)) for t in triangles for e in ((t[0], t[1]), (t[1], t[2]), (t[2], t[0])))
+    assert max(shared.values()) == 2
+
+
+def test_normals_and_areas_of_a_square() -> None:
+    corners = np.array([[0.0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]])
+    normals, area = normals_and_areas(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    np.testing.assert_allclose(normals, [[0, 0, 1]] * 4)
+    np.testing.assert_allclose(area, [2.0, 1.0, 2.0, 1.0])
+
+
+def test_rays_hit_the_nearer_of_two_walls() -> None:
+    wall = np.array([[[0.0, -1, -1], [0, 1, -1], [0, 0, 2]]])
+    walls = np.concatenate([wall + [2.0, 0, 0], wall + [3.0, 0, 0], wall - [1.0, 0, 0]])
+    rng = np.random.default_rng(1)
+    origins = np.stack([np.zeros(20), rng.uniform(-0.2, 0.2, 20), rng.uniform(-0.2, 0.2, 20)], 1)
+    ahead = np.tile([1.0, 0, 0], (20, 1))
+    np.testing.assert_allclose(first_hits(walls, origins, ahead), 2.0)
+    np.testing.assert_allclose(first_hits(walls, origins[0], ahead[:1]), 2.0)
+    slanted = np.array([[np.cos(0.05), np.sin(0.05), 0.0]])
+    np.testing.assert_allclose(first_hits(walls, np.zeros(3), slanted), 2.0 / np.cos(0.05))
+
+
+def test_a_ray_that_misses_is_named() -> None:
+    wall = np.array([[[1.0, -1, -1], [1, 1, -1], [1, 0, 2]]])
+    with pytest.raises(SceneError, match=r"a ray from \[0.0, 0.0, 0.0\] misses"):
+        first_hits(wall, np.zeros(3), np.array([[1.0, 0, 0], [-1.0, 0, 0]]))
+
+
+@pytest.mark.parametrize("wrap", [False, True])
+def test_smoothing_keeps_what_is_smooth_and_damps_ripples(wrap: bool) -> None:
+    u, v = np.linspace(0, 1, 41), np.linspace(-np.pi, np.pi, 61)
+    slope = 0.3 * u[:, None] + (0.2 * np.cos(v) if wrap else 0.1 * v)
+    ripple = 0.05 * np.sin(24 * v)
+    field = smooth_field(u, v, slope + ripple, sigma=(0.05, 0.05), wrap=wrap)
+    at_u, at_v = np.repeat([0.0, 0.35, 1.0], 9), np.tile(np.linspace(-3, 3, 9), 3)
+    expected = 0.3 * at_u + (0.2 * np.exp(-((2 * np.pi * 0.05) ** 2) / 2) * np.cos(at_v) if wrap else 0.1 * at_v)
+    np.testing.assert_allclose(field(at_u, at_v), expected, atol=2e-3)

@@ -1,0 +1,112 @@
+"""The mechanics under the shell: core depth, coupling, and what the compiled model says of them."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from carecontact.contract.protocol import Tissue
+from carecontact.protocols import load_protocol
+from carecontact.sim.bench import Bench, Indenter, make_shell
+from carecontact.world.human.body import body_names, load_body
+from carecontact.world.human.shell import Shell
+from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
+from carecontact.world.human.tissue import CORE_MIN_RADIUS_M, inner_surface
+
+PROTOCOL = load_protocol()
+REGIONS = tuple(SOFT_SEGMENTS)
+TOOL = Indenter(shape="cap")
+
+
+def bench(region: str, tissue: Tissue, body: str = PROTOCOL.person.body) -> Bench:
+    return Bench(body=load_body(body), region=region, tissue=tissue, indenter=TOOL)
+
+
+def depths_of_core(made: Bench) -> tuple[np.ndarray, np.ndarray]:
+    """Along the inward normals of the reachable patch: depth of the first core piece and room for it, (n,) [m]."""
+    model, data = made.model, mujoco.MjData(made.model)
+    mujoco.mj_forward(model, data)
+    core = [g for g in range(model.ngeom) if model.geom(g).name.startswith("human_core_")]
+    assert core
+    bone = data.body(body_name(SOFT_SEGMENTS[made.region]))
+    shell = made.shell
+    fine = np.flatnonzero(shell.fine)
+    origins = shell.vertices[fine] - made.body.joint_centre[SOFT_SEGMENTS[made.region]]
+    np.testing.assert_allclose(bone.xpos, 0, atol=1e-12)
+    depths = np.full(len(fine), np.inf)
+    for k, (origin, normal) in enumerate(zip(origins, shell.normals[fine], strict=True)):
+        hits = [mujoco.mj_rayMesh(model, data, g, origin, -normal, None) for g in core]
+        depths[k] = min((h for h in hits if h >= 0), default=np.inf)
+    room = np.einsum("ij,ij->i", shell.vertices - shell.axis_points, shell.normals)[fine] - CORE_MIN_RADIUS_M
+    return depths, room
+
+
+@pytest.mark.parametrize("region", REGIONS)
+def test_core_lies_at_the_measured_depth(region: str) -> None:
+    """The tool meets bone where the tissue is used up, neither sooner nor later, all over the reachable patch."""
+    tissue = PROTOCOL.person.tissue[region]
+    depths, room = depths_of_core(bench(region, tissue))
+    wanted = np.minimum(tissue.thickness_m, room)
+    assert np.isfinite(depths).all()
+    assert np.percentile(depths - wanted, 1) > -0.0015
+    assert np.percentile(np.abs(depths - wanted), 95) < 0.001
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", body_names())
+@pytest.mark.parametrize("region", REGIONS)
+def test_core_of_every_body(name: str, region: str) -> None:
+    tissue = PROTOCOL.person.tissue[region]
+    depths, room = depths_of_core(bench(region, tissue, name))
+    wanted = np.minimum(tissue.thickness_m, room)
+    assert np.percentile(depths - wanted, 5) > -0.003
+    assert np.median(np.abs(depths - wanted)) < 0.001
+
+
+def test_inner_surface_stops_before_the_axis() -> None:
+    shell = make_shell(load_body(PROTOCOL.person.body), "forearm", PROTOCOL.person.tissue["forearm"])
+    deep = inner_surface(shell, 1.0)
+    left = np.einsum("ij,ij->i", deep - shell.axis_points, shell.normals)
+    np.testing.assert_allclose(left, CORE_MIN_RADIUS_M, atol=1e-9)
+    np.testing.assert_array_equal(inner_surface(shell, 0.0), shell.vertices)
+
+
+def gradient_energy(shell: Shell, w: np.ndarray) -> float:
+    """Integral of |grad w|^2 / 2 of the piecewise linear field, triangle by triangle."""
+    total = 0.0
+    for triangle in shell.triangles:
+        a, b, c = shell.vertices[triangle]
+        n = np.cross(b - a, c - a)
+        area = np.linalg.norm(n) / 2
+        n /= 2 * area
+        grad = (w[triangle[0]] * np.cross(n, c - b) + w[triangle[1]] * np.cross(n, a - c)
+                + w[triangle[2]] * np.cross(n, b - a)) / (2 * area)  # fmt: skip
+        total += grad @ grad * area / 2
+    return float(total)
+
+
+def test_coupling_is_the_surface_gradients_energy() -> None:
+    tissue = PROTOCOL.person.tissue["abdomen"].model_copy(update={"coupling_n_m": 30.0})
+    made = bench("abdomen", tissue)
+    model, shell = made.model, made.shell
+    assert model.ntendon > 1000
+    data = mujoco.MjData(model)
+    # A bump that is zero at the pinned border.
+    u = (shell.grid - shell.grid.mean(0)) / np.ptp(shell.grid, axis=0)
+    w = np.where(shell.pinned, 0.0, 0.004 * np.cos(np.pi * u[:, 0]) * np.cos(np.pi * u[:, 1]))
+    for k in np.flatnonzero(~shell.pinned):
+        data.qpos[model.joint(f"abdomen_v{k}_n").qposadr[0]] = w[k]
+    mujoco.mj_fwdPosition(model, data)
+    energy = 0.5 * float(model.tendon_stiffness @ data.ten_length**2)
+    assert energy == pytest.approx(30.0 * gradient_energy(shell, w), rel=0.03)
+
+
+def test_coupling_spreads_a_light_touch() -> None:
+    """More anchors carry the load, so the same depth takes more force; and none at all takes no tendons."""
+    plain = PROTOCOL.person.tissue["forearm"]
+    alone = bench("forearm", plain)
+    assert alone.model.ntendon == 0
+    spread = bench("forearm", plain.model_copy(update={"coupling_n_m": plain.a_n_m3 * 0.005**2}))
+    depth = np.array([0.003])
+    assert spread.response(depth, speed_m_s=0.01) > 1.1 * alone.response(depth, speed_m_s=0.01)
