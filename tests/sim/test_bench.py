@@ -9,9 +9,10 @@ import pytest
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, SceneError
 from carecontact.protocols import load_protocol
-from carecontact.sim.bench import LAW_FIELDS, Bench, Indenter, make_shell, touch_depth
+from carecontact.sim.bench import LAW_FIELDS, Bench, Indenter, touch_depth
 from carecontact.world.human.body import load_body
 from carecontact.world.human.tissue import add_tissue, set_damping
+from carecontact.world.scene import region_shell
 
 TISSUE = load_protocol().person.tissue
 BALL = Indenter(shape="hemisphere", size_m=0.010)
@@ -132,7 +133,7 @@ def test_ball_does_not_care_which_way_it_is_turned(restored: Bench) -> None:
 
 
 def test_place_lies_on_the_shell_and_tilt_turns_toward_the_axis(bench: Bench) -> None:
-    shell = make_shell(bench.body, "forearm", TISSUE["forearm"])
+    shell = region_shell(bench.body, "forearm", TISSUE["forearm"])
     point, inward, axis = bench.place(0.012, -0.006)
     local = (point + bench._bone_in_mesh - shell.frame_origin) @ shell.frame
     np.testing.assert_allclose(local[:2], [0.012, -0.006], atol=1e-9)

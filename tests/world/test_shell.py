@@ -20,21 +20,17 @@ from carecontact.world.human.shell import (
     Shell,
     belly_half_width,
     belly_span,
-    limb_shell,
     trunk_shell,
 )
 from carecontact.world.human.skeleton import SOFT_SEGMENTS
-from carecontact.world.scene import upward_in_bind
+from carecontact.world.scene import region_shell
 
 TISSUE = load_protocol().person.tissue
 FRONT = np.array([0.0, -1.0, 0.0])
 
 
 def sampled(body: Body, region: str) -> Shell:
-    if region == "abdomen":
-        return trunk_shell(body, FRONT, TISSUE["abdomen"])
-    segment = SOFT_SEGMENTS[region]
-    return limb_shell(body, segment, upward_in_bind(body, segment), TISSUE[region])
+    return region_shell(body, region, TISSUE[region])
 
 
 @pytest.fixture(scope="module", params=list(SOFT_SEGMENTS))
@@ -185,12 +181,7 @@ def test_coarser_tissue_makes_a_coarser_shell_of_the_same_area(body: Body, regio
     coarse = row.model_copy(
         update={"spacing_m": row.off_target_spacing_m, "coarse_spacing_m": row.off_target_spacing_m}
     )
-    segment = SOFT_SEGMENTS[region]
-    other = (
-        trunk_shell(body, FRONT, coarse)
-        if region == "abdomen"
-        else limb_shell(body, segment, upward_in_bind(body, segment), coarse)
-    )
+    other = region_shell(body, region, coarse)
     assert len(other.vertices) < 0.5 * len(shell.vertices)
     assert other.area.sum() == pytest.approx(shell.area.sum(), rel=0.06)
     np.testing.assert_allclose(other.frame, shell.frame, atol=1e-9)

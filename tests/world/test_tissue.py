@@ -8,11 +8,12 @@ import pytest
 
 from carecontact.contract.protocol import Tissue
 from carecontact.protocols import load_protocol
-from carecontact.sim.bench import Bench, Indenter, make_shell
+from carecontact.sim.bench import Bench, Indenter
 from carecontact.world.human.body import body_names, load_body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
 from carecontact.world.human.tissue import CORE_MIN_RADIUS_M, inner_surface
+from carecontact.world.scene import region_shell
 
 PROTOCOL = load_protocol()
 REGIONS = tuple(SOFT_SEGMENTS)
@@ -65,7 +66,7 @@ def test_core_of_every_body(name: str, region: str) -> None:
 
 
 def test_inner_surface_stops_before_the_axis() -> None:
-    shell = make_shell(load_body(PROTOCOL.person.body), "forearm", PROTOCOL.person.tissue["forearm"])
+    shell = region_shell(load_body(PROTOCOL.person.body), "forearm", PROTOCOL.person.tissue["forearm"])
     deep = inner_surface(shell, 1.0)
     left = np.einsum("ij,ij->i", deep - shell.axis_points, shell.normals)
     np.testing.assert_allclose(left, CORE_MIN_RADIUS_M, atol=1e-9)

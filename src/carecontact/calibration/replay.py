@@ -10,8 +10,9 @@ import numpy as np
 from carecontact.calibration.curve import GRID, Curve, despiked
 from carecontact.calibration.trial import Array, Condition
 from carecontact.contract.protocol import Tissue
-from carecontact.sim.bench import APPROACH_M, Bench, Indenter, Press, make_shell, touch_depth
+from carecontact.sim.bench import APPROACH_M, Bench, Indenter, Press, touch_depth
 from carecontact.world.human.body import Body
+from carecontact.world.scene import region_shell
 
 DEPTH_CLASS = 0.06
 """Trials of one condition share a replay if their deepest points differ by less than this share."""
@@ -85,7 +86,7 @@ class Replay:
 
     def __init__(self, *, body: Body, region: str, tissue: Tissue, groups: Sequence[Group]) -> None:
         self.groups, self.tissue = tuple(groups), tissue
-        shell = make_shell(body, region, tissue)
+        shell = region_shell(body, region, tissue)
         self.benches: dict[tuple[str, float | None], Bench] = {}
         for group in groups:
             key = _indenter_key(group.condition)

@@ -83,16 +83,16 @@ class Tissue(Section):
     load spreads over sqrt(G / a). 0: neighbours act alone."""
     areal_mass_kg_m2: Positive
     spacing_m: Positive
-    """Vertex spacing on the patch that the tool can reach; round a limb, at its middle section."""
+    """Vertex spacing on the patch that the tool can reach."""
     coarse_spacing_m: Positive
-    """Spacing away from it."""
+    """Largest spacing away from it."""
     off_target_spacing_m: Positive
     """Spacing of the whole shell where the task's target is another region."""
     off_target_scale: Positive
     """Factor on stiffness and damping there: a coarser mesh spreads a tool's load over more anchors, and the region
     must answer the tool alike whichever task is run."""
     thickness_m: Positive
-    """Depth of the rigid core under the surface, at most: see world.human.tissue."""
+    """Depth of the rigid core under the surface; less where a thin limb's axis is nearer."""
     measured_depth_m: Positive
     """Results deeper than this are extrapolated."""
     friction: Positive

@@ -7,7 +7,6 @@ contact damping would let the indenter sink in by about 20 ms times its speed.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,19 +17,16 @@ import numpy.typing as npt
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, SceneError
 from carecontact.world.human.body import Array, Body
-from carecontact.world.human.shell import Shell, limb_shell, trunk_shell
+from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name, tissue_body_name
-from carecontact.world.human.tissue import add_tissue, set_damping
+from carecontact.world.human.tissue import add_tissue
 from carecontact.world.robot import CAP_SEMI_AXES_M
-from carecontact.world.scene import upward_in_bind
+from carecontact.world.scene import compile_with_tissue, region_shell, set_physics
 
 Shape = Literal["flat", "hemisphere", "cap"]
 
 FLAT_EDGE_M = 0.002
 """Rounding of a flat indenter's rim: sharp ones let rim vertices slip past about 6 mm."""
-FLAT_DOME_M = 0.0001
-"""Bulge of a flat face: where it lay parallel to the triangles, contact points would jump and the force with them."""
-SHANK_M = 0.03
 FLAT_DOME_M = 0.0003
 """Rise of a flat indenter's face from its middle to its rim: a plane against plane triangles has no point of contact of
 its own, and the force jumped by 0.5 N where a triangle came to lie in it; domed by 0.3 mm it is smooth to 0.07 N."""
@@ -111,14 +107,6 @@ def touch_depth(depth_m: Array, force_n: Array, threshold_n: float) -> float:
     return float(depth_m[k - 1] + share * (depth_m[k] - depth_m[k - 1]))
 
 
-def make_shell(body: Body, region: str, tissue: Tissue) -> Shell:
-    """The region's shell as the scene builds it."""
-    if region == "abdomen":
-        return trunk_shell(body, np.array([0.0, -1.0, 0.0]), tissue)
-    segment = SOFT_SEGMENTS[region]
-    return limb_shell(body, segment, upward_in_bind(body, segment), tissue)
-
-
 class Bench:
     """Compiled once; then any number of presses, at any place and speed, and any law on the same mesh.
 
@@ -140,15 +128,11 @@ class Bench:
         shell: Shell | None = None,
     ) -> None:
         self.body, self.region, self.indenter = body, region, indenter
-        self.shell = shell or make_shell(body, region, tissue)
+        self.shell = shell or region_shell(body, region, tissue)
         segment = SOFT_SEGMENTS[region]
         self._bone_in_mesh = body.joint_centre[segment]
         spec = mujoco.MjSpec()
-        spec.compiler.degree = False
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        spec.option.impratio = 10
-        spec.option.timestep = dt_s
+        set_physics(spec, dt_s=dt_s)
         spec.option.gravity = [0, 0, 0]
         # The solver's tolerance is relative to the trace of the inertia matrix, nearly all of which is the indenter's.
         spec.option.tolerance = 1e-8 / INDENTER_MASS_KG
@@ -164,10 +148,7 @@ class Bench:
             name="force", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname="indenter",
             reftype=mujoco.mjtObj.mjOBJ_XBODY, refname=body_name(segment), intprm=[2, 3, 1],
         )  # fmt: skip
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="flex .* is not rigid")
-            self.model = spec.compile()
-        set_damping(self.model, {region: made})
+        self.model = compile_with_tissue(spec, {region: made})
         self._unit = (
             self.model.jnt_stiffness.copy(), self.model.jnt_stiffnesspoly.copy(), self.model.dof_damping.copy()
         )  # fmt: skip

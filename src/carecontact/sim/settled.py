@@ -87,13 +87,16 @@ def _write(path: Path, state: np.ndarray, settled: Settled) -> None:
         "joint_position": settled.joint_position, "wrist_in_world": settled.wrist_in_world,
         "sha256": _digest(state, settled),
     }  # fmt: skip
+    part = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-            np.savez(part, **arrays)
-        os.replace(part.name, path)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+            part = Path(file.name)
+            np.savez(file, **arrays)
+        os.replace(part, path)
     except OSError:
-        return
+        if part is not None:
+            part.unlink(missing_ok=True)
 
 
 def _digest(state: np.ndarray, settled: Settled) -> str:

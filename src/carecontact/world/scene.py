@@ -17,7 +17,7 @@ from carecontact.world.human.joints import Hinge
 from carecontact.world.human.joints import hinges as all_hinges
 from carecontact.world.human.pose import lying_pose_deg, root_position, rotation_from_bind, trunk_rotation
 from carecontact.world.human.refine import refined
-from carecontact.world.human.shell import limb_shell, trunk_shell
+from carecontact.world.human.shell import Shell, limb_shell, trunk_shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, add_skeleton, body_name
 from carecontact.world.human.skin import add_skin
 from carecontact.world.human.tissue import Region, add_tissue, set_damping, shell_points
@@ -54,27 +54,16 @@ def build_spec(
     body = load_body(protocol.person.body)
     spec = mujoco.MjSpec()
     spec.modelname = "carecontact"
-    spec.compiler.degree = False
-    spec.option.timestep = protocol.physics.dt_s
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
-    # Soft friction creeps: at the default ratio of 1 an arm lying on its board drifted 1.2 deg in 10 s, at 10 0.4 deg.
-    spec.option.impratio = 10.0
+    set_physics(spec, dt_s=protocol.physics.dt_s)
     spec.memory = 400 * 2**20
 
     # Before the person: the solver eliminates the last degrees of freedom first, and the robot's, which every contact
     # has, would fill its matrix.
     add_robot(spec, protocol)
-    front = np.array([0.0, -1.0, 0.0])
     tissue = {
         region: row if target in (None, region) else off_target(row) for region, row in protocol.person.tissue.items()
     }
-    shells = {
-        region: trunk_shell(body, front, tissue[region]) if region == "abdomen"
-        else limb_shell(body, segment, upward_in_bind(body, segment), tissue[region])
-        for region, segment in SOFT_SEGMENTS.items()
-    }  # fmt: skip
+    shells = {region: region_shell(body, region, tissue[region]) for region in SOFT_SEGMENTS}
     root, quat = root_position(body, protocol.scene.mattress_top_m), np.zeros(4)
     mujoco.mju_mat2Quat(quat, trunk_rotation(body).ravel())
     points = {SOFT_SEGMENTS[r]: shell_points(s, tissue[r]) for r, s in shells.items()}
@@ -105,12 +94,36 @@ def build_spec(
 def build_scene(protocol: Protocol, *, target: str | None, skin: bool = True) -> Scene:
     """Compile the world. The comfort-arm angle is no part of the model: it is set when the person settles."""
     spec, body, rows, regions = build_spec(protocol, target=target, skin=skin)
+    model = compile_with_tissue(spec, regions)
+    return Scene(model=model, protocol=protocol, body=body, hinges=tuple(rows), regions=regions)
+
+
+def set_physics(spec: mujoco.MjSpec, *, dt_s: float) -> None:
+    """Units, integrator and solver of every model with tissue: the bench must answer as the scene does."""
+    spec.compiler.degree = False
+    spec.option.timestep = dt_s
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    # Soft friction creeps: at the default ratio of 1 an arm lying on its board drifted 1.2 deg in 10 s, at 10 0.4 deg.
+    spec.option.impratio = 10.0
+
+
+def compile_with_tissue(spec: mujoco.MjSpec, regions: dict[str, Region]) -> mujoco.MjModel:
     with warnings.catch_warnings():
         # The shells' mechanics are their anchors; the compiler cannot know that and warns of a flex without any.
         warnings.filterwarnings("ignore", message="flex .* is not rigid")
         model = spec.compile()
     set_damping(model, regions)
-    return Scene(model=model, protocol=protocol, body=body, hinges=tuple(rows), regions=regions)
+    return model
+
+
+def region_shell(body: Body, region: str, tissue: Tissue) -> Shell:
+    """The region's shell on this body, in the mesh frame of the bind pose."""
+    if region == "abdomen":
+        return trunk_shell(body, np.array([0.0, -1.0, 0.0]), tissue)
+    segment = SOFT_SEGMENTS[region]
+    return limb_shell(body, segment, upward_in_bind(body, segment), tissue)
 
 
 def off_target(tissue: Tissue) -> Tissue:
