@@ -66,12 +66,14 @@ def test_figure_is_written(made: Path) -> None:
     assert (made / "out" / "calibration.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_same_data_same_content(made: Path) -> None:
+def test_same_data_same_content_and_every_evaluation_is_told(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Nothing in it depends on when or where it was made."""
     again = made / "again"
     assert main(["calibrate", str(made / "trials.csv"), "--region", "forearm", "--out", str(again)]) == 0
     first, second = (read_certificate(folder / "certificate.json") for folder in (made / "out", again))
     assert first.sha256 == second.sha256
+    # A fit takes minutes: each evaluation says how far it is.
+    assert "evaluation 3: NRMSE" in capsys.readouterr().out
 
 
 def test_verify_passes_here(made: Path, capsys: pytest.CaptureFixture[str]) -> None:

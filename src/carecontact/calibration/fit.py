@@ -163,8 +163,7 @@ class _Problem:
         def told(p: Array) -> Array:
             residual = self.residuals(p)
             self.last, self.last_at = residual, p.copy()
-            if self.evaluations % 5 == 0:
-                on_progress(f"evaluation {self.evaluations}: NRMSE {np.sqrt(np.mean(self._squares(residual))):.2%}")
+            on_progress(f"evaluation {self.evaluations}: NRMSE {np.sqrt(np.mean(self._squares(residual))):.2%}")
             return residual
 
         low = [np.log(1e-3), 0.0, 0.0, np.log(1.0)][: len(start)]
