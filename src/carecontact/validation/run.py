@@ -75,8 +75,7 @@ def validate(
     Raises UnknownNameError for a check that there is not, and what ``make_scene`` raises if no world can be built.
     """
     modules = [_module(name) for name in checks]
-    if body is not None:
-        protocol = protocol.model_copy(update={"person": protocol.person.model_copy(update={"body": body})})
+    protocol = protocol.overridden(body=body)
     subject = Subject(protocol, make_scene=make_scene)
     scene = subject.scene("forearm")
     # Before anything runs: settling writes the rest angles into a model.
