@@ -48,7 +48,7 @@ class Setup:
     k_n: tuple[float, float]
     """Range of the force at full depth for the analytic route [N]."""
     n: tuple[float, float]
-    """Its exponent. Anchors stiffen and never soften: on linear ones the disc has about 1.5, the ball 1.55."""
+    """Its exponent. Anchors stiffen and never soften: on linear ones the disc has about 1.3, the ball 1.35."""
     beta_s_m: tuple[float, float]
     """Its loss."""
 
@@ -56,11 +56,11 @@ class Setup:
 SETUPS = {
     "forearm": Setup(
         indenter=Indenter(shape="flat", size_m=0.0107), depth_mm=4.5, speeds_mm_s=(3.0, 10.0, 25.0),
-        places_mm=((-20.0, -4.0), (0.0, 0.0), (20.0, 4.0)), k_n=(3.5, 7.0), n=(1.5, 1.75), beta_s_m=(4.0, 8.0),
+        places_mm=((-20.0, -4.0), (0.0, 0.0), (20.0, 4.0)), k_n=(3.5, 7.0), n=(1.35, 1.75), beta_s_m=(4.0, 8.0),
     ),
     "abdomen": Setup(
         indenter=Indenter(shape="hemisphere", size_m=0.010), depth_mm=15.0, speeds_mm_s=(10.0, 25.0, 50.0),
-        places_mm=((-25.0, 20.0), (0.0, 0.0), (25.0, -15.0)), k_n=(4.0, 8.0), n=(1.55, 1.8), beta_s_m=(4.0, 8.0),
+        places_mm=((-25.0, 20.0), (0.0, 0.0), (25.0, -15.0)), k_n=(4.0, 8.0), n=(1.4, 1.8), beta_s_m=(4.0, 8.0),
     ),
 }  # fmt: skip
 

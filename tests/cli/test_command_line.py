@@ -44,6 +44,7 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["run", "--policy", "hover", "--out", "r", "--jobs", "two"], "parsing --jobs"),
         (["run", "--policy", "hover"], "Missing from carecontact run: --out PATH; For full helptext"),
         (["run", "--polixy", "hover", "--out", "r"], "--policy STR; Unrecognized options: --polixy hover"),
+        (["validate", "--body", "man-adult", "--body", "woman-old-light"], "--body is given twice"),
         (["list", "foo"], "invalid choice 'foo'"),
         (["demo", "--out", "."], "--out .: holds something other than an earlier demo; nothing was removed"),
         (["score", "nowhere"], "nowhere: no such folder"),

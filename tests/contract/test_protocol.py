@@ -170,7 +170,7 @@ def test_every_override_is_told_and_can_be_taken_back() -> None:
     other = PROTOCOL.overridden(body="woman-old-light", tissue_set=("twice", rows), dt_s=0.004)
     assert other.overrides == {"person.body": "woman-old-light", "person.tissue_set": "twice", "physics.dt_s": "0.004"}
     assert (other.person.tissue, other.physics.dt_s) == (rows, 0.004)
-    assert other.title == f"{PROTOCOL.id} with body woman-old-light and tissue twice and time step [s] 0.004"
+    assert other.title == f"{PROTOCOL.id} with body woman-old-light and tissue twice and time step 0.004 s"
     assert other.without_overrides(PROTOCOL) == PROTOCOL
     easier = other.model_copy(update={"gates": other.gates.model_copy(update={"region_share": 0.1})})
     assert easier.without_overrides(PROTOCOL) != PROTOCOL, "what was changed besides shows"

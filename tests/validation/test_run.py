@@ -9,8 +9,7 @@ import pytest
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import SettleError, UnknownNameError
 from carecontact.protocols import load_protocol
-from carecontact.validation.result import CheckResult
-from carecontact.validation.run import CHECKS, validate, write
+from carecontact.validation.run import CHECKS, Validation, validate, write
 from carecontact.world.scene import Scene, build_scene
 
 from .defects import without_joint_limits
@@ -24,7 +23,7 @@ def test_unknown_checks_and_bodies_are_named() -> None:
 
 
 def test_a_person_that_does_not_settle_fails_the_check_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[CheckResult] = []
+    told: list[Validation] = []
 
     def never(*_: object) -> None:
         raise SettleError("person still moves at 12.0 mm/s")
@@ -32,7 +31,9 @@ def test_a_person_that_does_not_settle_fails_the_check_and_the_others_go_on(monk
     monkeypatch.setattr("carecontact.sim.simulation.Simulation.settle", never)
     validation = validate(load_protocol(), quick=True, checks=["energy", "stability"], on_check=told.append)
     assert not validation.passed
-    assert [r.error for r in told] == ["person still moves at 12.0 mm/s"] * 2
+    assert [len(so_far.results) for so_far in told] == [1, 2]
+    assert [so_far.finished for so_far in told] == [False, True]
+    assert [so_far.results[-1].error for so_far in told] == ["person still moves at 12.0 mm/s"] * 2
 
 
 def test_two_runs_write_the_same_record_without_traces_of_the_machine(tmp_path: Path) -> None:

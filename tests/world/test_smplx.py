@@ -135,4 +135,4 @@ def test_what_is_no_npz_is_told(tmp_path: Path, content: bytes) -> None:
 
 def test_a_missing_file_is_told(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="No such file"):
-        load_body(f"smplx:{tmp_path / 'none.npz'}?sex=M")
+        load_body(f"smplx:{tmp_path / 'none.npz'}")

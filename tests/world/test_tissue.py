@@ -88,7 +88,7 @@ def gradient_energy(shell: Shell, w: np.ndarray) -> float:
 
 
 def test_coupling_is_the_surface_gradients_energy() -> None:
-    tissue = PROTOCOL.person.tissue["abdomen"].model_copy(update={"coupling_n_m": 30.0})
+    tissue = PROTOCOL.person.tissue["abdomen"].model_copy(update={"coupling_length_m": 0.006})
     made = bench("abdomen", tissue)
     model, shell = made.model, made.shell
     assert model.ntendon > 1000
@@ -100,14 +100,14 @@ def test_coupling_is_the_surface_gradients_energy() -> None:
         data.qpos[model.joint(f"abdomen_v{k}_n").qposadr[0]] = w[k]
     mujoco.mj_fwdPosition(model, data)
     energy = 0.5 * float(model.tendon_stiffness @ data.ten_length**2)
-    assert energy == pytest.approx(30.0 * gradient_energy(shell, w), rel=0.03)
+    assert energy == pytest.approx(tissue.a_n_m3 * 0.006**2 * gradient_energy(shell, w), rel=0.03)
 
 
 def test_coupling_spreads_a_light_touch() -> None:
     """More anchors carry the load, so the same depth takes more force; and none at all takes no tendons."""
-    plain = PROTOCOL.person.tissue["forearm"]
+    plain = PROTOCOL.person.tissue["forearm"].model_copy(update={"coupling_length_m": 0.0})
     alone = bench("forearm", plain)
     assert alone.model.ntendon == 0
-    spread = bench("forearm", plain.model_copy(update={"coupling_n_m": plain.a_n_m3 * 0.005**2}))
+    spread = bench("forearm", plain.model_copy(update={"coupling_length_m": 0.005}))
     depth = np.array([0.003])
     assert spread.response(depth, speed_m_s=0.01) > 1.1 * alone.response(depth, speed_m_s=0.01)

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 from carecontact import __version__
-from carecontact.errors import CarecontactError
+from carecontact.errors import CarecontactError, ConfigError
 
 INTERRUPTED, BROKEN_PIPE = 130, 141
 """128 and the signal's number, as a shell counts."""
@@ -26,6 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     left = ""
     try:
+        _once(arguments)
         command = parse(arguments)
         left = command.after_interrupt
         status = command()
@@ -45,6 +46,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"\ninterrupted{left}", file=sys.stderr)
         return INTERRUPTED
+
+
+def _once(arguments: Sequence[str]) -> None:
+    """The parser would silently keep the last of two. Raises ConfigError naming the option."""
+    options = [argument.partition("=")[0] for argument in arguments if argument.startswith("--")]
+    twice = next((option for option in options if options.count(option) > 1), None)
+    if twice:
+        raise ConfigError(f"{twice} is given twice; several values follow one {twice}, parted as --help shows")
 
 
 def _error_line(message: str) -> str:

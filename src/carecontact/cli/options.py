@@ -134,7 +134,7 @@ class Validate:
     verbose: Switch = False
     """Print every measured quantity, not only missed lines."""
 
-    after_interrupt: ClassVar[str] = "; nothing was written for the body that was being checked"
+    after_interrupt: ClassVar[str] = "; the checks that were finished are in validation.json"
 
     def __call__(self) -> int:
         from carecontact.cli.validate import validate

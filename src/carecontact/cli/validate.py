@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from carecontact.validation.result import CheckResult, Measure
+    from carecontact.validation.run import Validation
 
 
 def validate(*, bodies: tuple[str, ...], quick: bool, checks: str, protocol: str, out: Path, verbose: bool) -> int:
@@ -37,13 +38,14 @@ def validate(*, bodies: tuple[str, ...], quick: bool, checks: str, protocol: str
     for body in wanted:
         console.print(f"{body}, {rules.id}, tissue {rules.person.tissue_set}{', quick' if quick else ''}", style="bold")
 
-        def show(result: CheckResult) -> None:
-            console.print(_line(result))
-
-        validation = run_checks(rules, body=body, quick=quick, checks=names, on_check=show)
         # A body may be a file: its name as a folder keeps letters and digits only.
         folder = out / re.sub(r"[^A-Za-z0-9_-]+", "_", body) if len(wanted) > 1 else out
-        write(validation, folder)
+
+        def keep(so_far: Validation, folder: Path = folder) -> None:
+            console.print(_line(so_far.results[-1]))
+            write(so_far, folder)
+
+        validation = run_checks(rules, body=body, quick=quick, checks=names, on_check=keep)
         missed = [(result, measure) for result in validation.results for measure in result.missed]
         if verbose or missed:
             rows = [(r, m) for r in validation.results for m in r.measures] if verbose else missed

@@ -16,8 +16,8 @@ FileStem = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_leng
 """An id that names files, so that it can name none elsewhere."""
 
 
-OVERRIDABLE = {"person.body": "body", "person.tissue_set": "tissue", "physics.dt_s": "time step [s]"}
-"""Field of a protocol that a command may replace -> its word in ``Protocol.title``."""
+OVERRIDABLE = {"person.body": "body {}", "person.tissue_set": "tissue {}", "physics.dt_s": "time step {} s"}
+"""Field of a protocol that a command may replace -> its words in ``Protocol.title``."""
 
 
 Region = Literal["forearm", "upper_arm", "abdomen"]
@@ -78,9 +78,9 @@ class Tissue(Section):
     c_n_m5: float
     damping_ns_m3: Positive
     """[N s/m per m^2]"""
-    coupling_n_m: Annotated[float, Field(ge=0)] = 0.0
-    """G of f_int: each unit of difference between neighbours' indentation is resisted by G times the surface gradient;
-    load spreads over sqrt(G / a). 0: neighbours act alone."""
+    coupling_length_m: Annotated[float, Field(ge=0)] = 0.0
+    """How far f_int spreads a load along the surface: a gradient of the indentation is resisted with G = a l^2 [N/m]
+    (Pasternak's foundation). 0: neighbours act alone."""
     areal_mass_kg_m2: Positive
     spacing_m: Positive
     """Vertex spacing on the patch that the tool can reach."""
@@ -312,7 +312,7 @@ class Protocol(Section):
 
 def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:
     """For people: the id and what was replaced, ``bathing-v1-draft with body woman-old-light``."""
-    replaced = [f"{OVERRIDABLE.get(field, field)} {value}" for field, value in sorted(overrides.items())]
+    replaced = [OVERRIDABLE.get(field, f"{field} {{}}").format(value) for field, value in sorted(overrides.items())]
     return f"{protocol_id} with {' and '.join(replaced)}" if replaced else protocol_id
 
 

@@ -132,12 +132,10 @@ class Bench:
         segment = SOFT_SEGMENTS[region]
         self._bone_in_mesh = body.joint_centre[segment]
         spec = mujoco.MjSpec()
-        set_physics(spec, dt_s=dt_s)
+        set_physics(spec, dt_s=dt_s, spacing_m=tissue.spacing_m)
         spec.option.gravity = [0, 0, 0]
         # The solver's tolerance is relative to the trace of the inertia matrix, nearly all of which is the indenter's.
         spec.option.tolerance = 1e-8 / INDENTER_MASS_KG
-        # Solved island by island, some presses of fine meshes diverged (MuJoCo 4.0.0, Newton); solved whole, none did.
-        spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
         bone = spec.worldbody.add_body(name=body_name(segment))
         bone.add_body(name=tissue_body_name(region))
         # Every spring and damper is linear in its own coefficient: those of a unit law, scaled, are those of any law.
@@ -150,7 +148,8 @@ class Bench:
         )  # fmt: skip
         self.model = compile_with_tissue(spec, {region: made})
         self._unit = (
-            self.model.jnt_stiffness.copy(), self.model.jnt_stiffnesspoly.copy(), self.model.dof_damping.copy()
+            self.model.jnt_stiffness.copy(), self.model.jnt_stiffnesspoly.copy(), self.model.dof_damping.copy(),
+            self.model.tendon_stiffness.copy(),
         )  # fmt: skip
         self._data = mujoco.MjData(self.model)
         slide = self.model.joint("indenter")
@@ -164,10 +163,11 @@ class Bench:
             before, after = getattr(self.tissue, name), getattr(tissue, name)
             if name not in (*LAW_FIELDS, "source", "measured_depth_m") and before != after:
                 raise ConfigError(f"{name} {before} -> {after} changes more than the law: make a new Bench")
-        stiffness, polynomial, damping = self._unit
+        stiffness, polynomial, damping, coupling = self._unit
         self.model.jnt_stiffness[:] = tissue.a_n_m3 * stiffness
         self.model.jnt_stiffnesspoly[:] = polynomial * [tissue.b_n_m4, tissue.c_n_m5]
         self.model.dof_damping[:] = tissue.damping_ns_m3 * damping
+        self.model.tendon_stiffness[:] = tissue.a_n_m3 * coupling
         self.tissue = tissue
 
     def place(self, along_m: float, across_m: float, tilt_deg: float = 0.0) -> tuple[Array, Array, Array]:

@@ -34,10 +34,11 @@ RECALIBRATIONS = 2
 RADIUS_FACTORS = (0.5, 1.0, 2.0)
 TREND_DEPTH_M = 0.004
 TRENDS: dict[str, tuple[Shape, float, tuple[float, float]]] = {
-    "sphere": ("hemisphere", 0.012, (0.7, 0.9)),
-    "flat": ("flat", 0.0107, (1.5, 1.9)),
+    "sphere": ("hemisphere", 0.012, (0.6, 0.7)),
+    "flat": ("flat", 0.0107, (1.35, 1.5)),
 }
-"""Indenter, middle radius [m], exponents of force over radius for a bonded layer 20 to 30 mm thick."""
+"""Indenter, middle radius [m], exponents of force over radius of an incompressible elastic layer bonded to bone, 50 to
+30 mm thick (sphere: Dimitriadis et al. 2002, Biophys J 82:2798, eq. 12; flat: Hayes et al. 1972, J Biomech 5:541)."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -47,22 +48,24 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     regions = ("forearm",) if quick else REGIONS
     behaviours = (SCRUB,) if quick else (PRESS, SCRUB)
     shipped = {region: _scores(subject, region, behaviours) for region in regions}
-    for factor, decides in ((0.5, True), (2.0, False)):
-        if quick and not decides:
-            continue
+    halved: dict[str, dict[str, Scores]] = {}
+    # Twice the protocol's is the fast mode: it has to give the same scores.
+    for factor in (0.5,) if quick else (0.5, 2.0):
         other = subject.with_dt(dt * factor)
         for region in regions:
             what = f"{region}: time step {1000 * dt:g} to {1000 * dt * factor:g} ms"
             scores = _scores(other, region, behaviours)
+            if factor < 1:
+                halved[region] = scores
             measures += [
                 Measure(name=f"{what}, {behaviour} {NAMES[field]}", value=change, unit="%",
-                        limit=STEP_LIMIT_PERCENT[field], decides=decides)
+                        limit=STEP_LIMIT_PERCENT[field])
                 for behaviour, field, change in _changes(shipped[region], scores)
             ]  # fmt: skip
     if not quick:
         for reference in MESH_REFERENCES:
             try:
-                measures += mesh(subject, reference, shipped[reference.region], curves)
+                measures += mesh(subject, reference, halved[reference.region], curves)
             except SceneError as error:
                 # The rest of the check still says something.
                 name = f"{reference.region}: mesh twice as fine, not measured: {error}"
@@ -96,7 +99,7 @@ def _changes(before: dict[str, Scores], after: dict[str, Scores]) -> list[tuple[
     return out
 
 
-def mesh(subject: Subject, reference: Reference, shipped: dict[str, Scores], curves: dict[str, Array]) -> list[Measure]:
+def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curves: dict[str, Array]) -> list[Measure]:
     """A mesh twice as fine, with the same law per area and with its law fitted anew at the calibration indenter.
 
     Laws belong to a mesh: a coarser one spreads a small tool's load further, and its anchors are fitted to make up
@@ -109,7 +112,8 @@ def mesh(subject: Subject, reference: Reference, shipped: dict[str, Scores], cur
     )
     fine = subject.with_tissue(region, finer)
     depths = reference.depth_m[1:]
-    # On the bench both meshes run at half the time step, so that only the mesh differs and the finer one is stable.
+    # Both meshes run at half the time step, so that only the mesh differs: coupling is explicit, and its fastest wave
+    # over a mesh twice as fine twice as fast.
     dt = subject.protocol.physics.dt_s / 2
     wanted = _mean_response(declared_bench(subject, region, reference.indenter, dt_s=dt), depths)
     bench = declared_bench(fine, region, reference.indenter, dt_s=dt)
@@ -121,7 +125,7 @@ def mesh(subject: Subject, reference: Reference, shipped: dict[str, Scores], cur
     tool_same = _mean_response(fine_tool, TOOL_DEPTHS_M)
     fine_tool.set_law(fitted)
     tool_new = _mean_response(fine_tool, TOOL_DEPTHS_M)
-    scene = _scores(subject.with_tissue(region, fitted), region, (PRESS, SCRUB))
+    scene = _scores(subject.with_tissue(region, fitted).with_dt(dt), region, (PRESS, SCRUB))
     curves |= {
         f"mesh/{region}/reference": 1.0 * np.stack([1000 * depths, wanted, same_law, new_law]),
         f"mesh/{region}/tool": np.stack([1000 * TOOL_DEPTHS_M, at_tool, tool_same, tool_new]),
@@ -137,7 +141,7 @@ def mesh(subject: Subject, reference: Reference, shipped: dict[str, Scores], cur
         line("law fitted anew, calibration indenter", _nrmse(new_law, wanted)),
         line("law fitted anew, tool", _nrmse(tool_new, at_tool)),
         *(line(f"law fitted anew, {behaviour} {NAMES[field]}", change)
-          for behaviour, field, change in _changes(shipped, scene)),
+          for behaviour, field, change in _changes(coarse, scene)),
     ]  # fmt: skip
 
 
@@ -218,17 +222,19 @@ def draw(result: CheckResult, figure: Figure) -> None:
 
 
 def _draw_step(measures: Sequence[Measure], axes: Axes) -> None:
-    rows = [m for m in measures if "time step" in m.name and m.decides]
+    rows = [m for m in measures if "time step" in m.name]
     names = [m.name.partition(", ")[2] for m in rows]
     labels = list(dict.fromkeys(names))
     for region in REGIONS:
         mine = [m for m in rows if m.name.startswith(f"{region}:")]
+        at = [labels.index(m.name.partition(", ")[2]) for m in mine]
+        half = len(labels)
         if mine:
-            axes.plot([m.value for m in mine], [labels.index(m.name.partition(", ")[2]) for m in mine], "o", ms=4,
-                      label=region.replace("_", " "))  # fmt: skip
+            (dots,) = axes.plot([m.value for m in mine[:half]], at[:half], "o", ms=4, label=region.replace("_", " "))
+            axes.plot([m.value for m in mine[half:]], at[half:], "x", ms=4, color=dots.get_color())
     limits = {m.name.partition(", ")[2]: m.limit or 0.0 for m in rows}
     axes.plot([limits[label] for label in labels], range(len(labels)), "|", color="0.3", ms=12, label="limit")
     axes.set_yticks(range(len(labels)), labels)
-    axes.set(xlabel="change at half the time step [%]", title="time step", xlim=(0, None))
+    axes.set(xlabel="change at half (o), twice (x) the step [%]", title="time step", xlim=(0, None))
     axes.invert_yaxis()
     axes.legend()

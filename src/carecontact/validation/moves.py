@@ -14,6 +14,11 @@ DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 """quat_wxyz in the robot's base of a tool whose z points to the floor."""
 
 
+PLACE_M = {"forearm": 0.0, "upper_arm": 0.055, "abdomen": 0.0}
+"""Where scripted contacts are made, along the region's axis from its middle: on the upper arm toward the elbow, where
+the robot's hand stays clear of a large chest."""
+
+
 def skin_points(simulation: Simulation, region: str) -> Array:
     """(n, 3) free shell vertices in the world now [m]; the skin lies the flex radius above them."""
     ids = [simulation.model.body(f"{region}_v{k}").id for k in simulation.scene.regions[region].vertex_index]
@@ -21,10 +26,10 @@ def skin_points(simulation: Simulation, region: str) -> Array:
 
 
 def surface_point(simulation: Simulation, region: str, offset: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """(3,) highest skin near the region's middle plus a horizontal ``offset`` (along, across) of its axis [m]."""
+    """(3,) highest skin near the region's place of contact plus a horizontal ``offset`` (along, across) [m]."""
     along, across = axes(simulation, region)
     points, middle = skin_points(simulation, region), simulation.data.site(f"region_{region}").xpos
-    at = middle[:2] + offset[0] * along[:2] + offset[1] * across[:2]
+    at = middle[:2] + (PLACE_M[region] + offset[0]) * along[:2] + offset[1] * across[:2]
     distance = np.linalg.norm(points[:, :2] - at, axis=1)
     near = points[distance < max(0.015, float(distance.min()) + 1e-6)]
     return np.array([*at, near[:, 2].max()])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -40,16 +40,23 @@ class Validation:
     model_sha256: str
     """Of the compiled world with the forearm as target."""
     quick: bool
+    asked: tuple[str, ...]
+    """Checks that are to run"""
     results: tuple[CheckResult, ...]
+    """of those that have run, in their order."""
+
+    @property
+    def finished(self) -> bool:
+        return len(self.results) == len(self.asked)
 
     @property
     def passed(self) -> bool:
-        return all(result.passed for result in self.results)
+        return self.finished and all(result.passed for result in self.results)
 
     def as_json(self) -> dict[str, object]:
         """Nothing in it depends on place, time or machine."""
         return {
-            "schema": SCHEMA, "passed": self.passed, "quick": self.quick,
+            "schema": SCHEMA, "passed": self.passed, "finished": self.finished, "quick": self.quick,
             "protocol": {"id": self.protocol, "sha256": self.protocol_sha256, "tissue_set": self.tissue_set},
             "body": {"name": self.body, "sha256": self.body_sha256}, "model_sha256": self.model_sha256,
             "mujoco": mujoco.__version__, "checks": [result.as_json() for result in self.results],
@@ -63,14 +70,14 @@ def validate(
     make_scene: MakeScene = build_scene,
     quick: bool = False,
     checks: Sequence[str] = tuple(CHECKS),
-    on_check: Callable[[CheckResult], None] = lambda result: None,
+    on_check: Callable[[Validation], None] = lambda validation: None,
 ) -> Validation:
     """Run checks one after the other; a check that cannot be finished has failed, and the others still run.
 
     Args:
         body: another body than the protocol's.
         make_scene: what builds the person; a test plants its defects here.
-        on_check: told each result as soon as it is there.
+        on_check: told after every check what there is so far; the last result is the new one.
 
     Raises UnknownNameError for a check that there is not, and what ``make_scene`` raises if no world can be built.
     """
@@ -80,28 +87,28 @@ def validate(
     scene = subject.scene("forearm")
     # Before anything runs: settling writes the rest angles into a model.
     model_sha256 = scene.model_sha256
-    results = []
-    for name, module in zip(checks, modules, strict=True):
-        results.append(_run(name, module, subject, quick=quick))
-        on_check(results[-1])
-    return Validation(
+    validation = Validation(
         body=scene.body.name, body_sha256=scene.body.sha256, protocol=protocol.id, protocol_sha256=protocol.sha256,
-        tissue_set=protocol.person.tissue_set, model_sha256=model_sha256, quick=quick, results=tuple(results),
+        tissue_set=protocol.person.tissue_set, model_sha256=model_sha256, quick=quick, asked=tuple(checks), results=(),
     )  # fmt: skip
+    for name, module in zip(checks, modules, strict=True):
+        result = _run(name, module, subject, quick=quick)
+        validation = replace(validation, results=(*validation.results, result))
+        on_check(validation)
+    return validation
 
 
 def write(validation: Validation, folder: Path) -> list[Path]:
-    """validation.json and one figure a check that came to its end; returns what was written."""
+    """validation.json so far, and the last check's figure if it came to its end; returns what was written."""
     folder.mkdir(parents=True, exist_ok=True)
     record = folder / "validation.json"
     record.write_text(json.dumps(validation.as_json(), indent=2) + "\n")
-    written = [record]
-    for result in validation.results:
-        if result.error is None:
-            path = folder / f"{result.check}.png"
-            draw_figure(result, _module(result.check).draw, path)
-            written.append(path)
-    return written
+    result = validation.results[-1]
+    if result.error is not None:
+        return [record]
+    figure = folder / f"{result.check}.png"
+    draw_figure(result, _module(result.check).draw, figure)
+    return [record, figure]
 
 
 def _module(name: str) -> ModuleType:

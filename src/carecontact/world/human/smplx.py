@@ -76,8 +76,9 @@ def load_smplx(name: str) -> Body:
     of joints or another tree of them, values that are no numbers, or options that there are not.
     """
     place = smplx_path(name)
-    sex, age, mass, betas = _options(name.partition("?")[2], name=name)
+    # First whether there is a file: nobody wants to hear of options for one that was misspelt.
     arrays, digest = _arrays(place)
+    sex, age, mass, betas = _options(name.partition("?")[2], name=name)
     joints = np.asarray(arrays["J_regressor"], np.float64)
     vertices = np.asarray(arrays["v_template"], np.float64)
     if betas:

@@ -4,7 +4,7 @@ Each free vertex is a small body with one slide along the inward normal of its c
 with two tangential slides, so that neighbouring vertices glide over the bone together. The slides' polynomial stiffness
 and damping are the anchor law of the paper's Eq. 3, f_c = K_c phi + D_c dphi/dt; the reaction on the skeleton comes out
 of the kinematic tree. The flex over the vertices gives collision. Interaction between neighbours (f_int of Eq. 1) is
-off by default: ``Tissue.coupling_n_m`` ties neighbours by fixed tendons, a discrete Laplacian of the indentation.
+a discrete Laplacian of the indentation, made of fixed tendons, where ``Tissue.coupling_length_m`` is not 0.
 """
 
 from __future__ import annotations
@@ -86,8 +86,8 @@ def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissu
         friction=[tissue.friction, 0.005, 0.0001], solref=SOLREF, solimp=SOLIMP, priority=1,
         selfcollide=mujoco.mjtFlexSelf.mjFLEXSELF_NONE, group=FLEX_GROUP, rgba=[0.87, 0.67, 0.56, 1],
     )  # fmt: skip
-    if tissue.coupling_n_m > 0:
-        _add_coupling(spec, region, shell, tissue.coupling_n_m)
+    if tissue.coupling_length_m > 0:
+        _add_coupling(spec, region, shell, tissue.a_n_m3 * tissue.coupling_length_m**2)
     _add_core(spec, region, shell, tissue, origin)
     return Region(name=region, shell=shell, tissue=tissue, vertex_index=np.flatnonzero(~shell.pinned))
 
