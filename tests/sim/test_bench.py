@@ -161,3 +161,15 @@ def test_touch_is_interpolated() -> None:
 def test_impossible_indenters_are_refused(shape: str, size: float | None) -> None:
     with pytest.raises(ConfigError, match=r"indenter|cap"):
         Indenter(shape=shape, size_m=size)  # type: ignore[arg-type]
+
+
+def test_a_press_that_newton_cannot_solve_is_solved_by_conjugate_gradients() -> None:
+    """A disc of 43 mm has some 100 contacts: with Newton alone its force jumped by hundreds of newtons."""
+    made = Bench(
+        body=load_body("man-adult"), region="abdomen", tissue=TISSUE["abdomen"],
+        indenter=Indenter(shape="flat", size_m=0.0214),
+    )  # fmt: skip
+    press = made.press(depth_m=0.006, speed_m_s=0.005)
+    assert np.abs(np.diff(press.force_n)).max() < 0.2
+    assert press.force_n[-1] > 5.0
+    assert made.model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON

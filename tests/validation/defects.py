@@ -26,6 +26,12 @@ def half_stiff(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     return scene
 
 
+def uncoupled(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    scene = build_scene(protocol, target=target, skin=skin)
+    scene.model.tendon_stiffness[:] = 0.0
+    return scene
+
+
 def without_joint_limits(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     scene = build_scene(protocol, target=target, skin=skin)
     for j in range(scene.model.njnt):

@@ -211,9 +211,12 @@ class _Problem:
         order = [k for group in self.replay.groups for k in group.members]
         folds[order] = np.arange(len(order)) % min(FOLDS, len(order))
         out: dict[int, Agreement] = {}
+        # As in draws: what is left of the way to the optimum belongs to no fold.
+        rest = self.step(p, np.ones(len(self.curves))) - p
         for fold in np.unique(folds):
             gone = [int(k) for k in np.flatnonzero(folds == fold)]
-            law = self.step(p, (folds != fold).astype(float))
+            law = self.step(p, (folds != fold).astype(float)) - rest
+            law[1:3] = np.maximum(law[1:3], 0.0)
             replayed = self.at(law, only=sorted({self.owner[k] for k in gone}))
             rows = agreements(self.curves, self.replay.groups, replayed)
             out |= {k: rows[n] for n, k in enumerate(self._seen(replayed)) if k in gone}

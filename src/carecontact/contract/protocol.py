@@ -10,6 +10,8 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Positive = Annotated[float, Field(gt=0)]
+Length = Annotated[float, Field(ge=0.001, le=0.2)]
+"""[m] of something in a person's tissue: millimetres given for metres are told."""
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Vec3 = tuple[float, float, float]
 FileStem = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
@@ -72,28 +74,28 @@ class Impedance(Section):
 class Tissue(Section):
     """One region's shell. Area-specific anchor law p = a x + b x^2 + c x^3 for inward displacement x."""
 
-    a_n_m3: float
+    a_n_m3: Positive
     """[N/m per m^2 of shell]"""
-    b_n_m4: float
-    c_n_m5: float
+    b_n_m4: Annotated[float, Field(ge=0)]
+    c_n_m5: Annotated[float, Field(ge=0)]
     damping_ns_m3: Positive
     """[N s/m per m^2]"""
-    coupling_length_m: Annotated[float, Field(ge=0)] = 0.0
+    coupling_length_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
     """How far f_int spreads a load along the surface: a gradient of the indentation is resisted with G = a l^2 [N/m]
     (Pasternak's foundation). 0: neighbours act alone."""
     areal_mass_kg_m2: Positive
-    spacing_m: Positive
+    spacing_m: Length
     """Vertex spacing on the patch that the tool can reach."""
-    coarse_spacing_m: Positive
+    coarse_spacing_m: Length
     """Largest spacing away from it."""
-    off_target_spacing_m: Positive
+    off_target_spacing_m: Length
     """Spacing of the whole shell where the task's target is another region."""
     off_target_scale: Positive
     """Factor on stiffness and damping there: a coarser mesh spreads a tool's load over more anchors, and the region
     must answer the tool alike whichever task is run."""
-    thickness_m: Positive
+    thickness_m: Length
     """Depth of the rigid core under the surface; less where a thin limb's axis is nearer."""
-    measured_depth_m: Positive
+    measured_depth_m: Length
     """Results deeper than this are extrapolated."""
     friction: Positive
     source: str

@@ -18,6 +18,8 @@ def person_bench(subject: Subject, region: str, indenter: Indenter, *, dt_s: flo
         here.jnt_stiffness[joint.id] = there.jnt_stiffness[j]
         here.jnt_stiffnesspoly[joint.id] = there.jnt_stiffnesspoly[j]
         here.dof_damping[joint.dofadr[0]] = there.dof_damping[there.jnt_dofadr[j]]
+    for k in range(here.ntendon):
+        here.tendon_stiffness[k] = there.tendon_stiffness[there.tendon(here.tendon(k).name).id]
     flex = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, region) for model in (here, there)]
     here.flex_friction[flex[0]] = there.flex_friction[flex[1]]
     return bench
