@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
 from carecontact.contract.protocol import Tissue
-from carecontact.protocols import load_protocol
+from carecontact.errors import ConfigError
+from carecontact.protocols import adapted, load_protocol
 from carecontact.sim.bench import Bench, Indenter
 from carecontact.world.human.body import body_names, load_body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
-from carecontact.world.human.tissue import CORE_MIN_RADIUS_M, inner_surface
-from carecontact.world.scene import region_shell
+from carecontact.world.human.tissue import CORE_MIN_RADIUS_M, Region, check_step, inner_surface
+from carecontact.world.scene import build_scene, region_shell
 
 PROTOCOL = load_protocol()
 REGIONS = tuple(SOFT_SEGMENTS)
@@ -111,3 +114,49 @@ def test_coupling_spreads_a_light_touch() -> None:
     spread = bench("forearm", plain.model_copy(update={"coupling_length_m": 0.005}))
     depth = np.array([0.003])
     assert spread.response(depth, speed_m_s=0.01) > 1.1 * alone.response(depth, speed_m_s=0.01)
+
+
+def test_springs_too_stiff_for_the_time_step_are_told() -> None:
+    person = PROTOCOL.person
+    stiff = person.tissue["forearm"].model_copy(update={"coupling_length_m": 0.02})
+    other = person.model_copy(update={"tissue": {**person.tissue, "forearm": stiff}})
+    with pytest.raises(
+        ConfigError, match=r"coupling_length_m 0.02 on a mesh of 8 mm is unstable at time steps of 2 ms"
+    ):
+        build_scene(PROTOCOL.model_copy(update={"person": other}), target="forearm", skin=False)
+
+
+@pytest.mark.parametrize("name", ["paper-mapping", "human-published", "manikin-like"])
+def test_shipped_sets_are_stable_in_the_fast_mode(name: str) -> None:
+    build_scene(adapted(PROTOCOL, tissue=name, fast=True), target="forearm", skin=False)
+
+
+def test_the_step_limit_is_the_integrators() -> None:
+    """A shell left ringing at a step just inside the limit calms down, and at one well outside it does not."""
+    tissue = PROTOCOL.person.tissue["forearm"].model_copy(update={"coupling_length_m": 0.012})
+    region = Region(name="forearm", shell=bench("forearm", tissue).shell, tissue=tissue, vertex_index=np.array([]))
+    region = replace(region, vertex_index=np.flatnonzero(~region.shell.pinned))
+
+    def refused(dt_s: float) -> bool:
+        try:
+            check_step(region, dt_s)
+        except ConfigError:
+            return True
+        return False
+
+    steps = np.arange(0.0010, 0.0100, 0.0002)
+    longest = steps[[not refused(float(dt)) for dt in steps]].max()
+    for factor, calms in ((0.9, True), (1.2, False)):
+        made = Bench(
+            body=load_body("man-adult"), region="forearm", tissue=tissue, shell=region.shell,
+            indenter=Indenter(shape="cap"), dt_s=float(longest * factor),
+        )  # fmt: skip
+        data = mujoco.MjData(made.model)
+        joints = [made.model.joint(f"forearm_v{k}_n").qposadr[0] for k in region.vertex_index]
+        data.qpos[joints] = 1e-6 * np.random.default_rng(0).normal(size=len(joints))
+        data.qpos[made.model.joint("indenter").qposadr[0]] = -0.015
+        for _ in range(400):
+            mujoco.mj_step(made.model, data)
+        # MuJoCo resets a state that diverged; the warning is all that tells of it.
+        grew = np.abs(data.qpos[joints]).max() > 1e-6 or any(w.number for w in data.warning)
+        assert grew != calms, (longest, factor)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carecontact.contract.protocol import Tissue
-from carecontact.errors import SceneError
+from carecontact.errors import ConfigError, SceneError
 from carecontact.recording.schema import REGIONS
 from carecontact.sim.bench import Bench, Indenter, Shape
 from carecontact.validation.moves import PRESS, SCRUB, Behaviour
@@ -66,7 +66,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         for reference in MESH_REFERENCES:
             try:
                 measures += mesh(subject, reference, halved[reference.region], curves)
-            except SceneError as error:
+            except (SceneError, ConfigError) as error:
                 # The rest of the check still says something.
                 name = f"{reference.region}: mesh twice as fine, not measured: {error}"
                 measures.append(Measure(name=name, value=float("nan"), unit="%", limit=MESH_LIMIT_PERCENT))
@@ -110,11 +110,11 @@ def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curv
     finer = tissue.model_copy(
         update={"spacing_m": tissue.spacing_m / 2, "coarse_spacing_m": tissue.coarse_spacing_m / 2}
     )
-    fine = subject.with_tissue(region, finer)
     depths = reference.depth_m[1:]
     # Both meshes run at half the time step, so that only the mesh differs: coupling is explicit, and its fastest wave
     # over a mesh twice as fine twice as fast.
     dt = subject.protocol.physics.dt_s / 2
+    fine = subject.with_tissue(region, finer).with_dt(dt)
     wanted = _mean_response(declared_bench(subject, region, reference.indenter, dt_s=dt), depths)
     bench = declared_bench(fine, region, reference.indenter, dt_s=dt)
     same_law = _mean_response(bench, depths)
@@ -125,7 +125,7 @@ def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curv
     tool_same = _mean_response(fine_tool, TOOL_DEPTHS_M)
     fine_tool.set_law(fitted)
     tool_new = _mean_response(fine_tool, TOOL_DEPTHS_M)
-    scene = _scores(subject.with_tissue(region, fitted).with_dt(dt), region, (PRESS, SCRUB))
+    scene = _scores(fine.with_tissue(region, fitted), region, (PRESS, SCRUB))
     curves |= {
         f"mesh/{region}/reference": 1.0 * np.stack([1000 * depths, wanted, same_law, new_law]),
         f"mesh/{region}/tool": np.stack([1000 * TOOL_DEPTHS_M, at_tool, tool_same, tool_new]),

@@ -20,7 +20,7 @@ from carecontact.world.human.refine import refined
 from carecontact.world.human.shell import Shell, limb_shell, trunk_shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, add_skeleton, body_name
 from carecontact.world.human.skin import add_skin
-from carecontact.world.human.tissue import Region, add_tissue, set_damping, shell_points
+from carecontact.world.human.tissue import Region, add_tissue, check_step, set_damping, shell_points
 from carecontact.world.robot import add_robot
 from carecontact.world.sensors import add_sensors
 
@@ -74,6 +74,8 @@ def build_spec(
     points = {SOFT_SEGMENTS[r]: shell_points(s, tissue[r]) for r, s in shells.items()}
     rows = add_skeleton(spec, body, root_position=root, root_quat=quat, shell_points=points)
     regions = {r: add_tissue(spec, body, r, s, tissue[r]) for r, s in shells.items()}
+    for made in regions.values():
+        check_step(made, protocol.physics.dt_s)
     for region, shell in shells.items():
         site_quat = np.zeros(4)
         mujoco.mju_mat2Quat(site_quat, shell.frame.ravel())

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.protocol import Tissue
+from carecontact.errors import ConfigError
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import HIDDEN_GROUP, ROBOT_ONLY, SOFT_SEGMENTS, body_name, tissue_body_name
@@ -92,11 +93,11 @@ def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissu
     return Region(name=region, shell=shell, tissue=tissue, vertex_index=np.flatnonzero(~shell.pinned))
 
 
-def _add_coupling(spec: mujoco.MjSpec, region: str, shell: Shell, coupling_n_m: float) -> None:
-    """Springs on the difference of neighbours' indentation: stiffness G times the edge's cotangent weight.
+def coupling_weights(shell: Shell) -> dict[tuple[int, int], float]:
+    """Edge (i, j) -> its cotangent weight, for edges with a free end.
 
-    The sum over edges is the linear finite element form of G |grad w|^2 / 2 over the surface (Pinkall and Polthier
-    1993), so it does not depend on the mesh; a pinned neighbour counts as zero.
+    The sum over edges of weight times squared difference is the linear finite element form of the integral of
+    |grad w|^2 over the surface (Pinkall and Polthier 1993), so it does not depend on the mesh.
     """
     weights: dict[tuple[int, int], float] = {}
     for triangle in shell.triangles:
@@ -106,11 +107,47 @@ def _add_coupling(spec: mujoco.MjSpec, region: str, shell: Shell, coupling_n_m: 
             cotangent = float(u @ v / np.linalg.norm(np.cross(u, v)))
             edge = (min(i, j), max(i, j))
             weights[edge] = weights.get(edge, 0.0) + cotangent / 2
-    for (i, j), weight in weights.items():
-        # A weight below zero (obtuse pairs) would let a spring push neighbours apart.
-        ends = [k for k in (i, j) if not shell.pinned[k]]
-        if not ends or weight <= 0:
-            continue
+    # A weight below zero (obtuse pairs) would let a spring push neighbours apart.
+    return {(i, j): w for (i, j), w in weights.items() if w > 0 and not (shell.pinned[i] and shell.pinned[j])}
+
+
+def check_step(region: Region, dt_s: float) -> None:
+    """Raise ConfigError where the springs are too stiff for the time step.
+
+    The integrator takes springs explicitly and dampers implicitly: a mode of frequency w and damping rate g = D_c / m
+    grows where (w dt)^2 > 4 + 2 g dt. Without coupling no shipped law comes near.
+    """
+    shell, tissue = region.shell, region.tissue
+    if tissue.coupling_length_m == 0:
+        return
+    row = np.full(len(shell.vertices), -1)
+    row[region.vertex_index] = np.arange(len(region.vertex_index))
+    matrix = np.diag(tissue.a_n_m3 * shell.area[region.vertex_index])
+    coupling_n_m = tissue.a_n_m3 * tissue.coupling_length_m**2
+    for (i, j), weight in coupling_weights(shell).items():
+        ends = [k for k in (row[i], row[j]) if k >= 0]
+        matrix[ends, ends] += coupling_n_m * weight
+        if len(ends) == 2:
+            matrix[ends[0], ends[1]] -= coupling_n_m * weight
+            matrix[ends[1], ends[0]] -= coupling_n_m * weight
+    mass = tissue.areal_mass_kg_m2 * shell.area[region.vertex_index]
+    limit = 4 + 2 * dt_s * tissue.damping_ns_m3 / tissue.areal_mass_kg_m2
+    # Gershgorin's bound first: it is cheap and nearly always enough.
+    if dt_s**2 * (np.abs(matrix).sum(1) / mass).max() < limit:
+        return
+    root = np.sqrt(mass)
+    largest = dt_s**2 * float(np.linalg.eigvalsh(matrix / root / root[:, None])[-1])
+    if largest >= limit:
+        raise ConfigError(
+            f"tissue of the {region.name}: a_n_m3 {tissue.a_n_m3:g} with "
+            f"coupling_length_m {tissue.coupling_length_m:g} on a mesh of {1000 * tissue.spacing_m:g} mm is unstable at time steps of {1000 * dt_s:g} ms "
+            f"((w dt)^2 = {largest:.1f}, limit {limit:.1f}): take a shorter step, a shorter coupling or more damping"
+        )
+
+
+def _add_coupling(spec: mujoco.MjSpec, region: str, shell: Shell, coupling_n_m: float) -> None:
+    """Springs on the difference of neighbours' indentation; a pinned neighbour counts as zero."""
+    for (i, j), weight in coupling_weights(shell).items():
         tendon = spec.add_tendon(
             name=f"{region}_e{i}_{j}", stiffness=[coupling_n_m * weight, 0, 0], springlength=[0, 0]
         )
