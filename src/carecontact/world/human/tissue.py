@@ -140,7 +140,8 @@ def check_step(region: Region, dt_s: float) -> None:
     if largest >= limit:
         raise ConfigError(
             f"tissue of the {region.name}: a_n_m3 {tissue.a_n_m3:g} with "
-            f"coupling_length_m {tissue.coupling_length_m:g} on a mesh of {1000 * tissue.spacing_m:g} mm is unstable at time steps of {1000 * dt_s:g} ms "
+            f"coupling_length_m {tissue.coupling_length_m:g} on a mesh of {1000 * tissue.spacing_m:g} mm "
+            f"is unstable at time steps of {1000 * dt_s:g} ms "
             f"((w dt)^2 = {largest:.1f}, limit {limit:.1f}): take a shorter step, a shorter coupling or more damping"
         )
 
