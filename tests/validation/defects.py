@@ -23,6 +23,8 @@ def half_stiff(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
         joints = anchor_joints(scene.model, region)
         scene.model.jnt_stiffness[joints] *= 0.5
         scene.model.jnt_stiffnesspoly[joints] *= 0.5
+    # Coupling is declared through the anchors' stiffness: G = a l^2.
+    scene.model.tendon_stiffness[:] *= 0.5
     return scene
 
 

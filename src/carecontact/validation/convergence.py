@@ -34,11 +34,11 @@ RECALIBRATIONS = 2
 RADIUS_FACTORS = (0.5, 1.0, 2.0)
 TREND_DEPTH_M = 0.004
 TRENDS: dict[str, tuple[Shape, float, tuple[float, float]]] = {
-    "sphere": ("hemisphere", 0.012, (0.6, 0.7)),
-    "flat": ("flat", 0.0107, (1.35, 1.5)),
+    "sphere": ("hemisphere", 0.012, (0.59, 0.66)),
+    "flat": ("flat", 0.0107, (1.31, 1.52)),
 }
 """Indenter, middle radius [m], exponents of force over radius of an incompressible elastic layer bonded to bone, 50 to
-30 mm thick (sphere: Dimitriadis et al. 2002, Biophys J 82:2798, eq. 12; flat: Hayes et al. 1972, J Biomech 5:541)."""
+30 mm thick (sphere: Dimitriadis et al. 2002, Biophys J 82:2798; flat: Hayes et al. 1972, J Biomech 5:541), which a test computes."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
