@@ -38,7 +38,8 @@ TRENDS: dict[str, tuple[Shape, float, tuple[float, float]]] = {
     "flat": ("flat", 0.0107, (1.31, 1.52)),
 }
 """Indenter, middle radius [m], exponents of force over radius of an incompressible elastic layer bonded to bone, 50 to
-30 mm thick (sphere: Dimitriadis et al. 2002, Biophys J 82:2798; flat: Hayes et al. 1972, J Biomech 5:541); a test computes them."""
+30 mm thick, as a test computes them (sphere: Dimitriadis et al. 2002, Biophys J 82:2798; flat: Hayes et al. 1972,
+J Biomech 5:541)."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:

@@ -93,39 +93,36 @@ def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissu
     return Region(name=region, shell=shell, tissue=tissue, vertex_index=np.flatnonzero(~shell.pinned))
 
 
-def coupling_weights(shell: Shell) -> dict[tuple[int, int], float]:
-    """Edge (i, j) -> its cotangent weight, for edges with a free end.
+def coupling_weights(shell: Shell) -> tuple[npt.NDArray[np.int64], Array]:
+    """Edges (E, 2) with a free end, and their cotangent weights (E,).
 
     The sum over edges of weight times squared difference is the linear finite element form of the integral of
     |grad w|^2 over the surface (Pinkall and Polthier 1993), so it does not depend on the mesh.
     """
-    weights: dict[tuple[int, int], float] = {}
-    for triangle in shell.triangles:
-        for k in range(3):
-            i, j, opposite = (int(triangle[(k + m) % 3]) for m in range(3))
-            u, v = shell.vertices[[i, j]] - shell.vertices[opposite]
-            cotangent = float(u @ v / np.linalg.norm(np.cross(u, v)))
-            edge = (min(i, j), max(i, j))
-            weights[edge] = weights.get(edge, 0.0) + cotangent / 2
+    corners = np.concatenate([np.roll(shell.triangles, -k, axis=1) for k in range(3)])
+    u, v = (shell.vertices[corners[:, k]] - shell.vertices[corners[:, 2]] for k in (0, 1))
+    cotangent = (u * v).sum(1) / np.linalg.norm(np.cross(u, v), axis=1)
+    edges, owner = np.unique(np.sort(corners[:, :2], axis=1), axis=0, return_inverse=True)
+    weights = np.zeros(len(edges))
+    np.add.at(weights, owner.ravel(), cotangent / 2)
     # A weight below zero (obtuse pairs) would let a spring push neighbours apart.
-    return {(i, j): w for (i, j), w in weights.items() if w > 0 and not (shell.pinned[i] and shell.pinned[j])}
+    kept = (weights > 0) & ~shell.pinned[edges].all(1)
+    return edges[kept].astype(np.int64), weights[kept]
 
 
 def check_step(region: Region, dt_s: float) -> None:
     """Raise ConfigError where the springs are too stiff for the time step.
 
     The integrator takes springs explicitly and dampers implicitly: a mode of frequency w and damping rate g = D_c / m
-    grows where (w dt)^2 > 4 + 2 g dt. Without coupling no shipped law comes near.
+    grows where (w dt)^2 > 4 + 2 g dt.
     """
     shell, tissue = region.shell, region.tissue
-    if tissue.coupling_length_m == 0:
-        return
     row = np.full(len(shell.vertices), -1)
     row[region.vertex_index] = np.arange(len(region.vertex_index))
     matrix = np.diag(tissue.a_n_m3 * shell.area[region.vertex_index])
     coupling_n_m = tissue.a_n_m3 * tissue.coupling_length_m**2
-    for (i, j), weight in coupling_weights(shell).items():
-        ends = [k for k in (row[i], row[j]) if k >= 0]
+    for edge, weight in zip(*coupling_weights(shell), strict=True):
+        ends = [k for k in row[edge] if k >= 0]
         matrix[ends, ends] += coupling_n_m * weight
         if len(ends) == 2:
             matrix[ends[0], ends[1]] -= coupling_n_m * weight
@@ -148,7 +145,7 @@ def check_step(region: Region, dt_s: float) -> None:
 
 def _add_coupling(spec: mujoco.MjSpec, region: str, shell: Shell, coupling_n_m: float) -> None:
     """Springs on the difference of neighbours' indentation; a pinned neighbour counts as zero."""
-    for (i, j), weight in coupling_weights(shell).items():
+    for (i, j), weight in zip(*coupling_weights(shell), strict=True):
         tendon = spec.add_tendon(
             name=f"{region}_e{i}_{j}", stiffness=[coupling_n_m * weight, 0, 0], springlength=[0, 0]
         )
