@@ -123,6 +123,10 @@ class Validate:
 
     body: tuple[str, ...] = ()
     """Bodies to check (see `carecontact list bodies`); default: the protocol's."""
+    tissue: str | None = None
+    """Other tissue than the protocol's: a name of `carecontact list tissue` or a .toml file, as calibrate writes it."""
+    fast: Switch = False
+    """Physics steps of 4 ms instead of the protocol's."""
     quick: Switch = False
     """The short form of every check, for continuous integration; the full one takes many minutes a body."""
     checks: str = "all"
@@ -141,6 +145,8 @@ class Validate:
 
         return validate(
             bodies=self.body,
+            tissue=self.tissue,
+            fast=self.fast,
             quick=self.quick,
             checks=self.checks,
             protocol=self.protocol,
@@ -154,7 +160,9 @@ class Calibrate:
     """Fit a region's tissue to measured indentation trials, with certificate and figure; see docs/calibration.md."""
 
     trials: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRIALS.csv")]
-    region: Literal["forearm", "upper_arm", "abdomen"] | None = None
+    region: Annotated[
+        Literal["forearm", "upper_arm", "abdomen"] | None, tyro.conf.arg(metavar="{forearm,upper_arm,abdomen}")
+    ] = None
     """Rows whose site begins with this; needed unless --verify is given."""
     body: str = "man-adult"
     """Whose surface is pressed (see `carecontact list bodies`)."""

@@ -80,7 +80,7 @@ class Tissue(Section):
     c_n_m5: Annotated[float, Field(ge=0)]
     damping_ns_m3: Positive
     """[N s/m per m^2]"""
-    coupling_length_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
+    coupling_length_m: Annotated[float, Field(ge=0, le=0.02)]
     """How far f_int spreads a load along the surface: a gradient of the indentation is resisted with G = a l^2 [N/m]
     (Pasternak's foundation). 0: neighbours act alone."""
     areal_mass_kg_m2: Positive
