@@ -31,8 +31,8 @@ class SignedRank:
 def signed_rank(first: Sequence[float | None], second: Sequence[float | None]) -> SignedRank:
     """Wilcoxon signed-rank test (Wilcoxon 1945) over the pairs that have both values.
 
-    Equal pairs are left out, as Wilcoxon did and as McNemar's test does. Exact, given the ranks, with ties too, of which
-    worst ranks make many; beyond EXACT_UP_TO unequal pairs the normal approximation with tie correction.
+    Equal pairs are left out, as Wilcoxon did and as McNemar's test does. Exact, given the ranks, with ties too, which
+    worst ranks make; beyond EXACT_UP_TO unequal pairs the normal approximation with tie correction.
     Infinite values are allowed: only ranks count, and two equal infinities are an equal pair.
     Raises ValueError for lengths that differ or NaN.
     """
