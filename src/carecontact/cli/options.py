@@ -118,6 +118,27 @@ class Report:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Compare:
+    """Compare two runs of one protocol, trial by trial: what differs, and what could not have been seen. See
+    docs/statistics.md."""
+
+    a: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_A")]
+    """Folder of a run, or its results.json alone."""
+    b: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_B")]
+    per_task: Switch = False
+    """A table for each task too; they are a family of their own."""
+    out: Path | None = None
+    """Folder for comparison.json; default: none is written."""
+
+    after_interrupt: ClassVar[str] = ""
+
+    def __call__(self) -> int:
+        from carecontact.cli.compare import compare
+
+        return compare(self.a, self.b, per_task=self.per_task, out=self.out)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Validate:
     """Prove that the simulated person is physically valid: eight checks and two measurements, with pass lines."""
 
@@ -223,6 +244,7 @@ COMMANDS = {
     "demo": Demo,
     "score": Score,
     "report": Report,
+    "compare": Compare,
     "validate": Validate,
     "calibrate": Calibrate,
     "list": List,

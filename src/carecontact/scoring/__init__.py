@@ -2,7 +2,7 @@
 
 from carecontact.scoring.metric import METRICS, Metric
 from carecontact.scoring.result import Anatomy, Attribution, FailureMode, TrialScore
-from carecontact.scoring.run import RunScores, results, score_run, summarise, write_scores
+from carecontact.scoring.run import RunScores, read_results, results, score_run, summarise, write_scores
 from carecontact.scoring.score import score_recording
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Metric",
     "RunScores",
     "TrialScore",
+    "read_results",
     "results",
     "score_recording",
     "score_run",
