@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
-    from carecontact.reports.comparison import Comparison, Line, RateLine, RunInfo, ScoreLine
+    from carecontact.reports.comparison import Comparison, RunInfo
+    from carecontact.reports.paired_lines import Line, RateLine, ScoreLine
     from carecontact.scoring.run import RunScores
 
 RESULTS = "results.json"
@@ -48,8 +49,8 @@ def _scores(run: Path) -> RunScores:
     if any(run.glob("*.h5")):
         scored = score_run(run)
         if not scored.scores:
-            name, why = next(iter(scored.skipped.items()))
-            raise ConfigError(f"{run}: no recording could be scored ({name}: {why}); name a run of this release")
+            why = next(iter(scored.skipped.values()))
+            raise ConfigError(f"{run}: no recording could be scored; the first: {why}")
         return scored
     if (run / RESULTS).is_file():
         return read_results(run / RESULTS)
@@ -68,7 +69,7 @@ def _write(comparison: Comparison, out: Path) -> Path:
 
 def _print(comparison: Comparison, a: Path, b: Path) -> None:
     from carecontact.contract.protocol import protocol_title
-    from carecontact.reports.comparison import ALPHA
+    from carecontact.reports.verdicts import ALPHA
 
     pairing = comparison.pairing
     print(f"{protocol_title(comparison.protocol_id, comparison.overrides)} ({comparison.protocol_sha256[:12]})")
@@ -110,7 +111,7 @@ def _print_lines(lines: Sequence[Line]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from carecontact.reports.comparison import RateLine
+    from carecontact.reports.paired_lines import RateLine
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for header in COLUMNS:
@@ -149,7 +150,7 @@ def _rate_cells(line: RateLine) -> list[str]:
 
 
 def _score_cells(line: ScoreLine) -> list[str]:
-    from carecontact.reports.comparison import plain_text
+    from carecontact.reports.outcomes import plain_text
 
     def shown(value: float | None) -> str:
         return plain_text(line.outcome, value)

@@ -125,6 +125,7 @@ class Compare:
     a: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_A")]
     """Folder of a run, or its results.json alone."""
     b: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_B")]
+    """The other one; differences are A minus B."""
     per_task: Switch = False
     """A table for each task too; they are a family of their own."""
     out: Path | None = None
