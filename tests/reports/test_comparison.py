@@ -154,6 +154,18 @@ def test_few_seeds_give_no_claim_of_power() -> None:
     assert sure.notes == ("rests on 4 seeds alone",)
 
 
+def test_what_three_of_ten_seeds_give_is_told() -> None:
+    """A alone succeeds in all tasks of three seeds: 21 pairs to 0, but 2.8 % of the resamples miss all three."""
+    tasks = tuple(f"T{i}" for i in range(1, 8))
+    a = run(*grid(10, lambda t, s: {} if s < 3 else FAILED, tasks), policy="a")
+    line = rate(compare_runs(a, run(*grid(10, lambda t, s: FAILED, tasks))), "success")
+    assert line.verdict is not None
+    assert line.verdict.word == "A higher"
+    assert line.difference.low > 0
+    assert line.clustered.low == 0
+    assert line.notes == ("an interval that keeps a seed's tasks together does not exclude 0",)
+
+
 def test_equal_runs() -> None:
     scores = grid(20, noisy(20, 2))
     found = compare_runs(run(*scores, policy="a"), run(*scores))

@@ -82,7 +82,7 @@ def test_results_can_be_read_again(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"schema": "carecontact-results-0"}, "schema 'carecontact-results-0', expected 'carecontact-results-1'"),
+        ({"schema": "carecontact-results-0"}, "schema: Input should be 'carecontact-results-1'"),
         ({"trials": [{"trial_id": "T1-s000"}]}, r"trials\.0\.task_id: Field required"),
         ({"skipped": None}, "skipped: Input should be"),
     ],

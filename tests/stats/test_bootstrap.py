@@ -104,6 +104,15 @@ def test_holds_the_estimate_mirrors_and_ignores_order(pairs: Any, statistic: Sta
     assert (mirror.low, mirror.high) == pytest.approx((-result.high, -result.low), abs=1e-6)
 
 
+def test_narrow_intervals_are_stretched_to_the_estimate() -> None:
+    """The middle hundredth of a skewed distribution lies on one side of the estimate."""
+    pairs = [(value, 0.0, k) for k, value in enumerate((0.0, 1.0, 2.0, 4.0, 60.0))]
+    right = found(pairs, statistic="difference_of_means", confidence=0.01)
+    left = found([(b, a, k) for a, b, k in pairs], statistic="difference_of_means", confidence=0.01)
+    assert right.low < right.high == right.estimate == 13.4
+    assert left.high > left.low == left.estimate == -13.4
+
+
 def test_the_same_numbers_every_time_whatever_is_held_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     pairs = [(float(i * i % 17), float(i % 5), i % 6) for i in range(30)]
     first = found(pairs)

@@ -40,6 +40,11 @@ def test_paired_without_discordance_needs_six_pairs() -> None:
     assert paired_detectable_difference(n=0, discordance=0.0).difference is None
 
 
+def test_paired_counts_both_tails() -> None:
+    """Without any difference the test rejects more often than alpha / 2, in either direction."""
+    assert paired_detectable_difference(n=140, discordance=0.5, power=0.027).difference == pytest.approx(0, abs=1e-6)
+
+
 def test_paired_near_the_textbook_formula() -> None:
     """Connor 1987 by the normal approximation: n d^2 = (z_a sqrt(psi) + z_b sqrt(psi - d^2))^2."""
     n, psi = 2000, 0.4

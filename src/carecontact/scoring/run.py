@@ -7,9 +7,9 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.recording import read_recording
@@ -124,18 +124,11 @@ def read_results(path: Path | str) -> RunScores:
     Raises ConfigError for a file that cannot be read or mixes protocols, policies or worlds.
     """
     try:
-        content = json.loads(Path(path).read_bytes())
-        if not isinstance(content, dict):
-            raise ValueError("not an object")
-        if content.get("schema") != RESULTS_SCHEMA:
-            raise ValueError(f"schema {content.get('schema')!r}, expected {RESULTS_SCHEMA!r}")
-        stored = _Results.model_validate(content)
+        stored = _Results.model_validate_json(Path(path).read_bytes())
     except ValidationError as error:
         first = error.errors()[0]
-        why = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
         raise ConfigError(f"{path} is damaged or of another release ({why})") from error
-    except ValueError as error:
-        raise ConfigError(f"{path} is damaged or of another release ({error})") from error
     twice = [trial_id for trial_id, k in Counter(s.trial_id for s in stored.trials).items() if k > 1]
     if twice:
         raise ConfigError(f"{path} is damaged: {twice[0]} is in it twice")
@@ -146,6 +139,7 @@ def read_results(path: Path | str) -> RunScores:
 class _Results(BaseModel):
     """What of ``results.json`` is not computed from its trials."""
 
+    version: Annotated[Literal["carecontact-results-1"], Field(alias="schema")]
     trials: list[TrialScore]
     skipped: dict[str, str]
     versions: dict[str, list[str]]

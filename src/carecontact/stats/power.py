@@ -10,6 +10,7 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from carecontact.stats.values import check_level
 
@@ -42,7 +43,7 @@ def paired_detectable_difference(
     binom: Any = import_module("scipy.stats").binom
     discordant = np.arange(n + 1)
     # Reject if the smaller count is at most this: -1 where even 0 would not do. ppf lies one above unless on alpha / 2.
-    critical = binom.ppf(alpha / 2, discordant, 0.5)
+    critical: npt.NDArray[np.float64] = binom.ppf(alpha / 2, discordant, 0.5)
     critical = np.where(binom.cdf(critical, discordant, 0.5) <= alpha / 2, critical, critical - 1)
 
     def power_at(difference: float) -> float:
