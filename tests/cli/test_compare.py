@@ -100,3 +100,16 @@ def test_scores_that_no_trial_has_are_na(runs: Path, capsys: pytest.CaptureFixtu
     row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("C1 [N]"))
     assert row.split("  ")[0] == "C1 [N]"
     assert row[6:].split() == "NA (n=0) NA (n=0) NA 0 of 3 NA NA 1.000 NA underpowered".split()
+
+
+def test_a_narrow_terminal_loses_no_figure(
+    runs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("carecontact.cli.compare.WIDTH", 1000)
+    monkeypatch.setattr("rich.console.Console.is_terminal", property(lambda self: True))
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["compare", "a", "b"]) == 0
+    told = capsys.readouterr().out
+    assert "…" not in told
+    for figure in ("Region-correct", "100.0", "93.9]", "(n=2)", "of 3"):
+        assert figure in told

@@ -20,7 +20,7 @@ COMPARISON = "comparison.json"
 COLUMNS = (
     "", "A", "B", "A - B [95 %]", "pairs", "p\npaired", "p\nHolm", "p worst\nrank", "p un-\npaired", "verdict"
 )  # fmt: skip
-WIDTH = 150
+WIDTH = 155
 
 
 def compare(a: Path, b: Path, *, per_task: bool, out: Path | None) -> int:
@@ -113,14 +113,20 @@ def _print_lines(lines: Sequence[Line]) -> None:
 
     from carecontact.reports.paired_lines import RateLine
 
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for header in COLUMNS:
-        table.add_column(header, justify="left" if header in ("", "verdict") else "right")
+    console = Console(highlight=False, markup=False, width=None if Console().is_terminal else WIDTH)
+    is_narrow = console.width < WIDTH
+    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 1 if is_narrow else 2, 0, 0))
+    for header in COLUMNS[:-1] if is_narrow else COLUMNS:
+        left = header in ("", "verdict")
+        table.add_column(header, justify="left" if left else "right", overflow="fold", min_width=None if header else 14)
     for line in lines:
         assert line.verdict is not None
         cells = _rate_cells(line) if isinstance(line, RateLine) else _score_cells(line)
-        table.add_row(*cells, line.verdict.word)
-    console = Console(highlight=False, markup=False, width=None if Console().is_terminal else WIDTH)
+        if is_narrow:
+            # Intervals go below their estimates, and the verdicts are told under the table anyway.
+            table.add_row(*(cell.replace(" [", "\n[").replace(" (", "\n(").replace(" of ", "\nof ") for cell in cells))
+        else:
+            table.add_row(*cells, line.verdict.word)
     console.print(table)
     for line in lines:
         if line.verdict is not None:
