@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 RESULTS = "results.json"
 COMPARISON = "comparison.json"
-COLUMNS = (
-    "", "A", "B", "A - B [95 %]", "pairs", "p\npaired", "p\nHolm", "p worst\nrank", "p un-\npaired", "verdict"
-)  # fmt: skip
-WIDTH = 155
+TESTS = ("paired", "Holm", "worst rank", "unpaired")
+COLUMNS = ("", "A", "B", "A - B [95 %]", "pairs", *(f"p\n{test}" for test in TESTS), "verdict")
+WIDTH = 158
+"""Below it there is no table."""
 
 
 def compare(a: Path, b: Path, *, per_task: bool, out: Path | None) -> int:
@@ -112,31 +112,31 @@ def _print_lines(lines: Sequence[Line]) -> None:
     from rich.table import Table
 
     from carecontact.reports.paired_lines import RateLine
+    from carecontact.reports.table import NOT_DEFINED
 
     console = Console(highlight=False, markup=False, width=None if Console().is_terminal else WIDTH)
-    is_narrow = console.width < WIDTH
-    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 1 if is_narrow else 2, 0, 0))
-    for header in COLUMNS[:-1] if is_narrow else COLUMNS:
-        left = header in ("", "verdict")
-        table.add_column(header, justify="left" if left else "right", overflow="fold", min_width=None if header else 14)
-    for line in lines:
-        assert line.verdict is not None
-        cells = _rate_cells(line) if isinstance(line, RateLine) else _score_cells(line)
-        if is_narrow:
-            # Intervals go below their estimates, and the verdicts are told under the table anyway.
-            table.add_row(*(cell.replace(" [", "\n[").replace(" (", "\n(").replace(" of ", "\nof ") for cell in cells))
-        else:
-            table.add_row(*cells, line.verdict.word)
+    rows = [_rate_cells(line) if isinstance(line, RateLine) else _score_cells(line) for line in lines]
+    told = ["" if line.verdict is None else "; ".join([line.verdict.text, *line.notes]) for line in lines]
+    if console.width < WIDTH:
+        # A table that wraps inside its intervals cannot be read.
+        for (name, a, b, difference, pairs, *pvalues), text in zip(rows, told, strict=True):
+            tests = ", ".join(f"{p} {test}" for test, p in zip(TESTS, pvalues, strict=True) if p != NOT_DEFINED)
+            console.print(f"{name}: A {a}, B {b}, A - B {difference}, {pairs} pairs; p {tests}")
+            console.print(f"  {text}")
+        return
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for header in COLUMNS:
+        table.add_column(header, justify="left" if header in ("", "verdict") else "right")
+    for line, cells in zip(lines, rows, strict=True):
+        table.add_row(*cells, line.verdict.word if line.verdict else "")
     console.print(table)
-    for line in lines:
-        if line.verdict is not None:
-            told = "; ".join([line.verdict.text, *line.notes])
-            name = line.outcome.title if isinstance(line, RateLine) else f"{line.outcome.id} {line.outcome.title}"
-            console.print(f"  {name}: {told}", soft_wrap=True)
+    for line, text in zip(lines, told, strict=True):
+        name = line.outcome.title if isinstance(line, RateLine) else f"{line.outcome.id} {line.outcome.title}"
+        console.print(f"  {name}: {text}", soft_wrap=True)
 
 
 def _rate_cells(line: RateLine) -> list[str]:
-    from carecontact.reports.table import number
+    from carecontact.reports.table import NOT_DEFINED, number
 
     def rate(estimate: float | None, low: float, high: float) -> str:
         percent = None if estimate is None else 100 * estimate
@@ -150,7 +150,7 @@ def _rate_cells(line: RateLine) -> list[str]:
         str(line.n_pairs),
         _p(line.test.pvalue),
         _p(line.p_holm),
-        "–",
+        NOT_DEFINED,
         _p(line.unpaired.pvalue),
     ]
 
