@@ -49,6 +49,9 @@ class Run:
     """Other tissue than the protocol's: a name of `carecontact list tissue` or a .toml file, as calibrate writes it."""
     fast: Switch = False
     """Physics steps of 4 ms instead of the protocol's: fewer steps a second, for development."""
+    unfrozen: Switch = False
+    """Run a frozen protocol although it drifted from its lock (see `carecontact protocol verify`); every output shows
+    it."""
     jobs: int | None = None
     """Trials at once; default: one per core."""
     retry_failed: Switch = False
@@ -68,6 +71,7 @@ class Run:
             body=self.body,
             tissue=self.tissue,
             fast=self.fast,
+            unfrozen=self.unfrozen,
             jobs=self.jobs,
             retry_failed=self.retry_failed,
         )
@@ -229,6 +233,24 @@ class List:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Protocols:
+    """Protocols and their locks: list them, show one, verify that it is what was frozen, or lock a file of yours."""
+
+    what: Annotated[Literal["list", "show", "verify", "lock"], tyro.conf.Positional]
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE.toml")] = "bathing-v1-draft"
+    """Id of a shipped protocol, or a .toml file."""
+
+    after_interrupt: ClassVar[str] = ""
+
+    def __call__(self) -> int:
+        from carecontact.cli import protocol
+
+        if self.what == "list":
+            return protocol.list_protocols()
+        return {"show": protocol.show, "verify": protocol.verify, "lock": protocol.lock}[self.what](self.name)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Doctor:
     """Check that this machine can run trials; for what is missing, say the line that installs it."""
 
@@ -248,6 +270,7 @@ COMMANDS = {
     "compare": Compare,
     "validate": Validate,
     "calibrate": Calibrate,
+    "protocol": Protocols,
     "list": List,
     "doctor": Doctor,
 }

@@ -18,8 +18,13 @@ FileStem = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_leng
 """An id that names files, so that it can name none elsewhere."""
 
 
-OVERRIDABLE = {"person.body": "body {}", "person.tissue_set": "tissue {}", "physics.dt_s": "time step {} s"}
-"""Field of a protocol that a command may replace -> its words in ``Protocol.title``."""
+OVERRIDABLE = {
+    "person.body": "body {}",
+    "person.tissue_set": "tissue {}",
+    "physics.dt_s": "time step {} s",
+    "lock": "drift from its lock ({})",
+}
+"""What a command may replace, or had to accept, of a protocol -> its words in ``Protocol.title``."""
 
 
 Region = Literal["forearm", "upper_arm", "abdomen"]
