@@ -182,6 +182,27 @@ class Validate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Probe:
+    """Prove that each score follows what it scores: four scripted sweeps in simulation, plotted."""
+
+    metrics: str = "all"
+    """C1@1,C5@1 or all (C1@1, C2@1, C4@1, C5@1)."""
+    body: str | None = None
+    """Another person than the protocol's (see `carecontact list bodies`)."""
+    protocol: str = "bathing-v1-draft"
+    """Id of a shipped protocol, or a .toml file."""
+    out: Path = Path("runs/probe")
+    """Folder for probe.json and probe.png."""
+
+    after_interrupt: ClassVar[str] = "; nothing was written"
+
+    def __call__(self) -> int:
+        from carecontact.cli.probe import probe
+
+        return probe(metrics=self.metrics, body=self.body, protocol=self.protocol, out=self.out)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Calibrate:
     """Fit a region's tissue to measured indentation trials, with certificate and figure; see docs/calibration.md."""
 
@@ -270,6 +291,7 @@ COMMANDS = {
     "compare": Compare,
     "validate": Validate,
     "calibrate": Calibrate,
+    "probe": Probe,
     "protocol": Protocols,
     "list": List,
     "doctor": Doctor,

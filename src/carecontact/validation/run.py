@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -110,7 +111,7 @@ def write(validation: Validation, folder: Path) -> list[Path]:
     if result.error is not None:
         return [record]
     figure = folder / f"{result.check}.png"
-    draw_figure(result, _module(result.check).draw, figure)
+    draw_figure(partial(_module(result.check).draw, result), figure)
     return [record, figure]
 
 
