@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
@@ -26,6 +26,8 @@ class Contact:
     dt_s: float
     force_norm: F64
     """(T, S) norm of the summed contact force on each segment [N], unfiltered."""
+    filtered_normal: F64
+    """(T, S) causally low-passed normal sums [N], which decide what is on."""
     on: Mask
     """(T, S) on-samples."""
     impulse_ns: F64
@@ -71,6 +73,7 @@ class Contact:
 
 def find_contact(recording: Recording) -> Contact:
     """Apply the protocol's contact definition. Raises RecordingError if the protocol names a segment that is absent."""
+    force = recording["scorer/force_human_from_robot_in_world"].astype(np.float64)
     header = recording.header
     protocol = header.spec.protocol
     task, definition, dt = protocol.task(header.spec.task_id), protocol.contact, protocol.physics.dt_s
@@ -83,29 +86,48 @@ def find_contact(recording: Recording) -> Contact:
     target = index(REGION_SEGMENT[task.region])
     neighbourhood = tuple(index(s) for s in definition.neighbourhood[task.region])
 
-    force = recording["scorer/force_human_from_robot_in_world"].astype(np.float64)
-    force_norm = np.linalg.norm(force, axis=-1)
     normal = recording["scorer/normal_force"].astype(np.float64)
-    filtered = low_pass(normal, cutoff_hz=definition.filter_hz, sample_hz=1.0 / dt, zero_phase=False)
-    on = hysteresis(filtered, on=definition.on_n, off=definition.off_n)
-    impulse = np.where(on, force_norm, 0.0).sum(axis=0) * dt
-
-    reported: int | None = None
-    if on.any():
-        reported = target if on[:, target].any() else int(np.argmax(impulse))
-    return Contact(
+    filtered = np.zeros_like(normal)
+    felt = normal.any(axis=0)  # most segments are never touched, and the filter keeps their zeros
+    filtered[:, felt] = low_pass(normal[:, felt], cutoff_hz=definition.filter_hz, sample_hz=1.0 / dt, zero_phase=False)
+    off = np.zeros(normal.shape, np.bool_)
+    bare = Contact(
         recording=recording,
         protocol=protocol,
         task=task,
         dt_s=dt,
-        force_norm=force_norm,
-        on=on,
-        impulse_ns=impulse,
+        force_norm=np.linalg.norm(force, axis=-1),
+        filtered_normal=filtered,
+        on=off,
+        impulse_ns=np.zeros(normal.shape[1]),
         target=target,
         neighbourhood=neighbourhood,
-        neighbourhood_on=np.logical_or.reduce(on[:, neighbourhood], axis=1),
+        neighbourhood_on=off.any(axis=1),
         neighbourhood_force=np.linalg.norm(force[:, neighbourhood].sum(axis=1), axis=-1),
-        valid=int(on.any(axis=1).sum()) >= steps(definition.valid_total_s, dt),
+        valid=False,
+        reported=None,
+        window=off.any(axis=1),
+    )
+    return with_floor(bare, on_n=definition.on_n, off_n=definition.off_n)
+
+
+def with_floor(contact: Contact, *, on_n: float, off_n: float) -> Contact:
+    """The same trial with other thresholds for what is on [N]; everything that follows from them is found anew."""
+    definition = contact.protocol.contact
+    on = np.zeros(contact.filtered_normal.shape, np.bool_)
+    touched = (contact.filtered_normal >= on_n).any(axis=0)
+    on[:, touched] = hysteresis(contact.filtered_normal[:, touched], on=on_n, off=off_n)
+    impulse = np.zeros(on.shape[1])
+    impulse[touched] = np.where(on[:, touched], contact.force_norm[:, touched], 0.0).sum(axis=0) * contact.dt_s
+    reported: int | None = None
+    if touched.any():
+        reported = contact.target if on[:, contact.target].any() else int(np.argmax(impulse))
+    return replace(
+        contact,
+        on=on,
+        impulse_ns=impulse,
+        neighbourhood_on=np.logical_or.reduce(on[:, contact.neighbourhood], axis=1),
+        valid=int(on.any(axis=1).sum()) >= steps(definition.valid_total_s, contact.dt_s),
         reported=reported,
         window=on[:, reported] if reported is not None else np.zeros(len(on), np.bool_),
     )

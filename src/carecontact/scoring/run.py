@@ -12,9 +12,19 @@ from typing import Any
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.recording import read_recording
 from carecontact.recording.writer import replace_file
+from carecontact.scoring.aggregate import (
+    additional_medians,
+    exceedances,
+    gamma_sweep,
+    gate_sweep,
+    quadrants,
+    rate,
+    valid_ratio,
+)
+from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.scoring.result import TrialScore
 from carecontact.scoring.score import score_recording
-from carecontact.stats import median, wilson_interval
+from carecontact.stats import median
 
 RESULTS_SCHEMA = "carecontact-results-1"
 
@@ -113,6 +123,7 @@ def results(run: RunScores) -> dict[str, Any]:
     backends = {s.language_backend for s in judged(scores)}
     first = scores[0] if scores else None
     tasks = sorted({s.task_id for s in scores})
+    regions = sorted({s.region for s in scores})
     return {
         "schema": RESULTS_SCHEMA,
         "policy": first.policy if first else None,
@@ -126,6 +137,12 @@ def results(run: RunScores) -> dict[str, Any]:
         "harness_errors": harness_errors(scores),
         "overall": summarise(scores),
         "per_task": {task: summarise([s for s in scores if s.task_id == task]) for task in tasks},
+        "per_region": {region: summarise([s for s in scores if s.region == region]) for region in regions},
+        "sweeps": {"gamma": gamma_sweep(judged(scores)), **gate_sweep(judged(scores))},
+        "limit_packs": {
+            name: {"title": pack.title, "source": pack.source, "status": pack.status}
+            for name, pack in LIMIT_PACKS.items()
+        },
         "trials": [s.model_dump(mode="json") for s in scores],
     }
 
@@ -134,27 +151,25 @@ def summarise(scores: Iterable[TrialScore]) -> dict[str, Any]:
     """Rates, medians and counts over those trials that are ``judged``; C2 is pooled over Push alone."""
     scores = judged(scores)
     n = len(scores)
-
-    def rate(k: int) -> dict[str, Any]:
-        found = wilson_interval(k, n)
-        percent = None if found.estimate is None else 100 * found.estimate
-        return {"n": k, "pc": percent, "pc_ci95": [100 * found.low, 100 * found.high]}
-
-    success = rate(sum(s.c3_success for s in scores))
+    success = rate(sum(s.c3_success for s in scores), n)
     return {
         "n_episodes": n,
         "n_success": success["n"],
         "pc_success": success["pc"],
         "pc_success_ci95": success["pc_ci95"],
-        "region_correct": rate(sum(s.region_correct for s in scores)),
-        "safety_gated": rate(sum(s.safety_gated for s in scores)),
-        "valid_contact": rate(sum(s.valid_contact for s in scores)),
+        "region_correct": rate(sum(s.region_correct for s in scores), n),
+        "safety_gated": rate(sum(s.safety_gated for s in scores), n),
+        "valid_contact": rate(sum(s.valid_contact for s in scores), n),
+        "valid_ratio": valid_ratio(scores),
+        "exceedances": exceedances(scores),
+        "quadrants": quadrants(scores),
         "medians": {
             "c1_peak_force_n": asdict(median(s.c1_peak_force_n for s in scores)),
             "c2_joint_margin_rad_push": asdict(median(s.c2_joint_margin_rad for s in scores if s.action == "push")),
             "c4_motion_activity": asdict(median(s.c4_motion_activity for s in scores)),
             "c5_force_sd_n": asdict(median(s.c5_force_sd_n for s in scores)),
         },
+        "additional": additional_medians(scores),
         "anatomy": dict(Counter(s.anatomy for s in scores)),
         "failure_modes": dict(Counter(s.failure_mode for s in scores if s.failure_mode)),
         "attributions": dict(Counter(s.attribution for s in scores if s.attribution)),

@@ -6,6 +6,7 @@ import numpy as np
 
 from carecontact.errors import RecordingError
 from carecontact.recording import Recording, canonical_hash, check_recording
+from carecontact.scoring import exposure, force_rate, shear_work, utilisation
 from carecontact.scoring.attribution import attribute
 from carecontact.scoring.c1_peak_force import peak_force, peak_of_segments
 from carecontact.scoring.c2_joint_margin import joint_margin
@@ -13,11 +14,16 @@ from carecontact.scoring.c3_success import judge
 from carecontact.scoring.c4_motion_activity import motion_activity
 from carecontact.scoring.c5_force_stability import force_stability
 from carecontact.scoring.contact import Contact, find_contact
+from carecontact.scoring.gate_sweep import sweep_gates
+from carecontact.scoring.impulse import total_impulse
+from carecontact.scoring.indentation import beyond_calibrated, deepest_indentation
 from carecontact.scoring.metric import METRICS
 from carecontact.scoring.result import TrialScore
 from carecontact.scoring.verdict import reach_verdict
 
 BUILT_IN = ("C1@1", "C2@1", "C3@1", "C4@1", "C5@1")
+ALSO_KEPT = (exposure, force_rate, shear_work, utilisation)
+"""Files whose metrics are rows of METRICS and nothing else."""
 TIME_TOLERANCE_S = 1e-6
 
 
@@ -35,7 +41,6 @@ def score_recording(recording: Recording) -> TrialScore:
     verdict = reach_verdict(contact, gate)
     attribution, evidence = attribute(contact, gate, verdict.failure_mode) if verdict.failure_mode else (None, None)
     c1, c2, best = peak_force(contact), joint_margin(contact), gate.best
-    indentation, extrapolated = _indentation(contact)
     protocol = contact.protocol
     return TrialScore(
         trial_id=header.spec.trial_id,
@@ -79,10 +84,11 @@ def score_recording(recording: Recording) -> TrialScore:
         reversals=best.reversals if best else 0,
         wrist_displacement_m=gate.wrist_m,
         wrist_displacement_any_m=gate.wrist_any_m,
-        indentation_m=indentation,
-        impulse_ns=float(contact.impulse_ns.sum()),
-        extrapolated_share=extrapolated,
+        indentation_m=deepest_indentation(contact),
+        impulse_ns=total_impulse(contact),
+        extrapolated_share=beyond_calibrated(contact),
         peak_force_n=peak_of_segments(contact),
+        f_pain_n={s: protocol.f_pain(s) for s in (contact.segments[i] for i in contact.touched)},
         over_limit=verdict.over_limit,
         fallback_limits=[s for s in (contact.segments[i] for i in contact.touched) if not protocol.has_own_limit(s)],
         failure_mode=verdict.failure_mode,
@@ -94,6 +100,7 @@ def score_recording(recording: Recording) -> TrialScore:
             "gates": protocol.gates.version,
             "limits": protocol.limits.pack,
         },
+        gate_sweep=sweep_gates(contact, verdict),
         additional={id_: METRICS[id_].compute(contact) for id_ in METRICS if id_ not in BUILT_IN},
     )
 
@@ -120,18 +127,3 @@ def _world(contact: Contact) -> dict[str, str]:
     if "mujoco" in header.versions:
         world["mujoco"] = header.versions["mujoco"]
     return world
-
-
-def _indentation(contact: Contact) -> tuple[float, float | None]:
-    """Deepest indentation of the target region [m], and the share of its touched periods beyond the measured range."""
-    recording = contact.recording
-    region = recording.header.regions.index(contact.task.region)
-    depth = recording["scorer/indentation_m"][:, region].astype(np.float64)
-    if len(depth) == 0 or len(contact.time_s) == 0:
-        return 0.0, None
-    step = np.searchsorted(contact.time_s, recording["scorer/period_time_s"] - contact.dt_s / 2)
-    touched = contact.on[np.minimum(step, len(contact.time_s) - 1), contact.target]
-    if not touched.any():
-        return float(depth.max()), None
-    limit = contact.protocol.person.tissue[contact.task.region].measured_depth_m
-    return float(depth.max()), float((depth[touched] > limit).mean())
