@@ -96,12 +96,15 @@ class Score:
     """Compute the scores of a run again from its recordings; no simulator needed."""
 
     folder: Folder
+    append: Switch = False
+    """Only add the metrics that results.json does not have yet; everything in it stays as it is."""
+
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
-        from carecontact.cli.score import score
+        from carecontact.cli.score import append, score
 
-        return score(self.folder)
+        return append(self.folder) if self.append else score(self.folder)
 
 
 @dataclass(frozen=True, kw_only=True)

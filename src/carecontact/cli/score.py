@@ -23,6 +23,22 @@ def score(folder: Path) -> int:
     return 1 if rescore(folder).skipped else 0
 
 
+def append(folder: Path) -> int:
+    """Add what results.json lacks; an error leaves it as it was."""
+    from carecontact.scoring import append_metrics
+
+    _need_recordings(folder)
+    found = append_metrics(folder)
+    if found.metrics:
+        print(f"added to {found.trials} trial(s): {', '.join(found.metrics)}")
+    else:
+        print(f"nothing to add: {RESULTS} has every metric of this release")
+    if found.not_listed:
+        print(f"not in {RESULTS}, score without --append to take them in: {', '.join(found.not_listed)}")
+    print(f"scores: {found.path}")
+    return 0
+
+
 def rescore(folder: Path, *, compare: bool = True) -> RunScores:
     """Score every recording, say what differs from results.json (``compare``), write it and print the table.
 

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.protocol import Protocol, Task
-from carecontact.errors import RecordingError
 from carecontact.recording import REGION_SEGMENT, Recording
 from carecontact.scoring.filters import F64, low_pass
 
@@ -72,19 +71,14 @@ class Contact:
 
 
 def find_contact(recording: Recording) -> Contact:
-    """Apply the protocol's contact definition. Raises RecordingError if the protocol names a segment that is absent."""
+    """Apply the protocol's contact definition to a recording that ``check_recording`` accepts."""
     force = recording["scorer/force_human_from_robot_in_world"].astype(np.float64)
     header = recording.header
     protocol = header.spec.protocol
     task, definition, dt = protocol.task(header.spec.task_id), protocol.contact, protocol.physics.dt_s
 
-    def index(segment: str) -> int:
-        if segment not in header.segments:
-            raise RecordingError(f"segment {segment!r} is not recorded; recorded: {', '.join(header.segments)}")
-        return header.segments.index(segment)
-
-    target = index(REGION_SEGMENT[task.region])
-    neighbourhood = tuple(index(s) for s in definition.neighbourhood[task.region])
+    target = header.segments.index(REGION_SEGMENT[task.region])
+    neighbourhood = tuple(header.segments.index(s) for s in definition.neighbourhood[task.region])
 
     normal = recording["scorer/normal_force"].astype(np.float64)
     filtered = np.zeros_like(normal)

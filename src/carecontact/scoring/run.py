@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from carecontact.errors import ConfigError, RecordingError
-from carecontact.recording import read_recording
+from carecontact.recording import read_verified
 from carecontact.recording.writer import replace_file
 from carecontact.scoring.aggregate import (
     additional_medians,
@@ -26,7 +26,7 @@ from carecontact.scoring.result import TrialScore
 from carecontact.scoring.score import score_recording
 from carecontact.stats import median
 
-RESULTS_SCHEMA = "carecontact-results-1"
+RESULTS_NAME, RESULTS_SCHEMA = "results.json", "carecontact-results-1"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,11 +53,12 @@ def score_run(folder: Path | str) -> RunScores:
     versions: dict[str, set[str]] = {}
     for path in sorted(folder.glob("*.h5")):
         try:
-            recording = read_recording(path)
+            verified = read_verified(path)
+            recording = verified.recording
             trial_id = recording.header.spec.trial_id
             if path.stem != trial_id:
                 raise RecordingError(f"{path}: holds trial {trial_id}; a copy would count twice")
-            scores.append(score_recording(recording))
+            scores.append(score_recording(recording, sha256=verified.sha256))
         except RecordingError as error:
             skipped[path.name] = str(error)
             continue
@@ -109,8 +110,13 @@ def harness_errors(scores: Iterable[TrialScore]) -> list[dict[str, str]]:
 
 def write_scores(folder: Path | str, run: RunScores) -> Path:
     """Write ``results.json`` into ``folder`` at once; the same scores give the same bytes. Returns its path."""
-    path = Path(folder) / "results.json"
-    text = json.dumps(results(run), sort_keys=True, indent=1, allow_nan=False)
+    return write_results(folder, results(run))
+
+
+def write_results(folder: Path | str, data: Mapping[str, Any]) -> Path:
+    """Write the content of a ``results.json``; the same content gives the same bytes. Returns its path."""
+    path = Path(folder) / RESULTS_NAME
+    text = json.dumps(data, sort_keys=True, indent=1, allow_nan=False)
     replace_file(path, (text + "\n").encode("ascii"))
     return path
 
