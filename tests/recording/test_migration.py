@@ -11,8 +11,9 @@ import pytest
 
 from carecontact.errors import RecordingError
 from carecontact.recording import MIGRATIONS, SCHEMA_VERSION, RawRecording, canonical_hash, read_recording
-from carecontact.recording.canonical import canonical_digest, header_json
+from carecontact.recording.canonical import header_json
 from carecontact.scoring import score_run, write_scores
+from tests.recording.raw_file import store
 from tests.scoring.synthetic import touch
 
 OLD, NEW_NAME, OLD_NAME = "carecontact-recording-0", "scorer/normal_force", "scorer/normal_force_kn"
@@ -34,16 +35,6 @@ def old_file(tmp_path: Path) -> Path:
     arrays = dict(recording.arrays)
     arrays[OLD_NAME] = arrays.pop(NEW_NAME).astype(np.float64) / 1000.0
     return store(tmp_path / "T1-s000.h5", header, arrays)
-
-
-def store(path: Path, header: object, arrays: dict[str, np.ndarray]) -> Path:
-    content = json.dumps(header).encode()
-    with h5py.File(path, "w") as file:
-        file["header_json"] = np.frombuffer(content, np.uint8)
-        file["sha256"] = np.frombuffer(bytes.fromhex(canonical_digest(content, arrays)), np.uint8)
-        for name, array in arrays.items():
-            file[name] = array
-    return path
 
 
 def test_an_older_recording_is_lifted_and_scores_like_its_like(old_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:

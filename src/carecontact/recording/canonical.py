@@ -37,7 +37,7 @@ def canonical_digest(header: bytes, arrays: Mapping[str, npt.NDArray[Any]]) -> s
     """``canonical_hash`` of a header as it is spelled in a file."""
     digest = hashlib.sha256()
 
-    def add(part: bytes | memoryview) -> None:
+    def add(part: bytes) -> None:
         digest.update(len(part).to_bytes(8, "little"))  # without lengths, neighbouring parts could trade bytes
         digest.update(part)
 
@@ -49,5 +49,5 @@ def canonical_digest(header: bytes, arrays: Mapping[str, npt.NDArray[Any]]) -> s
         add(path.encode())
         add(array.dtype.str.encode())
         add(repr(tuple(int(n) for n in array.shape)).encode())
-        add(memoryview(array).cast("B") if array.size else b"")
+        add(array.tobytes())
     return digest.hexdigest()

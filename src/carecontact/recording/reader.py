@@ -81,7 +81,7 @@ def _read(path: Path) -> VerifiedRecording:
         if header is not None:
             # As declared, before anything is unpacked: arrays that contradict each other cost no memory.
             check_recording(Recording(header=header, arrays=arrays), str(path))
-        loaded = {name: np.asarray(item[()]) for name, item in arrays.items()}
+        loaded = {name: _load(path, name, item) for name, item in arrays.items()}
 
     # Over the bytes that were written: a header that this release would spell differently is still the same.
     actual = canonical_digest(content, loaded)
@@ -105,9 +105,9 @@ def _find_datasets(path: Path, file: Any) -> dict[str, Any]:
         prefix, group = folders.pop()
         if len(found) + len(folders) > MAX_ARRAYS or prefix.count("/") > 8:
             raise RecordingError(f"{path}: more than {MAX_ARRAYS} arrays or nested deeper than 8 groups")
-        for name in list[str](group):
-            if not name.isascii() or not name.isprintable():  # a name that a terminal could not show
-                raise RecordingError(f"{path}: unexpected array path {prefix + name!a}")
+        for name in list[str | bytes](group):  # bytes where a name is no text
+            if isinstance(name, bytes) or not name.isascii() or not name.isprintable():
+                raise RecordingError(f"{path}: unexpected array path {name!a} in {prefix or '/'}")
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
                 raise RecordingError(f"{path}: {prefix}{name} is a link; a recording is one self-contained file")
             item = group[name]
@@ -125,7 +125,9 @@ def _check_sizes(path: Path, found: Mapping[str, Any]) -> None:
     for name, item in found.items():
         if item.is_virtual or item.external:
             raise RecordingError(f"{path}: {name} is stored in another file; a recording is self-contained")
-        if item.shape is None or item.dtype.kind not in STORABLE_KINDS:
+        if item.shape is None:
+            raise RecordingError(f"{path}: {name} is an array without a shape")
+        if item.dtype.kind not in STORABLE_KINDS:
             raise RecordingError(f"{path}: {name} has dtype {item.dtype}; only numbers and booleans are allowed")
         size = _bytes_of(item.shape, item.dtype)
         total += size
@@ -149,8 +151,14 @@ def _read_bytes(path: Path, found: Mapping[str, Any], name: str) -> bytes:
     item = found[name]
     if item.dtype != np.uint8 or item.ndim != 1:
         raise RecordingError(f"{path}: {name} is {item.dtype} of shape {item.shape}, expected a row of bytes (uint8)")
-    content: npt.NDArray[np.uint8] = np.asarray(item[()])
-    return content.tobytes()
+    return _load(path, name, item).tobytes()
+
+
+def _load(path: Path, name: str, item: Any) -> npt.NDArray[Any]:
+    try:
+        return np.asarray(item[()])
+    except OSError as error:  # of a checksum or a decompression that fails
+        raise RecordingError(f"{path}: {name} is truncated or damaged: {' '.join(str(error).split())}") from None
 
 
 def _parse_json(path: Path, content: bytes) -> dict[str, Any]:

@@ -84,7 +84,7 @@ def find_contact(recording: Recording) -> Contact:
     filtered = np.zeros_like(normal)
     felt = normal.any(axis=0)  # most segments are never touched, and the filter keeps their zeros
     filtered[:, felt] = low_pass(normal[:, felt], cutoff_hz=definition.filter_hz, sample_hz=1.0 / dt, zero_phase=False)
-    off = np.zeros(normal.shape, np.bool_)
+    never = np.zeros(len(normal), np.bool_)
     bare = Contact(
         recording=recording,
         protocol=protocol,
@@ -92,15 +92,15 @@ def find_contact(recording: Recording) -> Contact:
         dt_s=dt,
         force_norm=np.linalg.norm(force, axis=-1),
         filtered_normal=filtered,
-        on=off,
-        impulse_ns=np.zeros(normal.shape[1]),
+        on=np.zeros((len(normal), len(header.segments)), np.bool_),
+        impulse_ns=np.zeros(len(header.segments)),
         target=target,
         neighbourhood=neighbourhood,
-        neighbourhood_on=off.any(axis=1),
+        neighbourhood_on=never,
         neighbourhood_force=np.linalg.norm(force[:, neighbourhood].sum(axis=1), axis=-1),
         valid=False,
         reported=None,
-        window=off.any(axis=1),
+        window=never,
     )
     return with_floor(bare, on_n=definition.on_n, off_n=definition.off_n)
 
@@ -108,10 +108,10 @@ def find_contact(recording: Recording) -> Contact:
 def with_floor(contact: Contact, *, on_n: float, off_n: float) -> Contact:
     """The same trial with other thresholds for what is on [N]; everything that follows from them is found anew."""
     definition = contact.protocol.contact
-    on = np.zeros(contact.filtered_normal.shape, np.bool_)
+    on = np.zeros((len(contact.time_s), len(contact.segments)), np.bool_)
     touched = (contact.filtered_normal >= on_n).any(axis=0)
     on[:, touched] = hysteresis(contact.filtered_normal[:, touched], on=on_n, off=off_n)
-    impulse = np.zeros(on.shape[1])
+    impulse = np.zeros(len(contact.segments))
     impulse[touched] = np.where(on[:, touched], contact.force_norm[:, touched], 0.0).sum(axis=0) * contact.dt_s
     reported: int | None = None
     if touched.any():
