@@ -72,7 +72,7 @@ class Contact:
 
 def find_contact(recording: Recording) -> Contact:
     """Apply the protocol's contact definition to a recording that ``check_recording`` accepts."""
-    force = recording["scorer/force_human_from_robot_in_world"].astype(np.float64)
+    force = recording["scorer/force_human_from_robot_in_world"]
     header = recording.header
     protocol = header.spec.protocol
     task, definition, dt = protocol.task(header.spec.task_id), protocol.contact, protocol.physics.dt_s
@@ -84,20 +84,24 @@ def find_contact(recording: Recording) -> Contact:
     filtered = np.zeros_like(normal)
     felt = normal.any(axis=0)  # most segments are never touched, and the filter keeps their zeros
     filtered[:, felt] = low_pass(normal[:, felt], cutoff_hz=definition.filter_hz, sample_hz=1.0 / dt, zero_phase=False)
+    pushed = force.any(axis=(0, 2))
+    norm = np.zeros_like(normal)
+    norm[:, pushed] = np.linalg.norm(force[:, pushed].astype(np.float64), axis=-1)
+    near = force[:, neighbourhood].astype(np.float64).sum(axis=1)
     never = np.zeros(len(normal), np.bool_)
     bare = Contact(
         recording=recording,
         protocol=protocol,
         task=task,
         dt_s=dt,
-        force_norm=np.linalg.norm(force, axis=-1),
+        force_norm=norm,
         filtered_normal=filtered,
         on=np.zeros((len(normal), len(header.segments)), np.bool_),
         impulse_ns=np.zeros(len(header.segments)),
         target=target,
         neighbourhood=neighbourhood,
         neighbourhood_on=never,
-        neighbourhood_force=np.linalg.norm(force[:, neighbourhood].sum(axis=1), axis=-1),
+        neighbourhood_force=np.linalg.norm(near, axis=-1),
         valid=False,
         reported=None,
         window=never,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from carecontact.contract.protocol import Gates
-from carecontact.scoring.c3_success import judge
+from carecontact.scoring.c3_success import Measures, judge, measure
 from carecontact.scoring.contact import Contact, with_floor
 from carecontact.scoring.verdict import Verdict, reach_verdict
 
@@ -24,24 +24,30 @@ def level(verdict: Verdict) -> int:
     return int(verdict.success) + int(verdict.region_correct) + int(verdict.safety_gated)
 
 
-def sweep_gates(contact: Contact, verdict: Verdict) -> dict[str, dict[str, int]]:
-    """Sweep -> value of the gate -> ``level`` there. ``verdict`` is the one at the protocol's own gates."""
+def sweep_gates(contact: Contact, measures: Measures, verdict: Verdict) -> dict[str, dict[str, int]]:
+    """Sweep -> value of the gate -> ``level`` there.
+
+    Args:
+        measures: of the contact as the protocol has it.
+        verdict: at the protocol's own gates.
+    """
     own = level(verdict)
     out: dict[str, dict[str, int]] = {}
     for name, values in SWEEPS.items():
         applies = name == "floor_n" or name.startswith(contact.task.action)
-        out[name] = {f"{v:g}": _level_at(contact, name, v) if applies else own for v in values}
+        out[name] = {f"{v:g}": _level_at(contact, measures, name, v) if applies else own for v in values}
     return out
 
 
-def _level_at(contact: Contact, name: str, value: float) -> int:
+def _level_at(contact: Contact, measures: Measures, name: str, value: float) -> int:
     if name == "floor_n":
         definition = contact.protocol.contact
         changed = with_floor(contact, on_n=value, off_n=value * definition.off_n / definition.on_n)
+        measures = measure(changed, episodes=contact.task.action == "scrub")
     else:
         gates = _changed(contact.protocol.gates, name, value)
         changed = replace(contact, protocol=contact.protocol.model_copy(update={"gates": gates}))
-    return level(reach_verdict(changed, judge(changed)))
+    return level(reach_verdict(changed, judge(changed, measures)))
 
 
 def _changed(gates: Gates, name: str, value: float) -> Gates:

@@ -9,8 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from carecontact.errors import ConfigError, RecordingError
-from carecontact.recording import read_verified
+from carecontact.errors import ConfigError
 from carecontact.recording.writer import replace_file
 from carecontact.scoring.aggregate import (
     additional_medians,
@@ -21,9 +20,9 @@ from carecontact.scoring.aggregate import (
     rate,
     valid_ratio,
 )
+from carecontact.scoring.files import score_files
 from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.scoring.result import TrialScore
-from carecontact.scoring.score import score_recording
 from carecontact.stats import median
 
 RESULTS_NAME, RESULTS_SCHEMA = "results.json", "carecontact-results-1"
@@ -39,11 +38,15 @@ class RunScores:
     """Package -> every version that the scored recordings name; more than one means a mixed run."""
 
 
-def score_run(folder: Path | str) -> RunScores:
-    """Score every ``*.h5`` of a run's folder; writes nothing.
+def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
+    """Score every ``*.h5`` of a run's folder; writes nothing. The result does not depend on ``jobs``.
 
     A file that cannot be read or scored, or that is not named after its trial, is skipped with the reason.
-    Raises ConfigError if the folder does not exist or the trials are of more than one protocol, policy or world.
+    Raises ConfigError if the folder does not exist or the trials are of more than one protocol, policy or world;
+    RecordingError if a process that scored died.
+
+    Args:
+        jobs: processes; more than one are started afresh, so that a script needs its ``__main__`` guarded.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -51,18 +54,13 @@ def score_run(folder: Path | str) -> RunScores:
     scores: list[TrialScore] = []
     skipped: dict[str, str] = {}
     versions: dict[str, set[str]] = {}
-    for path in sorted(folder.glob("*.h5")):
-        try:
-            verified = read_verified(path)
-            recording = verified.recording
-            trial_id = recording.header.spec.trial_id
-            if path.stem != trial_id:
-                raise RecordingError(f"{path}: holds trial {trial_id}; a copy would count twice")
-            scores.append(score_recording(recording, sha256=verified.sha256))
-        except RecordingError as error:
-            skipped[path.name] = str(error)
+    paths = sorted(folder.glob("*.h5"))
+    for path, found in zip(paths, score_files(paths, jobs=jobs), strict=True):
+        if isinstance(found, str):
+            skipped[path.name] = found
             continue
-        for package, version in recording.header.versions.items():
+        scores.append(found.score)
+        for package, version in found.versions.items():
             versions.setdefault(package, set()).add(version)
     check_one_run(scores)
     return RunScores(scores=scores, skipped=skipped, versions={k: sorted(v) for k, v in sorted(versions.items())})

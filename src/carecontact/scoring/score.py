@@ -10,7 +10,7 @@ from carecontact.scoring import exposure, force_rate, shear_work, utilisation
 from carecontact.scoring.attribution import attribute
 from carecontact.scoring.c1_peak_force import peak_force, peak_of_segments
 from carecontact.scoring.c2_joint_margin import joint_margin
-from carecontact.scoring.c3_success import judge
+from carecontact.scoring.c3_success import judge, measure
 from carecontact.scoring.c4_motion_activity import motion_activity
 from carecontact.scoring.c5_force_stability import force_stability
 from carecontact.scoring.contact import Contact, find_contact
@@ -40,7 +40,8 @@ def score_recording(recording: Recording, *, sha256: str | None = None) -> Trial
     check_recording(recording, header.spec.trial_id)
     check_streams(recording)
     contact = find_contact(recording)
-    gate = judge(contact)
+    measures = measure(contact)
+    gate = judge(contact, measures)
     verdict = reach_verdict(contact, gate)
     attribution, evidence = attribute(contact, gate, verdict.failure_mode) if verdict.failure_mode else (None, None)
     c1, c2, best = peak_force(contact), joint_margin(contact), gate.best
@@ -103,7 +104,7 @@ def score_recording(recording: Recording, *, sha256: str | None = None) -> Trial
             "gates": protocol.gates.version,
             "limits": protocol.limits.pack,
         },
-        gate_sweep=sweep_gates(contact, verdict),
+        gate_sweep=sweep_gates(contact, measures, verdict),
         additional={id_: METRICS[id_].compute(contact) for id_ in METRICS if id_ not in BUILT_IN},
     )
     for name, value in (*score, *score.additional.items()):

@@ -27,8 +27,9 @@ def shear_work(contact: Contact) -> float | None:
     if name is None or name not in recording.header.regions:
         return None
     region = recording.header.regions.index(name)
-    both = np.flatnonzero(contact.window[1:] & contact.window[:-1])
-    step = np.union1d(both, both + 1)
+    joined = contact.window[1:] & contact.window[:-1]
+    both = np.flatnonzero(joined)
+    step = np.flatnonzero(np.concatenate([joined, [False]]) | np.concatenate([[False], joined]))
     pose = recording["scorer/region_pose_in_world"][step, region].astype(np.float64)
     point = points_in_region(recording["scorer/pose_tcp_in_world"][step, :3].astype(np.float64), pose)
     force_in_world = recording["scorer/force_human_from_robot_in_world"][step, contact.reported].astype(np.float64)
