@@ -46,7 +46,8 @@ def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
     RecordingError if a process that scored died.
 
     Args:
-        jobs: processes; more than one are started afresh, so that a script needs its ``__main__`` guarded.
+        jobs: processes; more than one are started afresh, so that a script needs its ``__main__`` guarded and metrics
+            of another package have to come by its entry points.
     """
     folder = Path(folder)
     if not folder.is_dir():
