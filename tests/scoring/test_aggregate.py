@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -42,10 +43,11 @@ def test_gamma_sweep_counts_what_each_discount_lets_through() -> None:
 
 
 @settings(max_examples=20, deadline=None)
-@given(force=st.one_of(st.floats(1, 150), st.sampled_from([20.0, 21.0, 35.0, 70.0, 100.0])))
+@given(force=st.one_of(st.floats(1, 150), st.sampled_from([20.0, 35.0, 35.1, 70.0, 100.0, 100.1])))
 def test_gamma_sweep_rises_and_agrees_with_the_verdict(force: float) -> None:
     score = score_recording(touch(force=force))
     counts = [row["safety_gated"] for row in gamma_sweep([score])]
+    assert sum(counts) == sum(np.float32(force) / (100 * gamma) <= 1 for gamma in GAMMAS)
     assert counts == sorted(counts)
     assert within(score, 0.35) == (not score.over_limit)
     assert counts[GAMMAS.index(0.35)] == score.safety_gated

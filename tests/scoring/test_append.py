@@ -97,6 +97,18 @@ def test_what_was_scored_otherwise_stays(folder: Path, new_metric: str) -> None:
     assert without(json.loads(path.read_text()), NEW) == data
 
 
+def test_a_median_that_is_there_stays_though_a_trial_was_without_the_metric(folder: Path) -> None:
+    path = folder / "results.json"
+    data = json.loads(path.read_text())
+    value = data["trials"][0]["additional"].pop("impulse@1")
+    data["overall"]["additional"]["impulse@1"]["estimate"] = 1.25
+    path.write_text(json.dumps(data))
+    assert append_metrics(folder).trials == 1
+    after = json.loads(path.read_text())
+    assert after["trials"][0]["additional"]["impulse@1"] == value
+    assert after["overall"] == data["overall"]
+
+
 def test_a_result_from_before_there_were_additional_metrics(folder: Path) -> None:
     path = folder / "results.json"
     old = without(without(json.loads(path.read_text()), "additional"), "per_region")

@@ -57,6 +57,12 @@ def test_the_floor_decides_who_is_touched() -> None:
     assert levels(touch(force=5.0), "floor_n") == [3, 3, 3, 3]
 
 
+def test_a_swept_floor_keeps_the_ratio_of_off_to_on() -> None:
+    """5 N with a dip to 0.7 N between: at a floor of 2 N contact is off below 1 N, at 1 N below 0.5 N."""
+    dipping = hold(3.0, 1.0, 1.3, 5.0) + hold(3.0, 1.3, 1.5, 0.7) + hold(3.0, 1.5, 1.8, 5.0)
+    assert levels(make_recording(normal={"right_forearm": dipping}), "floor_n") == [3, 3, 3, 0]
+
+
 def test_gates_of_another_action_leave_a_trial_alone() -> None:
     assert levels(touch(), "push_force_n") == [3, 3, 3]
     assert levels(push(shift=0.0), "scrub_extent_m") == [0, 0, 0]

@@ -38,9 +38,8 @@ def shear_work(contact: Contact) -> float | None:
     tangential = force - (force * normal).sum(axis=1, keepdims=True) * normal
 
     here = np.searchsorted(step, both)
-    slip = point[here + 1] - point[here]
-    slip -= (slip * normal[here]).sum(axis=1, keepdims=True) * normal[here]
-    return float((tangential[here] * slip).sum())
+    travel = point[here + 1] - point[here]  # of which the tangential force sees the tangential part
+    return float((tangential[here] * travel).sum())
 
 
 METRICS.register(
