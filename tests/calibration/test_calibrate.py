@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from carecontact.calibration.certificate import content_sha256, read_certificate
+from carecontact.calibration.certificate import Content, Value, content_sha256, read_certificate
 from carecontact.cli import main
 from carecontact.protocols import load_protocol
 from carecontact.protocols.tissue_sets import load_tissue_set
@@ -85,10 +86,10 @@ def test_verify_passes_here(made: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "0.000%" in out
 
 
-def forged(made: Path, change: dict[str, float]) -> Path:
-    """A certificate of another law whose hash is right."""
+def forged(made: Path, **change: object) -> Path:
+    """A certificate of other content whose hash is right."""
     old = read_certificate(made / "out" / "certificate.json")
-    content = old.content.model_copy(update={"tissue": old.content.tissue.model_copy(update=change)})
+    content = old.content.model_copy(update=change)
     path = made / "forged.json"
     text = old.model_copy(update={"content": content, "sha256": content_sha256(content)}).model_dump(mode="json")
     path.write_text(json.dumps(text))
@@ -96,12 +97,37 @@ def forged(made: Path, change: dict[str, float]) -> Path:
 
 
 def test_verify_fails_where_forces_are_others(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    law = read_certificate(made / "out" / "certificate.json").content.tissue
-    path = forged(made, {"a_n_m3": 1.2 * law.a_n_m3})
+    content = read_certificate(made / "out" / "certificate.json").content
+    a = 1.2 * content.tissue.a_n_m3
+    path = forged(
+        made, tissue=content.tissue.model_copy(update={"a_n_m3": a}),
+        law={**content.law, "a_n_m3": Value(value=a, ci95=None)},
+    )  # fmt: skip
     assert main(["calibrate", str(made / "trials.csv"), "--verify", str(path)]) == 1
     out = capsys.readouterr().out
     assert "FAIL" in out
     assert "does not hold here" in out
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda c: {"tissue": c.tissue.model_copy(update={"a_n_m3": 2 * c.tissue.a_n_m3})}, "states a_n_m3"),
+        (lambda c: {"band": {**c.band, "nrmse_increase": 1.0}}, "the certificate allows"),
+        (lambda c: {"responses": []}, "0 of other trials"),
+        (lambda c: {"responses": [r.model_copy(update={"loading_n": [1.0]}) for r in c.responses]}, "depths expected"),
+        (lambda c: {"agreement": {}}, "states no NRMSE"),
+        (lambda c: {"hashes": {"data": c.hashes["data"]}}, "no hash of: body, mesh, model"),
+        (lambda c: {"versions": {}}, "by which mujoco"),
+    ],
+    ids=["law", "band", "responses", "depths", "agreement", "hashes", "versions"],
+)
+def test_a_certificate_that_contradicts_itself_is_refused(
+    change: Callable[[Content], dict[str, object]], told: str, made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = forged(made, **change(read_certificate(made / "out" / "certificate.json").content))
+    assert main(["calibrate", str(made / "trials.csv"), "--verify", str(path)]) == 2
+    assert told in capsys.readouterr().err
 
 
 def test_verify_wants_the_same_data(made: Path, capsys: pytest.CaptureFixture[str]) -> None:

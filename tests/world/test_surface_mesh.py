@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from carecontact.errors import SceneError
 from carecontact.world.human.surface_mesh import (
+    bridged,
     distance_outside,
     first_hits,
     graded,
@@ -99,3 +100,22 @@ def test_smoothing_keeps_what_is_smooth_and_damps_ripples(wrap: bool) -> None:
     at_u, at_v = np.repeat([0.0, 0.35, 1.0], 9), np.tile(np.linspace(-3, 3, 9), 3)
     expected = 0.3 * at_u + (0.2 * np.exp(-((2 * np.pi * 0.05) ** 2) / 2) * np.cos(at_v) if wrap else 0.1 * at_v)
     np.testing.assert_allclose(field(at_u, at_v), expected, atol=2e-3)
+
+
+def test_a_ball_spans_a_narrow_dip_and_leaves_domes_slopes_and_wide_valleys() -> None:
+    u, v = np.linspace(-0.10, 0.10, 41), np.linspace(-0.08, 0.08, 33)
+    x, y = np.meshgrid(u, v, indexing="ij")
+    plane, r2 = 0.3 * x - 0.2 * y, x**2 + y**2
+    np.testing.assert_allclose(bridged(u, v, plane, 0.06), plane, atol=1e-12)
+    dome = plane - r2 / (2 * 0.15)
+    np.testing.assert_allclose(bridged(u, v, dome, 0.06), dome, atol=1e-12)
+    # A valley rounder than the ball is touched everywhere; samples 5 mm apart leave a little.
+    wide = r2 / (2 * 0.25)
+    inner = np.s_[8:-8, 8:-8]
+    np.testing.assert_allclose(bridged(u, v, wide, 0.06)[inner], wide[inner], atol=1e-4)
+    # A conical pit 12 mm wide and 6 mm deep: the ball rests on its rim and sags into it by w^2 / 2R.
+    pit = np.where(r2 < 0.012**2, 0.006 * (np.sqrt(r2) / 0.012 - 1), 0.0)
+    spanned = bridged(u, v, pit, 0.06)
+    assert spanned.min() == pytest.approx(-(0.012**2) / (2 * 0.06), abs=7e-4)
+    np.testing.assert_allclose(spanned[r2 > 0.02**2], 0.0, atol=1e-12)
+    assert (spanned >= pit).all()

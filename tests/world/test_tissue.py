@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 import pytest
@@ -15,7 +13,7 @@ from carecontact.sim.bench import Bench, Indenter
 from carecontact.world.human.body import body_names, load_body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
-from carecontact.world.human.tissue import CORE_MIN_RADIUS_M, Region, check_step, inner_surface
+from carecontact.world.human.tissue import CORE_MIN_RADIUS_M, check_step, inner_surface
 from carecontact.world.scene import build_scene, region_shell
 
 PROTOCOL = load_protocol()
@@ -134,12 +132,11 @@ def test_shipped_sets_are_stable_in_the_fast_mode(name: str) -> None:
 def test_the_step_limit_is_the_integrators() -> None:
     """A shell left ringing at a step just inside the limit calms down, and at one well outside it does not."""
     tissue = PROTOCOL.person.tissue["forearm"].model_copy(update={"coupling_length_m": 0.012})
-    region = Region(name="forearm", shell=bench("forearm", tissue).shell, tissue=tissue, vertex_index=np.array([]))
-    region = replace(region, vertex_index=np.flatnonzero(~region.shell.pinned))
+    shell = bench("forearm", tissue).shell
 
     def refused(dt_s: float) -> bool:
         try:
-            check_step(region, dt_s)
+            check_step("forearm", shell, tissue, dt_s)
         except ConfigError:
             return True
         return False
@@ -148,11 +145,11 @@ def test_the_step_limit_is_the_integrators() -> None:
     longest = steps[[not refused(float(dt)) for dt in steps]].max()
     for factor, calms in ((0.9, True), (1.2, False)):
         made = Bench(
-            body=load_body("man-adult"), region="forearm", tissue=tissue, shell=region.shell,
+            body=load_body("man-adult"), region="forearm", tissue=tissue, shell=shell,
             indenter=Indenter(shape="cap"), dt_s=float(longest * factor),
         )  # fmt: skip
         data = mujoco.MjData(made.model)
-        joints = [made.model.joint(f"forearm_v{k}_n").qposadr[0] for k in region.vertex_index]
+        joints = [made.model.joint(f"forearm_v{k}_n").qposadr[0] for k in np.flatnonzero(~shell.pinned)]
         data.qpos[joints] = 1e-6 * np.random.default_rng(0).normal(size=len(joints))
         data.qpos[made.model.joint("indenter").qposadr[0]] = -0.015
         for _ in range(400):

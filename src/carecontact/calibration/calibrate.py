@@ -29,8 +29,10 @@ from carecontact.calibration.fit import BOOTSTRAP_SEED, BOOTSTRAPS, DAMPING, LAW
 from carecontact.calibration.identify import Identified, identify
 from carecontact.calibration.replay import Group, Replay, group_curves
 from carecontact.contract.protocol import Protocol, Tissue
-from carecontact.protocols import load_protocol
+from carecontact.errors import ConfigError
+from carecontact.protocols import FAST_DT_S, load_protocol
 from carecontact.world.human.body import load_body
+from carecontact.world.human.tissue import check_step
 
 CERTIFICATE, ROW, FIGURE = "certificate.json", "tissue.toml", "calibration.png"
 BAND = {"response_share_of_peak": 0.02, "nrmse_increase": 0.01}
@@ -104,6 +106,12 @@ def _content(
         notes.append(f"damping is not identified ({fit.damping_reason}): the row keeps the ratio of D_c to stiffness")
     if gate > force:
         notes.append(f"beyond {1000 * depth:.1f} mm or {force:.1f} N the row extrapolates; the gate is {gate:g} N")
+    for dt in (rules.physics.dt_s, FAST_DT_S):
+        try:
+            check_step(region, next(iter(replay.benches.values())).shell, tissue, dt)
+        except ConfigError as error:
+            # Worth knowing, and no reason to lose the fit.
+            notes.append(f"a run at {1000 * dt:g} ms will refuse this row: {error}")
     notes.append("off_target_scale and thickness are those of the protocol's row, not calibrated")
     secants = [one.loading_n[-1] / g.deepest_m / 1000 for g, one in zip(groups, fit.replayed, strict=True)]
     tangents = [tangent(GRID * g.deepest_m, one.loading_n) / 1000 for g, one in zip(groups, fit.replayed, strict=True)]

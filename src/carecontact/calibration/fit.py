@@ -171,7 +171,7 @@ class _Problem:
         found = least_squares(
             told, start, jac=self.differences,  # pyright: ignore[reportArgumentType]
             bounds=(low, high), x_scale=[0.3, 0.3, 0.3, 1.5][: len(start)],
-            ftol=1e-5, xtol=1e-3, max_nfev=20, method="dogbox",
+            ftol=1e-3, xtol=1e-3, max_nfev=20, method="dogbox",
         )  # fmt: skip
         self.residual, self.jacobian = found.fun, found.jac
         return found.x

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from carecontact.calibration.agreement import pooled
-from carecontact.calibration.calibrate import model_hashes, responses
-from carecontact.calibration.certificate import Certificate
+from carecontact.calibration.calibrate import BAND, model_hashes, responses
+from carecontact.calibration.certificate import Certificate, Content
 from carecontact.calibration.checks import read_trials
 from carecontact.calibration.curve import make_curve
 from carecontact.calibration.fit import agreements
@@ -30,8 +30,13 @@ class Check:
 
 
 def verify(trials: Path, certificate: Certificate) -> list[Check]:
-    """Checks, the deciding ones first. Raises ConfigError where the data are not the certificate's."""
+    """Checks, the deciding ones first.
+
+    Raises ConfigError where the data are not the certificate's, or where the certificate contradicts itself: its hash
+    shows that nobody changed it by accident, not who wrote it.
+    """
     content = certificate.content
+    _check_consistent(content)
     file = read_trials(trials, region=content.region)
     if file.sha256 != content.hashes["data"]:
         raise ConfigError(
@@ -45,11 +50,14 @@ def verify(trials: Path, certificate: Certificate) -> list[Check]:
     replayed = [one for one in replay.run(content.tissue) if one is not None]
     here = responses(curves, groups, replayed)
     worst = 0.0
+    if [one.trials for one in here] != [one.trials for one in content.responses]:
+        raise ConfigError(
+            f"the trials make {len(here)} presses here, the certificate has {len(content.responses)} of other trials: "
+            "it was made by another carecontact version"
+        )
     for mine, theirs in zip(here, content.responses, strict=True):
-        if mine.trials != theirs.trials:
-            raise ConfigError(
-                "the trials group differently than in the certificate: it is of another carecontact version"
-            )
+        if [len(mine.loading_n), mine.unloading_n is None] != [len(theirs.loading_n), theirs.unloading_n is None]:
+            raise ConfigError(f"response of {', '.join(theirs.trials)}: {len(mine.loading_n)} depths expected")
         peak = theirs.loading_n[-1]
         for name in ("loading_n", "unloading_n"):
             a, b = getattr(mine, name), getattr(theirs, name)
@@ -58,8 +66,8 @@ def verify(trials: Path, certificate: Certificate) -> list[Check]:
     nrmse = pooled(agreements(curves, groups, replayed))["nrmse"]
     certified = content.agreement["nrmse"].value
     assert nrmse is not None
-    assert certified is not None
-    allowed, increase = content.band["response_share_of_peak"], content.band["nrmse_increase"]
+    assert certified is not None  # _check_consistent
+    allowed, increase = BAND["response_share_of_peak"], BAND["nrmse_increase"]
     hashes = model_hashes(replay, content.body, content.tissue)
     return [
         Check(name="response", certified=f"within {allowed:.1%} of peak", here=f"{worst:.3%}", fine=worst <= allowed),
@@ -79,3 +87,20 @@ def verify(trials: Path, certificate: Certificate) -> list[Check]:
             for name in ("body", "mesh", "model")
         ),
     ]  # fmt: skip
+
+
+def _check_consistent(content: Content) -> None:
+    """Raise ConfigError where the row is not the law that is stated, the band is not ours, or something is missing."""
+    for name, stated in content.law.items():
+        row = getattr(content.tissue, name, None)
+        if stated.value is not None and stated.value != row:
+            raise ConfigError(f"the certificate states {name} {stated.value:g}, its tissue row has {row}")
+    if content.band != BAND:
+        raise ConfigError(f"the certificate allows {content.band}; this carecontact allows {BAND}")
+    if content.agreement.get("nrmse") is None or content.agreement["nrmse"].value is None:
+        raise ConfigError("the certificate states no NRMSE")
+    missing = {"data", "body", "mesh", "model"} - set(content.hashes)
+    if missing:
+        raise ConfigError(f"the certificate has no hash of: {', '.join(sorted(missing))}")
+    if "mujoco" not in content.versions:
+        raise ConfigError("the certificate does not say by which mujoco it was made")

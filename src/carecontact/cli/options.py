@@ -49,6 +49,9 @@ class Run:
     """Other tissue than the protocol's: a name of `carecontact list tissue` or a .toml file, as calibrate writes it."""
     fast: Switch = False
     """Physics steps of 4 ms instead of the protocol's: fewer steps a second, for development."""
+    unfrozen: Switch = False
+    """Run a frozen protocol although it drifted from its lock (see `carecontact protocol verify`); every output shows
+    it."""
     jobs: int | None = None
     """Trials at once; default: one per core."""
     retry_failed: Switch = False
@@ -68,6 +71,7 @@ class Run:
             body=self.body,
             tissue=self.tissue,
             fast=self.fast,
+            unfrozen=self.unfrozen,
             jobs=self.jobs,
             retry_failed=self.retry_failed,
         )
@@ -123,11 +127,37 @@ class Report:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Compare:
+    """Compare two runs of one protocol, trial by trial: what differs, and what could not have been seen. See
+    docs/statistics.md."""
+
+    a: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_A")]
+    """Folder of a run, or its results.json alone."""
+    b: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_B")]
+    """The other one; differences are A minus B."""
+    per_task: Switch = False
+    """A table for each task too; they are a family of their own."""
+    out: Path | None = None
+    """Folder for comparison.json; default: none is written."""
+
+    after_interrupt: ClassVar[str] = ""
+
+    def __call__(self) -> int:
+        from carecontact.cli.compare import compare
+
+        return compare(self.a, self.b, per_task=self.per_task, out=self.out)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Validate:
     """Prove that the simulated person is physically valid: eight checks and two measurements, with pass lines."""
 
     body: tuple[str, ...] = ()
     """Bodies to check (see `carecontact list bodies`); default: the protocol's."""
+    tissue: str | None = None
+    """Other tissue than the protocol's: a name of `carecontact list tissue` or a .toml file, as calibrate writes it."""
+    fast: Switch = False
+    """Physics steps of 4 ms instead of the protocol's."""
     quick: Switch = False
     """The short form of every check, for continuous integration; the full one takes many minutes a body."""
     checks: str = "all"
@@ -146,6 +176,8 @@ class Validate:
 
         return validate(
             bodies=self.body,
+            tissue=self.tissue,
+            fast=self.fast,
             quick=self.quick,
             checks=self.checks,
             protocol=self.protocol,
@@ -159,7 +191,9 @@ class Calibrate:
     """Fit a region's tissue to measured indentation trials, with certificate and figure; see docs/calibration.md."""
 
     trials: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRIALS.csv")]
-    region: Literal["forearm", "upper_arm", "abdomen"] | None = None
+    region: Annotated[
+        Literal["forearm", "upper_arm", "abdomen"] | None, tyro.conf.arg(metavar="{forearm,upper_arm,abdomen}")
+    ] = None
     """Rows whose site begins with this; needed unless --verify is given."""
     body: str = "man-adult"
     """Whose surface is pressed (see `carecontact list bodies`)."""
@@ -204,6 +238,24 @@ class List:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Protocols:
+    """Protocols and their locks: list them, show one, verify that it is what was frozen, or lock a file of yours."""
+
+    what: Annotated[Literal["list", "show", "verify", "lock"], tyro.conf.Positional]
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE.toml")] = "bathing-v1-draft"
+    """Id of a shipped protocol, or a .toml file."""
+
+    after_interrupt: ClassVar[str] = ""
+
+    def __call__(self) -> int:
+        from carecontact.cli import protocol
+
+        if self.what == "list":
+            return protocol.list_protocols()
+        return {"show": protocol.show, "verify": protocol.verify, "lock": protocol.lock}[self.what](self.name)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Doctor:
     """Check that this machine can run trials; for what is missing, say the line that installs it."""
 
@@ -220,8 +272,10 @@ COMMANDS = {
     "demo": Demo,
     "score": Score,
     "report": Report,
+    "compare": Compare,
     "validate": Validate,
     "calibrate": Calibrate,
+    "protocol": Protocols,
     "list": List,
     "doctor": Doctor,
 }

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carecontact.errors import ConfigError
-from carecontact.protocols import load_protocol
+from carecontact.protocols import adapted, load_protocol
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -16,7 +16,17 @@ if TYPE_CHECKING:
     from carecontact.validation.run import Validation
 
 
-def validate(*, bodies: tuple[str, ...], quick: bool, checks: str, protocol: str, out: Path, verbose: bool) -> int:
+def validate(
+    *,
+    bodies: tuple[str, ...],
+    tissue: str | None = None,
+    fast: bool = False,
+    quick: bool,
+    checks: str,
+    protocol: str,
+    out: Path,
+    verbose: bool,
+) -> int:
     """Exit status 1 if any check fails on any body."""
     from rich.console import Console
 
@@ -24,7 +34,7 @@ def validate(*, bodies: tuple[str, ...], quick: bool, checks: str, protocol: str
     from carecontact.validation.run import validate as run_checks
     from carecontact.world.human.body import load_body
 
-    rules = load_protocol(protocol)
+    rules = adapted(load_protocol(protocol), tissue=tissue, fast=fast)
     names = tuple(CHECKS) if checks == "all" else tuple(part.strip() for part in checks.split(","))
     if not all(names) or len(set(names)) != len(names):
         raise ConfigError(
@@ -36,7 +46,8 @@ def validate(*, bodies: tuple[str, ...], quick: bool, checks: str, protocol: str
     console = Console(highlight=False, width=None if Console().is_terminal else 140)
     passed = True
     for body in wanted:
-        console.print(f"{body}, {rules.id}, tissue {rules.person.tissue_set}{', quick' if quick else ''}", style="bold")
+        title = f"{rules.title}, tissue {rules.person.tissue_set}"
+        console.print(f"{body}, {title}{', quick' if quick else ''}", style="bold")
 
         # A body may be a file: its name as a folder keeps letters and digits only.
         folder = out / re.sub(r"[^A-Za-z0-9_-]+", "_", body) if len(wanted) > 1 else out

@@ -18,8 +18,13 @@ FileStem = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_leng
 """An id that names files, so that it can name none elsewhere."""
 
 
-OVERRIDABLE = {"person.body": "body {}", "person.tissue_set": "tissue {}", "physics.dt_s": "time step {} s"}
-"""Field of a protocol that a command may replace -> its words in ``Protocol.title``."""
+OVERRIDABLE = {
+    "person.body": "body {}",
+    "person.tissue_set": "tissue {}",
+    "physics.dt_s": "time step {} s",
+    "lock": "drift from its lock ({})",
+}
+"""What a command may replace, or had to accept, of a protocol -> its words in ``Protocol.title``."""
 
 
 Region = Literal["forearm", "upper_arm", "abdomen"]
@@ -80,7 +85,7 @@ class Tissue(Section):
     c_n_m5: Annotated[float, Field(ge=0)]
     damping_ns_m3: Positive
     """[N s/m per m^2]"""
-    coupling_length_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
+    coupling_length_m: Annotated[float, Field(ge=0, le=0.02)]
     """How far f_int spreads a load along the surface: a gradient of the indentation is resisted with G = a l^2 [N/m]
     (Pasternak's foundation). 0: neighbours act alone."""
     areal_mass_kg_m2: Positive

@@ -7,7 +7,9 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, Field, ValidationError
 
 from carecontact.errors import ConfigError
 from carecontact.recording.writer import replace_file
@@ -80,17 +82,28 @@ def check_one_run(scores: Sequence[TrialScore]) -> None:
 
 
 def _check_one_world(scores: Sequence[TrialScore]) -> None:
-    """The compiled model has the fine mesh on the task's region, so that models are compared region by region."""
+    found = world_difference(scores)
+    if found is not None:
+        what, first, other = found
+        raise ConfigError(
+            f"{first.trial_id}.h5 and {other.trial_id}.h5 are of different worlds and must not be pooled: "
+            f"{what} {first.world[what][:12]} and {other.world[what][:12]}"
+        )
+
+
+def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, TrialScore] | None:
+    """The first part of the world in which two scores differ, and the two; None in one world.
+
+    The compiled model has the fine mesh on the task's region, so that models are compared region by region.
+    """
     first: dict[tuple[str, ...], TrialScore] = {}
     for score in scores:
         for what, value in score.world.items():
             place = (what, score.region) if what == "model" else (what,)
             other = first.setdefault(place, score)
             if other.world[what] != value:
-                raise ConfigError(
-                    f"{other.trial_id}.h5 and {score.trial_id}.h5 are of different worlds and must not be pooled: "
-                    f"{what} {other.world[what][:12]} and {value[:12]}"
-                )
+                return what, other, score
+    return None
 
 
 def judged(scores: Iterable[TrialScore]) -> list[TrialScore]:
@@ -118,6 +131,33 @@ def write_results(folder: Path | str, data: Mapping[str, Any]) -> Path:
     text = json.dumps(data, sort_keys=True, indent=1, allow_nan=False)
     replace_file(path, (text + "\n").encode("ascii"))
     return path
+
+
+def read_results(path: Path | str) -> RunScores:
+    """The scores in a ``results.json``, as they were written; nothing is recomputed.
+
+    Raises ConfigError for a file that cannot be read or mixes protocols, policies or worlds.
+    """
+    try:
+        stored = _Results.model_validate_json(Path(path).read_bytes())
+    except ValidationError as error:
+        first = error.errors()[0]
+        why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
+        raise ConfigError(f"{path} is damaged or of another release ({why})") from error
+    twice = [trial_id for trial_id, k in Counter(s.trial_id for s in stored.trials).items() if k > 1]
+    if twice:
+        raise ConfigError(f"{path} is damaged: {twice[0]} is in it twice")
+    check_one_run(stored.trials)
+    return RunScores(scores=stored.trials, skipped=stored.skipped, versions=stored.versions)
+
+
+class _Results(BaseModel):
+    """What of ``results.json`` is not computed from its trials."""
+
+    version: Annotated[Literal["carecontact-results-1"], Field(alias="schema")]
+    trials: list[TrialScore]
+    skipped: dict[str, str]
+    versions: dict[str, list[str]]
 
 
 def results(run: RunScores) -> dict[str, Any]:

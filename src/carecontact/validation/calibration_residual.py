@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carecontact.validation.pressing import person_bench
-from carecontact.validation.reference import FITTED, KEPT_OUT, SPEED_M_S, Reference
+from carecontact.validation.reference import ABDOMEN, FITTED, FOREARM, REFERENCES, SPEED_M_S, Reference
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
 
@@ -24,21 +24,22 @@ HELD_OUT_M: dict[str, tuple[tuple[float, float], ...]] = {
     "abdomen": ((0.018, -0.020), (-0.020, 0.026), (0.012, 0.040), (-0.014, -0.045), (0.004, 0.012)),
 }
 """Places (along, across) of the region's frame at least 8 mm from those of tools/fit_tissue.py."""
-QUICK_PLACES = 2
+QUICK_PLACES, QUICK_UNFITTED = 2, (FOREARM, ABDOMEN)
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures: list[Measure] = []
     curves: dict[str, Array] = {}
-    for reference in FITTED if quick else (*FITTED, *KEPT_OUT):
+    fitted_to = FITTED.get(subject.protocol.person.tissue_set, ())
+    for reference in (fitted_to or QUICK_UNFITTED) if quick else REFERENCES:
         places = HELD_OUT_M[reference.region][: QUICK_PLACES if quick else None]
         curve = responses(subject, reference, places)
-        fitted = reference in FITTED
+        fitted = reference in fitted_to
         scale = reference.force_n.max()
         each = 100 * np.sqrt(np.mean((curve - reference.force_n) ** 2, axis=1)) / scale
         mean = curve.mean(0)
         inside = (mean >= reference.low_n) & (mean <= reference.high_n)
-        kind = "held-out places" if fitted else "kept out of every fit"
+        kind = "held-out places" if fitted else "not fitted to"
         measured = subject.tissue(reference.region).measured_depth_m
         measures += [
             Measure(name=f"{reference.name}, {kind}: NRMSE of the mean curve", unit="%",
@@ -48,6 +49,8 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                     limit=WORST_LIMIT_PERCENT if fitted else None),
             Measure(name=f"{reference.name}, {kind}: share of depths inside people's P5-P95", unit="%",
                     value=float(100 * inside[1:].mean()), limit=100.0, side="at least", decides=False),
+            Measure(name=f"{reference.name}: places where deeper takes less force",
+                    value=float((np.diff(curve, axis=1) <= 0).any(axis=1).sum()), limit=0.0),
             Measure(name=f"{reference.name}: share of depths beyond the law's measured range", unit="%",
                     value=float(100 * (reference.depth_m > measured + 1e-9).mean())),
         ]  # fmt: skip
@@ -62,7 +65,8 @@ def responses(subject: Subject, reference: Reference, places: tuple[tuple[float,
 
 
 def draw(result: CheckResult, figure: Figure) -> None:
-    shown = [r for r in (*FITTED, *KEPT_OUT) if f"{r.name}/places" in result.curves]
+    shown = [r for r in REFERENCES if f"{r.name}/places" in result.curves]
+    required = {m.name.partition(", held-out")[0] for m in result.measures if ", held-out" in m.name}
     figure.set_size_inches(2.3 * len(shown), 2.5)
     for axes, reference in zip(np.atleast_1d(figure.subplots(1, len(shown))), shown, strict=True):
         depth = 1000 * reference.depth_m
@@ -72,8 +76,8 @@ def draw(result: CheckResult, figure: Figure) -> None:
         axes.plot(depth, curve.T, color="C0", lw=0.5, alpha=0.6)
         axes.plot(depth, curve.mean(0), color="C0", label="this person")
         place, _, source = reference.name.partition(" (")
-        axes.set(xlabel="indentation [mm]", title=f"{place}\n{source.rstrip(')')}"
-                 f"{'' if reference in FITTED else ', kept out'}", xlim=(0, None), ylim=(0, None))  # fmt: skip
+        title = f"{place}\n{source.rstrip(')')}{'' if reference.name in required else ', not fitted to'}"
+        axes.set(xlabel="indentation [mm]", title=title, xlim=(0, None), ylim=(0, None))
         axes.title.set_fontsize(7.5)
     figure.axes[0].set_ylabel("force [N]")
     figure.axes[0].legend(loc="upper left")

@@ -28,7 +28,11 @@ NAMES = {"c1_n": "C1", "c1_filtered_n": "C1 at 100 Hz", "c5_n": "C5", "stroke_m"
 STEP_LIMIT_PERCENT = {"c1_n": 2.0, "c1_filtered_n": 2.0, "c5_n": 5.0, "stroke_m": 2.0}
 MESH_LIMIT_PERCENT = 5.0
 MESH_REFERENCES = (FOREARM, ABDOMEN)
-PLACES_M = ((0.0, 0.0), (0.020, 0.008))
+Places = tuple[tuple[float, float], ...]
+PLACES_M: Places = ((0.0, 0.0), (0.020, 0.008))
+"""(along, across) of the region's frame: where a law is fitted anew to a finer mesh,"""
+HELD_OUT_M: Places = ((-0.018, -0.006), (0.034, 0.002))
+"""and where the two meshes are then compared."""
 TOOL_DEPTHS_M = np.linspace(0.001, 0.008, 8)
 RECALIBRATIONS = 2
 RADIUS_FACTORS = (0.5, 1.0, 2.0)
@@ -116,16 +120,17 @@ def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curv
     # over a mesh twice as fine twice as fast.
     dt = subject.protocol.physics.dt_s / 2
     fine = subject.with_tissue(region, finer).with_dt(dt)
-    wanted = _mean_response(declared_bench(subject, region, reference.indenter, dt_s=dt), depths)
+    shipped = declared_bench(subject, region, reference.indenter, dt_s=dt)
+    wanted = _mean_response(shipped, depths, HELD_OUT_M)
     bench = declared_bench(fine, region, reference.indenter, dt_s=dt)
-    same_law = _mean_response(bench, depths)
-    fitted = recalibrated(bench, depths, wanted)
-    new_law = _mean_response(bench, depths)
-    at_tool = _mean_response(declared_bench(subject, region, tool(), dt_s=dt), TOOL_DEPTHS_M)
+    same_law = _mean_response(bench, depths, HELD_OUT_M)
+    fitted = recalibrated(bench, depths, _mean_response(shipped, depths, PLACES_M))
+    new_law = _mean_response(bench, depths, HELD_OUT_M)
+    at_tool = _mean_response(declared_bench(subject, region, tool(), dt_s=dt), TOOL_DEPTHS_M, HELD_OUT_M)
     fine_tool = declared_bench(fine, region, tool(), dt_s=dt)
-    tool_same = _mean_response(fine_tool, TOOL_DEPTHS_M)
+    tool_same = _mean_response(fine_tool, TOOL_DEPTHS_M, HELD_OUT_M)
     fine_tool.set_law(fitted)
-    tool_new = _mean_response(fine_tool, TOOL_DEPTHS_M)
+    tool_new = _mean_response(fine_tool, TOOL_DEPTHS_M, HELD_OUT_M)
     scene = _scores(fine.with_tissue(region, fitted), region, (PRESS, SCRUB))
     curves |= {
         f"mesh/{region}/reference": 1.0 * np.stack([1000 * depths, wanted, same_law, new_law]),
@@ -146,8 +151,8 @@ def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curv
     ]  # fmt: skip
 
 
-def _mean_response(bench: Bench, depths: Array) -> Array:
-    return np.mean([bench.response(depths, along_m=x, across_m=y, speed_m_s=0.010) for x, y in PLACES_M], axis=0)
+def _mean_response(bench: Bench, depths: Array, places: Places) -> Array:
+    return np.mean([bench.response(depths, along_m=x, across_m=y, speed_m_s=0.010) for x, y in places], axis=0)
 
 
 def _nrmse(got: Array, wanted: Array) -> float:
@@ -155,7 +160,8 @@ def _nrmse(got: Array, wanted: Array) -> float:
 
 
 def recalibrated(bench: Bench, depths: Array, wanted: Array) -> Tissue:
-    """Fit stiffness (a with b, and c, by one factor each) so that the bench answers ``wanted``; sets it and returns it.
+    """Fit stiffness (a with b, and c, by one factor each) so that the bench answers ``wanted``, the mean over
+    PLACES_M; sets it and returns it.
 
     Gauss-Newton on the factors' logarithms: two parameters that act almost linearly need few steps.
     """
@@ -169,7 +175,7 @@ def recalibrated(bench: Bench, depths: Array, wanted: Array) -> Tissue:
 
     def response(p: Array) -> Array:
         bench.set_law(law(p))
-        return _mean_response(bench, depths)
+        return _mean_response(bench, depths, PLACES_M)
 
     p, step = np.zeros(2), 0.1
     for _ in range(RECALIBRATIONS):

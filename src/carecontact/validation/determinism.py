@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carecontact.contract.trial import TrialSpec
+from carecontact.errors import RecordingError
 from carecontact.recording import canonical_hash, read_recording
 from carecontact.recording.schema import REGION_SEGMENT, Recording
 from carecontact.scoring.contact import find_contact
@@ -73,6 +74,9 @@ def two_recordings(spec: TrialSpec) -> tuple[Recording, Recording]:
         try:
             for process in running:
                 process.wait(LONGEST_S)
+        except subprocess.TimeoutExpired:
+            limit = spec.protocol.phases.time_limit_s
+            raise RecordingError(f"a trial of {limit:g} s was not over after {LONGEST_S:g} s") from None
         finally:
             for process in running:
                 process.kill()

@@ -28,6 +28,9 @@ GAIN_LIMIT_PERCENT = 1.0
 LOOP_DEPTH_M, LOOP_SPEEDS_M_S, QUICK_SPEEDS_M_S = 0.004, (0.005, 0.020, 0.080), (0.020,)
 LOOP_SHARE_PERCENT = 80.0
 """Of the work that the declared damping takes in the same loop; springs without dampers leave under a fifth."""
+LOST_SPEED_M_S, LOST_LIMIT_PERCENT, RETURNED_LIMIT_PERCENT = 0.020, 5.0, 20.0
+"""Chosen, so that a set which declares no damping to speak of, or putty, is told whatever it declares: living tissue
+gives back less than it takes, and springs back."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -63,6 +66,15 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                         value=100 * _work(loop) / _work(declared), limit=LOOP_SHARE_PERCENT, side="at least",
                         decides=speed <= QUICK_SPEEDS_M_S[0]),
             ]  # fmt: skip
+            if speed == LOST_SPEED_M_S:
+                put_in = np.trapezoid(loop.force_n[loop.loading], loop.indentation_m[loop.loading])
+                lost = float(100 * _work(loop) / put_in)
+                measures += [
+                    Measure(name=f"{name}: work that is lost, of the work put in", value=lost, unit="%",
+                            limit=LOST_LIMIT_PERCENT, side="at least"),
+                    Measure(name=f"{name}: work that comes back, of the work put in", value=100 - lost, unit="%",
+                            limit=RETURNED_LIMIT_PERCENT, side="at least"),
+                ]  # fmt: skip
             curves |= {f"loop/{region}/{1000 * speed:.0f}": np.stack([loop.indentation_m, loop.force_n])}
     return CheckResult(check="energy", title=TITLE, measures=tuple(measures), curves=curves)
 

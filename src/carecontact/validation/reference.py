@@ -62,7 +62,6 @@ UPPER_ARM_ANTERIOR = _limb(
     "upper arm, anterior (MULTIS UA_A)", "upper_arm", area_mm2=360.0, a=0.3893, b=0.03126,
     secant=(0.4341, 0.6445, 1.4601), depth_mm=8.163,
 )  # fmt: skip
-"""What the upper arm of the set human-published was fitted to."""
 UPPER_ARM_POSTERIOR = _limb(
     "upper arm, posterior (MULTIS UA_P)", "upper_arm", area_mm2=675.0, a=0.5414, b=0.03211,
     secant=(0.3890, 0.7968, 1.3969), depth_mm=7.951,
@@ -80,8 +79,12 @@ ABDOMEN = Reference(
     depth_m=_ABDOMEN[:, 0] / 1000, force_n=_ABDOMEN[:, 1], low_n=_ABDOMEN[:, 2], high_n=_ABDOMEN[:, 3],
 )  # fmt: skip
 
-FITTED = (FOREARM, ABDOMEN)
-"""Their medians are what the shipped laws were fitted to; compared at places that no fit used."""
-KEPT_OUT = (FOREARM_POSTERIOR, UPPER_ARM_POSTERIOR)
-"""Sites, and for the second also an indenter, that no fit used. The shells' free side is pressed, whichever side of the
+FITTED: dict[str, tuple[Reference, ...]] = {
+    "paper-mapping": (FOREARM, ABDOMEN),
+    "human-published": (FOREARM, UPPER_ARM_ANTERIOR, ABDOMEN),
+}
+"""Tissue set -> the curves whose middles its laws were fitted to; compared at places that no fit used. A set that is
+not here was fitted to no published curve, and none is required of it."""
+REFERENCES = (FOREARM, FOREARM_POSTERIOR, UPPER_ARM_ANTERIOR, UPPER_ARM_POSTERIOR, ABDOMEN)
+"""All; those that a set was not fitted to are shown beside it. The shells' free side is pressed, whichever side of the
 limb was measured."""

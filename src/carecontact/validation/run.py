@@ -37,6 +37,7 @@ class Validation:
     protocol: str
     protocol_sha256: str
     tissue_set: str
+    dt_s: float
     model_sha256: str
     """Of the compiled world with the forearm as target."""
     quick: bool
@@ -57,7 +58,8 @@ class Validation:
         """Nothing in it depends on place, time or machine."""
         return {
             "schema": SCHEMA, "passed": self.passed, "finished": self.finished, "quick": self.quick,
-            "protocol": {"id": self.protocol, "sha256": self.protocol_sha256, "tissue_set": self.tissue_set},
+            "protocol": {"id": self.protocol, "sha256": self.protocol_sha256, "tissue_set": self.tissue_set,
+                         "dt_s": self.dt_s},
             "body": {"name": self.body, "sha256": self.body_sha256}, "model_sha256": self.model_sha256,
             "mujoco": mujoco.__version__, "checks": [result.as_json() for result in self.results],
         }  # fmt: skip
@@ -89,7 +91,8 @@ def validate(
     model_sha256 = scene.model_sha256
     validation = Validation(
         body=scene.body.name, body_sha256=scene.body.sha256, protocol=protocol.id, protocol_sha256=protocol.sha256,
-        tissue_set=protocol.person.tissue_set, model_sha256=model_sha256, quick=quick, asked=tuple(checks), results=(),
+        tissue_set=protocol.person.tissue_set, dt_s=protocol.physics.dt_s,
+        model_sha256=model_sha256, quick=quick, asked=tuple(checks), results=(),
     )  # fmt: skip
     for name, module in zip(checks, modules, strict=True):
         result = _run(name, module, subject, quick=quick)

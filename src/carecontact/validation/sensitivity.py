@@ -29,7 +29,8 @@ CHANGES: dict[str, tuple[float, float, float | None]] = {
     "damping x 0.25": (1.0, 0.25, None), "damping x 4": (1.0, 4.0, None), "friction 0.1": (1.0, 1.0, 0.1),
     "friction 0.3": (1.0, 1.0, 0.3), "friction 1": (1.0, 1.0, 1.0),
 }  # fmt: skip
-"""Factor on K_c, factor on D_c, coefficient of friction (None: as shipped)."""
+"""Factor on K_c (and so on the coupling, which is declared through it), factor on D_c, coefficient of friction (None:
+as shipped)."""
 QUICK_CHANGES, QUICK_BEHAVIOURS = ("as shipped", "stiffness x 0.5"), (GENTLE, FIRM)
 FIELDS = {"c1_n": "C1", "c5_n": "C5", "stroke_m": "stroke"}
 
@@ -78,6 +79,8 @@ def change(simulation: Simulation, *, stiffness: float, damping: float, friction
     joints = anchor_joints(model, REGION)
     model.jnt_stiffness[joints] *= stiffness
     model.jnt_stiffnesspoly[joints] *= stiffness
+    coupling = [t for t in range(model.ntendon) if model.tendon(t).name.startswith(f"{REGION}_")]
+    model.tendon_stiffness[coupling] *= stiffness
     model.dof_damping[model.jnt_dofadr[joints]] *= damping
     if friction is not None:
         flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, REGION)

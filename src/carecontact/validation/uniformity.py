@@ -39,7 +39,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         for depth, limit, column in zip(DEPTHS_M, CV_LIMITS_PERCENT, force.T, strict=True):
             measures.append(
                 Measure(name=f"{region}: variation of peak force over {len(places)} places at {1000 * depth:.0f} mm",
-                        value=float(100 * column.std() / column.mean()), unit="%", limit=limit)
+                        value=float(100 * column.std(ddof=1) / column.mean()), unit="%", limit=limit)
             )  # fmt: skip
         shell = bench.shell
         seen = shell.normals @ shell.frame[:, 2] > 0.0
@@ -94,7 +94,7 @@ def draw(result: CheckResult, figure: Figure) -> None:
         above.grid(visible=False)
         above.set(xlabel="along [mm]", title=region.replace("_", " "))
         for k, depth in enumerate(DEPTHS_M):
-            cv = 100 * force[:, k].std() / force[:, k].mean()
+            cv = 100 * force[:, k].std(ddof=1) / force[:, k].mean()
             below.plot(np.sort(force[:, k] / force[:, k].mean()), "o-", ms=3, lw=0.7,
                        label=f"{1000 * depth:.0f} mm, CV {cv:.1f} %")  # fmt: skip
         below.set(xlabel="places in order of force", ylim=(0.6, 1.6))

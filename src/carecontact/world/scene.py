@@ -75,7 +75,7 @@ def build_spec(
     rows = add_skeleton(spec, body, root_position=root, root_quat=quat, shell_points=points)
     regions = {r: add_tissue(spec, body, r, s, tissue[r]) for r, s in shells.items()}
     for made in regions.values():
-        check_step(made, protocol.physics.dt_s)
+        check_step(made.name, made.shell, made.tissue, protocol.physics.dt_s)
     for region, shell in shells.items():
         site_quat = np.zeros(4)
         mujoco.mju_mat2Quat(site_quat, shell.frame.ravel())

@@ -12,6 +12,7 @@ from carecontact.contract.protocol import Tissue
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.surface_mesh import (
     GROWTH,
+    bridged,
     distance_outside,
     first_hits,
     graded,
@@ -42,6 +43,10 @@ LIMB_SAMPLES, BELLY_SAMPLES = (41, 61), 41
 SMOOTHING_M = 0.012
 """Standard deviation of the smoothing of the sampled surface: the body's own faces are 20 mm wide, and their ridges
 made the force of a press vary by 9-16 % from place to place."""
+NAVEL_BALL_M = 0.10
+"""A ball of this radius rolled over the belly does not enter the navel, and the shell spans it as the ball does: the
+skin in a navel is a fold that bears nothing, and a tool over one met 30 % more force, on its rim. The belly of
+man-adult, which the laws are fitted on, moves by 0.5 mm at most and 0.07 mm in the mean."""
 ROW_RATIO = np.sqrt(3) / 2
 """Rows of a triangular lattice stand this much closer than the points in a row."""
 
@@ -182,6 +187,7 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
     measured = np.array(
         [first_hits(triangles, foot(h, breadths), np.repeat(z[None], BELLY_SAMPLES, 0)) for h in heights]
     )
+    measured = bridged(heights, breadths, measured, NAVEL_BALL_M)
     depth_at = smooth_field(
         heights, breadths, measured, sigma=(SMOOTHING_M / (high - low), SMOOTHING_M / (2 * half_width)), wrap=False
     )

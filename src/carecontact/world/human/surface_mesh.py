@@ -116,6 +116,30 @@ def smooth_field(
     return lambda at_u, at_v: spline.ev(np.broadcast_to(at_u, np.shape(at_v)), at_v)
 
 
+def bridged(u: Array, v: Array, heights: Array, radius_m: float) -> Array:
+    """(len(u), len(v)) heights that a ball of this radius rolling over the surface touches or spans: a grey closing.
+
+    Args:
+        u, v: even coordinates [m].
+        heights: (len(u), len(v)) [m].
+
+    What a plane explains stays as it is: samples beyond a border are the point reflections of those inside.
+    """
+    from scipy.ndimage import grey_closing
+
+    steps = [float(axis[1] - axis[0]) for axis in (u, v)]
+    # To 0.9 of the radius: further out the ball is so steep that no surface seen from above reaches it.
+    reach = [int(0.9 * radius_m / step) for step in steps]
+    across = np.meshgrid(*(np.arange(-n, n + 1) * step for n, step in zip(reach, steps, strict=True)), indexing="ij")
+    apart = across[0] ** 2 + across[1] ** 2
+    ball = np.sqrt(np.maximum(radius_m**2 - apart, 0.0)) - radius_m
+    margin = [min(2 * n, size - 1) for n, size in zip(reach, heights.shape, strict=True)]
+    wide = np.pad(heights, [(n, n) for n in margin], mode="reflect", reflect_type="odd")
+    closed = grey_closing(wide, footprint=apart < (0.9 * radius_m) ** 2, structure=ball)
+    # A closing never lies below; rounding may.
+    return np.maximum(heights, closed[margin[0] : -margin[0] or None, margin[1] : -margin[1] or None])
+
+
 def first_hits(triangles: Array, origins: Array, directions: Array) -> Array:
     """(n,) distance to the first hit along each ray (Moeller and Trumbore 1997).
 

@@ -110,16 +110,16 @@ def coupling_weights(shell: Shell) -> tuple[npt.NDArray[np.int64], Array]:
     return edges[kept].astype(np.int64), weights[kept]
 
 
-def check_step(region: Region, dt_s: float) -> None:
+def check_step(region: str, shell: Shell, tissue: Tissue, dt_s: float) -> None:
     """Raise ConfigError where the springs are too stiff for the time step.
 
     The integrator takes springs explicitly and dampers implicitly: a mode of frequency w and damping rate g = D_c / m
     grows where (w dt)^2 > 4 + 2 g dt.
     """
-    shell, tissue = region.shell, region.tissue
+    free = np.flatnonzero(~shell.pinned)
     row = np.full(len(shell.vertices), -1)
-    row[region.vertex_index] = np.arange(len(region.vertex_index))
-    matrix = np.diag(tissue.a_n_m3 * shell.area[region.vertex_index])
+    row[free] = np.arange(len(free))
+    matrix = np.diag(tissue.a_n_m3 * shell.area[free])
     coupling_n_m = tissue.a_n_m3 * tissue.coupling_length_m**2
     for edge, weight in zip(*coupling_weights(shell), strict=True):
         ends = [k for k in row[edge] if k >= 0]
@@ -127,7 +127,7 @@ def check_step(region: Region, dt_s: float) -> None:
         if len(ends) == 2:
             matrix[ends[0], ends[1]] -= coupling_n_m * weight
             matrix[ends[1], ends[0]] -= coupling_n_m * weight
-    mass = tissue.areal_mass_kg_m2 * shell.area[region.vertex_index]
+    mass = tissue.areal_mass_kg_m2 * shell.area[free]
     limit = 4 + 2 * dt_s * tissue.damping_ns_m3 / tissue.areal_mass_kg_m2
     # Gershgorin's bound first: it is cheap and nearly always enough.
     if dt_s**2 * (np.abs(matrix).sum(1) / mass).max() < limit:
@@ -136,7 +136,7 @@ def check_step(region: Region, dt_s: float) -> None:
     largest = dt_s**2 * float(np.linalg.eigvalsh(matrix / root / root[:, None])[-1])
     if largest >= limit:
         raise ConfigError(
-            f"tissue of the {region.name}: a_n_m3 {tissue.a_n_m3:g} with "
+            f"tissue of the {region}: a_n_m3 {tissue.a_n_m3:g} with "
             f"coupling_length_m {tissue.coupling_length_m:g} on a mesh of {1000 * tissue.spacing_m:g} mm "
             f"is unstable at time steps of {1000 * dt_s:g} ms "
             f"((w dt)^2 = {largest:.1f}, limit {limit:.1f}): take a shorter step, a shorter coupling or more damping"
