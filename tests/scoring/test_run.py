@@ -215,6 +215,13 @@ def test_a_harness_error_is_of_no_world(tmp_path: Path) -> None:
     assert len(score_run(tmp_path).scores) == 2
 
 
+def test_several_processes_give_the_same_scores(folder: Path) -> None:
+    (folder / "T4-s000.h5").write_text("not a recording")
+    one, two = score_run(folder), score_run(folder, jobs=2)
+    assert [s.model_dump_json() for s in two.scores] == [s.model_dump_json() for s in one.scores]
+    assert (two.skipped, two.versions) == (one.skipped, one.versions)
+
+
 BLOCKED = """
 import sys
 class Blocker:

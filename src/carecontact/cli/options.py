@@ -100,12 +100,17 @@ class Score:
     """Compute the scores of a run again from its recordings; no simulator needed."""
 
     folder: Folder
+    append: Switch = False
+    """Only add the metrics that results.json does not have yet; everything in it stays as it is."""
+    jobs: int | None = None
+    """Processes; default: one per core, fewer for a few recordings."""
+
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
-        from carecontact.cli.score import score
+        from carecontact.cli.score import append, score
 
-        return score(self.folder)
+        return append(self.folder) if self.append else score(self.folder, jobs=self.jobs)
 
 
 @dataclass(frozen=True, kw_only=True)

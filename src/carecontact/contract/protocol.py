@@ -262,11 +262,11 @@ class Protocol(Section):
     def f_pain(self, segment: str) -> float:
         """F_pain [N] of a segment; ``right_forearm`` and ``left_forearm`` are both ``forearm``."""
         limits = self.limits.f_pain_n
-        return limits.get(_sideless(segment), min(limits.values()))
+        return limits.get(sideless(segment), min(limits.values()))
 
     def has_own_limit(self, segment: str) -> bool:
         """Whether the limits name the segment; else ``f_pain`` is the strictest entry."""
-        return _sideless(segment) in self.limits.f_pain_n
+        return sideless(segment) in self.limits.f_pain_n
 
     @model_validator(mode="after")
     def _consistent(self) -> Protocol:
@@ -323,5 +323,6 @@ def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:
     return f"{protocol_id} with {' and '.join(replaced)}" if replaced else protocol_id
 
 
-def _sideless(segment: str) -> str:
+def sideless(segment: str) -> str:
+    """``right_forearm`` and ``left_forearm`` -> ``forearm``."""
     return segment.removeprefix("right_").removeprefix("left_")
