@@ -101,7 +101,8 @@ class Tissue(Section):
     thickness_m: Length
     """Depth of the rigid core under the surface; less where a thin limb's axis is nearer."""
     measured_depth_m: Length
-    """Results deeper than this are extrapolated."""
+    """Anchor displacement that the presses to which the law was fitted reach on this mesh: deeper is extrapolated. The
+    indenter's travel is more, since the contact gives way too."""
     friction: Positive
     source: str
 

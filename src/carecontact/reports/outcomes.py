@@ -28,6 +28,7 @@ class Outcome:
 
 def _score(metric: str, field: str, matters: float, *, push_only: bool = False) -> Outcome:
     row = METRICS[metric]
+    assert row.better != "neither"
     return Outcome(
         id=metric.partition("@")[0],
         title=row.title,

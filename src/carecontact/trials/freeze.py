@@ -12,8 +12,7 @@ from carecontact.errors import ConfigError
 from carecontact.protocols.lock import SUFFIX, Lock, lock_path, read_lock
 from carecontact.recording.schema import REGIONS
 from carecontact.scoring import METRICS
-from carecontact.trials.versions import package_versions
-from carecontact.world.robot import EMBODIMENT
+from carecontact.trials.versions import EMBODIMENT, package_versions
 
 PACKAGES = ("mujoco", "mediapipe")
 """Their releases change the physics or what is seen; numpy's and scipy's are held by the sums and the score hashes."""

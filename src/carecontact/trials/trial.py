@@ -29,8 +29,8 @@ from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.log import TrialLog
 from carecontact.trials.randomization import comfort_arm_deg
-from carecontact.trials.versions import package_versions
-from carecontact.world.robot import EMBODIMENT, panda_sha256
+from carecontact.trials.versions import EMBODIMENT, package_versions
+from carecontact.world.robot import panda_sha256
 from carecontact.world.scene import build_scene
 
 if TYPE_CHECKING:

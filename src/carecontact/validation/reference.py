@@ -83,8 +83,7 @@ FITTED: dict[str, tuple[Reference, ...]] = {
     "paper-mapping": (FOREARM, ABDOMEN),
     "human-published": (FOREARM, UPPER_ARM_ANTERIOR, ABDOMEN),
 }
-"""Tissue set -> the curves whose middles its laws were fitted to; compared at places that no fit used. A set that is
-not here was fitted to no published curve, and none is required of it."""
+"""Tissue set -> the curves whose middles its laws were fitted to; compared at places that no fit used."""
 REFERENCES = (FOREARM, FOREARM_POSTERIOR, UPPER_ARM_ANTERIOR, UPPER_ARM_POSTERIOR, ABDOMEN)
 """All; those that a set was not fitted to are shown beside it. The shells' free side is pressed, whichever side of the
 limb was measured."""

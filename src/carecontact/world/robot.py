@@ -24,7 +24,6 @@ from carecontact.errors import AssetError, SceneError
 
 N_JOINTS = 7
 CAP_RADIUS_M = 0.012
-EMBODIMENT = "panda-closed-gripper-caps"
 CAP_SEMI_AXES_M = (CAP_RADIUS_M, 0.019, CAP_RADIUS_M)
 """Ellipsoid in the hand's axes, widest along the finger pair. Against a shell's triangles an ellipsoid makes one
 contact each; a capsule made up to five, some of them millimetres too deep."""
