@@ -60,7 +60,7 @@ def calibrate(
                 f"trial {curve.trial.trial_id!r} presses {1000 * curve.deepest_m:.3g} mm deep, the tissue over the "
                 f"{region}'s bone is {1000 * row.thickness_m:g} mm: is indentation_mm in millimetres, inward?"
             )
-    on_progress(f"{len(curves)} trials of the {region}")
+    on_progress(f"{_count(curves)} of the {region}")
     laws = identify(curves)
     groups = group_curves(curves)
     on_progress(f"identified: {laws[0].law.name}; {len(groups)} presses to replay")
@@ -76,7 +76,7 @@ def calibrate(
             region,
             content.tissue,
             base=content.base_tissue_set,
-            description=f"The {region.replace('_', ' ')} calibrated to {len(curves)} {synthetic}trials; "
+            description=f"The {region.replace('_', ' ')} calibrated to {_count(curves, synthetic)}; "
             f"certificate {certificate.sha256[:12]}.",
             digest=certificate.sha256,
         ),
@@ -85,10 +85,14 @@ def calibrate(
     held = content.held_out
     told = f", held-out NRMSE {held['nrmse'].value:.1%}" if held and held["nrmse"].value is not None else ""
     write_figure(
-        paths[2], title=f"{region}, {body}: {len(curves)} {synthetic}trials{told}", curves=curves, groups=groups,
+        paths[2], title=f"{region}, {body}: {_count(curves, synthetic)}{told}", curves=curves, groups=groups,
         replayed=fit.replayed, identified=laws[0], extrapolated_mm=content.measured_depth_mm,
     )  # fmt: skip
     return Calibration(certificate=certificate, written=paths)
+
+
+def _count(curves: Sequence[Curve], kind: str = "") -> str:
+    return f"{len(curves)} {kind}trial{'s' * (len(curves) != 1)}"
 
 
 def _row(rules: Protocol, region: str) -> Tissue:
@@ -104,7 +108,7 @@ def _content(
     depth, force = facts["measured_depth_mm"] / 1000, facts["measured_force_n"]
     gate = rules.limits.gamma * rules.f_pain(region)
     kind = "synthetic " if facts["synthetic"] else ""
-    source = f"carecontact calibrate, {len(curves)} {kind}trials, data sha256 {file.sha256[:12]}"
+    source = f"carecontact calibrate, {_count(curves, kind)}, data sha256 {file.sha256[:12]}"
     # Results count how deep anchors go, not how far the tool travels.
     reached = np.repeat([one.press.anchor_m.max() for one in fit.replayed], [len(g.members) for g in groups])
     tissue = fit.tissue.model_copy(update={"measured_depth_m": float(np.median(reached)), "source": source})
