@@ -71,6 +71,11 @@ class FakeRenderer:
         robot[:, :5] = 2.0
         return robot
 
+    def cell_depth(self, joint_position: np.ndarray, camera: str) -> np.ndarray:
+        self.asked.append(("cell_depth", camera))
+        np.testing.assert_array_equal(joint_position, np.arange(7.0))
+        return np.full((H, W), 2.0, np.float32)
+
     def intrinsics(self, camera: str) -> np.ndarray:
         return INTRINSICS
 
@@ -100,7 +105,7 @@ def build(modalities: tuple[str, ...], cameras: tuple[str, ...] = ("overhead",))
         (("depth",), {"depth"}),
         (("points",), {"rgb", "depth"}),
         (("landmarks",), {"rgb", "depth"}),
-        (("masks",), {"rgb", "depth", "robot_depth"}),
+        (("masks",), {"rgb", "depth", "robot_depth", "cell_depth"}),
     ],
 )
 def test_only_what_the_card_names_is_rendered_and_sent(modalities: tuple[str, ...], images: set[str]) -> None:
@@ -148,6 +153,7 @@ def test_masks_and_landmarks_share_one_estimate() -> None:
         rgb=renderer.rgb(None, "overhead"),
         depth=renderer.depth(None, "overhead"),
         robot_depth=renderer.robot_depth(np.arange(7.0), "overhead"),
+        cell_depth=renderer.cell_depth(np.arange(7.0), "overhead"),
     )
     derive_view(raw, modalities=("masks", "landmarks"), keypoints=keypoints, bed_height_in_base_m=0.0)
     assert keypoints.calls == 1

@@ -31,7 +31,7 @@ IMAGES_FOR = {
     "rgb": ("rgb",),
     "depth": ("depth",),
     "points": ("rgb", "depth"),
-    "masks": ("rgb", "depth", "robot_depth"),
+    "masks": ("rgb", "depth", "robot_depth", "cell_depth"),
     "landmarks": ("rgb", "depth"),
 }
 """Modality -> images that it is made of; nothing else is rendered."""
@@ -72,6 +72,9 @@ class RawView:
     rgb: U8 | None = None
     depth: F32 | None = None
     robot_depth: F32 | None = None
+    """Of the robot's own model at the encoder angles."""
+    cell_depth: F32 | None = None
+    """Of the empty cell, known from calibration."""
 
 
 def assemble(values: Mapping[str, Any], views: Mapping[str, Mapping[str, Any]]) -> Observation:
@@ -111,11 +114,15 @@ def derive_view(
         view["depth"] = raw.depth
     if "points" in modalities and points is not None and raw.rgb is not None:
         view["points"], view["point_colors"] = coloured_cloud(points, raw.rgb)
-    if "masks" in modalities and found and points is not None and raw.depth is not None and raw.robot_depth is not None:
+    if "masks" in modalities and found and points is not None:
+        assert raw.depth is not None
+        assert raw.robot_depth is not None
+        assert raw.cell_depth is not None
         masks = view["masks"] = segment(
             person=found.person,
             depth=raw.depth,
             robot_depth=raw.robot_depth,
+            cell_depth=raw.cell_depth,
             height_in_base=points[..., 2],
             bed_height_in_base_m=bed_height_in_base_m,
         )
@@ -174,4 +181,5 @@ class ObservationBuilder:
             rgb=renderer.rgb(data, camera) if "rgb" in images else None,
             depth=renderer.depth(data, camera) if "depth" in images else None,
             robot_depth=renderer.robot_depth(angles, camera) if "robot_depth" in images else None,
+            cell_depth=renderer.cell_depth(angles, camera) if "cell_depth" in images else None,
         )

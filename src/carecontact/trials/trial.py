@@ -28,6 +28,7 @@ from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.log import TrialLog
+from carecontact.trials.perception import PerceptionLog
 from carecontact.trials.randomization import comfort_arm_deg
 from carecontact.trials.versions import package_versions
 from carecontact.world.robot import panda_sha256
@@ -71,10 +72,12 @@ def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> R
     trial = _Trial(spec, simulation, settled)
     with SceneRenderer(scene.model, protocol=protocol) as renderer:
         card, ended = trial.run(renderer, list(search_path))
+        if trial.perception is not None:
+            trial.log.extra |= trial.perception.arrays()
         trial.add_report_frames(renderer)
         trial.log.extra["wall/seconds"] = np.array([settled_wall - started, time.monotonic() - settled_wall], "<f8")
         trial.log.extra["wall/renders"] = np.array(
-            [renderer.renders[k] for k in ("rgb", "depth", "robot_depth")], "<f8"
+            [renderer.renders[k] for k in ("rgb", "depth", "robot_depth", "cell_depth", "truth")], "<f8"
         )
     header = Header(
         spec=spec, ended=ended.reason, failure=ended.failure,
@@ -97,6 +100,7 @@ class _Trial:
         self.protocol: Protocol = spec.protocol
         self.task = self.protocol.task(spec.task_id)
         self.log = TrialLog(simulation, settled)
+        self.perception: PerceptionLog | None = None
         self.peak = _Peak()
         self._cut_n = np.array([self.protocol.phases.truncation_over_pain * self.protocol.f_pain(s) for s in SEGMENTS])
         self._target = SEGMENTS.index(REGION_SEGMENT[self.task.region])
@@ -125,6 +129,7 @@ class _Trial:
     def _act_loop(self, process: PolicyProcess, card: PolicyCard, renderer: SceneRenderer) -> _Ended:
         simulation, impedance = self.simulation, self.protocol.impedance
         builder = ObservationBuilder(renderer, card, self.protocol, MediaPipePose())
+        self.perception = PerceptionLog(simulation.model, renderer)
         stiffness = (impedance.translational_n_m, impedance.rotational_nm_rad)
         limit_steps = round(self.protocol.phases.time_limit_s / self.protocol.physics.dt_s)
         periods = steps_of_period(card.control_hz, self.protocol.physics.dt_s)
@@ -136,6 +141,7 @@ class _Trial:
                 observation = builder.build(simulation.data, instruction=self.task.prompt, sim_time_s=simulation.time_s)
                 reply = process.act(observation)
                 self.log.add_observation(observation, reply.sent_sha256)
+                self.perception.add(simulation.data, observation)
                 queue.extend(reply.actions)
             action = self._checked(queue.popleft())
             if action.stiffness is not None and action.stiffness != stiffness:
