@@ -12,10 +12,11 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 PERSON_PROBABILITY = 0.25
-PERSON_GROWN_PX = 9
+PERSON_GROWN_PX = 5
 """The pose mask is smooth and loses fingers, toes and hair: near it, whatever is not the empty cell is the person."""
-NEARER_M = 0.006
-"""Than the empty cell. The sheet and pillow round a limb often get a person's label; the depth image knows better."""
+NEARER_M = 0.015
+"""Than the empty cell. The sheet and pillow round a limb often get a person's label; the depth image knows better.
+Tuned on development scenes: with structured-light noise 6 mm cost 6 % of IoU; without noise 15 mm cost 0.1 %."""
 BED_BAND_M = 0.04
 """Half thickness of the layer that counts as bed: mattress, sheet, arm board."""
 ROBOT_TOLERANCE_M = 0.02

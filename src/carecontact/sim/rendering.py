@@ -163,7 +163,7 @@ class SceneRenderer:
         A real cell can compute it too: it knows its robot's shape, its encoders and its calibration.
         """
         self.renders["robot_depth"] += 1
-        return self._depth(self._at(joint_position), camera, self._robot_only)
+        return self._depth(self.at_encoders(joint_position), camera, self._robot_only)
 
     def cell_depth(self, joint_position: npt.ArrayLike, camera: str) -> F32:
         """(H, W) depth [m] of bed, pillow, arm board and room without person and robot; NaN beyond DEPTH_RANGE_M.
@@ -174,7 +174,7 @@ class SceneRenderer:
         if camera in self._empty_cell:
             return self._empty_cell[camera].copy()
         self.renders["cell_depth"] += 1
-        depth = self._depth(self._at(joint_position), camera, self._furniture_only)
+        depth = self._depth(self.at_encoders(joint_position), camera, self._furniture_only)
         if self._cameras[camera].mount == "world":
             self._empty_cell[camera] = depth.copy()
         return depth
@@ -192,8 +192,8 @@ class SceneRenderer:
         label = image[::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16])
         return TrueView(human=np.isin(label, mine), depth=self._metres(buffer))
 
-    def _at(self, joint_position: npt.ArrayLike) -> mujoco.MjData:
-        """A copy of the world that knows calibration and encoders and nothing of the person's state."""
+    def at_encoders(self, joint_position: npt.ArrayLike) -> mujoco.MjData:
+        """The world as calibration and encoders (7,) [rad] know it: nothing of the person. Valid until the next call."""
         if self._calibrated is None:
             self._calibrated = mujoco.MjData(self._model)
         data = self._calibrated

@@ -29,7 +29,7 @@ from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.log import TrialLog
 from carecontact.trials.perception import PerceptionLog
-from carecontact.trials.randomization import comfort_arm_deg
+from carecontact.trials.randomization import comfort_arm_deg, dress, sensor_noise
 from carecontact.trials.versions import package_versions
 from carecontact.world.robot import panda_sha256
 from carecontact.world.scene import build_scene
@@ -62,8 +62,9 @@ def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> R
     started = time.monotonic()
     protocol, task = spec.protocol, spec.protocol.task(spec.task_id)
     scene = build_scene(protocol, target=task.region)
-    # Before anything runs: settling writes the seed's rest angles into the model, a policy its stiffness.
+    # Before anything is changed: looks are the seed's, settling writes the seed's rest angles, a policy its stiffness.
     model_sha256 = scene.model_sha256
+    dress(scene, spec.seed)
     simulation = Simulation(scene)
     settled = settle(simulation, comfort_arm_deg(protocol, spec.seed), model_sha256=model_sha256)
     settled_wall = time.monotonic()
@@ -128,7 +129,8 @@ class _Trial:
 
     def _act_loop(self, process: PolicyProcess, card: PolicyCard, renderer: SceneRenderer) -> _Ended:
         simulation, impedance = self.simulation, self.protocol.impedance
-        builder = ObservationBuilder(renderer, card, self.protocol, MediaPipePose())
+        noise = sensor_noise(self.protocol, self.spec.seed)
+        builder = ObservationBuilder(renderer, card, self.protocol, MediaPipePose(), noise=noise)
         self.perception = PerceptionLog(simulation.model, renderer)
         stiffness = (impedance.translational_n_m, impedance.rotational_nm_rad)
         limit_steps = round(self.protocol.phases.time_limit_s / self.protocol.physics.dt_s)
