@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import mujoco
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from carecontact.world.light import Light, draw_light, shine
 def test_the_palette_is_wide_and_every_tone_is_drawn() -> None:
     light = [np.dot(tone, [0.2126, 0.7152, 0.0722]) for tone in SKIN_TONES.values()]
     assert len(light) >= 5
-    assert all(a - b > 20 for a, b in zip(light, light[1:], strict=False))
+    assert all(a - b > 20 for a, b in pairwise(light))
     rng = np.random.default_rng(0)
     drawn = [draw_appearance(rng) for _ in range(300)]
     assert {a.skin for a in drawn} == set(SKIN_TONES.values())

@@ -193,7 +193,7 @@ class SceneRenderer:
         return TrueView(human=np.isin(label, mine), depth=self._metres(buffer))
 
     def at_encoders(self, joint_position: npt.ArrayLike) -> mujoco.MjData:
-        """The world as calibration and encoders (7,) [rad] know it: nothing of the person. Valid until the next call."""
+        """The world as calibration and encoders (7,) [rad] know it, without the person; valid until the next call."""
         if self._calibrated is None:
             self._calibrated = mujoco.MjData(self._model)
         data = self._calibrated

@@ -83,7 +83,7 @@ class PerceptionLog:
         view = observation.cameras[camera]
         if any(image is None for image in (view.depth, view.points, view.masks, view.landmarks)):
             return errors
-        joints, skin = self.joints_in_base(data), self._skin_in_base(data)
+        joints, skin = self.joints_in_base(data), self.skin_in_base(data)
         for row, region in enumerate(REGIONS):
             try:
                 found = region_from_observation(observation, region, camera=camera)  # pyright: ignore[reportArgumentType]
@@ -94,7 +94,8 @@ class PerceptionLog:
             errors[row] = (found.centre_m - centre) @ np.stack([along, across, [0, 0, 1]], 1)
         return errors
 
-    def _skin_in_base(self, data: mujoco.MjData) -> F64:
+    def skin_in_base(self, data: mujoco.MjData) -> F64:
+        """(V, 3) true vertices; faces are the model's."""
         placed = skin_in_world(self._model, data)
         to_base = self._robot.in_base(data, np.zeros(3), np.eye(3))
         return placed @ to_base[:3, :3].T + to_base[:3, 3]
