@@ -105,7 +105,7 @@ def derive_view(
         raise ObservationError(f"modalities {list(modalities)} need the image(s) {', '.join(missing)}")
     view: dict[str, Any] = {"intrinsics": raw.intrinsics, "pose_camera_in_base": raw.pose_camera_in_base}
     points = found = masks = None
-    if raw.depth is not None:
+    if raw.depth is not None and {"points", "masks"} & set(modalities):
         points = organised_points(raw.depth, raw.intrinsics, raw.pose_camera_in_base)
     if raw.rgb is not None and {"masks", "landmarks"} & set(modalities):
         found = keypoints.estimate(raw.rgb)

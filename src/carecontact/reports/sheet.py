@@ -257,7 +257,7 @@ def _size_of(view: CameraView, modality: str) -> str:
     if modality == "landmarks":
         return "33 x (u, v [px], visibility)"
     if modality == "depth" and view.depth is not None:
-        return f"{size}, metres, grey: none"
+        return f"{size}, [m]; grey: none"
     return size
 
 
