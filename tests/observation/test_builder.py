@@ -8,6 +8,7 @@ import pytest
 
 from carecontact.contract.observation import MASK_NAMES, MODALITIES, CameraView, Observation
 from carecontact.contract.policy import PolicyCard
+from carecontact.contract.protocol import Variation
 from carecontact.errors import ObservationError
 from carecontact.observation.builder import (
     ALLOWED,
@@ -18,6 +19,8 @@ from carecontact.observation.builder import (
     derive_view,
 )
 from carecontact.observation.keypoints import KeyPoints
+from carecontact.observation.pointcloud import coloured_cloud, organised_points
+from carecontact.observation.sensor_noise import SensorNoise
 from carecontact.protocols import load_protocol
 
 H, W = 48, 64
@@ -176,3 +179,19 @@ def test_a_privileged_key_is_refused(key: str) -> None:
         assemble({"instruction": "", key: 0}, {})
     with pytest.raises(ObservationError, match=f"camera overhead: {key}"):
         assemble({"instruction": ""}, {"overhead": {key: 0}})
+
+
+def test_noise_comes_before_everything_that_is_made_of_depth() -> None:
+    protocol, renderer = load_protocol(), FakeRenderer()
+    card = PolicyCard(name="test", modalities=MODALITIES)
+    noise = SensorNoise(Variation(depth_noise="structured-light-v1"), key=[5], dt_s=0.002)
+    made = ObservationBuilder(renderer, card, protocol, FakeKeypoints(), noise=noise)  # pyright: ignore[reportArgumentType]
+    view = made.build(None, instruction="", sim_time_s=0.0).cameras["overhead"]  # pyright: ignore[reportArgumentType]
+    assert view.depth is not None
+    assert view.points is not None
+    clean = renderer.depth(None, "overhead")
+    assert (view.depth != clean).mean() > 0.5
+    expected, _ = coloured_cloud(organised_points(view.depth, INTRINSICS, DOWN), np.zeros((H, W, 3), np.uint8))
+    np.testing.assert_array_equal(view.points, expected)
+    again = made.build(None, instruction="", sim_time_s=0.0).cameras["overhead"]  # pyright: ignore[reportArgumentType]
+    np.testing.assert_array_equal(view.depth, again.depth)
