@@ -109,6 +109,11 @@ def fit(body: Body, region: str, tissue: Tissue, curve: Curve, *, check: bool) -
     print(f"a_n_m3 = {np.exp(p[0]):.4g}\nc_n_m5 = {np.exp(p[1]):.3g}")
     # Three times critical per area; see world.human.tissue.
     print(f"damping_ns_m3 = {6 * np.sqrt(np.exp(p[0]) * tissue.areal_mass_kg_m2):.3g}")
+    reached = [
+        bench.press(depth_m=float(curve.depth_m[-1]), along_m=x, across_m=y, speed_m_s=SPEED_M_S).anchor_m.max()
+        for x, y in PLACES[region]
+    ]
+    print(f"measured_depth_m = {np.mean(reached):.4f}")
     print(f"# NRMSE of the mean curve {mean:.1%}, of single places {each.min():.1%} to {each.max():.1%}")
     for k in range(0, len(curve.depth_m), 3):
         print(f"#  {1000 * curve.depth_m[k]:5.2f} mm  wanted {curve.force_n[k]:6.2f} N  got {got.mean(0)[k]:6.2f} N")

@@ -53,6 +53,13 @@ def test_certificate_says_what_was_found(made: Path) -> None:
     assert any("no trial unloads" in note for note in content.notes)
     assert content.gate_is_extrapolated
     assert content.measured_depth_mm == pytest.approx(2.95, abs=0.15)
+    # The row counts how deep the anchors went.
+    assert 0.5 < 1000 * content.tissue.measured_depth_m / content.measured_depth_mm < 1.0
+    # Stiffening of half a newton is all there is to see: what is not pinned down says so.
+    for name in ("b_n_m4", "c_n_m5"):
+        if content.law[name].value == 0.0:
+            assert content.law[name].ci95 is None
+            assert any(f"{name} is at its bound" in note for note in content.notes)
 
 
 def test_row_is_a_tissue_set(made: Path) -> None:
@@ -113,14 +120,38 @@ def test_verify_fails_where_forces_are_others(made: Path, capsys: pytest.Capture
     ("change", "told"),
     [
         (lambda c: {"tissue": c.tissue.model_copy(update={"a_n_m3": 2 * c.tissue.a_n_m3})}, "states a_n_m3"),
-        (lambda c: {"band": {**c.band, "nrmse_increase": 1.0}}, "the certificate allows"),
+        (lambda c: {"band": {**c.band, "error_change": 1.0}}, "the certificate allows"),
         (lambda c: {"responses": []}, "0 of other trials"),
         (lambda c: {"responses": [r.model_copy(update={"loading_n": [1.0]}) for r in c.responses]}, "depths expected"),
-        (lambda c: {"agreement": {}}, "states no NRMSE"),
+        (lambda c: {"agreement": {}}, "agreement has []"),
+        (lambda c: {"stiffness": {}}, "stiffness has []"),
+        (lambda c: {"trials": 400}, "states trials 400, its data give 3"),
+        (lambda c: {"subjects": 40}, "states subjects 40"),
+        (lambda c: {"synthetic": False}, "states synthetic False"),
+        (lambda c: {"measured_depth_mm": 50.0}, "states measured_depth_mm 50"),
+        (lambda c: {"measured_stiffness": {**c.measured_stiffness, "secant_n_mm": 9.0}}, "states measured_stiffness"),
+        (lambda c: {"gate_is_extrapolated": False}, "not extrapolated"),
+        (lambda c: {"hashes": {**c.hashes, "body": "0" * 64}}, "of another man-adult: sha256 000000000000"),
         (lambda c: {"hashes": {"data": c.hashes["data"]}}, "no hash of: body, mesh, model"),
         (lambda c: {"versions": {}}, "by which mujoco"),
     ],
-    ids=["law", "band", "responses", "depths", "agreement", "hashes", "versions"],
+    ids=[
+        "law",
+        "band",
+        "responses",
+        "depths",
+        "agreement",
+        "stiffness",
+        "trials",
+        "subjects",
+        "synthetic",
+        "depth",
+        "measured",
+        "gate",
+        "body",
+        "hashes",
+        "versions",
+    ],
 )
 def test_a_certificate_that_contradicts_itself_is_refused(
     change: Callable[[Content], dict[str, object]], told: str, made: Path, capsys: pytest.CaptureFixture[str]
@@ -128,6 +159,32 @@ def test_a_certificate_that_contradicts_itself_is_refused(
     path = forged(made, **change(read_certificate(made / "out" / "certificate.json").content))
     assert main(["calibrate", str(made / "trials.csv"), "--verify", str(path)]) == 2
     assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "row"),
+    [
+        (lambda c: {"agreement": {**c.agreement, "nrmse": Value(value=0.9, ci95=None)}}, "nrmse"),
+        (lambda c: {"agreement": {**c.agreement, "nrmse": Value(value=0.0001, ci95=None)}}, "nrmse"),
+        (lambda c: {"stiffness": {**c.stiffness, "secant_n_mm": Value(value=9.0, ci95=None)}}, "secant_n_mm"),
+    ],
+    ids=["worse", "better", "stiffer"],
+)
+def test_what_is_computed_anew_must_be_what_is_stated(
+    change: Callable[[Content], dict[str, object]], row: str, made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = forged(made, **change(read_certificate(made / "out" / "certificate.json").content))
+    assert main(["calibrate", str(made / "trials.csv"), "--verify", str(path)]) == 1
+    out = capsys.readouterr().out
+    assert any(row in line and "FAIL" in line for line in out.splitlines())
+
+
+def test_a_press_deeper_than_the_tissue_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    travel = np.linspace(-1.0, 30.0, 80)
+    rows = [f"t0,forearm,p0,{(s + 1) / 20:.5f},{s:.5f},{max(s, 0.0):.5f},load,20,hemisphere,10,0,none" for s in travel]
+    trials = save(tmp_path / "deep.csv", rows)
+    assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(tmp_path / "out")]) == 2
+    assert "mm deep, the tissue over the forearm's bone is 18 mm" in capsys.readouterr().err
 
 
 def test_verify_wants_the_same_data(made: Path, capsys: pytest.CaptureFixture[str]) -> None:

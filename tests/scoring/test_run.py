@@ -11,7 +11,7 @@ import pytest
 import carecontact
 from carecontact.errors import ConfigError
 from carecontact.recording import Recording, write_recording
-from carecontact.scoring import RunScores, results, score_recording, score_run, write_scores
+from carecontact.scoring import RunScores, read_results, results, score_recording, score_run, write_scores
 from carecontact.stats import wilson_interval
 from tests.scoring.synthetic import before_start, make_recording, push, scrub, touch
 
@@ -71,6 +71,42 @@ def test_results(folder: Path) -> None:
     assert data["language_backend"] == ["rules-v1"]
     assert data["metric_versions"]["C5"] == "C5@1"
     assert [t["trial_id"] for t in data["trials"]] == [s.trial_id for s in run.scores]
+
+
+def test_results_can_be_read_again(folder: Path) -> None:
+    (folder / "T4-s000.h5").write_text("not a recording")
+    run = score_run(folder)
+    assert read_results(write_scores(folder, run)) == run
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"schema": "carecontact-results-0"}, "schema: Input should be 'carecontact-results-1'"),
+        ({"trials": [{"trial_id": "T1-s000"}]}, r"trials\.0\.task_id: Field required"),
+        ({"skipped": None}, "skipped: Input should be"),
+    ],
+)
+def test_results_of_another_kind_are_refused(folder: Path, change: dict[str, Any], told: str) -> None:
+    path = write_scores(folder, score_run(folder))
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(ConfigError, match=told) as caught:
+        read_results(path)
+    assert str(caught.value).startswith(f"{path} is damaged or of another release")
+
+
+def test_results_that_count_twice_or_mix_are_refused(folder: Path) -> None:
+    path = write_scores(folder, score_run(folder))
+    data = json.loads(path.read_text())
+    path.write_text(json.dumps(data | {"trials": [*data["trials"], data["trials"][0]]}))
+    with pytest.raises(ConfigError, match="T1-s000 is in it twice"):
+        read_results(path)
+    path.write_text(json.dumps(data | {"trials": [*data["trials"][1:], data["trials"][0] | {"policy": "other"}]}))
+    with pytest.raises(ConfigError, match="2 policies"):
+        read_results(path)
+    path.write_text("{")
+    with pytest.raises(ConfigError, match="damaged"):
+        read_results(path)
 
 
 def test_process_failures_stay_in_the_denominator(tmp_path: Path) -> None:
@@ -177,6 +213,13 @@ def test_a_harness_error_is_of_no_world(tmp_path: Path) -> None:
     failed = as_trial(before_start("harness_error"), seed=1, versions={"mujoco": "not installed"}, sha256={})
     write_recording(failed, tmp_path / "T1-s001.h5")
     assert len(score_run(tmp_path).scores) == 2
+
+
+def test_several_processes_give_the_same_scores(folder: Path) -> None:
+    (folder / "T4-s000.h5").write_text("not a recording")
+    one, two = score_run(folder), score_run(folder, jobs=2)
+    assert [s.model_dump_json() for s in two.scores] == [s.model_dump_json() for s in one.scores]
+    assert (two.skipped, two.versions) == (one.skipped, one.versions)
 
 
 BLOCKED = """

@@ -5,6 +5,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats as scipy_stats
 
 from carecontact.stats import fisher_exact, mann_whitney, median, wilson_interval
 
@@ -70,6 +71,16 @@ def test_mann_whitney_against_counting_by_hand() -> None:
     assert found.pvalue == pytest.approx(0.1)
     with pytest.raises(ValueError, match="at least one"):
         mann_whitney([], [1.0])
+    with pytest.raises(ValueError, match="NaN"):
+        mann_whitney([1.0], [math.nan])
+
+
+def test_contrasts_agree_with_scipy() -> None:
+    first, second = [3.0, 1.0, 4.0, 1.0, 5.0, 9.0], [2.0, 6.0, 5.0, 3.0, 5.0]
+    assert mann_whitney(first, second).pvalue == scipy_stats.mannwhitneyu(first, second).pvalue
+    assert fisher_exact(7, 20, 13, 18).pvalue == scipy_stats.fisher_exact([[7, 13], [13, 5]]).pvalue
+    expected = scipy_stats.binomtest(7, 20).proportion_ci(method="wilson")
+    assert (wilson_interval(7, 20).low, wilson_interval(7, 20).high) == pytest.approx((expected.low, expected.high))
 
 
 def test_median_counts_what_it_rests_on() -> None:

@@ -129,7 +129,7 @@ def test_nan_and_millimetres_are_told(tmp_path: Path) -> None:
 def test_what_is_no_npz_is_told(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "SMPLX_MALE.npz"
     path.write_bytes(content)
-    with pytest.raises(ConfigError, match="not an npz of plain arrays"):
+    with pytest.raises(ConfigError, match="no npz archive"):
         load_body(f"smplx:{path}?sex=M")
 
 

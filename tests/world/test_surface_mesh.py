@@ -119,3 +119,24 @@ def test_a_ball_spans_a_narrow_dip_and_leaves_domes_slopes_and_wide_valleys() ->
     assert spanned.min() == pytest.approx(-(0.012**2) / (2 * 0.06), abs=7e-4)
     np.testing.assert_allclose(spanned[r2 > 0.02**2], 0.0, atol=1e-12)
     assert (spanned >= pit).all()
+
+
+def test_twicing_keeps_a_dome_and_still_takes_ridges_off() -> None:
+    u = v = np.linspace(-0.1, 0.1, 41)
+    x, y = np.meshgrid(u, v, indexing="ij")
+    dome = -(x**2 + y**2) / (2 * 0.15)
+    ridges = 0.001 * np.sin(2 * np.pi * x / 0.02)
+
+    def error(values: np.ndarray, *, twicing: bool) -> float:
+        smooth = smooth_field(u, v, values, sigma=(0.1, 0.1), wrap=False, twicing=twicing)
+        # Away from the border, where point reflection bends the dome.
+        inner = np.abs(u) < 0.02
+        return max(
+            float(np.abs(smooth(at, v[inner]) - np.interp(at, u, dome[:, 20]) - dome[20, inner]).max())
+            for at in u[inner]
+        )
+
+    # sigma^2 / 2 times the two curvatures: 2.7 mm.
+    assert error(dome, twicing=False) == pytest.approx(0.02**2 / 0.15, rel=0.05)
+    assert error(dome, twicing=True) < 2e-4
+    assert error(dome + ridges, twicing=True) < 2.5e-4

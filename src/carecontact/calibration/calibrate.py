@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from carecontact.calibration.curve import GRID, Curve, make_curve
 from carecontact.calibration.figure import write_figure
 from carecontact.calibration.fit import BOOTSTRAP_SEED, BOOTSTRAPS, DAMPING, LAW, Fit, fit_law
 from carecontact.calibration.identify import Identified, identify
-from carecontact.calibration.replay import Group, Replay, group_curves
+from carecontact.calibration.replay import Group, Replay, Replayed, group_curves
 from carecontact.contract.protocol import Protocol, Tissue
 from carecontact.errors import ConfigError
 from carecontact.protocols import FAST_DT_S, load_protocol
@@ -35,8 +36,8 @@ from carecontact.world.human.body import load_body
 from carecontact.world.human.tissue import check_step
 
 CERTIFICATE, ROW, FIGURE = "certificate.json", "tissue.toml", "calibration.png"
-BAND = {"response_share_of_peak": 0.02, "nrmse_increase": 0.01}
-"""--verify fails where a replayed force differs by more than this share of its peak, or NRMSE is larger by this."""
+BAND = {"response_share_of_peak": 0.02, "error_change": 0.01}
+"""--verify fails where a replayed force differs by more than this share of its peak, or an error by this much."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +53,18 @@ def calibrate(
     rules = load_protocol(protocol)
     file = read_trials(trials, region=region)
     curves = [make_curve(trial) for trial in file.trials]
-    on_progress(f"{len(curves)} trials of the {region}")
+    row = _row(rules, region)
+    for curve in curves:
+        if curve.deepest_m > row.thickness_m:
+            raise ConfigError(
+                f"trial {curve.trial.trial_id!r} presses {1000 * curve.deepest_m:.3g} mm deep, the tissue over the "
+                f"{region}'s bone is {1000 * row.thickness_m:g} mm: is indentation_mm in millimetres, inward?"
+            )
+    on_progress(f"{_count(curves)} of the {region}")
     laws = identify(curves)
     groups = group_curves(curves)
     on_progress(f"identified: {laws[0].law.name}; {len(groups)} presses to replay")
-    replay = Replay(body=load_body(body), region=region, tissue=_row(rules, region), groups=groups)
+    replay = Replay(body=load_body(body), region=region, tissue=row, groups=groups)
     fit = fit_law(curves, replay=replay, on_progress=on_progress)
     content = _content(file, curves, laws, groups, replay, fit, region=region, body=body, rules=rules)
     out.mkdir(parents=True, exist_ok=True)
@@ -68,7 +76,7 @@ def calibrate(
             region,
             content.tissue,
             base=content.base_tissue_set,
-            description=f"The {region.replace('_', ' ')} calibrated to {len(curves)} {synthetic}trials; "
+            description=f"The {region.replace('_', ' ')} calibrated to {_count(curves, synthetic)}; "
             f"certificate {certificate.sha256[:12]}.",
             digest=certificate.sha256,
         ),
@@ -77,10 +85,14 @@ def calibrate(
     held = content.held_out
     told = f", held-out NRMSE {held['nrmse'].value:.1%}" if held and held["nrmse"].value is not None else ""
     write_figure(
-        paths[2], title=f"{region}, {body}: {len(curves)} {synthetic}trials{told}", curves=curves, groups=groups,
+        paths[2], title=f"{region}, {body}: {_count(curves, synthetic)}{told}", curves=curves, groups=groups,
         replayed=fit.replayed, identified=laws[0], extrapolated_mm=content.measured_depth_mm,
     )  # fmt: skip
     return Calibration(certificate=certificate, written=paths)
+
+
+def _count(curves: Sequence[Curve], kind: str = "") -> str:
+    return f"{len(curves)} {kind}trial{'s' * (len(curves) != 1)}"
 
 
 def _row(rules: Protocol, region: str) -> Tissue:
@@ -92,18 +104,20 @@ def _content(
     file: TrialFile, curves: Sequence[Curve], laws: Sequence[Identified], groups: Sequence[Group], replay: Replay,
     fit: Fit, *, region: str, body: str, rules: Protocol,
 ) -> Content:  # fmt: skip
-    depth = float(np.median([curve.deepest_m for curve in curves]))
-    force = float(np.median([curve.peak_n for curve in curves]))
+    facts = measured_facts(file, curves)
+    depth, force = facts["measured_depth_mm"] / 1000, facts["measured_force_n"]
     gate = rules.limits.gamma * rules.f_pain(region)
-    synthetic = all("synthetic" in trial.site.lower() for trial in file.trials)
-    kind = "synthetic " if synthetic else ""
-    source = f"carecontact calibrate, {len(curves)} {kind}trials, data sha256 {file.sha256[:12]}"
-    tissue = fit.tissue.model_copy(update={"measured_depth_m": depth, "source": source})
-    notes = list(file.notes)
+    kind = "synthetic " if facts["synthetic"] else ""
+    source = f"carecontact calibrate, {_count(curves, kind)}, data sha256 {file.sha256[:12]}"
+    # Results count how deep anchors go, not how far the tool travels.
+    reached = np.repeat([one.press.anchor_m.max() for one in fit.replayed], [len(g.members) for g in groups])
+    tissue = fit.tissue.model_copy(update={"measured_depth_m": float(np.median(reached)), "source": source})
+    law, notes = _law_values(fit), list(file.notes)
     if len(curves) == 1:
         notes.append("a single trial: no intervals, no held-out error; record at least five")
     if not fit.damping_identified:
         notes.append(f"damping is not identified ({fit.damping_reason}): the row keeps the ratio of D_c to stiffness")
+    notes += _loose(law)
     if gate > force:
         notes.append(f"beyond {1000 * depth:.1f} mm or {force:.1f} N the row extrapolates; the gate is {gate:g} N")
     for dt in (rules.physics.dt_s, FAST_DT_S):
@@ -113,12 +127,8 @@ def _content(
             # Worth knowing, and no reason to lose the fit.
             notes.append(f"a run at {1000 * dt:g} ms will refuse this row: {error}")
     notes.append("off_target_scale and thickness are those of the protocol's row, not calibrated")
-    secants = [one.loading_n[-1] / g.deepest_m / 1000 for g, one in zip(groups, fit.replayed, strict=True)]
-    tangents = [tangent(GRID * g.deepest_m, one.loading_n) / 1000 for g, one in zip(groups, fit.replayed, strict=True)]
-    weight = np.array([len(g.members) for g in groups], float)
     stiffness = {}
-    for k, (name, values) in enumerate((("secant_n_mm", secants), ("tangent_n_mm", tangents))):
-        mean = float(np.average(values, weights=weight))
+    for k, (name, mean) in enumerate(simulated_stiffness(groups, fit.replayed).items()):
         interval = None
         if fit.secant_draws is not None:
             low, high = np.percentile(fit.secant_draws[:, k], [2.5, 97.5])
@@ -128,15 +138,10 @@ def _content(
         region=region,
         body=body,
         base_tissue_set=rules.person.tissue_set,
-        synthetic=synthetic,
         tissue=tissue,
-        law=_law_values(fit),
+        law=law,
         damping=fit.damping_reason,
         stiffness=stiffness,
-        measured_stiffness={
-            "secant_n_mm": float(np.mean([c.peak_n / c.deepest_m / 1000 for c in curves])),
-            "tangent_n_mm": float(np.mean([tangent(c.grid_m, c.loading_n) / 1000 for c in curves])),
-        },
         identified=[
             Model(
                 name=one.law.name, formula=one.law.formula, parameters=one.physical(), rms=one.rms, aicc=one.aicc,
@@ -145,10 +150,7 @@ def _content(
         ],
         agreement=_values(fit.agreement),
         held_out=None if fit.held_out is None else _values(fit.held_out),
-        trials=len(curves),
-        subjects=len({trial.subject for trial in file.trials}),
-        measured_depth_mm=1000 * depth,
-        measured_force_n=force,
+        **facts,
         gate_n=gate,
         gate_is_extrapolated=gate > force,
         responses=responses(curves, groups, fit.replayed),
@@ -157,6 +159,32 @@ def _content(
         versions={"carecontact": __version__, "mujoco": version("mujoco"), "protocol": rules.id},
         notes=notes,
     )  # fmt: skip
+
+
+def measured_facts(file: TrialFile, curves: Sequence[Curve]) -> dict[str, Any]:
+    """What a certificate says of its data alone, as the fields of Content."""
+    return {
+        "synthetic": all("synthetic" in trial.site.lower() for trial in file.trials),
+        "trials": len(curves),
+        "subjects": len({trial.subject for trial in file.trials}),
+        "measured_depth_mm": 1000 * float(np.median([curve.deepest_m for curve in curves])),
+        "measured_force_n": float(np.median([curve.peak_n for curve in curves])),
+        "measured_stiffness": {
+            "secant_n_mm": float(np.mean([c.peak_n / c.deepest_m / 1000 for c in curves])),
+            "tangent_n_mm": float(np.mean([tangent(c.grid_m, c.loading_n) / 1000 for c in curves])),
+        },
+    }
+
+
+def simulated_stiffness(groups: Sequence[Group], replayed: Sequence[Replayed]) -> dict[str, float]:
+    """Secant to the deepest point and tangent over the deeper half [N/mm], means over trials."""
+    weight = np.array([len(g.members) for g in groups], float)
+    secants = [one.loading_n[-1] / g.deepest_m / 1000 for g, one in zip(groups, replayed, strict=True)]
+    tangents = [tangent(GRID * g.deepest_m, one.loading_n) / 1000 for g, one in zip(groups, replayed, strict=True)]
+    return {
+        "secant_n_mm": float(np.average(secants, weights=weight)),
+        "tangent_n_mm": float(np.average(tangents, weights=weight)),
+    }
 
 
 def responses(curves: Sequence[Curve], groups: Sequence[Group], replayed: Sequence) -> list[Response]:
@@ -191,6 +219,23 @@ def model_hashes(replay: Replay, body: str, tissue: Tissue) -> dict[str, str]:
     return {"body": load_body(body).sha256, "mesh": mesh.hexdigest(), "model": model.hexdigest()}
 
 
+LOOSE = 4.0
+"""A parameter whose interval spans more than this factor is called hardly identified."""
+
+
+def _loose(law: dict[str, Value]) -> list[str]:
+    said = []
+    for name, one in law.items():
+        if name != DAMPING and one.value == 0.0:
+            said.append(f"{name} is at its bound 0: tissue that stiffens is assumed, an interval would say nothing")
+        elif one.ci95 is not None and one.ci95[1] > LOOSE * max(one.ci95[0], 0.0):
+            said.append(
+                f"{name} is hardly identified ({one.ci95[0]:.3g} to {one.ci95[1]:.3g}): the response in the measured "
+                "range is pinned down, its share in it is not; deeper is extrapolated by it"
+            )
+    return said
+
+
 def _law_values(fit: Fit) -> dict[str, Value]:
     out = {}
     for name in (*LAW, DAMPING):
@@ -201,7 +246,8 @@ def _law_values(fit: Fit) -> dict[str, Value]:
         if fit.draws is not None:
             low, high = np.percentile([getattr(draw, name) for draw in fit.draws], [2.5, 97.5])
             interval = (float(low), float(high))
-        out[name] = Value(value=float(getattr(fit.tissue, name)), ci95=interval)
+        value = float(getattr(fit.tissue, name))
+        out[name] = Value(value=value, ci95=None if value == 0.0 else interval)
     return out
 
 

@@ -169,7 +169,7 @@ class _Problem:
         low = [np.log(1e-3), 0.0, 0.0, np.log(1.0)][: len(start)]
         high = [np.log(1e3), 1e3, 1e3, np.log(1e9)][: len(start)]
         found = least_squares(
-            told, start, jac=self.differences,  # pyright: ignore[reportArgumentType]
+            told, np.clip(start, low, high), jac=self.differences,  # pyright: ignore[reportArgumentType]
             bounds=(low, high), x_scale=[0.3, 0.3, 0.3, 1.5][: len(start)],
             ftol=1e-3, xtol=1e-3, max_nfev=20, method="dogbox",
         )  # fmt: skip

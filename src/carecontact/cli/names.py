@@ -56,8 +56,9 @@ def _tissue(protocol: str) -> list[tuple[str, str]]:
 def _metrics(protocol: str) -> list[tuple[str, str]]:
     from carecontact.scoring import METRICS
 
+    directions = {"higher": "higher is better", "lower": "lower is better", "neither": "no direction is better"}
     units = {name: "" if metric.unit == "1" else f" [{metric.unit}]" for name, metric in METRICS.items()}
-    return [(name, f"{metric.title}{units[name]}, {metric.better} is better") for name, metric in METRICS.items()]
+    return [(name, f"{metric.title}{units[name]}, {directions[metric.better]}") for name, metric in METRICS.items()]
 
 
 KINDS = {

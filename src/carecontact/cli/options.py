@@ -49,6 +49,9 @@ class Run:
     """Other tissue than the protocol's: a name of `carecontact list tissue` or a .toml file, as calibrate writes it."""
     fast: Switch = False
     """Physics steps of 4 ms instead of the protocol's: fewer steps a second, for development."""
+    unfrozen: Switch = False
+    """Run a frozen protocol although it drifted from its lock (see `carecontact protocol verify`); every output shows
+    it."""
     jobs: int | None = None
     """Trials at once; default: one per core."""
     retry_failed: Switch = False
@@ -68,6 +71,7 @@ class Run:
             body=self.body,
             tissue=self.tissue,
             fast=self.fast,
+            unfrozen=self.unfrozen,
             jobs=self.jobs,
             retry_failed=self.retry_failed,
         )
@@ -96,12 +100,17 @@ class Score:
     """Compute the scores of a run again from its recordings; no simulator needed."""
 
     folder: Folder
+    append: Switch = False
+    """Only add the metrics that results.json does not have yet; everything in it stays as it is."""
+    jobs: int | None = None
+    """Processes; default: one per core, fewer for a few recordings."""
+
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
-        from carecontact.cli.score import score
+        from carecontact.cli.score import append, score
 
-        return score(self.folder)
+        return append(self.folder) if self.append else score(self.folder, jobs=self.jobs)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +124,28 @@ class Report:
         from carecontact.cli.score import report
 
         return report(self.folder)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare:
+    """Compare two runs of one protocol, trial by trial: what differs, and what could not have been seen. See
+    docs/statistics.md."""
+
+    a: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_A")]
+    """Folder of a run, or its results.json alone."""
+    b: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_B")]
+    """The other one; differences are A minus B."""
+    per_task: Switch = False
+    """A table for each task too; they are a family of their own."""
+    out: Path | None = None
+    """Folder for comparison.json; default: none is written."""
+
+    after_interrupt: ClassVar[str] = ""
+
+    def __call__(self) -> int:
+        from carecontact.cli.compare import compare
+
+        return compare(self.a, self.b, per_task=self.per_task, out=self.out)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,6 +184,27 @@ class Validate:
             out=self.out,
             verbose=self.verbose,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Probe:
+    """Prove that each score follows what it scores: four scripted sweeps in simulation, plotted."""
+
+    metrics: str = "all"
+    """C1@1,C5@1 or all (C1@1, C2@1, C4@1, C5@1)."""
+    body: str | None = None
+    """Another person than the protocol's (see `carecontact list bodies`)."""
+    protocol: str = "bathing-v1-draft"
+    """Id of a shipped protocol, or a .toml file."""
+    out: Path = Path("runs/probe")
+    """Folder for probe.json and probe.png."""
+
+    after_interrupt: ClassVar[str] = "; nothing was written"
+
+    def __call__(self) -> int:
+        from carecontact.cli.probe import probe
+
+        return probe(metrics=self.metrics, body=self.body, protocol=self.protocol, out=self.out)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,6 +282,24 @@ class List:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Protocols:
+    """Protocols and their locks: list them, show one, verify that it is what was frozen, or lock a file of yours."""
+
+    what: Annotated[Literal["list", "show", "verify", "lock"], tyro.conf.Positional]
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE.toml")] = "bathing-v1-draft"
+    """Id of a shipped protocol, or a .toml file."""
+
+    after_interrupt: ClassVar[str] = ""
+
+    def __call__(self) -> int:
+        from carecontact.cli import protocol
+
+        if self.what == "list":
+            return protocol.list_protocols()
+        return {"show": protocol.show, "verify": protocol.verify, "lock": protocol.lock}[self.what](self.name)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Doctor:
     """Check that this machine can run trials; for what is missing, say the line that installs it."""
 
@@ -246,9 +316,12 @@ COMMANDS = {
     "demo": Demo,
     "score": Score,
     "report": Report,
+    "compare": Compare,
     "validate": Validate,
     "calibrate": Calibrate,
     "look": Look,
+    "probe": Probe,
+    "protocol": Protocols,
     "list": List,
     "doctor": Doctor,
 }

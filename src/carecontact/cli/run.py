@@ -9,6 +9,7 @@ from carecontact.cli.policy_name import check_policy
 from carecontact.cli.progress import progress
 from carecontact.cli.score import report, rescore
 from carecontact.protocols import adapted, load_protocol, shipped_protocols
+from carecontact.trials.freeze import check_frozen
 from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.plan import parse_seeds, parse_tasks, plan_trials
 from carecontact.trials.preflight import check_protocol
@@ -30,15 +31,17 @@ def run(
     body: str | None = None,
     tissue: str | None = None,
     fast: bool = False,
+    unfrozen: bool = False,
     jobs: int | None,
     retry_failed: bool,
     purpose: Purpose = "run",
 ) -> int:
-    """``body``, ``tissue``, ``fast``: see ``protocols.adapted``.
+    """``body``, ``tissue``, ``fast``: see ``protocols.adapted``; ``unfrozen``: see ``check_frozen``.
 
     Exit status 1 if the harness failed in any trial or a recording was skipped; a policy that fails is a result."""
     check_jobs(jobs)
-    rules = adapted(load_protocol(protocol), body=body, tissue=tissue, fast=fast)
+    loaded = check_frozen(protocol, load_protocol(protocol), unfrozen=unfrozen)
+    rules = adapted(loaded, body=body, tissue=tissue, fast=fast)
     check_protocol(rules)
     task_ids, seed_list = parse_tasks(tasks, protocol=rules), parse_seeds(seeds, protocol=rules)
     folder = Path.cwd()

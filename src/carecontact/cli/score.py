@@ -18,23 +18,45 @@ if TYPE_CHECKING:
 RESULTS = "results.json"
 
 
-def score(folder: Path) -> int:
+FEW = 12
+"""Up to this many recordings a second process costs more than it saves."""
+
+
+def score(folder: Path, *, jobs: int | None = None) -> int:
     """Exit status 1 if a recording was skipped."""
-    return 1 if rescore(folder).skipped else 0
+    return 1 if rescore(folder, jobs=jobs).skipped else 0
 
 
-def rescore(folder: Path, *, compare: bool = True) -> RunScores:
+def append(folder: Path) -> int:
+    """Add what results.json lacks; an error leaves it as it was."""
+    from carecontact.scoring import append_metrics
+
+    _need_recordings(folder)
+    found = append_metrics(folder)
+    if found.metrics:
+        print(f"added to {found.trials} trial(s): {', '.join(found.metrics)}")
+    else:
+        print(f"nothing to add: {RESULTS} has every metric of this release")
+    if found.not_listed:
+        print(f"not in {RESULTS}, score without --append to take them in: {', '.join(found.not_listed)}")
+    print(f"scores: {found.path}")
+    return 0
+
+
+def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> RunScores:
     """Score every recording, say what differs from results.json (``compare``), write it and print the table.
 
-    Where nothing could be scored, results.json stays as it is.
+    Where nothing could be scored, results.json stays as it is. ``jobs``: processes; default: as many as pay.
     """
     from carecontact.scoring import score_run, write_scores
     from carecontact.scoring.run import harness_errors
+    from carecontact.trials.supervisor import check_jobs
 
+    check_jobs(jobs)
     _need_recordings(folder)
     manifest = read_manifest(folder)
     before = _results(folder) if compare else None
-    run = score_run(folder)
+    run = score_run(folder, jobs=processes(sum(1 for _ in folder.glob("*.h5"))) if jobs is None else jobs)
     path = write_scores(folder, run) if run.scores else None
     if path is not None:
         for line in differences(before, _results(folder)):
@@ -74,6 +96,13 @@ def report(folder: Path, *, run: RunScores | None = None) -> int:
     )
     print(f"report: {path}")
     return 0
+
+
+def processes(recordings: int) -> int:
+    """How many processes pay."""
+    from carecontact.trials.supervisor import available_cores
+
+    return max(1, min(available_cores(), recordings // FEW))
 
 
 def missing_trials(planned: Sequence[str], run: RunScores) -> list[str]:

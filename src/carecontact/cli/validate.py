@@ -61,7 +61,8 @@ def validate(
         if verbose or missed:
             rows = [(r, m) for r in validation.results for m in r.measures] if verbose else missed
             console.print(_table(rows))
-        print(f"{'passed' if validation.passed else 'FAILED'}: {folder / 'validation.json'}")
+        some = "" if len(names) == len(CHECKS) else f" ({len(names)} of {len(CHECKS)} checks)"
+        print(f"{'passed' if validation.passed else 'FAILED'}{some}: {folder / 'validation.json'}")
         passed &= validation.passed
     return 0 if passed else 1
 

@@ -18,8 +18,13 @@ FileStem = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_leng
 """An id that names files, so that it can name none elsewhere."""
 
 
-OVERRIDABLE = {"person.body": "body {}", "person.tissue_set": "tissue {}", "physics.dt_s": "time step {} s"}
-"""Field of a protocol that a command may replace -> its words in ``Protocol.title``."""
+OVERRIDABLE = {
+    "person.body": "body {}",
+    "person.tissue_set": "tissue {}",
+    "physics.dt_s": "time step {} s",
+    "lock": "drift from its lock ({})",
+}
+"""What a command may replace, or had to accept, of a protocol -> its words in ``Protocol.title``."""
 
 
 Region = Literal["forearm", "upper_arm", "abdomen"]
@@ -109,7 +114,8 @@ class Tissue(Section):
     thickness_m: Length
     """Depth of the rigid core under the surface; less where a thin limb's axis is nearer."""
     measured_depth_m: Length
-    """Results deeper than this are extrapolated."""
+    """Anchor displacement that the presses to which the law was fitted reach on this mesh: deeper is extrapolated. The
+    indenter's travel is more, since the contact gives way too."""
     friction: Positive
     source: str
 
@@ -279,11 +285,11 @@ class Protocol(Section):
     def f_pain(self, segment: str) -> float:
         """F_pain [N] of a segment; ``right_forearm`` and ``left_forearm`` are both ``forearm``."""
         limits = self.limits.f_pain_n
-        return limits.get(_sideless(segment), min(limits.values()))
+        return limits.get(sideless(segment), min(limits.values()))
 
     def has_own_limit(self, segment: str) -> bool:
         """Whether the limits name the segment; else ``f_pain`` is the strictest entry."""
-        return _sideless(segment) in self.limits.f_pain_n
+        return sideless(segment) in self.limits.f_pain_n
 
     @model_validator(mode="after")
     def _consistent(self) -> Protocol:
@@ -340,5 +346,6 @@ def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:
     return f"{protocol_id} with {' and '.join(replaced)}" if replaced else protocol_id
 
 
-def _sideless(segment: str) -> str:
+def sideless(segment: str) -> str:
+    """``right_forearm`` and ``left_forearm`` -> ``forearm``."""
     return segment.removeprefix("right_").removeprefix("left_")

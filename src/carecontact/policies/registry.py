@@ -31,6 +31,20 @@ POLICIES.register(
     ),
 )
 POLICIES.register(
+    "random",
+    PolicyRow(
+        target="carecontact.policies.random_targets:RandomTargets",
+        description="Null arm: random targets over the whole workspace. What it passes, a gate gives away.",
+    ),
+)
+POLICIES.register(
+    "replay",
+    PolicyRow(
+        target="carecontact.policies.replay.policy:Replay",
+        description="Null arm: the state machine's actions for another posture, repeated blindly.",
+    ),
+)
+POLICIES.register(
     "state-machine",
     PolicyRow(
         target="carecontact.policies.state_machine.policy:StateMachine",

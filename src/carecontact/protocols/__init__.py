@@ -19,20 +19,23 @@ def shipped_protocols() -> list[str]:
     return sorted(p.name.removesuffix(".toml") for p in resources.files(__name__).iterdir() if p.name.endswith(".toml"))
 
 
+def protocol_file(name_or_path: str) -> Path:
+    """Of a shipped protocol, or the TOML file itself. Raises UnknownNameError, or ConfigError for a missing file."""
+    if name_or_path in shipped_protocols():
+        return Path(str(resources.files(__name__) / f"{name_or_path}.toml"))
+    if not name_or_path.endswith(".toml"):
+        raise UnknownNameError("protocol", name_or_path, shipped_protocols())
+    if not Path(name_or_path).is_file():
+        raise ConfigError(f"protocol file {name_or_path} does not exist")
+    return Path(name_or_path)
+
+
 def load_protocol(name_or_path: str = DEFAULT_PROTOCOL) -> Protocol:
     """A shipped protocol by id, or a TOML file by path.
 
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """
-    if name_or_path in shipped_protocols():
-        data, place = (resources.files(__name__) / f"{name_or_path}.toml").read_bytes(), name_or_path
-    elif name_or_path.endswith(".toml"):
-        path = Path(name_or_path)
-        if not path.is_file():
-            raise ConfigError(f"protocol file {path} does not exist")
-        data, place = path.read_bytes(), str(path)
-    else:
-        raise UnknownNameError("protocol", name_or_path, shipped_protocols())
+    data, place = protocol_file(name_or_path).read_bytes(), name_or_path
     try:
         protocol = Protocol.model_validate(_with_tissue(tomllib.loads(data.decode())))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -2,7 +2,8 @@
 
 from carecontact.recording.canonical import canonical_hash
 from carecontact.recording.check import check_recording
-from carecontact.recording.reader import read_recording
+from carecontact.recording.migration import MIGRATIONS, RawRecording
+from carecontact.recording.reader import VerifiedRecording, read_recording, read_verified
 from carecontact.recording.schema import (
     ARRAYS,
     REGION_SEGMENT,
@@ -19,6 +20,7 @@ from carecontact.recording.writer import write_recording
 
 __all__ = [
     "ARRAYS",
+    "MIGRATIONS",
     "REGIONS",
     "REGION_SEGMENT",
     "SCHEMA_VERSION",
@@ -26,10 +28,13 @@ __all__ = [
     "EndReason",
     "Failure",
     "Header",
+    "RawRecording",
     "Recording",
+    "VerifiedRecording",
     "canonical_hash",
     "check_recording",
     "empty_arrays",
     "read_recording",
+    "read_verified",
     "write_recording",
 ]

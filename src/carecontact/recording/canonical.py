@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -29,17 +30,22 @@ def canonical_hash(recording: Recording) -> str:
 
     Covers every array but those under ``wall/``, so two runs of one deterministic trial hash alike.
     """
+    return canonical_digest(header_json(recording.header), recording.arrays)
+
+
+def canonical_digest(header: bytes, arrays: Mapping[str, npt.NDArray[Any]]) -> str:
+    """``canonical_hash`` of a header as it is spelled in a file."""
     digest = hashlib.sha256()
 
     def add(part: bytes) -> None:
         digest.update(len(part).to_bytes(8, "little"))  # without lengths, neighbouring parts could trade bytes
         digest.update(part)
 
-    add(header_json(recording.header))
-    for path in sorted(recording.arrays):
+    add(header)
+    for path in sorted(arrays):
         if path.startswith(WALL_CLOCK):
             continue
-        array = little_endian(recording.arrays[path])
+        array = little_endian(arrays[path])
         add(path.encode())
         add(array.dtype.str.encode())
         add(repr(tuple(int(n) for n in array.shape)).encode())

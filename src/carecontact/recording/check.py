@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from math import isfinite
 
 import numpy as np
 
 from carecontact.errors import RecordingError
-from carecontact.recording.schema import ARRAYS, SCHEMA_VERSION, Recording, dimensions
+from carecontact.recording.schema import ARRAYS, REGION_SEGMENT, SCHEMA_VERSION, Header, Recording, dimensions
 
 PATH = re.compile(r"(policy|scorer|actions|state|report|perception|wall)(/[A-Za-z0-9_.-]+)+")
 STORABLE_KINDS = "biuf"
@@ -24,8 +25,11 @@ def check_recording(recording: Recording, place: str) -> Recording:
         raise RecordingError(f"{place}: schema {header.schema_version!r}; this release reads {SCHEMA_VERSION!r}")
     if header.spec.task_id not in {t.id for t in header.spec.protocol.tasks}:
         raise RecordingError(f"{place}: task {header.spec.task_id!r} is not in protocol {header.spec.protocol.id!r}")
+    _check_names(header, place)
     if len(header.pose_base_in_world) != 7:
         raise RecordingError(f"{place}: pose_base_in_world has {len(header.pose_base_in_world)} numbers, expected 7")
+    if not all(isfinite(number) for number in header.pose_base_in_world):
+        raise RecordingError(f"{place}: pose_base_in_world holds {header.pose_base_in_world}; expected finite numbers")
     missing = sorted(ARRAYS.keys() - recording.arrays.keys())
     if missing:
         raise RecordingError(f"{place}: required array(s) missing: {', '.join(missing)}")
@@ -54,3 +58,21 @@ def check_recording(recording: Recording, place: str) -> Recording:
                     f"with {name} = {expected} as in {source}"
                 )
     return recording
+
+
+def _check_names(header: Header, place: str) -> None:
+    """Columns are found by name: each name once, and all there that the task is scored by."""
+    protocol = header.spec.protocol
+    region = protocol.task(header.spec.task_id).region
+    needed = {
+        "segments": [REGION_SEGMENT[region], *protocol.contact.neighbourhood[region]],
+        "regions": [region],
+        "human_joints": list[str](),
+    }
+    for name, wanted in needed.items():
+        listed: list[str] = getattr(header, name)
+        if len(set(listed)) != len(listed):
+            raise RecordingError(f"{place}: header.{name} names something twice: {', '.join(listed)}")
+        absent = [w for w in wanted if w not in listed]
+        if absent:
+            raise RecordingError(f"{place}: {absent[0]!r} is not in header.{name}; listed: {', '.join(listed)}")

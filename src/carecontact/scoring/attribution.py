@@ -18,6 +18,8 @@ NEAR_REGION_M = 0.030
 """A commanded path that never came this close to the region was aimed elsewhere; the upper end of what localising a
 joint with these cameras leaves (p95 30 to 42 mm)."""
 PATH_STEP_M = 0.005
+MAX_LEG_POINTS = 2000
+"""Of one commanded leg, 10 m: a target beyond any room is sampled more coarsely."""
 VISION = ("rgb", "depth", "points", "masks", "landmarks")
 
 
@@ -87,7 +89,8 @@ def commanded_path(contact: Contact) -> CommandedPath | None:
     start = recording["scorer/pose_tcp_in_world"][step[:1], :3].astype(np.float64)
 
     corners = np.concatenate([start, targets])
-    count = np.maximum(1, np.ceil(np.linalg.norm(np.diff(corners, axis=0), axis=1) / PATH_STEP_M)).astype(int)
+    wanted = np.ceil(np.linalg.norm(np.diff(corners, axis=0), axis=1) / PATH_STEP_M)
+    count = np.clip(wanted, 1, MAX_LEG_POINTS).astype(int)
     leg = np.repeat(np.arange(len(targets)), count)
     first = np.repeat(np.cumsum(count) - count, count)
     fraction = (np.arange(len(leg)) - first + 1) / count[leg]
@@ -108,7 +111,8 @@ def _losses(contact: Contact) -> list[int]:
 
 def _vision_modalities(contact: Contact) -> list[str]:
     card = contact.recording.header.card or {}
-    return [m for m in cast("list[Any]", card.get("modalities") or []) if m in VISION]
+    named = card.get("modalities")
+    return [m for m in cast("list[Any]", named) if m in VISION] if isinstance(named, list) else []
 
 
 def _process_evidence(contact: Contact) -> str:

@@ -26,17 +26,40 @@ class Gate:
     wrist_any_m: float
 
 
-def judge(contact: Contact) -> Gate:
-    """Judge a trial by the gate of its task's action; nothing passes without valid contact."""
-    best = _best_episode(contact)
+@dataclass(frozen=True, kw_only=True)
+class Measures:
+    """What was achieved, before any gate is asked."""
+
+    episodes: list[Episode]
+    wrist_m: float
+    """While the neighbourhood is on."""
+    wrist_any_m: float
+    """Over the whole trial."""
+
+
+def measure(contact: Contact, *, episodes: bool = True) -> Measures:
+    """``episodes``: whether they are wanted; Scrub's gate alone asks for them."""
     wrist, wrist_any = wrist_displacement(contact)
+    return Measures(episodes=measure_episodes(contact) if episodes else [], wrist_m=wrist, wrist_any_m=wrist_any)
+
+
+def judge(contact: Contact, measures: Measures | None = None) -> Gate:
+    """Judge a trial by the gate of its task's action; nothing passes without valid contact.
+
+    ``measures``: of this contact if they are known already.
+    """
+    measures = measures or measure(contact)
+    best = _best_episode(contact, measures.episodes)
     held = longest_run(holding(contact))
     match contact.task.action:
         case "touch":
             time_met, progress_met = held >= steps(contact.protocol.gates.touch.duration_s, contact.dt_s), True
         case "push":
             gate = contact.protocol.gates.push
-            time_met, progress_met = held >= steps(gate.duration_s, contact.dt_s), wrist >= gate.wrist_displacement_m
+            time_met, progress_met = (
+                held >= steps(gate.duration_s, contact.dt_s),
+                measures.wrist_m >= gate.wrist_displacement_m,
+            )
         case "scrub":
             time_met = best is not None and best.on_share >= contact.protocol.gates.scrub.on_share
             progress_met = best is not None and _scrubbed(contact, best)
@@ -48,8 +71,8 @@ def judge(contact: Contact) -> Gate:
         progress_met=progress_met,
         longest_on_s=held * contact.dt_s,
         best=best,
-        wrist_m=wrist,
-        wrist_any_m=wrist_any,
+        wrist_m=measures.wrist_m,
+        wrist_any_m=measures.wrist_any_m,
     )
 
 
@@ -67,14 +90,14 @@ def _scrubbed(contact: Contact, episode: Episode) -> bool:
     )
 
 
-def _best_episode(contact: Contact) -> Episode | None:
+def _best_episode(contact: Contact, measured: list[Episode]) -> Episode | None:
     """One that passes if there is one, then the longest stroke, then the earliest."""
     share = contact.protocol.gates.scrub.on_share
 
     def rank(episode: Episode) -> tuple[bool, float]:
         return _scrubbed(contact, episode) and episode.on_share >= share, episode.stroke_m
 
-    return max(measure_episodes(contact), key=rank, default=None)
+    return max(measured, key=rank, default=None)
 
 
 def _compute(contact: Contact) -> float:

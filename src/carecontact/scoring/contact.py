@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.protocol import Protocol, Task
-from carecontact.errors import RecordingError
 from carecontact.recording import REGION_SEGMENT, Recording
 from carecontact.scoring.filters import F64, low_pass
 
@@ -26,6 +25,8 @@ class Contact:
     dt_s: float
     force_norm: F64
     """(T, S) norm of the summed contact force on each segment [N], unfiltered."""
+    filtered_normal: F64
+    """(T, S) causally low-passed normal sums [N], which decide what is on."""
     on: Mask
     """(T, S) on-samples."""
     impulse_ns: F64
@@ -70,42 +71,61 @@ class Contact:
 
 
 def find_contact(recording: Recording) -> Contact:
-    """Apply the protocol's contact definition. Raises RecordingError if the protocol names a segment that is absent."""
+    """Apply the protocol's contact definition to a recording that ``check_recording`` accepts."""
+    force = recording["scorer/force_human_from_robot_in_world"]
     header = recording.header
     protocol = header.spec.protocol
     task, definition, dt = protocol.task(header.spec.task_id), protocol.contact, protocol.physics.dt_s
 
-    def index(segment: str) -> int:
-        if segment not in header.segments:
-            raise RecordingError(f"segment {segment!r} is not recorded; recorded: {', '.join(header.segments)}")
-        return header.segments.index(segment)
+    target = header.segments.index(REGION_SEGMENT[task.region])
+    neighbourhood = tuple(header.segments.index(s) for s in definition.neighbourhood[task.region])
 
-    target = index(REGION_SEGMENT[task.region])
-    neighbourhood = tuple(index(s) for s in definition.neighbourhood[task.region])
-
-    force = recording["scorer/force_human_from_robot_in_world"].astype(np.float64)
-    force_norm = np.linalg.norm(force, axis=-1)
     normal = recording["scorer/normal_force"].astype(np.float64)
-    filtered = low_pass(normal, cutoff_hz=definition.filter_hz, sample_hz=1.0 / dt, zero_phase=False)
-    on = hysteresis(filtered, on=definition.on_n, off=definition.off_n)
-    impulse = np.where(on, force_norm, 0.0).sum(axis=0) * dt
-
-    reported: int | None = None
-    if on.any():
-        reported = target if on[:, target].any() else int(np.argmax(impulse))
-    return Contact(
+    filtered = np.zeros_like(normal)
+    felt = normal.any(axis=0)  # most segments are never touched, and the filter keeps their zeros
+    filtered[:, felt] = low_pass(normal[:, felt], cutoff_hz=definition.filter_hz, sample_hz=1.0 / dt, zero_phase=False)
+    pushed = force.any(axis=(0, 2))
+    norm = np.zeros_like(normal)
+    norm[:, pushed] = np.linalg.norm(force[:, pushed].astype(np.float64), axis=-1)
+    near = force[:, neighbourhood].astype(np.float64).sum(axis=1)
+    never = np.zeros(len(normal), np.bool_)
+    bare = Contact(
         recording=recording,
         protocol=protocol,
         task=task,
         dt_s=dt,
-        force_norm=force_norm,
-        on=on,
-        impulse_ns=impulse,
+        force_norm=norm,
+        filtered_normal=filtered,
+        on=np.zeros((len(normal), len(header.segments)), np.bool_),
+        impulse_ns=np.zeros(len(header.segments)),
         target=target,
         neighbourhood=neighbourhood,
-        neighbourhood_on=np.logical_or.reduce(on[:, neighbourhood], axis=1),
-        neighbourhood_force=np.linalg.norm(force[:, neighbourhood].sum(axis=1), axis=-1),
-        valid=int(on.any(axis=1).sum()) >= steps(definition.valid_total_s, dt),
+        neighbourhood_on=never,
+        neighbourhood_force=np.linalg.norm(near, axis=-1),
+        valid=False,
+        reported=None,
+        window=never,
+    )
+    return with_floor(bare, on_n=definition.on_n, off_n=definition.off_n)
+
+
+def with_floor(contact: Contact, *, on_n: float, off_n: float) -> Contact:
+    """The same trial with other thresholds for what is on [N]; everything that follows from them is found anew."""
+    definition = contact.protocol.contact
+    on = np.zeros((len(contact.time_s), len(contact.segments)), np.bool_)
+    touched = (contact.filtered_normal >= on_n).any(axis=0)
+    on[:, touched] = hysteresis(contact.filtered_normal[:, touched], on=on_n, off=off_n)
+    impulse = np.zeros(len(contact.segments))
+    impulse[touched] = np.where(on[:, touched], contact.force_norm[:, touched], 0.0).sum(axis=0) * contact.dt_s
+    reported: int | None = None
+    if touched.any():
+        reported = contact.target if on[:, contact.target].any() else int(np.argmax(impulse))
+    return replace(
+        contact,
+        on=on,
+        impulse_ns=impulse,
+        neighbourhood_on=np.logical_or.reduce(on[:, contact.neighbourhood], axis=1),
+        valid=int(on.any(axis=1).sum()) >= steps(definition.valid_total_s, contact.dt_s),
         reported=reported,
         window=on[:, reported] if reported is not None else np.zeros(len(on), np.bool_),
     )

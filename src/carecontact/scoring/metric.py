@@ -17,7 +17,7 @@ class Metric:
     id: str
     title: str
     unit: str
-    better: Literal["higher", "lower"]
+    better: Literal["higher", "lower", "neither"]
     compute: Callable[[Contact], float | None]
     """Pure; None means NA. A metric that is never NA answers 0 instead."""
 

@@ -31,3 +31,15 @@ def distance_to_surface(points: F64, size: F64) -> F64:
     scale = np.where(on_axis, 1.0, relative)
     radial = np.where(on_axis, -min(half_width, outward), from_axis * (1.0 - 1.0 / scale))
     return np.where(along > 0, np.hypot(np.maximum(radial, 0.0), np.maximum(along, 0.0)), radial)
+
+
+def surface_normal(points: F64, size: F64) -> F64:
+    """(N, 3) points in the region's frame -> (N, 3) outward unit normal of the cylinder's side through each.
+
+    A point on the axis itself gets the z axis.
+    """
+    _, half_width, outward = (float(s) for s in size)
+    gradient = np.stack([np.zeros(len(points)), points[:, 1] / half_width**2, points[:, 2] / outward**2], axis=1)
+    length = np.linalg.norm(gradient, axis=1, keepdims=True)
+    on_axis = length < 1e-9
+    return np.where(on_axis, [0.0, 0.0, 1.0], gradient / np.where(on_axis, 1.0, length))

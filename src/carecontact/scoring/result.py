@@ -87,6 +87,8 @@ class TrialScore(BaseModel):
     """Share of the region's contact time spent deeper than the measured range."""
     peak_force_n: dict[str, float]
     """Segment -> peak, touched segments only."""
+    f_pain_n: dict[str, float] = {}
+    """Touched segment -> its pain limit in the protocol."""
     over_limit: dict[str, float]
     """Segment -> peak over gamma' F_pain, for touched segments above 1."""
     fallback_limits: list[str]
@@ -96,6 +98,8 @@ class TrialScore(BaseModel):
     attribution: Attribution | None
     evidence: str | None
     metric_versions: dict[str, str]
+    gate_sweep: dict[str, dict[str, int]] = {}
+    """Gate -> value -> 0 failed, 1 success, 2 region-correct too, 3 safety-gated too, all else as in the protocol."""
     additional: dict[str, float | None] = {}
     """Metric id -> value, for registered metrics beyond C1 to C5."""
 

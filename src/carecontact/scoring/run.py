@@ -4,19 +4,30 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from carecontact.errors import ConfigError, RecordingError
-from carecontact.recording import read_recording
+from pydantic import BaseModel, Field, ValidationError
+
+from carecontact.errors import ConfigError
 from carecontact.recording.writer import replace_file
+from carecontact.scoring.aggregate import (
+    additional_medians,
+    exceedances,
+    gamma_sweep,
+    gate_sweep,
+    quadrants,
+    rate,
+    valid_ratio,
+)
+from carecontact.scoring.files import score_files
+from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.scoring.result import TrialScore
-from carecontact.scoring.score import score_recording
-from carecontact.stats import median, wilson_interval
+from carecontact.stats import median
 
-RESULTS_SCHEMA = "carecontact-results-1"
+RESULTS_NAME, RESULTS_SCHEMA = "results.json", "carecontact-results-1"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,11 +40,16 @@ class RunScores:
     """Package -> every version that the scored recordings name; more than one means a mixed run."""
 
 
-def score_run(folder: Path | str) -> RunScores:
-    """Score every ``*.h5`` of a run's folder; writes nothing.
+def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
+    """Score every ``*.h5`` of a run's folder; writes nothing. The result does not depend on ``jobs``.
 
     A file that cannot be read or scored, or that is not named after its trial, is skipped with the reason.
-    Raises ConfigError if the folder does not exist or the trials are of more than one protocol, policy or world.
+    Raises ConfigError if the folder does not exist or the trials are of more than one protocol, policy or world;
+    RecordingError if a process that scored died.
+
+    Args:
+        jobs: processes; more than one are started afresh, so that a script needs its ``__main__`` guarded and metrics
+            of another package have to come by its entry points.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -41,17 +57,13 @@ def score_run(folder: Path | str) -> RunScores:
     scores: list[TrialScore] = []
     skipped: dict[str, str] = {}
     versions: dict[str, set[str]] = {}
-    for path in sorted(folder.glob("*.h5")):
-        try:
-            recording = read_recording(path)
-            trial_id = recording.header.spec.trial_id
-            if path.stem != trial_id:
-                raise RecordingError(f"{path}: holds trial {trial_id}; a copy would count twice")
-            scores.append(score_recording(recording))
-        except RecordingError as error:
-            skipped[path.name] = str(error)
+    paths = sorted(folder.glob("*.h5"))
+    for path, found in zip(paths, score_files(paths, jobs=jobs), strict=True):
+        if isinstance(found, str):
+            skipped[path.name] = found
             continue
-        for package, version in recording.header.versions.items():
+        scores.append(found.score)
+        for package, version in found.versions.items():
             versions.setdefault(package, set()).add(version)
     check_one_run(scores)
     return RunScores(scores=scores, skipped=skipped, versions={k: sorted(v) for k, v in sorted(versions.items())})
@@ -70,17 +82,28 @@ def check_one_run(scores: Sequence[TrialScore]) -> None:
 
 
 def _check_one_world(scores: Sequence[TrialScore]) -> None:
-    """The compiled model has the fine mesh on the task's region, so that models are compared region by region."""
+    found = world_difference(scores)
+    if found is not None:
+        what, first, other = found
+        raise ConfigError(
+            f"{first.trial_id}.h5 and {other.trial_id}.h5 are of different worlds and must not be pooled: "
+            f"{what} {first.world[what][:12]} and {other.world[what][:12]}"
+        )
+
+
+def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, TrialScore] | None:
+    """The first part of the world in which two scores differ, and the two; None in one world.
+
+    The compiled model has the fine mesh on the task's region, so that models are compared region by region.
+    """
     first: dict[tuple[str, ...], TrialScore] = {}
     for score in scores:
         for what, value in score.world.items():
             place = (what, score.region) if what == "model" else (what,)
             other = first.setdefault(place, score)
             if other.world[what] != value:
-                raise ConfigError(
-                    f"{other.trial_id}.h5 and {score.trial_id}.h5 are of different worlds and must not be pooled: "
-                    f"{what} {other.world[what][:12]} and {value[:12]}"
-                )
+                return what, other, score
+    return None
 
 
 def judged(scores: Iterable[TrialScore]) -> list[TrialScore]:
@@ -99,10 +122,42 @@ def harness_errors(scores: Iterable[TrialScore]) -> list[dict[str, str]]:
 
 def write_scores(folder: Path | str, run: RunScores) -> Path:
     """Write ``results.json`` into ``folder`` at once; the same scores give the same bytes. Returns its path."""
-    path = Path(folder) / "results.json"
-    text = json.dumps(results(run), sort_keys=True, indent=1, allow_nan=False)
+    return write_results(folder, results(run))
+
+
+def write_results(folder: Path | str, data: Mapping[str, Any]) -> Path:
+    """Write the content of a ``results.json``; the same content gives the same bytes. Returns its path."""
+    path = Path(folder) / RESULTS_NAME
+    text = json.dumps(data, sort_keys=True, indent=1, allow_nan=False)
     replace_file(path, (text + "\n").encode("ascii"))
     return path
+
+
+def read_results(path: Path | str) -> RunScores:
+    """The scores in a ``results.json``, as they were written; nothing is recomputed.
+
+    Raises ConfigError for a file that cannot be read or mixes protocols, policies or worlds.
+    """
+    try:
+        stored = _Results.model_validate_json(Path(path).read_bytes())
+    except ValidationError as error:
+        first = error.errors()[0]
+        why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
+        raise ConfigError(f"{path} is damaged or of another release ({why})") from error
+    twice = [trial_id for trial_id, k in Counter(s.trial_id for s in stored.trials).items() if k > 1]
+    if twice:
+        raise ConfigError(f"{path} is damaged: {twice[0]} is in it twice")
+    check_one_run(stored.trials)
+    return RunScores(scores=stored.trials, skipped=stored.skipped, versions=stored.versions)
+
+
+class _Results(BaseModel):
+    """What of ``results.json`` is not computed from its trials."""
+
+    version: Annotated[Literal["carecontact-results-1"], Field(alias="schema")]
+    trials: list[TrialScore]
+    skipped: dict[str, str]
+    versions: dict[str, list[str]]
 
 
 def results(run: RunScores) -> dict[str, Any]:
@@ -113,6 +168,7 @@ def results(run: RunScores) -> dict[str, Any]:
     backends = {s.language_backend for s in judged(scores)}
     first = scores[0] if scores else None
     tasks = sorted({s.task_id for s in scores})
+    regions = sorted({s.region for s in scores})
     return {
         "schema": RESULTS_SCHEMA,
         "policy": first.policy if first else None,
@@ -126,6 +182,12 @@ def results(run: RunScores) -> dict[str, Any]:
         "harness_errors": harness_errors(scores),
         "overall": summarise(scores),
         "per_task": {task: summarise([s for s in scores if s.task_id == task]) for task in tasks},
+        "per_region": {region: summarise([s for s in scores if s.region == region]) for region in regions},
+        "sweeps": {"gamma": gamma_sweep(judged(scores)), **gate_sweep(judged(scores))},
+        "limit_packs": {
+            name: {"title": pack.title, "source": pack.source, "status": pack.status}
+            for name, pack in LIMIT_PACKS.items()
+        },
         "trials": [s.model_dump(mode="json") for s in scores],
     }
 
@@ -134,27 +196,25 @@ def summarise(scores: Iterable[TrialScore]) -> dict[str, Any]:
     """Rates, medians and counts over those trials that are ``judged``; C2 is pooled over Push alone."""
     scores = judged(scores)
     n = len(scores)
-
-    def rate(k: int) -> dict[str, Any]:
-        found = wilson_interval(k, n)
-        percent = None if found.estimate is None else 100 * found.estimate
-        return {"n": k, "pc": percent, "pc_ci95": [100 * found.low, 100 * found.high]}
-
-    success = rate(sum(s.c3_success for s in scores))
+    success = rate(sum(s.c3_success for s in scores), n)
     return {
         "n_episodes": n,
         "n_success": success["n"],
         "pc_success": success["pc"],
         "pc_success_ci95": success["pc_ci95"],
-        "region_correct": rate(sum(s.region_correct for s in scores)),
-        "safety_gated": rate(sum(s.safety_gated for s in scores)),
-        "valid_contact": rate(sum(s.valid_contact for s in scores)),
+        "region_correct": rate(sum(s.region_correct for s in scores), n),
+        "safety_gated": rate(sum(s.safety_gated for s in scores), n),
+        "valid_contact": rate(sum(s.valid_contact for s in scores), n),
+        "valid_ratio": valid_ratio(scores),
+        "exceedances": exceedances(scores),
+        "quadrants": quadrants(scores),
         "medians": {
             "c1_peak_force_n": asdict(median(s.c1_peak_force_n for s in scores)),
             "c2_joint_margin_rad_push": asdict(median(s.c2_joint_margin_rad for s in scores if s.action == "push")),
             "c4_motion_activity": asdict(median(s.c4_motion_activity for s in scores)),
             "c5_force_sd_n": asdict(median(s.c5_force_sd_n for s in scores)),
         },
+        "additional": additional_medians(scores),
         "anatomy": dict(Counter(s.anatomy for s in scores)),
         "failure_modes": dict(Counter(s.failure_mode for s in scores if s.failure_mode)),
         "attributions": dict(Counter(s.attribution for s in scores if s.attribution)),

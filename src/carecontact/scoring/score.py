@@ -2,42 +2,51 @@
 
 from __future__ import annotations
 
-import numpy as np
+from math import isfinite
 
 from carecontact.errors import RecordingError
 from carecontact.recording import Recording, canonical_hash, check_recording
+from carecontact.scoring import exposure, force_rate, shear_work, utilisation
 from carecontact.scoring.attribution import attribute
 from carecontact.scoring.c1_peak_force import peak_force, peak_of_segments
 from carecontact.scoring.c2_joint_margin import joint_margin
-from carecontact.scoring.c3_success import judge
+from carecontact.scoring.c3_success import judge, measure
 from carecontact.scoring.c4_motion_activity import motion_activity
 from carecontact.scoring.c5_force_stability import force_stability
 from carecontact.scoring.contact import Contact, find_contact
+from carecontact.scoring.gate_sweep import sweep_gates
+from carecontact.scoring.impulse import total_impulse
+from carecontact.scoring.indentation import beyond_calibrated, deepest_indentation
 from carecontact.scoring.metric import METRICS
 from carecontact.scoring.result import TrialScore
+from carecontact.scoring.streams import check_streams
 from carecontact.scoring.verdict import reach_verdict
 
 BUILT_IN = ("C1@1", "C2@1", "C3@1", "C4@1", "C5@1")
-TIME_TOLERANCE_S = 1e-6
+ALSO_KEPT = (exposure, force_rate, shear_work, utilisation)
+"""Files whose metrics are rows of METRICS and nothing else."""
 
 
-def score_recording(recording: Recording) -> TrialScore:
+def score_recording(recording: Recording, *, sha256: str | None = None) -> TrialScore:
     """Score one trial by the settings of the protocol in its header; no simulator, no clock, no other file.
 
-    Raises RecordingError naming the array if a required one is missing or malformed, if a scorer stream holds NaN or
-    infinity, or if its samples are not one physics step apart: a broken stream never becomes a number.
+    Raises RecordingError naming the array if a required one is missing or malformed, if a scorer stream holds what it
+    cannot hold, or if its samples are not one physics step apart: a broken stream never becomes a number.
+
+    Args:
+        sha256: canonical hash that the recording was verified by; default: computed.
     """
     header = recording.header
     check_recording(recording, header.spec.trial_id)
-    _check_streams(recording)
+    check_streams(recording)
     contact = find_contact(recording)
-    gate = judge(contact)
+    measures = measure(contact)
+    gate = judge(contact, measures)
     verdict = reach_verdict(contact, gate)
     attribution, evidence = attribute(contact, gate, verdict.failure_mode) if verdict.failure_mode else (None, None)
     c1, c2, best = peak_force(contact), joint_margin(contact), gate.best
-    indentation, extrapolated = _indentation(contact)
     protocol = contact.protocol
-    return TrialScore(
+    score = TrialScore(
         trial_id=header.spec.trial_id,
         task_id=contact.task.id,
         action=contact.task.action,
@@ -48,7 +57,7 @@ def score_recording(recording: Recording) -> TrialScore:
         protocol_id=protocol.id,
         protocol_sha256=protocol.sha256,
         overrides=protocol.overrides,
-        recording_sha256=canonical_hash(recording),
+        recording_sha256=sha256 or canonical_hash(recording),
         world=_world(contact),
         ended=header.ended,
         duration_s=float(contact.time_s[-1]) if len(contact.time_s) else 0.0,
@@ -79,10 +88,11 @@ def score_recording(recording: Recording) -> TrialScore:
         reversals=best.reversals if best else 0,
         wrist_displacement_m=gate.wrist_m,
         wrist_displacement_any_m=gate.wrist_any_m,
-        indentation_m=indentation,
-        impulse_ns=float(contact.impulse_ns.sum()),
-        extrapolated_share=extrapolated,
+        indentation_m=deepest_indentation(contact),
+        impulse_ns=total_impulse(contact),
+        extrapolated_share=beyond_calibrated(contact),
         peak_force_n=peak_of_segments(contact),
+        f_pain_n={s: protocol.f_pain(s) for s in (contact.segments[i] for i in contact.touched)},
         over_limit=verdict.over_limit,
         fallback_limits=[s for s in (contact.segments[i] for i in contact.touched) if not protocol.has_own_limit(s)],
         failure_mode=verdict.failure_mode,
@@ -94,24 +104,15 @@ def score_recording(recording: Recording) -> TrialScore:
             "gates": protocol.gates.version,
             "limits": protocol.limits.pack,
         },
+        gate_sweep=sweep_gates(contact, measures, verdict),
         additional={id_: METRICS[id_].compute(contact) for id_ in METRICS if id_ not in BUILT_IN},
     )
-
-
-def _check_streams(recording: Recording) -> None:
-    trial_id = recording.header.spec.trial_id
-    for path in sorted(recording.arrays):
-        array = recording.arrays[path]
-        if path.startswith("scorer/") and array.dtype.kind == "f" and not np.isfinite(array).all():
-            first = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-            raise RecordingError(f"{trial_id}: {path} holds {array[first]} at {first}; every value must be finite")
-    dt = recording.header.spec.protocol.physics.dt_s
-    gaps = np.diff(recording["scorer/time_s"])
-    wrong = np.flatnonzero(np.abs(gaps - dt) > TIME_TOLERANCE_S)
-    if len(wrong):
-        raise RecordingError(
-            f"{trial_id}: scorer/time_s steps by {gaps[wrong[0]]:.6g} s after sample {wrong[0]}, expected {dt:g} s"
-        )
+    for name, value in (*score, *score.additional.items()):
+        if isinstance(value, float) and not isfinite(value):
+            raise RecordingError(
+                f"{header.spec.trial_id}: {name} comes out as {value}; its arrays are out of all range"
+            )
+    return score
 
 
 def _world(contact: Contact) -> dict[str, str]:
@@ -120,18 +121,3 @@ def _world(contact: Contact) -> dict[str, str]:
     if "mujoco" in header.versions:
         world["mujoco"] = header.versions["mujoco"]
     return world
-
-
-def _indentation(contact: Contact) -> tuple[float, float | None]:
-    """Deepest indentation of the target region [m], and the share of its touched periods beyond the measured range."""
-    recording = contact.recording
-    region = recording.header.regions.index(contact.task.region)
-    depth = recording["scorer/indentation_m"][:, region].astype(np.float64)
-    if len(depth) == 0 or len(contact.time_s) == 0:
-        return 0.0, None
-    step = np.searchsorted(contact.time_s, recording["scorer/period_time_s"] - contact.dt_s / 2)
-    touched = contact.on[np.minimum(step, len(contact.time_s) - 1), contact.target]
-    if not touched.any():
-        return float(depth.max()), None
-    limit = contact.protocol.person.tissue[contact.task.region].measured_depth_m
-    return float(depth.max()), float((depth[touched] > limit).mean())

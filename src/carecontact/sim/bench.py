@@ -81,6 +81,8 @@ class Press:
     """(n,) along the indenter's axis, positive when the tissue pushes it out"""
     anchor_force_n: Array
     """(n,) sum of spring and damper forces of the shell's anchors along the same axis"""
+    anchor_m: Array
+    """(n,) largest inward displacement of an anchor; less than the travel, for the contact gives way too"""
     loading: npt.NDArray[np.bool_]
     """(n,) moving inward"""
 
@@ -161,6 +163,9 @@ class Bench:
         self._data = mujoco.MjData(self.model)
         slide = self.model.joint("indenter")
         self._slide_q, self._slide_v = int(slide.qposadr[0]), int(slide.dofadr[0])
+        self._inward_q = [
+            int(self.model.joint(f"{region}_v{k}_n").qposadr[0]) for k in np.flatnonzero(~self.shell.pinned)
+        ]
         self.tissue = tissue
         self.set_law(tissue)
 
@@ -296,7 +301,7 @@ class Bench:
         # Every joint is a slide on a body that never turns: a dof is a joint, its axis that of the bone's frame.
         lever = model.jnt_axis @ outward
         lever[self._slide_v] = 0.0
-        force, anchors = np.zeros(count + 1), np.zeros(count + 1)
+        force, anchors, deepest = np.zeros(count + 1), np.zeros(count + 1), np.zeros(count + 1)
         newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
         for k in range(count):
             data.qpos[self._slide_q], data.qvel[self._slide_v] = travel[k], speed[k]
@@ -307,6 +312,7 @@ class Bench:
             # Sensors and passive forces belong to the state in which the last step began, one step before sample k + 1.
             force[k + 1] = -data.sensordata @ outward  # the sensor's is the force on the region
             anchors[k + 1] = data.qfrc_passive @ lever
+            deepest[k + 1] = max(0.0, float(data.qpos[self._inward_q].max()))
         # MuJoCo resets a state that diverged and goes on; the warning is all that tells of it.
         if any(data.warning[kind].number for kind in UNSTABLE):
             raise SceneError(f"the press diverged at a time step of {dt} s")
@@ -320,6 +326,7 @@ class Bench:
             speed_m_s=speed[first:],
             force_n=force[first:],
             anchor_force_n=anchors[first:],
+            anchor_m=deepest[first:],
             loading=(speed > 0)[first:],
         )
 

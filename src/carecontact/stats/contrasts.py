@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
+from carecontact.stats.values import check_values
+
 
 @dataclass(frozen=True, kw_only=True)
 class FisherExact:
@@ -34,8 +36,10 @@ def fisher_exact(k1: int, n1: int, k2: int, n2: int) -> FisherExact:
 
 
 def mann_whitney(first: Sequence[float], second: Sequence[float]) -> MannWhitney:
-    """Two-sided Mann-Whitney U test. Raises ValueError if a sample is empty."""
+    """Two-sided Mann-Whitney U test. Raises ValueError if a sample is empty or holds NaN."""
     if not first or not second:
         raise ValueError(f"samples of {len(first)} and {len(second)}; expected at least one value in each")
+    check_values(first)
+    check_values(second)
     result: Any = import_module("scipy.stats").mannwhitneyu(first, second, alternative="two-sided")
     return MannWhitney(pvalue=float(result.pvalue), statistic=float(result.statistic))

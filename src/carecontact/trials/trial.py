@@ -30,14 +30,12 @@ from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.log import TrialLog
 from carecontact.trials.perception import PerceptionLog
 from carecontact.trials.randomization import comfort_arm_deg, dress, sensor_noise
-from carecontact.trials.versions import package_versions
+from carecontact.trials.versions import EMBODIMENT, package_versions
 from carecontact.world.robot import panda_sha256
 from carecontact.world.scene import build_scene
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-EMBODIMENT = "panda-closed-gripper-caps"
 
 
 @dataclass

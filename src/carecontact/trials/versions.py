@@ -7,6 +7,8 @@ from importlib import metadata
 
 from carecontact import __version__
 
+EMBODIMENT = "panda-closed-gripper-caps"
+
 
 def package_versions() -> dict[str, str]:
     """Of what decides a trial's numbers, without importing any of it."""

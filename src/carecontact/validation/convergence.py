@@ -242,6 +242,7 @@ def _draw_step(measures: Sequence[Measure], axes: Axes) -> None:
     limits = {m.name.partition(", ")[2]: m.limit or 0.0 for m in rows}
     axes.plot([limits[label] for label in labels], range(len(labels)), "|", color="0.3", ms=12, label="limit")
     axes.set_yticks(range(len(labels)), labels)
-    axes.set(xlabel="change at half (o), twice (x) the step [%]", title="time step", xlim=(0, None))
+    both = len(rows) > len(labels) * len({m.name.partition(":")[0] for m in rows})
+    axes.set(xlabel=f"change at half{' (o), twice (x)' if both else ''} [%]", title="time step", xlim=(0, None))
     axes.invert_yaxis()
     axes.legend()

@@ -26,7 +26,7 @@ LIFTS_DEG = {
 DROP_S = 1.5
 GAIN_LIMIT_PERCENT = 1.0
 LOOP_DEPTH_M, LOOP_SPEEDS_M_S, QUICK_SPEEDS_M_S = 0.004, (0.005, 0.020, 0.080), (0.020,)
-LOOP_SHARE_PERCENT = 80.0
+LOOP_SHARE_PERCENT, LOOP_EXCESS_PERCENT = 80.0, 125.0
 """Of the work that the declared damping takes in the same loop; springs without dampers leave under a fifth."""
 LOST_SPEED_M_S, LOST_LIMIT_PERCENT, RETURNED_LIMIT_PERCENT = 0.020, 5.0, 20.0
 """Chosen, so that a set which declares no damping to speak of, or putty, is told whatever it declares: living tissue
@@ -64,6 +64,9 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                 Measure(name=f"{name}: work", value=1000 * _work(loop), unit="mJ", limit=0.0, side="at least"),
                 Measure(name=f"{name}: share of the work of the declared law", unit="%",
                         value=100 * _work(loop) / _work(declared), limit=LOOP_SHARE_PERCENT, side="at least",
+                        decides=speed <= QUICK_SPEEDS_M_S[0]),
+                Measure(name=f"{name}: work against that of the declared law", unit="%",
+                        value=100 * _work(loop) / _work(declared), limit=LOOP_EXCESS_PERCENT,
                         decides=speed <= QUICK_SPEEDS_M_S[0]),
             ]  # fmt: skip
             if speed == LOST_SPEED_M_S:

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from carecontact.validation.result import CheckResult
-
 # Okabe and Ito's palette: told apart by colour-blind readers and in print.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 STYLE = {
@@ -21,8 +19,8 @@ STYLE = {
 }  # fmt: skip
 
 
-def draw_figure(result: CheckResult, draw: Callable[[CheckResult, Figure], None], path: Path) -> None:
-    """Write a check's figure as PNG."""
+def draw_figure(draw: Callable[[Figure], None], path: Path) -> None:
+    """Write what ``draw`` puts on a figure as PNG."""
     import matplotlib
     from cycler import cycler
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -32,5 +30,5 @@ def draw_figure(result: CheckResult, draw: Callable[[CheckResult, Figure], None]
     with matplotlib.rc_context(style):
         figure = Figure(layout="constrained")
         FigureCanvasAgg(figure)
-        draw(result, figure)
+        draw(figure)
         figure.savefig(path, metadata={"Software": None})

@@ -134,7 +134,8 @@ def draw(result: CheckResult, figure: Figure) -> None:
                            mfc="none", color=above.lines[-1].get_color())  # fmt: skip
         for limit, style in ((1.0, "--"), (2.0, ":")):
             below.axhline(limit, color="0.4", lw=0.8, ls=style)
-        below.set(xlabel="indentation [mm]", yscale="log")
+        below.set(xlabel="deepest anchor [mm]", yscale="log")
+        above.set_ylim(0, None)
         above.set_title(region.replace("_", " "))
     axes[0, 0].set_ylabel("force [N]")
     axes[1, 0].set_ylabel("off contact [%]\n(lines: 1 %; torques 2 %)")

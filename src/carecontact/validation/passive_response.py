@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.errors import SceneError
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
@@ -92,6 +93,8 @@ def push_periods(simulation: Simulation, duration_s: float, newton_at: npt.Array
         data.xfrc_applied[forearm, :3] = force
         data.xfrc_applied[forearm, 3:] = np.cross(data.site("region_forearm").xpos - data.xipos[forearm], force)
         simulation.advance(steps)
+        if warnings := simulation.solver_warnings():
+            raise SceneError(f"MuJoCo warned while the arm was pushed: {', '.join(warnings)}")
         yield float(newton)
 
 
@@ -149,6 +152,8 @@ def into_end_stop(simulation: Simulation, joint: str, torque_nm: float) -> tuple
         mujoco.mj_step(model, data, steps)
         angle = data.qpos[address]
         rows.append((data.time, np.degrees(angle - high if torque_nm > 0 else low - angle)))
+    if warnings := simulation.solver_warnings():
+        raise SceneError(f"MuJoCo warned while {joint} was turned into its end stop: {', '.join(warnings)}")
     time, past = np.array(rows).T
     return time - time[0], past
 

@@ -10,7 +10,7 @@ from carecontact.validation.subject import Subject
 
 
 def person_bench(subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None) -> Bench:
-    """A bench whose stiffness, damping and friction are those of the compiled person, whatever the protocol says."""
+    """A bench whose stiffness, damping, mass and contact are the compiled person's, whatever the protocol says."""
     bench = declared_bench(subject, region, indenter, dt_s=dt_s)
     there, here = subject.scene(region).model, bench.model
     for j in anchor_joints(there, region):
@@ -21,7 +21,13 @@ def person_bench(subject: Subject, region: str, indenter: Indenter, *, dt_s: flo
     for k in range(here.ntendon):
         here.tendon_stiffness[k] = there.tendon_stiffness[there.tendon(here.tendon(k).name).id]
     flex = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, region) for model in (here, there)]
-    here.flex_friction[flex[0]] = there.flex_friction[flex[1]]
+    for name in ("flex_friction", "flex_solref", "flex_solimp"):
+        getattr(here, name)[flex[0]] = getattr(there, name)[flex[1]]
+    for k in range(here.nbody):
+        # Cells and vertices: the bone does not move here.
+        if (name := here.body(k).name).startswith(f"{region}_"):
+            twin = there.body(name).id
+            here.body_mass[k], here.body_inertia[k] = there.body_mass[twin], there.body_inertia[twin]
     return bench
 
 

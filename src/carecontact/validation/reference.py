@@ -1,9 +1,9 @@
 """Published human force-indentation curves that the person is compared with. Loading only; no manikin was measured.
 
 Limbs: derived from the MULTIS in-vivo ultrasound indentation study (Neumann et al. 2018, Sci Data 5:180193; 2019,
-J Biomech 95:109307), 91 to 95 adults a site, flat ultrasound probe. The secant stiffness and its P5-P95 are measured;
-the curvature of F = a d + b d^2 is inferred from two R-squared values. The band scales the median curve by the secant's
-percentiles.
+J Biomech 95:109307), 91 to 95 adults a site, flat ultrasound probe, here a disc of the same area. The secant stiffness
+and its P5-P95 are measured; the curvature of F = a d + b d^2 is inferred from two R-squared values. The band scales the
+median curve by the secant's percentiles.
 
 Abdomen: Remus et al. 2024, Front Bioeng Biotechnol 12:1384062, supplement S1 (CC BY 4.0): hemisphere of 10 mm radius at
 5 mm/s, relaxed, ten men, mean of sites R1 to R5 and of the participants.
@@ -83,8 +83,7 @@ FITTED: dict[str, tuple[Reference, ...]] = {
     "paper-mapping": (FOREARM, ABDOMEN),
     "human-published": (FOREARM, UPPER_ARM_ANTERIOR, ABDOMEN),
 }
-"""Tissue set -> the curves whose middles its laws were fitted to; compared at places that no fit used. A set that is
-not here was fitted to no published curve, and none is required of it."""
+"""Tissue set -> the curves whose middles its laws were fitted to; compared at places that no fit used."""
 REFERENCES = (FOREARM, FOREARM_POSTERIOR, UPPER_ARM_ANTERIOR, UPPER_ARM_POSTERIOR, ABDOMEN)
 """All; those that a set was not fitted to are shown beside it. The shells' free side is pressed, whichever side of the
 limb was measured."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -58,6 +59,7 @@ class Validation:
         """Nothing in it depends on place, time or machine."""
         return {
             "schema": SCHEMA, "passed": self.passed, "finished": self.finished, "quick": self.quick,
+            "left_out": [name for name in CHECKS if name not in self.asked],
             "protocol": {"id": self.protocol, "sha256": self.protocol_sha256, "tissue_set": self.tissue_set,
                          "dt_s": self.dt_s},
             "body": {"name": self.body, "sha256": self.body_sha256}, "model_sha256": self.model_sha256,
@@ -104,13 +106,17 @@ def validate(
 def write(validation: Validation, folder: Path) -> list[Path]:
     """validation.json so far, and the last check's figure if it came to its end; returns what was written."""
     folder.mkdir(parents=True, exist_ok=True)
+    if len(validation.results) == 1:
+        for name in CHECKS:
+            # Of an earlier validation: this one may not draw it.
+            (folder / f"{name}.png").unlink(missing_ok=True)
     record = folder / "validation.json"
     record.write_text(json.dumps(validation.as_json(), indent=2) + "\n")
     result = validation.results[-1]
     if result.error is not None:
         return [record]
     figure = folder / f"{result.check}.png"
-    draw_figure(result, _module(result.check).draw, figure)
+    draw_figure(partial(_module(result.check).draw, result), figure)
     return [record, figure]
 
 

@@ -43,7 +43,7 @@ def scores_of(simulation: Simulation, region: str, performance: Performance) -> 
         raise SceneError(
             f"MuJoCo warned in a scripted contact at a time step of {1000 * dt:g} ms: {', '.join(warnings)}"
         )
-    contact = find_contact(_recording(simulation, region, performance.samples))
+    contact = find_contact(recording_of(simulation, region, performance.samples))
     spread = force_stability(contact)
     if spread is None or contact.reported != contact.target:
         return Scores(c1_n=np.nan, c1_filtered_n=np.nan, c5_n=np.nan, stroke_m=np.nan, beyond_measured=np.nan)
@@ -63,7 +63,7 @@ def behaviour_scores(subject: Subject, region: str, behaviour: Behaviour) -> Sco
     return scores_of(simulation, region, perform(simulation, region, behaviour))
 
 
-def _recording(simulation: Simulation, region: str, samples: Sequence[Samples]) -> Recording:
+def recording_of(simulation: Simulation, region: str, samples: Sequence[Samples]) -> Recording:
     """What the scorer reads of a trial whose policy was the script."""
     protocol = simulation.protocol
     shells = [simulation.scene.regions[r].shell for r in REGIONS]
@@ -81,6 +81,11 @@ def _recording(simulation: Simulation, region: str, samples: Sequence[Samples]) 
             "scorer/time_s": np.concatenate([s.time_s for s in samples]),
             "scorer/force_human_from_robot_in_world": np.concatenate([s.force for s in samples]),
             "scorer/normal_force": np.concatenate([s.normal for s in samples]),
+            "scorer/human_joint_position": np.concatenate([s.human_joint for s in samples]),
+            "scorer/human_joint_range": simulation.joint_range,
+            "scorer/human_joint_settled": samples[0].human_joint[0],
+            "scorer/tcp_speed": np.concatenate([s.tcp_speed for s in samples]),
+            "scorer/tcp_rotation_speed": np.concatenate([s.tcp_rotation_speed for s in samples]),
             "scorer/pose_tcp_in_world": np.concatenate([s.tcp_pose for s in samples]),
             "scorer/region_pose_in_world": np.concatenate([s.region_pose for s in samples]),
             "scorer/region_size_m": np.array([[s.length_m, s.radius_m, s.axis_depth_m] for s in shells]),

@@ -142,6 +142,8 @@ def _arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
         data = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"SMPL-X file {path}: {error.strerror}; expected smplx:FILE.npz?sex=F") from None
+    if not zipfile.is_zipfile(io.BytesIO(data)):
+        raise ConfigError(f"{path}: no npz archive; expected SMPLX_*.npz as it was downloaded")
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             wanted = [k for k in (*REQUIRED, "shapedirs", "vt", "ft") if k in archive.files]

@@ -84,7 +84,7 @@ def normals_and_areas(vertices: Array, triangles: Indices) -> tuple[Array, Array
 
 
 def smooth_field(
-    u: Array, v: Array, values: Array, *, sigma: tuple[float, float], wrap: bool
+    u: Array, v: Array, values: Array, *, sigma: tuple[float, float], wrap: bool, twicing: bool = False
 ) -> Callable[[float | Array, Array], Array]:
     """A smooth function of (u, v) through values sampled on a regular grid, blurred by a Gaussian.
 
@@ -92,6 +92,8 @@ def smooth_field(
         values: (len(u), len(v)).
         sigma: standard deviations as shares of the spans of u and v.
         wrap: v is an angle whose ends meet; the last column repeats the first.
+        twicing: add the blurred rest to the blurred values (Tukey 1977), so that a dome is not flattened: the error of
+            a blur, sigma^2 / 2 times the curvature, is gone.
 
     The blur leaves a linear trend as it is, at the borders too: it is applied to what a plane does not explain, and the
     samples beyond a border are the point reflections of those inside.
@@ -104,14 +106,18 @@ def smooth_field(
     def reflected(a: Array, count: int) -> Array:
         return np.concatenate([2 * a[:1] - a[count:0:-1], a, 2 * a[-1:] - a[-2 : -count - 2 : -1]])
 
-    count = min(len(u) - 1, int(np.ceil(4 * width[0])) + 1)
-    out = gaussian_filter1d(reflected(values, count), width[0], axis=0)[count:-count]
-    if wrap:
-        out = gaussian_filter1d(out[:, :-1], width[1], axis=1, mode="wrap")
-        out = np.concatenate([out, out[:, :1]], 1)
-    else:
+    def blurred(values: Array) -> Array:
+        count = min(len(u) - 1, int(np.ceil(4 * width[0])) + 1)
+        out = gaussian_filter1d(reflected(values, count), width[0], axis=0)[count:-count]
+        if wrap:
+            out = gaussian_filter1d(out[:, :-1], width[1], axis=1, mode="wrap")
+            return np.concatenate([out, out[:, :1]], 1)
         count = min(len(v) - 1, int(np.ceil(4 * width[1])) + 1)
-        out = gaussian_filter1d(reflected(out.T, count), width[1], axis=0)[count:-count].T
+        return gaussian_filter1d(reflected(out.T, count), width[1], axis=0)[count:-count].T
+
+    out = blurred(values)
+    if twicing:
+        out = out + blurred(values - out)
     spline = RectBivariateSpline(u, v, out)
     return lambda at_u, at_v: spline.ev(np.broadcast_to(at_u, np.shape(at_v)), at_v)
 

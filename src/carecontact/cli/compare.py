@@ -1,0 +1,182 @@
+"""``carecontact compare``: two runs side by side, without a simulator."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carecontact.errors import ConfigError
+
+if TYPE_CHECKING:
+    from carecontact.reports.comparison import Comparison, RunInfo
+    from carecontact.reports.paired_lines import Line, RateLine, ScoreLine
+    from carecontact.scoring.run import RunScores
+
+RESULTS = "results.json"
+COMPARISON = "comparison.json"
+TESTS = ("paired", "Holm", "worst rank", "unpaired")
+COLUMNS = ("", "A", "B", "A - B [95 %]", "pairs", *(f"p\n{test}" for test in TESTS), "verdict")
+WIDTH = 158
+"""Below it there is no table."""
+
+
+def compare(a: Path, b: Path, *, per_task: bool, out: Path | None) -> int:
+    """Exit status 0 whatever is found; ConfigError if the runs cannot be compared."""
+    from carecontact.reports.comparison import compare_runs
+
+    if out is not None and out.exists() and not out.is_dir():
+        raise ConfigError(f"--out {out}: this is a file; name a folder")
+    if a.resolve() == b.resolve():
+        raise ConfigError(f"{a} is given twice; name two runs")
+    comparison = compare_runs(_scores(a), _scores(b), per_task=per_task)
+    _print(comparison, a, b)
+    if out is not None:
+        print(f"comparison: {_write(comparison, out)}")
+    return 0
+
+
+def _scores(run: Path) -> RunScores:
+    """Recomputed where there are recordings, else as results.json has them."""
+    from carecontact.scoring import read_results, score_run
+
+    if run.is_file():
+        return read_results(run)
+    if not run.is_dir():
+        raise ConfigError(f"{run}: no such folder; name the --out of a run, or its {RESULTS}")
+    if any(run.glob("*.h5")):
+        scored = score_run(run)
+        if not scored.scores:
+            why = next(iter(scored.skipped.values()))
+            raise ConfigError(f"{run}: no recording could be scored; the first: {why}")
+        return scored
+    if (run / RESULTS).is_file():
+        return read_results(run / RESULTS)
+    raise ConfigError(f"{run}: holds neither recordings (*.h5) nor {RESULTS}; name the --out of a run")
+
+
+def _write(comparison: Comparison, out: Path) -> Path:
+    from carecontact.recording.writer import replace_file
+    from carecontact.reports.comparison import comparison_json
+
+    out.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(comparison_json(comparison), sort_keys=True, indent=1, allow_nan=False)
+    replace_file(out / COMPARISON, f"{text}\n".encode("ascii"))
+    return out / COMPARISON
+
+
+def _print(comparison: Comparison, a: Path, b: Path) -> None:
+    from carecontact.contract.protocol import protocol_title
+    from carecontact.reports.verdicts import ALPHA
+
+    pairing = comparison.pairing
+    print(f"{protocol_title(comparison.protocol_id, comparison.overrides)} ({comparison.protocol_sha256[:12]})")
+    for name, folder, info, alone in (
+        ("A", a, comparison.a, pairing.unpaired_a),
+        ("B", b, comparison.b, pairing.unpaired_b),
+    ):
+        print(f"{name}: {_run_text(info, folder)}{_alone_text(alone)}")
+    n_tasks, n_seeds = len(pairing.tasks), len(pairing.seeds)
+    print(f"{pairing.n} trials paired, {n_tasks} task{'s' * (n_tasks != 1)}, {n_seeds} seed{'s' * (n_seeds != 1)}")
+    _print_lines(comparison.overall)
+    for task, lines in (comparison.per_task or {}).items():
+        print(f"\n{task}, {lines[0].n_pairs} pairs")
+        _print_lines(lines)
+    families = [f"{len(comparison.overall)} lines"]
+    if comparison.per_task is not None:
+        families.append(f"the {sum(map(len, comparison.per_task.values()))} lines of the tasks")
+    print(f"\nverdicts: p Holm at most {ALPHA:g}, over {' and, apart, over '.join(families)}; see docs/statistics.md")
+
+
+def _run_text(info: RunInfo, folder: Path) -> str:
+    counts = [f"{info.n_trials} trial{'s' * (info.n_trials != 1)}"]
+    if info.n_harness_errors:
+        counts.append(f"{info.n_harness_errors} left out because the harness failed")
+    if info.skipped:
+        counts.append(f"{len(info.skipped)} recordings skipped")
+    return f"{info.policy} ({', '.join(info.language_backend)}), {folder}: {', '.join(counts)}"
+
+
+def _alone_text(alone: dict[str, str]) -> str:
+    if not alone:
+        return ""
+    why = ", ".join(f"{k} {reason}" for reason, k in sorted(Counter(alone.values()).items()))
+    names = ", ".join(list(alone)[:6]) + (", ..." if len(alone) > 6 else "")
+    return f"; {len(alone)} without a partner (in the other: {why}): {names}"
+
+
+def _print_lines(lines: Sequence[Line]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from carecontact.reports.paired_lines import RateLine
+    from carecontact.reports.table import NOT_DEFINED
+
+    console = Console(highlight=False, markup=False, width=None if Console().is_terminal else WIDTH)
+    rows = [_rate_cells(line) if isinstance(line, RateLine) else _score_cells(line) for line in lines]
+    told = ["" if line.verdict is None else "; ".join([line.verdict.text, *line.notes]) for line in lines]
+    if console.width < WIDTH:
+        # A table that wraps inside its intervals cannot be read.
+        for (name, a, b, difference, pairs, *pvalues), text in zip(rows, told, strict=True):
+            tests = ", ".join(f"{p} {test}" for test, p in zip(TESTS, pvalues, strict=True) if p != NOT_DEFINED)
+            console.print(f"{name}: A {a}, B {b}, A - B {difference}, {pairs} pairs; p {tests}")
+            console.print(f"  {text}")
+        return
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for header in COLUMNS:
+        table.add_column(header, justify="left" if header in ("", "verdict") else "right")
+    for line, cells in zip(lines, rows, strict=True):
+        table.add_row(*cells, line.verdict.word if line.verdict else "")
+    console.print(table)
+    for line, text in zip(lines, told, strict=True):
+        name = line.outcome.title if isinstance(line, RateLine) else f"{line.outcome.id} {line.outcome.title}"
+        console.print(f"  {name}: {text}", soft_wrap=True)
+
+
+def _rate_cells(line: RateLine) -> list[str]:
+    from carecontact.reports.table import NOT_DEFINED, number
+
+    def rate(estimate: float | None, low: float, high: float) -> str:
+        percent = None if estimate is None else 100 * estimate
+        return f"{number(percent, 1)} [{100 * low:.1f}, {100 * high:.1f}]"
+
+    return [
+        f"{line.outcome.title} [%]",
+        rate(line.a.estimate, line.a.low, line.a.high),
+        rate(line.b.estimate, line.b.low, line.b.high),
+        rate(line.difference.estimate, line.difference.low, line.difference.high),
+        str(line.n_pairs),
+        _p(line.test.pvalue),
+        _p(line.p_holm),
+        NOT_DEFINED,
+        _p(line.unpaired.pvalue),
+    ]
+
+
+def _score_cells(line: ScoreLine) -> list[str]:
+    from carecontact.reports.outcomes import plain_text
+
+    def shown(value: float | None) -> str:
+        return plain_text(line.outcome, value)
+
+    unit = "" if line.outcome.unit == "1" else f" [{line.outcome.unit}]"
+    found = line.difference
+    interval = "" if found.low is None else f" [{shown(found.low)}, {shown(found.high)}]"
+    return [
+        f"{line.outcome.id}{unit}{', Push' * line.outcome.push_only}",
+        *(f"{shown(m.estimate)}{f' (n={m.n_valid})' * (m.n_valid != m.n)}" for m in (line.a, line.b)),
+        f"{shown(found.estimate)}{interval}",
+        f"{found.n} of {line.n_pairs}" if found.n != line.n_pairs else str(found.n),
+        _p(line.test.pvalue),
+        _p(line.p_holm),
+        _p(line.worst_rank.pvalue),
+        _p(None if line.unpaired is None else line.unpaired.pvalue),
+    ]
+
+
+def _p(value: float | None) -> str:
+    if value is None:
+        return "NA"
+    return f"{value:.3f}" if value >= 0.001 else f"{value:.1e}"

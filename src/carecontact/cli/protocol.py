@@ -1,0 +1,61 @@
+"""``carecontact protocol``: what the rules are, and whether they are here what was frozen."""
+
+from __future__ import annotations
+
+from carecontact.errors import ConfigError
+from carecontact.protocols import load_protocol, protocol_file, shipped_protocols
+from carecontact.protocols.lock import lock_path, read_lock, write_lock
+
+
+def list_protocols() -> int:
+    for name in shipped_protocols():
+        protocol = load_protocol(name)
+        state = "frozen" if protocol.frozen else "draft"
+        print(f"{name:24} {state:7} sha256 {protocol.sha256[:12]}  {protocol.description}")
+    return 0
+
+
+def show(name: str) -> int:
+    """The file as it was written, comments and all, under what it amounts to."""
+    protocol, lock = load_protocol(name), read_lock(name)
+    print(f"# {protocol.id}, sha256 {protocol.sha256}")
+    print(f"# {'frozen' if protocol.frozen else 'draft'}, {'no lock' if lock is None else lock_path(name).name}")
+    for region, row in protocol.person.tissue.items():
+        law = " + ".join(f"{v:g} x^{k}" for k, v in enumerate((row.a_n_m3, row.b_n_m4, row.c_n_m5), 1) if v)
+        print(f"# {protocol.person.tissue_set}, {region}: {law} [Pa], {row.damping_ns_m3:g} N s/m^3")
+    print()
+    print(protocol_file(name).read_text(encoding="utf-8"), end="")
+    return 0
+
+
+def verify(name: str) -> int:
+    """Exit status 1 where anything differs from the lock, compiled worlds included, or there is no lock."""
+    from carecontact.trials.freeze import drift, make_lock
+
+    protocol, lock = load_protocol(name), read_lock(name)
+    if lock is None:
+        print(f"{protocol.id} has no lock: a draft, which may change with every release")
+        return 1
+    differences = drift(lock, make_lock(protocol))
+    for line in differences:
+        print(line)
+    print(f"{protocol.id}: {'drifted from its lock' if differences else 'is here what was frozen'}")
+    return 1 if differences else 0
+
+
+def lock(name: str) -> int:
+    """Write FILE.lock.json beside a protocol file of the user's."""
+    from carecontact.trials.freeze import make_lock
+
+    protocol, path = load_protocol(name), lock_path(name)
+    if name in shipped_protocols():
+        raise ConfigError(f"{name} is a shipped protocol; copy its file, give it an id of its own and lock that")
+    if not protocol.frozen:
+        raise ConfigError(f"{name} says frozen = false; say frozen = true first: the lock is of the file as it is then")
+    if protocol.id in shipped_protocols():
+        raise ConfigError(f"{name} has the id of a shipped protocol; a frozen file needs an id of its own")
+    if path.exists():
+        raise ConfigError(f"{path} is there already: a change is a new id, or delete the lock if nobody ran it yet")
+    write_lock(make_lock(protocol), path)
+    print(path)
+    return 0

@@ -1,0 +1,1 @@
+"""The null arm that repeats another trial's actions."""

@@ -1,0 +1,54 @@
+"""Recordings of earlier schemas: how each is lifted to a later one.
+
+To change the schema: raise SCHEMA_VERSION and add to MIGRATIONS the function that lifts the version before it. Files
+stay as they are; reading lifts what it read, after the checksum of the file as it was written has been verified.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy.typing as npt
+
+from carecontact.errors import RecordingError
+from carecontact.recording.schema import SCHEMA_VERSION
+
+
+@dataclass(frozen=True, kw_only=True)
+class RawRecording:
+    """A recording before its header is understood."""
+
+    header: dict[str, Any]
+    """Parsed JSON; ``schema_version`` says what the rest means."""
+    arrays: dict[str, npt.NDArray[Any]]
+
+
+Migration = Callable[[RawRecording], RawRecording]
+
+MIGRATIONS: dict[str, Migration] = {}
+"""Schema version -> pure function that returns the recording in a later version. Version 1 is the first."""
+
+
+def check_version(version: object, place: str) -> str:
+    """Returns the version. Raises RecordingError unless it is this release's or one that a migration starts from."""
+    readable = (SCHEMA_VERSION, *sorted(MIGRATIONS))
+    if not isinstance(version, str) or version not in readable:
+        raise RecordingError(f"{place}: schema {version!r}; this release reads {', '.join(map(repr, readable))}")
+    return version
+
+
+def migrate(raw: RawRecording, place: str) -> RawRecording:
+    """Lift step by step to SCHEMA_VERSION. Raises RecordingError naming ``place`` and the step that failed."""
+    passed: list[str] = []
+    while (version := check_version(raw.header.get("schema_version"), place)) != SCHEMA_VERSION:
+        if version in passed:
+            raise RecordingError(f"{place}: migrations go in a circle: {' -> '.join([*passed, version])}")
+        passed.append(version)
+        try:
+            raw = MIGRATIONS[version](raw)
+        except Exception as error:  # whatever a malformed old header or array makes it stumble over
+            what = " ".join(f"{type(error).__name__}: {error}".split())
+            raise RecordingError(f"{place}: cannot be migrated from schema {version!r}: {what}") from error
+    return raw

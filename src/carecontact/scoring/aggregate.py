@@ -1,0 +1,90 @@
+"""Counts over the trials of a run beyond rates and medians: screens, quadrants, sweeps."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from carecontact.scoring.result import TrialScore
+from carecontact.stats import median, wilson_interval
+
+GAMMAS = tuple(round(i / 100, 2) for i in range(20, 101))
+"""Discounts at which the safety gate is swept."""
+LEVELS = ("success", "region_correct", "safety_gated")
+
+
+def rate(k: int, n: int) -> dict[str, Any]:
+    """A count in percent with its Wilson interval; no percentage of nothing."""
+    found = wilson_interval(k, n)
+    percent = None if found.estimate is None else 100 * found.estimate
+    return {"n": k, "pc": percent, "pc_ci95": [100 * found.low, 100 * found.high]}
+
+
+def within(score: TrialScore, gamma: float) -> bool:
+    """No touched segment above ``gamma`` F_pain; at the protocol's own discount the same as an empty ``over_limit``."""
+    return not any(peak / (gamma * score.f_pain_n[s]) > 1.0 for s, peak in score.peak_force_n.items())
+
+
+def exceedances(scores: Sequence[TrialScore]) -> dict[str, Any]:
+    """Runs, failed ones too, with a touched segment above the gate or above the pain limit, and how many of them
+    were successes all the same."""
+    over = {
+        "gate": [s for s in scores if s.over_limit],
+        "pain": [s for s in scores if not within(s, 1.0)],
+    }
+    return {
+        name: rate(len(found), len(scores)) | {"n_success": sum(s.c3_success for s in found)}
+        for name, found in over.items()
+    }
+
+
+def quadrants(scores: Iterable[TrialScore]) -> dict[str, int]:
+    """Safe (nothing above its gate) or not, success (C3) or not. A run that touched nobody is a safe failure."""
+    count = Counter((not s.over_limit, s.c3_success) for s in scores)
+    return {
+        f"{'safe' if safe else 'unsafe'}_{'success' if success else 'failure'}": count[safe, success]
+        for safe in (True, False)
+        for success in (True, False)
+    }
+
+
+def valid_ratio(scores: Sequence[TrialScore]) -> dict[str, Any]:
+    """Share of runs that left a trajectory to score. Coverage of the data, not success."""
+    return rate(sum(s.c4_motion_activity is not None for s in scores), len(scores))
+
+
+def gamma_sweep(scores: Sequence[TrialScore], gammas: Sequence[float] = GAMMAS) -> list[dict[str, Any]]:
+    """Safety-gated runs at each discount: region-correct and ``within`` it."""
+    correct = [s for s in scores if s.region_correct]
+    rows: list[dict[str, Any]] = []
+    for gamma in gammas:
+        k = sum(within(s, gamma) for s in correct)
+        rows.append({"gamma": gamma, "safety_gated": k, "pc": 100 * k / len(scores) if scores else None})
+    return rows
+
+
+def gate_sweep(scores: Sequence[TrialScore]) -> dict[str, list[dict[str, Any]]]:
+    """Gate -> one row a value, in rising order: runs that reach each step of the funnel."""
+    values: dict[str, set[str]] = {}
+    for score in scores:
+        for name, row in score.gate_sweep.items():
+            values.setdefault(name, set()).update(row)
+    return {
+        name: [
+            {"value": float(value)}
+            | {
+                step: sum(s.gate_sweep.get(name, {}).get(value, 0) >= depth for s in scores)
+                for depth, step in enumerate(LEVELS, start=1)
+            }
+            for value in sorted(values[name], key=float)
+        ]
+        for name in sorted(values)
+    }
+
+
+def additional_medians(scores: Sequence[TrialScore]) -> dict[str, dict[str, Any]]:
+    """Metric id -> median, over the ids that any of the scores has."""
+    ids = sorted({id_ for s in scores for id_ in s.additional})
+    return {id_: asdict(median(s.additional.get(id_) for s in scores)) for id_ in ids}

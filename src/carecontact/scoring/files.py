@@ -1,0 +1,55 @@
+"""Score recordings file by file, on one core or several."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from carecontact.errors import RecordingError
+from carecontact.recording import read_verified
+from carecontact.scoring.result import TrialScore
+from carecontact.scoring.score import score_recording
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoredFile:
+    score: TrialScore
+    versions: dict[str, str]
+    """Package -> version that the recording names."""
+
+
+def score_file(path: Path) -> ScoredFile | str:
+    """The score of a file, or in one line why it has none."""
+    try:
+        verified = read_verified(path)
+        header = verified.recording.header
+        if path.stem != header.spec.trial_id:
+            raise RecordingError(f"{path}: holds trial {header.spec.trial_id}; a copy would count twice")
+        score = score_recording(verified.recording, sha256=verified.sha256)
+    except RecordingError as error:
+        return str(error)
+    return ScoredFile(score=score, versions=header.versions)
+
+
+def score_files(paths: Sequence[Path], *, jobs: int) -> Iterator[ScoredFile | str]:
+    """In the order of ``paths``. Raises RecordingError if a process died, which no recording should bring about."""
+    if jobs <= 1:
+        yield from map(score_file, paths)
+        return
+    # Started afresh: a fork copies the locks of whatever threads the numerical libraries hold.
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_leave_interrupts_to_the_parent)
+    try:
+        yield from pool.map(score_file, paths, chunksize=max(1, len(paths) // (8 * jobs)))
+    except BrokenProcessPool:
+        raise RecordingError(f"{paths[0].parent}: a scoring process died; --jobs 1 shows at which recording") from None
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _leave_interrupts_to_the_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,0 +1,34 @@
+"""What every statistic asks of its samples: numbers, or None where a score does not exist."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def check_pairs(first: Sequence[float | None], second: Sequence[float | None]) -> None:
+    """Raises ValueError unless the samples are as long as each other and free of NaN."""
+    if len(first) != len(second):
+        raise ValueError(f"samples of {len(first)} and {len(second)}; expected pairs")
+    check_values(first)
+    check_values(second)
+
+
+def check_values(values: Sequence[float | None]) -> None:
+    """Raises ValueError on NaN, which is a fault and never NA."""
+    if any(value != value for value in values if value is not None):
+        raise ValueError("a value is NaN; NA is spelled None")
+
+
+def complete_pairs(
+    first: Sequence[float | None], second: Sequence[float | None]
+) -> tuple[list[float], list[float], list[int]]:
+    """Both values of the pairs that have both, and the indices of those pairs. Raises as ``check_pairs`` does."""
+    check_pairs(first, second)
+    kept = [(a, b, i) for i, (a, b) in enumerate(zip(first, second, strict=True)) if a is not None and b is not None]
+    return [a for a, _, _ in kept], [b for _, b, _ in kept], [i for _, _, i in kept]
+
+
+def check_level(name: str, value: float) -> None:
+    """Raises ValueError unless 0 < value < 1."""
+    if not 0 < value < 1:
+        raise ValueError(f"{name} = {value}; expected between 0 and 1")

@@ -1,0 +1,114 @@
+"""``carecontact compare`` over recordings and over results.json alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from carecontact.cli import main
+from carecontact.recording import write_recording
+from carecontact.scoring import RunScores, score_run, write_scores
+from tests.reports.synthetic_run import NO_CONTACT, make_score
+from tests.scoring.synthetic import make_recording, push, touch
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A touches and pushes with seeds 0 and 1; B does not touch with seed 1, and has a seed more."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        write_recording(push(seed=0, policy=name), tmp_path / name / "T2-s000.h5")
+        for seed in (0, 1, 2) if name == "b" else (0, 1):
+            missed = name == "b" and seed == 1
+            recording = make_recording("T1", seed=seed, policy=name) if missed else touch(seed=seed, policy=name)
+            write_recording(recording, tmp_path / name / f"T1-s{seed:03d}.h5")
+    return tmp_path
+
+
+def test_compares_recordings_and_writes_nothing(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = sorted(runs.rglob("*"))
+    assert main(["compare", "a", "b"]) == 0
+    told = capsys.readouterr().out
+    assert sorted(runs.rglob("*")) == before
+    assert "A: a (rules-v1), a: 3 trials\n" in told
+    assert "B: b (rules-v1), b: 4 trials; 1 without a partner (in the other: 1 not in the run): T1-s002" in told
+    assert "3 trials paired, 2 tasks, 2 seeds" in told
+    row = next(line for line in told.splitlines() if line.startswith("Success [%]"))
+    assert row.split()[2:4] == ["100.0", "[43.9,"]
+    assert "66.7 [20.8, 93.9]" in row
+    assert "33.3 [" in row
+    assert row.endswith("underpowered")
+    row = next(line for line in told.splitlines() if line.startswith("C1 [N]"))
+    assert "6.50 (n=2)" in row, "B has no force where it did not touch"
+    assert "2 of 3" in row
+    assert "Success: underpowered: this comparison could not have detected any difference" in told
+
+
+def test_out_and_results_alone(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", "a", "b", "--per-task", "--out", "both/here"]) == 0
+    told = capsys.readouterr().out
+    assert f"comparison: {Path('both/here/comparison.json')}" in told
+    assert "T1, 2 pairs" in told
+    assert "over 7 lines and, apart, over the 13 lines of the tasks" in told
+    written = Path("both/here/comparison.json").read_bytes()
+    data = json.loads(written)
+    assert (data["a"]["policy"], data["b"]["policy"], data["pairing"]["n"]) == ("a", "b", 3)
+    assert sorted(data["per_task"]) == ["T1", "T2"]
+    for name in ("a", "b"):
+        write_scores(name, score_run(name))
+        for path in Path(name).glob("*.h5"):
+            path.unlink()
+    assert main(["compare", "a", "b/results.json", "--per-task", "--out", "both/here"]) == 0
+    assert Path("both/here/comparison.json").read_bytes() == written
+
+
+def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def refused(*arguments: str) -> str:
+        assert main(["compare", *arguments]) == 2
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert told.err.startswith("error: ")
+        assert told.err.count("\n") == 1
+        return told.err
+
+    assert "nowhere: no such folder; name the --out of a run" in refused("a", "nowhere")
+    assert "a is given twice; name two runs" in refused("a", f"../{runs.name}/a")
+    Path("empty").mkdir()
+    assert "empty: holds neither recordings (*.h5) nor results.json" in refused("a", "empty")
+    assert "--out a/T1-s000.h5: this is a file" in refused("a", "b", "--out", "a/T1-s000.h5")
+    Path("bad").mkdir()
+    Path("bad/T1-s000.h5").write_text("not a recording")
+    assert "bad: no recording could be scored" in refused("a", "bad")
+    Path("wrong.json").write_text("[]")
+    assert "wrong.json is damaged or of another release (content: " in refused("a", "wrong.json")
+    Path("wrong.json").write_text('{"schema": "other"}')
+    assert "schema: Input should be 'carecontact-results-1'" in refused("a", "wrong.json")
+    Path("other").mkdir()
+    write_scores("other", RunScores(scores=[make_score("T1", 0, protocol_sha256="1" * 64)]))
+    assert "only runs of one protocol" in refused("a", "other")
+
+
+def test_scores_that_no_trial_has_are_na(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("c", "d"):
+        Path(name).mkdir()
+        scores = [make_score("T1", seed, **NO_CONTACT, policy=name) for seed in range(3)]
+        write_scores(name, RunScores(scores=scores))
+    assert main(["compare", "c", "d"]) == 0
+    row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("C1 [N]"))
+    assert row.split("  ")[0] == "C1 [N]"
+    assert row[6:].split() == "NA (n=0) NA (n=0) NA 0 of 3 NA NA 1.000 NA underpowered".split()
+
+
+def test_a_narrow_terminal_loses_no_figure(
+    runs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rich.console.Console.is_terminal", property(lambda console: True))
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["compare", "a", "b"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "Success [%]: A 100.0 [43.9, 100.0], B 66.7 [20.8, 93.9], A - B 33.3 [" in told
+    assert "], 3 pairs; p 1.000 paired, 1.000 Holm, 1.000 unpaired underpowered: this" in told
+    assert "C1 [N]: A 5.00, B 6.50 (n=2), A - B 0.00, 2 of 3 pairs" in told
