@@ -16,13 +16,9 @@ from pathlib import Path
 
 import cv2
 
+from carecontact.world.human.appearance import fine_paint
 from carecontact.world.human.body import body_names, load_body
-from carecontact.world.human.refine import refined
-from carecontact.world.human.skin import GREY, Appearance, paint
-
-# Splits of each face before painting, where an edge of cloth or a face's features cross it.
-SPLITS = {"pelvis": 3, "abdomen": 3, "left_thigh": 3, "right_thigh": 3, "head": 1}
-
+from carecontact.world.human.skin import GREY, Appearance
 
 LIGHT, BROWN, DARK, PINK = (214, 164, 134), (168, 118, 88), (116, 78, 58), (226, 178, 156)
 WHITE = (206, 204, 200)
@@ -41,11 +37,7 @@ APPEARANCE = {
 
 def bake(name: str, folder: Path) -> None:
     body, appearance = load_body(name), APPEARANCE[name]
-    fine = body
-    top = {"thorax": 2} if body.sex == "F" else {}
-    for segment, times in {**SPLITS, **top}.items():
-        fine = refined(fine, segment, times=times)
-    image = paint(fine, appearance)
+    image = fine_paint(body, appearance)
     path = folder / f"{name}.skin.png"
     cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     record = {

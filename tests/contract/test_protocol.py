@@ -180,3 +180,28 @@ def test_one_override_keeps_another() -> None:
     assert PROTOCOL.overridden(body="woman-old-light").overridden(dt_s=0.004) == PROTOCOL.overridden(
         body="woman-old-light", dt_s=0.004
     )
+
+
+def test_variation_that_is_off_is_no_word_of_the_protocol() -> None:
+    protocol = load_protocol()
+    content = protocol.model_dump(mode="json")
+    assert "variation" not in content
+    before = Protocol.model_validate(content)
+    assert (before, before.sha256) == (protocol, protocol.sha256)
+
+
+@pytest.mark.parametrize(
+    "varied", [{"appearance": "varied-v1"}, {"light": "varied-v1"}, {"depth_noise": "structured-light-v1"},
+               {"encoder_noise_rad": 0.003}]
+)  # fmt: skip
+def test_variation_that_is_on_is_part_of_the_protocol(varied: dict[str, object]) -> None:
+    protocol = load_protocol()
+    other = Protocol.model_validate({**protocol.model_dump(mode="json"), "variation": varied})
+    assert other.sha256 != protocol.sha256
+    assert Protocol.model_validate_json(other.model_dump_json()) == other
+
+
+@pytest.mark.parametrize("wrong", [{"appearance": "other"}, {"encoder_noise_rad": -1}, {"colour": "red"}])
+def test_unknown_variations_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ValidationError, match="variation"):
+        Protocol.model_validate({**load_protocol().model_dump(mode="json"), "variation": wrong})

@@ -8,6 +8,7 @@ import pytest
 
 from carecontact.contract.observation import MASK_NAMES, MODALITIES, CameraView, Observation
 from carecontact.contract.policy import PolicyCard
+from carecontact.contract.protocol import Variation
 from carecontact.errors import ObservationError
 from carecontact.observation.builder import (
     ALLOWED,
@@ -18,6 +19,8 @@ from carecontact.observation.builder import (
     derive_view,
 )
 from carecontact.observation.keypoints import KeyPoints
+from carecontact.observation.pointcloud import coloured_cloud, organised_points
+from carecontact.observation.sensor_noise import SensorNoise
 from carecontact.protocols import load_protocol
 
 H, W = 48, 64
@@ -71,6 +74,11 @@ class FakeRenderer:
         robot[:, :5] = 2.0
         return robot
 
+    def cell_depth(self, joint_position: np.ndarray, camera: str) -> np.ndarray:
+        self.asked.append(("cell_depth", camera))
+        np.testing.assert_array_equal(joint_position, np.arange(7.0))
+        return np.full((H, W), 2.0, np.float32)
+
     def intrinsics(self, camera: str) -> np.ndarray:
         return INTRINSICS
 
@@ -100,7 +108,7 @@ def build(modalities: tuple[str, ...], cameras: tuple[str, ...] = ("overhead",))
         (("depth",), {"depth"}),
         (("points",), {"rgb", "depth"}),
         (("landmarks",), {"rgb", "depth"}),
-        (("masks",), {"rgb", "depth", "robot_depth"}),
+        (("masks",), {"rgb", "depth", "robot_depth", "cell_depth"}),
     ],
 )
 def test_only_what_the_card_names_is_rendered_and_sent(modalities: tuple[str, ...], images: set[str]) -> None:
@@ -148,6 +156,7 @@ def test_masks_and_landmarks_share_one_estimate() -> None:
         rgb=renderer.rgb(None, "overhead"),
         depth=renderer.depth(None, "overhead"),
         robot_depth=renderer.robot_depth(np.arange(7.0), "overhead"),
+        cell_depth=renderer.cell_depth(np.arange(7.0), "overhead"),
     )
     derive_view(raw, modalities=("masks", "landmarks"), keypoints=keypoints, bed_height_in_base_m=0.0)
     assert keypoints.calls == 1
@@ -170,3 +179,19 @@ def test_a_privileged_key_is_refused(key: str) -> None:
         assemble({"instruction": "", key: 0}, {})
     with pytest.raises(ObservationError, match=f"camera overhead: {key}"):
         assemble({"instruction": ""}, {"overhead": {key: 0}})
+
+
+def test_noise_comes_before_everything_that_is_made_of_depth() -> None:
+    protocol, renderer = load_protocol(), FakeRenderer()
+    card = PolicyCard(name="test", modalities=MODALITIES)
+    noise = SensorNoise(Variation(depth_noise="structured-light-v1"), key=[5], dt_s=0.002)
+    made = ObservationBuilder(renderer, card, protocol, FakeKeypoints(), noise=noise)  # pyright: ignore[reportArgumentType]
+    view = made.build(None, instruction="", sim_time_s=0.0).cameras["overhead"]  # pyright: ignore[reportArgumentType]
+    assert view.depth is not None
+    assert view.points is not None
+    clean = renderer.depth(None, "overhead")
+    assert (view.depth != clean).mean() > 0.5
+    expected, _ = coloured_cloud(organised_points(view.depth, INTRINSICS, DOWN), np.zeros((H, W, 3), np.uint8))
+    np.testing.assert_array_equal(view.points, expected)
+    again = made.build(None, instruction="", sim_time_s=0.0).cameras["overhead"]  # pyright: ignore[reportArgumentType]
+    np.testing.assert_array_equal(view.depth, again.depth)

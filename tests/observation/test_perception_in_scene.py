@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -14,12 +16,15 @@ from carecontact.observation.builder import ObservationBuilder
 from carecontact.observation.keypoints import MediaPipePose
 from carecontact.policies.state_machine.geometry import LANDMARK, region_from_observation
 from carecontact.protocols import load_protocol
+from carecontact.recording.perception import ARRAYS, JOINTS
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
+from carecontact.trials.perception import PerceptionLog, iou, true_target
+from carecontact.world.furniture import FURNITURE_GROUP
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import build_scene
 
-JOINTS = {"right shoulder": "right_upper_arm", "right elbow": "right_forearm", "right wrist": "right_hand"}
+ARM = {"right shoulder": "right_upper_arm", "right elbow": "right_forearm", "right wrist": "right_hand"}
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +45,7 @@ def test_right_arm_key_points(seen: tuple[Simulation, SceneRenderer, Observation
     simulation, renderer, observation = seen
     view = observation.cameras["overhead"]
     assert view.landmarks is not None
-    for name, segment in JOINTS.items():
+    for name, segment in ARM.items():
         centre = simulation.data.body(body_name(segment)).xpos
         in_base = renderer.proprioception.in_base(simulation.data, centre, np.eye(3))[:3, 3]
         in_camera = view.pose_camera_in_base[:3, :3].T @ (in_base - view.pose_camera_in_base[:3, 3])
@@ -53,12 +58,14 @@ def test_right_arm_key_points(seen: tuple[Simulation, SceneRenderer, Observation
 def test_regions_are_where_they_are(seen: tuple[Simulation, SceneRenderer, Observation], region: str) -> None:
     simulation, renderer, observation = seen
     found = region_from_observation(observation, region)  # pyright: ignore[reportArgumentType]
+    log = PerceptionLog(simulation.model, renderer)
+    joints, skin = log.joints_in_base(simulation.data), log.skin_in_base(simulation.data)
+    centre, along = true_target(region, joints, skin, simulation.model.skin_face)
+    across = np.array([-along[1], along[0], 0.0])
+    away = np.abs((found.centre_m - centre) @ np.stack([along, across, [0, 0, 1]], 1))
+    assert (away < [0.03, 0.02, 0.01]).all()
     site = simulation.data.site(f"region_{region}")
     frame = renderer.proprioception.in_base(simulation.data, site.xpos, site.xmat)
-    offset = frame[:3, :3].T @ (found.centre_m - frame[:3, 3])
-    # The frame is at half the bone's length, the free upper arm's middle is further on.
-    assert abs(offset[0]) < 0.04
-    assert abs(offset[1]) < 0.025
     assert found.axis @ frame[:3, 0] > np.cos(np.radians(12))
 
 
@@ -69,3 +76,62 @@ def test_the_robot_is_filtered_out(seen: tuple[Simulation, SceneRenderer, Observ
     assert masks["robot"].sum() > 1000
     # The person covers 8 to 25 % of the overhead image.
     assert 0.08 < masks["human"].mean() < 0.25
+
+
+def test_the_human_mask_is_the_person_without_the_pillow(seen: tuple[Simulation, SceneRenderer, Observation]) -> None:
+    simulation, renderer, observation = seen
+    masks = observation.cameras["overhead"].masks
+    assert masks is not None
+    assert iou(masks["human"], renderer.truth(simulation.data, "overhead").human) > 0.97
+
+
+def test_calibration_knows_nothing_of_the_person(seen: tuple[Simulation, SceneRenderer, Observation]) -> None:
+    simulation, _, observation = seen
+    protocol, model, angles = simulation.protocol, simulation.model, observation.joint_position
+    scrambled = copy.deepcopy(model)
+    person = [j for j in range(model.njnt) if not model.joint(j).name.startswith("robot_")]
+    rng = np.random.default_rng(0)
+    with SceneRenderer(model, protocol=protocol) as one, SceneRenderer(scrambled, protocol=protocol) as other:
+        # Not even through the state that a fresh copy of the world begins with.
+        for j in person:
+            start = int(model.jnt_qposadr[j])
+            scrambled.qpos0[start : start + 1] += rng.uniform(-1, 1)
+        for camera in ("overhead", "wrist"):
+            np.testing.assert_array_equal(one.cell_depth(angles, camera), other.cell_depth(angles, camera))
+            np.testing.assert_array_equal(one.robot_depth(angles, camera), other.robot_depth(angles, camera))
+    shown = {model.body(int(b)).name for b in model.geom_bodyid[model.geom_group == FURNITURE_GROUP]}
+    assert shown == {"world"}
+
+
+def test_errors_are_measured_beside_the_observation(seen: tuple[Simulation, SceneRenderer, Observation]) -> None:
+    simulation, renderer, observation = seen
+    before = renderer.renders["truth"]
+    log = PerceptionLog(simulation.model, renderer)
+    log.add(simulation.data, replace(observation, cameras={}))
+    assert log.arrays() == {}
+    log.add(simulation.data, observation)
+    assert renderer.renders["truth"] == before + 1
+    rows = log.arrays()
+    assert {path: (a.dtype.str[1:], a.shape[1:]) for path, a in rows.items()} == {
+        path: (dtype, shape) for path, (dtype, shape, _) in ARRAYS.items()
+    }
+    assert rows["perception/observation_index"].tolist() == [1]
+    assert rows["perception/joint_visible"][0, list(JOINTS).index("right elbow")]
+    assert np.nanmedian(rows["perception/landmark_error_px"]) < 8
+    assert np.linalg.norm(rows["perception/target_error_m"], axis=-1).max() < 0.05
+
+
+def test_a_shifted_estimate_is_seen_as_an_error(seen: tuple[Simulation, SceneRenderer, Observation]) -> None:
+    simulation, renderer, observation = seen
+    view = observation.cameras["overhead"]
+    assert view.landmarks is not None
+    assert view.masks is not None
+    moved = replace(
+        view,
+        landmarks=view.landmarks + np.float32([30, 40, 0]),
+        masks={name: np.roll(mask, 40, axis=0) for name, mask in view.masks.items()},
+    )
+    log = PerceptionLog(simulation.model, renderer)
+    log.add(simulation.data, replace(observation, cameras={"overhead": moved}))
+    assert np.nanmedian(log.arrays()["perception/landmark_error_px"]) > 40
+    assert log.arrays()["perception/human_iou"][0] < 0.8

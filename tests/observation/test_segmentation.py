@@ -12,16 +12,46 @@ SHAPE = (6, 8)
 F32 = np.float32
 
 
+def segmented(person: np.ndarray, depth: np.ndarray, robot: np.ndarray, cell: np.ndarray) -> dict[str, np.ndarray]:
+    return segment(
+        person=person,
+        depth=depth,
+        robot_depth=robot,
+        cell_depth=cell,
+        height_in_base=2.0 - depth.astype(float),
+        bed_height_in_base_m=0.0,
+    )
+
+
 def test_known_pixels() -> None:
-    # Columns: person, sheet with a person's label, robot over the person, bed, floor, nothing.
-    person = np.array([[0.9, 0.9, 0.9, 0.1, 0.1, 0.1]], F32)
-    depth = np.array([[1.8, 1.995, 1.5, 2.0, 2.6, np.nan]], F32)
-    robot = np.array([[np.nan, np.nan, 1.51, np.nan, 2.5, np.nan]], F32)
-    height = 2.0 - depth.astype(float)
-    masks = segment(person=person, depth=depth, robot_depth=robot, height_in_base=height, bed_height_in_base_m=0.0)
+    # Columns: person, sheet and pillow with a person's label, robot over the person, bed, floor, nothing, person
+    # before a place where the empty cell has no depth.
+    person = np.ones((1, 8), F32)
+    depth = np.array([[1.8, 1.995, 1.95, 1.5, 2.0, 2.6, np.nan, 1.8]], F32)
+    robot = np.array([[np.nan, np.nan, np.nan, 1.51, np.nan, 2.5, np.nan, np.nan]], F32)
+    cell = np.array([[2.0, 2.0, 1.95, 2.0, 2.0, 2.6, 2.0, np.nan]], F32)
+    masks = segmented(person, depth, robot, cell)
     assert set(masks) == set(MASK_NAMES)
-    names = [next(name for name in MASK_NAMES if masks[name][0, k]) for k in range(6)]
-    assert names == ["human", "bed", "robot", "bed", "background", "background"]
+    names = [next(name for name in MASK_NAMES if masks[name][0, k]) for k in range(8)]
+    assert names == ["human", "bed", "background", "robot", "bed", "background", "background", "human"]
+
+
+def test_what_the_pose_mask_misses_is_human_only_near_it() -> None:
+    person = np.zeros((60, 90), F32)
+    person[20:40, 20:40] = 0.9
+    cell = np.full(person.shape, 2.0, F32)
+    depth = cell.copy()
+    depth[28:32, 20:44] = 1.8  # an arm, its hand beyond the pose mask
+    depth[28:32, 70:80] = 1.8  # something else on the bed
+    human = segmented(person, depth, np.full(person.shape, np.nan, F32), cell)["human"]
+    assert human.sum() == 4 * 24
+    assert not human[:, 70:].any()
+
+
+def test_nobody_found_is_an_empty_mask() -> None:
+    cell = np.full(SHAPE, 2.0, F32)
+    masks = segmented(np.zeros(SHAPE, F32), cell - 0.2, np.full(SHAPE, np.nan, F32), cell)
+    assert not masks["human"].any()
 
 
 def test_robot_tolerance() -> None:
@@ -30,18 +60,13 @@ def test_robot_tolerance() -> None:
     assert robot_mask(seen, predicted).tolist() == [[True, False, False, False]]
 
 
-@given(
-    person=arrays(F32, SHAPE, elements=st.floats(0, 1, width=32)),
-    depth=arrays(F32, SHAPE, elements=st.one_of(st.just(float("nan")), st.floats(1.5, 2.5, width=32))),
-    robot=arrays(F32, SHAPE, elements=st.one_of(st.just(float("nan")), st.floats(1.5, 2.5, width=32))),
-)
-def test_masks_are_disjoint_and_cover_the_image(person: np.ndarray, depth: np.ndarray, robot: np.ndarray) -> None:
-    masks = segment(
-        person=person,
-        depth=depth,
-        robot_depth=robot,
-        height_in_base=2.0 - depth.astype(float),
-        bed_height_in_base_m=0.0,
-    )
+DEPTHS = arrays(F32, SHAPE, elements=st.one_of(st.just(float("nan")), st.floats(1.5, 2.5, width=32)))
+
+
+@given(person=arrays(F32, SHAPE, elements=st.floats(0, 1, width=32)), depth=DEPTHS, robot=DEPTHS, cell=DEPTHS)
+def test_masks_are_disjoint_and_cover_the_image(
+    person: np.ndarray, depth: np.ndarray, robot: np.ndarray, cell: np.ndarray
+) -> None:
+    masks = segmented(person, depth, robot, cell)
     assert (sum(mask.astype(int) for mask in masks.values()) == 1).all()
     assert not (masks["human"] & np.isnan(depth)).any()

@@ -91,6 +91,29 @@ def test_robot_depth_shows_the_robot_alone_at_the_encoder_angles(world: tuple[Sc
     assert (data.qpos == 0).all()
 
 
+def test_the_empty_cell_has_neither_robot_nor_person(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
+    renderer, _ = world
+    cell = renderer.cell_depth(np.zeros(LINKS), "overhead")
+    np.testing.assert_allclose(cell, 2.0, atol=1e-3)
+    cell[:] = 0
+    np.testing.assert_allclose(renderer.cell_depth(np.ones(LINKS), "overhead"), 2.0, atol=1e-3)
+
+
+def test_a_camera_that_stands_sees_the_empty_cell_once(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
+    renderer, _ = world
+    renderer.cell_depth(np.zeros(LINKS), "exterior")
+    before = renderer.renders.copy()
+    renderer.cell_depth(np.ones(LINKS), "exterior")
+    assert renderer.renders == before
+
+
+def test_truth_without_a_person(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
+    renderer, data = world
+    seen = renderer.truth(data, "overhead")
+    assert not seen.human.any()
+    np.testing.assert_array_equal(seen.depth, renderer.depth(data, "overhead"))
+
+
 def test_the_camera_model_projects_a_known_point(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
     renderer, data = world
     pose, intrinsics = renderer.pose_camera_in_base(data, "overhead"), renderer.intrinsics("overhead")

@@ -13,6 +13,7 @@ import pytest
 from carecontact.contract.trial import TrialSpec
 from carecontact.protocols import load_protocol
 from carecontact.recording import canonical_hash, read_recording
+from carecontact.recording.perception import perception_errors
 from carecontact.scoring import score_recording
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.trials.identity import POLICY_PATH
@@ -98,3 +99,10 @@ def test_blank_pictures_end_as_a_perception_failure_and_touch_nothing(monkeypatc
     assert score.failure_mode == "no_target_contact"
     assert score.attribution == "perception"
     assert not recording["scorer/force_human_from_robot_in_world"].any()
+    errors = perception_errors(recording)
+    assert errors is not None
+    assert errors.camera == ["overhead"]
+    assert errors.joint_visible[0].sum() >= 10
+    assert np.isnan(errors.landmark_error_px).all()
+    assert np.isnan(errors.target_error_m).all()
+    assert errors.human_iou.tolist() == [0.0]

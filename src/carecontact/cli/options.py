@@ -241,6 +241,29 @@ class Calibrate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Look:
+    """Draw everything that a policy sees when a trial begins, on one sheet: every camera, every modality."""
+
+    task: str
+    """T1, or another of the protocol."""
+    seed: int = 0
+    """One of the protocol's."""
+    body: str | None = None
+    """Another person than the protocol's: a name of `carecontact list bodies` or smplx:FILE.npz?sex=F (or M)."""
+    protocol: str = "bathing-v1-draft"
+    """Id of a shipped protocol, or a .toml file."""
+    out: Path | None = None
+    """Picture to write, .png, .jpg or .pdf; default: look-TASK-sSEED.png here."""
+
+    after_interrupt: ClassVar[str] = "; nothing was written"
+
+    def __call__(self) -> int:
+        from carecontact.cli.look import look
+
+        return look(task=self.task, seed=self.seed, protocol=self.protocol, body=self.body, out=self.out)
+
+
+@dataclass(frozen=True, kw_only=True)
 class List:
     """What can be named on the command line."""
 
@@ -296,6 +319,7 @@ COMMANDS = {
     "compare": Compare,
     "validate": Validate,
     "calibrate": Calibrate,
+    "look": Look,
     "probe": Probe,
     "protocol": Protocols,
     "list": List,

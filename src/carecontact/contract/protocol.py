@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 Positive = Annotated[float, Field(gt=0)]
 Length = Annotated[float, Field(ge=0.001, le=0.2)]
@@ -60,6 +60,19 @@ class Randomization(Section):
     seeds: list[int]
     comfort_arm_deg: tuple[float, float]
     """Humerus long axis against trunk long axis in the frontal plane, uniform."""
+
+
+class Variation(Section):
+    """What else a seed changes in what is seen; by default nothing. Contact and motion of the person stay."""
+
+    appearance: Literal["baked", "varied-v1"] = "baked"
+    """Skin tone, clothes and hair: the body's own, or drawn (``world.human.appearance``)."""
+    light: Literal["fixed", "varied-v1"] = "fixed"
+    """Strength, direction and colour: ``world.light``."""
+    depth_noise: Literal["none", "structured-light-v1"] = "none"
+    """``observation.sensor_noise``"""
+    encoder_noise_rad: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """Standard deviation, every joint and reading on its own; joint speeds stay."""
 
 
 class Impedance(Section):
@@ -201,6 +214,7 @@ class Protocol(Section):
     physics: Physics
     phases: Phases
     randomization: Randomization
+    variation: Variation = Variation()
     scene: Scene
     cameras: dict[Literal["overhead", "bedside", "exterior", "wrist"], Camera]
     impedance: Impedance
@@ -211,6 +225,14 @@ class Protocol(Section):
     limits: ForceLimits
     overrides: dict[str, str] = {}
     """What of the file was replaced for this run, as ``person.body`` -> its value; see ``overridden``."""
+
+    @model_serializer(mode="wrap")
+    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without variation there is no word of it: protocols from before it keep their hash, recordings theirs."""
+        content = handler(self)
+        if self.variation == Variation():
+            del content["variation"]
+        return content
 
     @property
     def title(self) -> str:

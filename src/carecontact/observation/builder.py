@@ -12,11 +12,12 @@ import numpy.typing as npt
 from carecontact.contract.geometry import quat_from_matrix
 from carecontact.contract.observation import CameraView, Observation
 from carecontact.contract.policy import PolicyCard
-from carecontact.contract.protocol import Protocol
+from carecontact.contract.protocol import Protocol, Variation
 from carecontact.errors import ObservationError
 from carecontact.observation.keypoints import KeypointEstimator
 from carecontact.observation.pointcloud import coloured_cloud, organised_points, surface_under
 from carecontact.observation.segmentation import segment
+from carecontact.observation.sensor_noise import SensorNoise
 
 if TYPE_CHECKING:
     import mujoco
@@ -31,7 +32,7 @@ IMAGES_FOR = {
     "rgb": ("rgb",),
     "depth": ("depth",),
     "points": ("rgb", "depth"),
-    "masks": ("rgb", "depth", "robot_depth"),
+    "masks": ("rgb", "depth", "robot_depth", "cell_depth"),
     "landmarks": ("rgb", "depth"),
 }
 """Modality -> images that it is made of; nothing else is rendered."""
@@ -72,6 +73,9 @@ class RawView:
     rgb: U8 | None = None
     depth: F32 | None = None
     robot_depth: F32 | None = None
+    """Of the robot's own model at the encoder angles."""
+    cell_depth: F32 | None = None
+    """Of the empty cell, known from calibration."""
 
 
 def assemble(values: Mapping[str, Any], views: Mapping[str, Mapping[str, Any]]) -> Observation:
@@ -101,7 +105,7 @@ def derive_view(
         raise ObservationError(f"modalities {list(modalities)} need the image(s) {', '.join(missing)}")
     view: dict[str, Any] = {"intrinsics": raw.intrinsics, "pose_camera_in_base": raw.pose_camera_in_base}
     points = found = masks = None
-    if raw.depth is not None:
+    if raw.depth is not None and {"points", "masks"} & set(modalities):
         points = organised_points(raw.depth, raw.intrinsics, raw.pose_camera_in_base)
     if raw.rgb is not None and {"masks", "landmarks"} & set(modalities):
         found = keypoints.estimate(raw.rgb)
@@ -111,11 +115,15 @@ def derive_view(
         view["depth"] = raw.depth
     if "points" in modalities and points is not None and raw.rgb is not None:
         view["points"], view["point_colors"] = coloured_cloud(points, raw.rgb)
-    if "masks" in modalities and found and points is not None and raw.depth is not None and raw.robot_depth is not None:
+    if "masks" in modalities and found and points is not None:
+        assert raw.depth is not None
+        assert raw.robot_depth is not None
+        assert raw.cell_depth is not None
         masks = view["masks"] = segment(
             person=found.person,
             depth=raw.depth,
             robot_depth=raw.robot_depth,
+            cell_depth=raw.cell_depth,
             height_in_base=points[..., 2],
             bed_height_in_base_m=bed_height_in_base_m,
         )
@@ -135,20 +143,31 @@ class ObservationBuilder:
     """Builds the observation of one policy: renders what its card names, derives the rest, and reads the encoders."""
 
     def __init__(
-        self, renderer: SceneRenderer, card: PolicyCard, protocol: Protocol, keypoints: KeypointEstimator
+        self,
+        renderer: SceneRenderer,
+        card: PolicyCard,
+        protocol: Protocol,
+        keypoints: KeypointEstimator,
+        *,
+        noise: SensorNoise | None = None,
     ) -> None:
         self._renderer, self._card, self._keypoints = renderer, card, keypoints
+        # Without a key there is no noise to repeat; a protocol that asks for it needs the trial's.
+        self._noise = noise or SensorNoise(Variation(), key=(), dt_s=protocol.physics.dt_s)
         self._bed_height_in_base_m = protocol.scene.mattress_top_m - protocol.scene.robot_base_m[2]
         self._images = {image for modality in card.modalities for image in IMAGES_FOR[modality]}
 
     def build(self, data: mujoco.MjData, *, instruction: str, sim_time_s: float) -> Observation:
         """``data`` is only read. Images show the last computed kinematics."""
         robot = self._renderer.proprioception
-        pose = robot.pose_tcp_in_base(data)
+        angles = self._noise.joint_position(robot.joint_position(data), sim_time_s=sim_time_s)
+        # What follows from the encoders follows from what they say.
+        known = self._renderer.at_encoders(angles) if self._noise.on_encoders else data
+        pose = robot.pose_tcp_in_base(known)
         values = {
             "instruction": instruction,
             "sim_time_s": sim_time_s,
-            "joint_position": robot.joint_position(data),
+            "joint_position": angles,
             "joint_velocity": robot.joint_velocity(data),
             # The gripper is closed for good and has no actuator to read.
             "gripper_position": np.zeros(1),
@@ -158,20 +177,27 @@ class ObservationBuilder:
         if self._card.modalities:
             for camera in self._card.cameras:
                 views[camera] = derive_view(
-                    self.raw_view(data, camera),
+                    self.raw_view(data, camera, angles=angles, sim_time_s=sim_time_s),
                     modalities=self._card.modalities,
                     keypoints=self._keypoints,
                     bed_height_in_base_m=self._bed_height_in_base_m,
                 )
         return assemble(values, views)
 
-    def raw_view(self, data: mujoco.MjData, camera: str) -> RawView:
+    def raw_view(self, data: mujoco.MjData, camera: str, *, angles: F64, sim_time_s: float) -> RawView:
+        """``angles``: (7,) [rad] as the encoders give them."""
         renderer, images = self._renderer, self._images
-        angles = renderer.proprioception.joint_position(data)
+        known = renderer.at_encoders(angles) if self._noise.on_encoders else data
+        intrinsics, depth = renderer.intrinsics(camera), None
+        pose = renderer.pose_camera_in_base(known, camera)
+        if "depth" in images:
+            depth = renderer.depth(data, camera)
+            depth = self._noise.depth(depth, intrinsics, camera=camera, sim_time_s=sim_time_s)
         return RawView(
-            intrinsics=renderer.intrinsics(camera),
-            pose_camera_in_base=renderer.pose_camera_in_base(data, camera),
+            intrinsics=intrinsics,
+            pose_camera_in_base=pose,
             rgb=renderer.rgb(data, camera) if "rgb" in images else None,
-            depth=renderer.depth(data, camera) if "depth" in images else None,
+            depth=depth,
             robot_depth=renderer.robot_depth(angles, camera) if "robot_depth" in images else None,
+            cell_depth=renderer.cell_depth(angles, camera) if "cell_depth" in images else None,
         )

@@ -1,7 +1,9 @@
-"""Which pixel shows what, from one RGB-D image, the key-point estimator's person mask and the robot's own model."""
+"""Which pixel shows what, from one RGB-D image, the key-point estimator's person mask, the robot's
+own model and the empty cell."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -9,9 +11,12 @@ F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
-PERSON_PROBABILITY = 0.5
-PERSON_ABOVE_BED_M = 0.008
-"""The sheet round a limb often gets a person's label; the depth image knows better."""
+PERSON_PROBABILITY = 0.25
+PERSON_GROWN_PX = 5
+"""The pose mask is smooth and loses fingers, toes and hair: near it, whatever is not the empty cell is the person."""
+NEARER_M = 0.015
+"""Than the empty cell. The sheet and pillow round a limb often get a person's label; the depth image knows better.
+Tuned on development scenes: with structured-light noise 6 mm cost 6 % of IoU; without noise 15 mm cost 0.1 %."""
 BED_BAND_M = 0.04
 """Half thickness of the layer that counts as bed: mattress, sheet, arm board."""
 ROBOT_TOLERANCE_M = 0.02
@@ -24,16 +29,34 @@ def robot_mask(depth: F32, robot_depth: F32) -> Bool:
         return np.abs(depth - robot_depth) < ROBOT_TOLERANCE_M
 
 
+def nearer_than_cell(depth: F32, cell_depth: F32) -> Bool:
+    """(H, W) something stands before the empty cell; where the cell has no depth, anything that has one does."""
+    with np.errstate(invalid="ignore"):
+        return np.isfinite(depth) & ~(depth > cell_depth - NEARER_M)
+
+
 def segment(
-    *, person: F32, depth: F32, robot_depth: F32, height_in_base: F64, bed_height_in_base_m: float
+    *,
+    person: F32,
+    depth: F32,
+    robot_depth: F32,
+    cell_depth: F32,
+    height_in_base: F64,
+    bed_height_in_base_m: float,
 ) -> dict[str, Bool]:
     """Four disjoint (H, W) masks that cover the image: human, robot, bed, background.
 
-    ``height_in_base`` is each pixel's z in base [m], NaN without depth. A calibrated cell knows its bed's height.
+    Human: near the estimator's person, nearer than the empty cell, and not robot. Where nobody was found (``person``
+    all 0) nothing is human. ``height_in_base`` is each pixel's z in base [m], NaN without depth. A calibrated cell
+    knows its bed's height.
     """
     robot = robot_mask(depth, robot_depth)
+    human = _grown(person > PERSON_PROBABILITY, PERSON_GROWN_PX) & nearer_than_cell(depth, cell_depth) & ~robot
     with np.errstate(invalid="ignore"):
-        above = height_in_base - bed_height_in_base_m
-        human = (person > PERSON_PROBABILITY) & (above > PERSON_ABOVE_BED_M) & ~robot
-        bed = (np.abs(above) < BED_BAND_M) & ~human & ~robot
+        bed = (np.abs(height_in_base - bed_height_in_base_m) < BED_BAND_M) & ~human & ~robot
     return {"human": human, "robot": robot, "bed": bed, "background": ~(human | robot | bed)}
+
+
+def _grown(mask: Bool, radius_px: int) -> Bool:
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius_px + 1, 2 * radius_px + 1))
+    return cv2.dilate(mask.astype(np.uint8), disc).astype(bool)

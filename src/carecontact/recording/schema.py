@@ -55,8 +55,8 @@ ARRAYS: dict[str, tuple[str, str]] = {
     "state/integration": ("f8", "(K, n) mjSTATE_INTEGRATION vectors"),
 }
 """Required arrays: dtype and meaning. Further paths are allowed: ``policy/frames/<index>/<camera>/<modality>``,
-``report/peak_rgb`` (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``perception/*``,
-``wall/*`` (the only place for wall-clock data; outside the canonical hash)."""
+``report/peak_rgb`` (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``perception/*``
+(``recording.perception``), ``wall/*`` (the only place for wall-clock data; outside the canonical hash)."""
 
 
 class Failure(BaseModel):

@@ -7,6 +7,7 @@ import os
 from collections import Counter
 from collections.abc import Callable
 from ctypes.util import find_library
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -16,14 +17,15 @@ import numpy.typing as npt
 from carecontact.contract.protocol import Camera, Protocol
 from carecontact.errors import DependencyError, SceneError
 from carecontact.sim.proprioception import Proprioception
+from carecontact.world.furniture import FURNITURE_GROUP
+from carecontact.world.robot import VISUAL_GROUP
 
+Bool = npt.NDArray[np.bool_]
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
 DEPTH_RANGE_M = 6.0
 """Beyond this a depth pixel is NaN: the working range of a room-scale RGB-D camera (assumed)."""
-
-ROBOT_VISUAL_GROUP = 1
 
 _LIBRARIES = {"egl": ("EGL", "GL"), "osmesa": ("OSMesa",)}
 _PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
@@ -56,6 +58,15 @@ def _install_message(backend: str, reason: str) -> str:
     return f"cannot render with {backend}: {reason}. Install it with: apt-get install -y {_PACKAGES[backend]}"
 
 
+def _geoms_only(group: int) -> mujoco.MjvOption:
+    """Shows the geoms of one group, and no skin, site or flex."""
+    option = mujoco.MjvOption()
+    for groups in ("geomgroup", "sitegroup", "skingroup", "flexgroup", "jointgroup", "tendongroup", "actuatorgroup"):
+        getattr(option, groups)[:] = 0
+    option.geomgroup[group] = 1
+    return option
+
+
 def _make_context(width: int, height: int) -> Any:
     backend = choose_backend()
     # Read again inside MuJoCo's C library when it looks up OpenGL functions.
@@ -73,11 +84,20 @@ def _make_context(width: int, height: int) -> Any:
     return context
 
 
+@dataclass(frozen=True, kw_only=True)
+class TrueView:
+    human: Bool
+    """(H, W) the person is the nearest thing there."""
+    depth: F32
+    """(H, W) [m], as ``SceneRenderer.depth``"""
+
+
 class SceneRenderer:
     """Images from the cameras that the protocol names; sizes come from the protocol, optics from the model.
 
     Without shadows and multisampling, which cost five times the rest together. Pixel (row j, column i) has its centre
-    at u = i, v = j. ``renders`` counts images by kind: ``rgb``, ``depth``, ``robot_depth``.
+    at u = i, v = j. ``renders`` counts images by kind: ``rgb``, ``depth``, ``robot_depth``, ``cell_depth``,
+    ``free_view`` and ``truth``.
     """
 
     def __init__(self, model: mujoco.MjModel, *, protocol: Protocol) -> None:
@@ -87,20 +107,10 @@ class SceneRenderer:
         self._context: Any = None
         self._mjr: mujoco.MjrContext | None = None
         self._scene: mujoco.MjvScene | None = None
-        self._robot_data: mujoco.MjData | None = None
+        self._calibrated: mujoco.MjData | None = None
         self._everything = mujoco.MjvOption()
-        self._robot_only = mujoco.MjvOption()
-        for groups in (
-            "geomgroup",
-            "sitegroup",
-            "skingroup",
-            "flexgroup",
-            "jointgroup",
-            "tendongroup",
-            "actuatorgroup",
-        ):
-            getattr(self._robot_only, groups)[:] = 0
-        self._robot_only.geomgroup[ROBOT_VISUAL_GROUP] = 1
+        self._robot_only, self._furniture_only = _geoms_only(VISUAL_GROUP), _geoms_only(FURNITURE_GROUP)
+        self._empty_cell: dict[str, F32] = {}
         self.renders: Counter[str] = Counter()
 
     def rgb(self, data: mujoco.MjData, camera: str) -> npt.NDArray[np.uint8]:
@@ -153,13 +163,44 @@ class SceneRenderer:
         A real cell can compute it too: it knows its robot's shape, its encoders and its calibration.
         """
         self.renders["robot_depth"] += 1
-        if self._robot_data is None:
-            self._robot_data = mujoco.MjData(self._model)
-        data = self._robot_data
+        return self._depth(self.at_encoders(joint_position), camera, self._robot_only)
+
+    def cell_depth(self, joint_position: npt.ArrayLike, camera: str) -> F32:
+        """(H, W) depth [m] of bed, pillow, arm board and room without person and robot; NaN beyond DEPTH_RANGE_M.
+
+        What a real cell's cameras saw before anyone lay down, pillow and board in their places; for a camera on the
+        hand, what its map of the empty cell gives at the encoder angles (7,) [rad]. Cameras that stand are asked once.
+        """
+        if camera in self._empty_cell:
+            return self._empty_cell[camera].copy()
+        self.renders["cell_depth"] += 1
+        depth = self._depth(self.at_encoders(joint_position), camera, self._furniture_only)
+        if self._cameras[camera].mount == "world":
+            self._empty_cell[camera] = depth.copy()
+        return depth
+
+    def truth(self, data: mujoco.MjData, camera: str) -> TrueView:
+        """What is seen, by the simulator's own labels; for the scorer, never for a policy."""
+        self.renders["truth"] += 1
+        width, height = self.size(camera)
+        image, buffer = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
+        self._draw(data, self._fixed(camera), (width, height), self._everything, image, buffer, labels=True)
+        _, scene = self._prepared()
+        skin = int(mujoco.mjtObj.mjOBJ_SKIN)
+        # MuJoCo writes label + 1 as a 24-bit number, red lowest.
+        mine = [g.segid + 1 for g in scene.geoms[: scene.ngeom] if g.objtype == skin]
+        label = image[::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16])
+        return TrueView(human=np.isin(label, mine), depth=self._metres(buffer))
+
+    def at_encoders(self, joint_position: npt.ArrayLike) -> mujoco.MjData:
+        """The world as calibration and encoders (7,) [rad] know it, without the person; valid until the next call."""
+        if self._calibrated is None:
+            self._calibrated = mujoco.MjData(self._model)
+        data = self._calibrated
         self.proprioception.set_joint_position(data, joint_position)
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_camlight(self._model, data)
-        return self._depth(data, camera, self._robot_only)
+        return data
 
     def size(self, camera: str) -> tuple[int, int]:
         """(width, height) [px]. Raises SceneError for a camera that the protocol does not name."""
@@ -198,6 +239,9 @@ class SceneRenderer:
         width, height = self.size(camera)
         buffer = np.empty((height, width), np.float32)
         self._draw(data, self._fixed(camera), (width, height), option, None, buffer)
+        return self._metres(buffer)
+
+    def _metres(self, buffer: F32) -> F32:
         near = self._model.vis.map.znear * self._model.stat.extent
         far = self._model.vis.map.zfar * self._model.stat.extent
         # MuJoCo stores reversed depth: 1 at the near plane, 0 at the far plane.
@@ -214,6 +258,7 @@ class SceneRenderer:
         rgb: npt.NDArray[np.uint8] | None,
         depth: F32 | None,
         edit: Callable[[mujoco.MjvScene], None] | None = None,
+        labels: bool = False,
     ) -> None:
         mjr, scene = self._prepared()
         mujoco.mjv_updateScene(
@@ -222,7 +267,8 @@ class SceneRenderer:
         if edit is not None:
             edit(scene)
         # Flat colours are enough for depth, and faster.
-        scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = rgb is None
+        flat = labels or rgb is None
+        scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = flat
         rect = mujoco.MjrRect(0, 0, *size)
         mujoco.mjr_render(rect, scene, mjr)
         mujoco.mjr_readPixels(rgb, depth, rect, mjr)

@@ -7,8 +7,13 @@ import hashlib
 import numpy as np
 
 from carecontact.contract.protocol import Protocol
+from carecontact.observation.sensor_noise import SensorNoise
+from carecontact.world.human.appearance import draw_appearance, wear
+from carecontact.world.light import draw_light, shine
+from carecontact.world.scene import Scene
 
-STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy")
+STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light")
+"""In the order of the seed's children: a new one goes to the end."""
 
 
 def streams(protocol: Protocol, seed: int) -> dict[str, np.random.Generator]:
@@ -21,3 +26,21 @@ def streams(protocol: Protocol, seed: int) -> dict[str, np.random.Generator]:
 def comfort_arm_deg(protocol: Protocol, seed: int) -> float:
     low, high = protocol.randomization.comfort_arm_deg
     return float(streams(protocol, seed)["comfort_arm"].uniform(low, high))
+
+
+def dress(scene: Scene, seed: int) -> None:
+    """Give a compiled scene the appearance and light that its protocol varies with the seed; physics stays.
+
+    Once, and before the first image.
+    """
+    protocol, stream = scene.protocol, streams(scene.protocol, seed)
+    if protocol.variation.appearance == "varied-v1":
+        wear(scene.model, scene.body, draw_appearance(stream["appearance"]))
+    if protocol.variation.light == "varied-v1":
+        shine(scene.model, draw_light(stream["light"]))
+
+
+def sensor_noise(protocol: Protocol, seed: int) -> SensorNoise:
+    """Of one trial; passes everything through where the protocol names no noise."""
+    key = streams(protocol, seed)["sensor_noise"].integers(2**32, size=4).tolist()
+    return SensorNoise(protocol.variation, key=key, dt_s=protocol.physics.dt_s)

@@ -28,7 +28,8 @@ from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.log import TrialLog
-from carecontact.trials.randomization import comfort_arm_deg
+from carecontact.trials.perception import PerceptionLog
+from carecontact.trials.randomization import comfort_arm_deg, dress, sensor_noise
 from carecontact.trials.versions import EMBODIMENT, package_versions
 from carecontact.world.robot import panda_sha256
 from carecontact.world.scene import build_scene
@@ -59,8 +60,9 @@ def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> R
     started = time.monotonic()
     protocol, task = spec.protocol, spec.protocol.task(spec.task_id)
     scene = build_scene(protocol, target=task.region)
-    # Before anything runs: settling writes the seed's rest angles into the model, a policy its stiffness.
+    # Before anything is changed: looks are the seed's, settling writes the seed's rest angles, a policy its stiffness.
     model_sha256 = scene.model_sha256
+    dress(scene, spec.seed)
     simulation = Simulation(scene)
     settled = settle(simulation, comfort_arm_deg(protocol, spec.seed), model_sha256=model_sha256)
     settled_wall = time.monotonic()
@@ -69,10 +71,12 @@ def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> R
     trial = _Trial(spec, simulation, settled)
     with SceneRenderer(scene.model, protocol=protocol) as renderer:
         card, ended = trial.run(renderer, list(search_path))
+        if trial.perception is not None:
+            trial.log.extra |= trial.perception.arrays()
         trial.add_report_frames(renderer)
         trial.log.extra["wall/seconds"] = np.array([settled_wall - started, time.monotonic() - settled_wall], "<f8")
         trial.log.extra["wall/renders"] = np.array(
-            [renderer.renders[k] for k in ("rgb", "depth", "robot_depth")], "<f8"
+            [renderer.renders[k] for k in ("rgb", "depth", "robot_depth", "cell_depth", "truth")], "<f8"
         )
     header = Header(
         spec=spec, ended=ended.reason, failure=ended.failure,
@@ -95,6 +99,7 @@ class _Trial:
         self.protocol: Protocol = spec.protocol
         self.task = self.protocol.task(spec.task_id)
         self.log = TrialLog(simulation, settled)
+        self.perception: PerceptionLog | None = None
         self.peak = _Peak()
         self._cut_n = np.array([self.protocol.phases.truncation_over_pain * self.protocol.f_pain(s) for s in SEGMENTS])
         self._target = SEGMENTS.index(REGION_SEGMENT[self.task.region])
@@ -122,7 +127,9 @@ class _Trial:
 
     def _act_loop(self, process: PolicyProcess, card: PolicyCard, renderer: SceneRenderer) -> _Ended:
         simulation, impedance = self.simulation, self.protocol.impedance
-        builder = ObservationBuilder(renderer, card, self.protocol, MediaPipePose())
+        noise = sensor_noise(self.protocol, self.spec.seed)
+        builder = ObservationBuilder(renderer, card, self.protocol, MediaPipePose(), noise=noise)
+        self.perception = PerceptionLog(simulation.model, renderer)
         stiffness = (impedance.translational_n_m, impedance.rotational_nm_rad)
         limit_steps = round(self.protocol.phases.time_limit_s / self.protocol.physics.dt_s)
         periods = steps_of_period(card.control_hz, self.protocol.physics.dt_s)
@@ -134,6 +141,7 @@ class _Trial:
                 observation = builder.build(simulation.data, instruction=self.task.prompt, sim_time_s=simulation.time_s)
                 reply = process.act(observation)
                 self.log.add_observation(observation, reply.sent_sha256)
+                self.perception.add(simulation.data, observation)
                 queue.extend(reply.actions)
             action = self._checked(queue.popleft())
             if action.stiffness is not None and action.stiffness != stiffness:

@@ -11,6 +11,8 @@ from carecontact.world.human.pose import BOARD_HEIGHT_M
 BED_TOUCH = {"contype": 0, "conaffinity": 3}
 LOOK_ONLY = {"contype": 0, "conaffinity": 0}
 PILLOW_HEIGHT_M = 0.045
+FURNITURE_GROUP = 0
+"""Geoms of the empty cell and no others: what a camera sees of it is part of the cell's calibration."""
 
 BOX, CYLINDER, ELLIPSOID = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_ELLIPSOID
 
@@ -28,7 +30,9 @@ def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float, head_y: f
     }
 
     def add(name: str, kind: mujoco.mjtGeom, size: list[float], pos: list[float], rgba: list[float], **kwargs) -> None:
-        world.add_geom(name=name, type=kind, size=size, pos=pos, rgba=rgba, **{"group": 0, **LOOK_ONLY, **kwargs})
+        world.add_geom(
+            name=name, type=kind, size=size, pos=pos, rgba=rgba, **{"group": FURNITURE_GROUP, **LOOK_ONLY, **kwargs}
+        )
 
     add("floor", mujoco.mjtGeom.mjGEOM_PLANE, [6, 6, 0.1], [0, 0, 0], [0.66, 0.63, 0.58, 1])
     add("wall", BOX, [0.05, 3.5, 1.4], [2.2, 0, 1.4], [0.86, 0.86, 0.82, 1])

@@ -1,0 +1,33 @@
+"""``carecontact look``: a picture sheet of what a policy sees when a trial begins."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from carecontact.contract.observation import MODALITIES
+from carecontact.contract.policy import CAMERAS, PolicyCard
+from carecontact.errors import ConfigError
+from carecontact.protocols import adapted, load_protocol
+from carecontact.reports.sheet import check_sheet_path, save_sheet
+from carecontact.trials.plan import compact
+from carecontact.trials.preflight import check_protocol
+
+
+def look(*, task: str, seed: int, protocol: str, body: str | None, out: Path | None) -> int:
+    """``out``: default ``look-<task>-s<seed>.png`` here. Raises ConfigError for what the protocol does not have."""
+    rules = adapted(load_protocol(protocol), body=body)
+    ids = [t.id for t in rules.tasks]
+    if task not in ids:
+        raise ConfigError(f"--task: {task!r} is no task of {rules.id}; valid: {', '.join(ids)}")
+    if seed not in rules.randomization.seeds:
+        raise ConfigError(f"--seed: {seed} is not in {rules.id}; its seeds: {compact(rules.randomization.seeds)}")
+    path = check_sheet_path(out or Path(f"look-{task}-s{seed:03d}.png"))
+    check_protocol(rules)
+    from carecontact.trials.first_look import first_look
+
+    card = PolicyCard(name="look", modalities=MODALITIES, cameras=CAMERAS)
+    observation = first_look(rules, task_id=task, seed=seed, card=card)
+    name = rules.task(task).name
+    save_sheet(observation, path, title=f"Not told to it: {task} {name}, seed {seed}, {rules.title}.")
+    print(f"{path}: {task} seed {seed}, {len(CAMERAS)} cameras")
+    return 0

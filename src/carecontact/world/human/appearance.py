@@ -1,0 +1,53 @@
+"""How a person may look: skin, clothes and hair drawn by a seed, painted on the body's own texture."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.world.human.body import Body
+from carecontact.world.human.refine import refined
+from carecontact.world.human.skin import Appearance, paint
+
+Rgb = tuple[int, int, int]
+
+SKIN_TONES: dict[str, Rgb] = {
+    "very light": (236, 200, 180), "light": (220, 174, 146), "intermediate": (196, 146, 116),
+    "tan": (166, 116, 86), "brown": (124, 84, 62), "dark": (84, 58, 47),
+}  # fmt: skip
+"""From light to dark, sRGB under the default light. Our own steps, as many as Fitzpatrick (1988) has types."""
+CLOTHES: dict[str, Rgb] = {
+    "navy": (44, 74, 116), "olive": (72, 84, 60), "wine": (122, 48, 62), "teal": (40, 90, 96),
+    "violet": (92, 58, 92), "charcoal": (60, 60, 68), "sand": (186, 164, 128), "white": (214, 216, 218),
+}  # fmt: skip
+HAIR: dict[str, Rgb] = {
+    "black": (26, 20, 19), "dark brown": (62, 43, 30), "brown": (84, 54, 32), "blond": (176, 140, 88),
+    "grey": (168, 164, 158), "white": (206, 204, 200),
+}  # fmt: skip
+
+SPLITS = {"pelvis": 3, "abdomen": 3, "left_thigh": 3, "right_thigh": 3, "head": 1}
+"""Of each face before painting, where an edge of cloth or a face's features cross it."""
+TOP_SPLITS = {"thorax": 2}
+
+
+def draw_appearance(rng: np.random.Generator) -> Appearance:
+    """Every tone, cloth and hair equally likely and independent. The order of the draws is part of ``varied-v1``."""
+    skin, cloth, hair = (list(colours.values())[rng.integers(len(colours))] for colours in (SKIN_TONES, CLOTHES, HAIR))
+    return Appearance(skin=skin, cloth=cloth, hair=hair)
+
+
+def fine_paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
+    """(TEXTURE_SIZE, TEXTURE_SIZE, 3) at full detail, as the shipped textures are."""
+    fine = body
+    for segment, times in {**SPLITS, **(TOP_SPLITS if body.sex == "F" else {})}.items():
+        fine = refined(fine, segment, times=times)
+    return paint(fine, appearance)
+
+
+def wear(model: mujoco.MjModel, body: Body, appearance: Appearance) -> None:
+    """Replace the skin's texture in a compiled model; before the first image, which uploads it. Physics stays."""
+    texture = model.texture("human_skin").id
+    start = int(model.tex_adr[texture])
+    painted = fine_paint(body, appearance)
+    model.tex_data[start : start + painted.size] = painted.ravel()
