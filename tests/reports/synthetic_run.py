@@ -120,7 +120,8 @@ def make_score(task_id: str, seed: int, **changes: Any) -> TrialScore:
         "extrapolated_share": 0.0, "peak_force_n": {segment: 12.3}, "over_limit": {}, "failure_mode": None,
         "attribution": None, "evidence": None, "metric_versions": {"contact": "contact-v1", "gates": "gates-v1"},
     }  # fmt: skip
-    return TrialScore.model_validate(base | changes)
+    fields = base | changes
+    return TrialScore.model_validate({"f_pain_n": {s: PROTOCOL.f_pain(s) for s in fields["peak_force_n"]}} | fields)
 
 
 NO_CONTACT: dict[str, Any] = {
