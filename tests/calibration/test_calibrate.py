@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carecontact.calibration.calibrate import hardly_identified
 from carecontact.calibration.certificate import Content, Value, content_sha256, read_certificate
 from carecontact.cli import main
 from carecontact.protocols import load_protocol
@@ -55,11 +56,19 @@ def test_certificate_says_what_was_found(made: Path) -> None:
     assert content.measured_depth_mm == pytest.approx(2.95, abs=0.15)
     # The row counts how deep the anchors went.
     assert 0.5 < 1000 * content.tissue.measured_depth_m / content.measured_depth_mm < 1.0
-    # Stiffening of half a newton is all there is to see: what is not pinned down says so.
-    for name in ("b_n_m4", "c_n_m5"):
-        if content.law[name].value == 0.0:
-            assert content.law[name].ci95 is None
-            assert any(f"{name} is at its bound" in note for note in content.notes)
+
+
+def test_parameters_that_the_data_do_not_pin_down_are_named() -> None:
+    law = {
+        "a_n_m3": Value(value=2e6, ci95=(1.9e6, 2.1e6)),
+        "b_n_m4": Value(value=0.0, ci95=None),
+        "c_n_m5": Value(value=4.9e8, ci95=(2.2e8, 1.2e10)),
+        "damping_ns_m3": Value(value=None, ci95=None),
+    }
+    notes = hardly_identified(law)
+    assert [note.partition(" ")[0] for note in notes] == ["b_n_m4", "c_n_m5"]
+    assert "at its bound 0" in notes[0]
+    assert "2.2e+08 to 1.2e+10" in notes[1]
 
 
 def test_row_is_a_tissue_set(made: Path) -> None:

@@ -8,7 +8,7 @@ from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol
 from carecontact.validation.run import CHECKS, validate
 from carecontact.world.human.body import body_names
-from tests.validation.defects import at_ten_milliseconds, half_stiff, uncoupled, undamped
+from tests.validation.defects import at_ten_milliseconds, half_stiff, overdamped, soft_contact, uncoupled, undamped
 
 pytestmark = pytest.mark.slow
 
@@ -35,6 +35,16 @@ def test_zeroed_damping_fails_the_energy_check() -> None:
     result = validate(load_protocol(), make_scene=undamped, quick=True, checks=["energy"]).results[0]
     assert not result.passed
     assert result.error or any("work of the declared law" in m.name for m in result.missed)
+
+
+def test_threefold_tissue_damping_fails_the_energy_check() -> None:
+    result = validate(load_protocol(), make_scene=overdamped, quick=True, checks=["energy"]).results[0]
+    assert any("work against that of the declared law" in m.name for m in result.missed)
+
+
+def test_a_softer_contact_fails_the_calibration_residual() -> None:
+    result = validate(load_protocol(), make_scene=soft_contact, quick=True, checks=["calibration-residual"]).results[0]
+    assert {m.name.partition(",")[0] for m in result.missed if "NRMSE" in m.name} >= {"forearm"}
 
 
 def test_half_stiffness_fails_the_calibration_residual() -> None:

@@ -17,6 +17,20 @@ def undamped(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     return scene
 
 
+def overdamped(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    """Tissue alone: three times the declared damping."""
+    scene = build_scene(protocol, target=target, skin=skin)
+    for region in REGIONS:
+        scene.model.dof_damping[scene.model.jnt_dofadr[anchor_joints(scene.model, region)]] *= 3.0
+    return scene
+
+
+def soft_contact(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    scene = build_scene(protocol, target=target, skin=skin)
+    scene.model.flex_solimp[:, :3] = [0.5, 0.9, 0.01]
+    return scene
+
+
 def half_stiff(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     scene = build_scene(protocol, target=target, skin=skin)
     for region in REGIONS:

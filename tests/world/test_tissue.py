@@ -10,6 +10,7 @@ from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError
 from carecontact.protocols import adapted, load_protocol
 from carecontact.sim.bench import Bench, Indenter
+from carecontact.validation.reference import ABDOMEN, FOREARM, Reference
 from carecontact.world.human.body import body_names, load_body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
@@ -157,3 +158,12 @@ def test_the_step_limit_is_the_integrators() -> None:
         # MuJoCo resets a state that diverged; the warning is all that tells of it.
         grew = np.abs(data.qpos[joints]).max() > 1e-6 or any(w.number for w in data.warning)
         assert grew != calms, (longest, factor)
+
+
+@pytest.mark.parametrize("reference", [FOREARM, ABDOMEN], ids=lambda r: r.region)
+def test_measured_depth_is_how_deep_the_references_presses_move_anchors(reference: Reference) -> None:
+    tissue = {str(name): row for name, row in PROTOCOL.person.tissue.items()}[reference.region]
+    made = Bench(body=load_body("man-adult"), region=reference.region, tissue=tissue, indenter=reference.indenter)
+    press = made.press(depth_m=float(reference.depth_m[-1]), speed_m_s=0.01)
+    assert (press.anchor_m <= press.indentation_m + 1e-4).all()
+    assert press.anchor_m.max() == pytest.approx(tissue.measured_depth_m, rel=0.05)

@@ -117,7 +117,7 @@ def _content(
         notes.append("a single trial: no intervals, no held-out error; record at least five")
     if not fit.damping_identified:
         notes.append(f"damping is not identified ({fit.damping_reason}): the row keeps the ratio of D_c to stiffness")
-    notes += _loose(law)
+    notes += hardly_identified(law)
     if gate > force:
         notes.append(f"beyond {1000 * depth:.1f} mm or {force:.1f} N the row extrapolates; the gate is {gate:g} N")
     for dt in (rules.physics.dt_s, FAST_DT_S):
@@ -223,7 +223,8 @@ LOOSE = 4.0
 """A parameter whose interval spans more than this factor is called hardly identified."""
 
 
-def _loose(law: dict[str, Value]) -> list[str]:
+def hardly_identified(law: dict[str, Value]) -> list[str]:
+    """A note for each stiffness parameter at its bound or with an interval wider than LOOSE."""
     said = []
     for name, one in law.items():
         if name != DAMPING and one.value == 0.0:

@@ -27,7 +27,10 @@ def _policies(protocol: str) -> list[tuple[str, str]]:
 
 def _protocols(protocol: str) -> list[tuple[str, str]]:
     loaded = {name: load_protocol(name) for name in shipped_protocols()}
-    return [(name, f"{p.description} sha256 {p.sha256[:12]}") for name, p in loaded.items()]
+    return [
+        (name, f"{'frozen' if p.frozen else 'draft'}: {p.description} sha256 {p.sha256[:12]}")
+        for name, p in loaded.items()
+    ]
 
 
 def _bodies(protocol: str) -> list[tuple[str, str]]:

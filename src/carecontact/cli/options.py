@@ -292,10 +292,10 @@ class Protocols:
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
-        from carecontact.cli import protocol
+        from carecontact.cli import names, protocol
 
         if self.what == "list":
-            return protocol.list_protocols()
+            return names.show("protocols", protocol=self.name)
         return {"show": protocol.show, "verify": protocol.verify, "lock": protocol.lock}[self.what](self.name)
 
 

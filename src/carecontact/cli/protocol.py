@@ -7,14 +7,6 @@ from carecontact.protocols import load_protocol, protocol_file, shipped_protocol
 from carecontact.protocols.lock import lock_path, read_lock, write_lock
 
 
-def list_protocols() -> int:
-    for name in shipped_protocols():
-        protocol = load_protocol(name)
-        state = "frozen" if protocol.frozen else "draft"
-        print(f"{name:24} {state:7} sha256 {protocol.sha256[:12]}  {protocol.description}")
-    return 0
-
-
 def show(name: str) -> int:
     """The file as it was written, comments and all, under what it amounts to."""
     protocol, lock = load_protocol(name), read_lock(name)

@@ -42,11 +42,21 @@ class Verdict:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RateLine:
-    """Differences are A minus B, as fractions."""
+class _Concluded:
+    """What both kinds of line have; the last four come from ``verdicts.conclude``."""
 
     outcome: Outcome
     n_pairs: int
+    p_holm: float | None = None
+    detectable: DetectableDifference | None = None
+    verdict: Verdict | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RateLine(_Concluded):
+    """Differences are A minus B, as fractions."""
+
     a: Proportion
     b: Proportion
     difference: RateDifference
@@ -57,10 +67,6 @@ class RateLine:
     """Over every trial of the tasks that both runs have, paired or not."""
     unpaired_b: Proportion
     unpaired: FisherExact
-    p_holm: float | None = None
-    detectable: DetectableDifference | None = None
-    verdict: Verdict | None = None
-    notes: tuple[str, ...] = ()
 
     @property
     def favours(self) -> int:
@@ -69,11 +75,9 @@ class RateLine:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScoreLine:
+class ScoreLine(_Concluded):
     """Differences are A minus B, in the outcome's unit."""
 
-    outcome: Outcome
-    n_pairs: int
     a: Median
     """Over the paired trials in which the score exists."""
     b: Median
@@ -91,10 +95,6 @@ class ScoreLine:
     unpaired: MannWhitney | None
     """None where a run has no value."""
     worst_rank_p_holm: float | None = None
-    p_holm: float | None = None
-    detectable: DetectableDifference | None = None
-    verdict: Verdict | None = None
-    notes: tuple[str, ...] = ()
 
     @property
     def favours(self) -> int:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from carecontact.scoring.contact import Contact
-from carecontact.scoring.filters import low_pass
 from carecontact.scoring.metric import METRICS, Metric
 
 
@@ -29,16 +28,10 @@ def peak_force(contact: Contact) -> PeakForce | None:
     """None (NA) without valid contact."""
     if not contact.valid or contact.reported is None:
         return None
-    filtered = low_pass(
-        contact.force_norm[:, contact.reported],
-        cutoff_hz=contact.protocol.contact.peak_filter_hz,
-        sample_hz=1.0 / contact.dt_s,
-        zero_phase=True,
-    )
     normal = contact.recording["scorer/normal_force"][:, contact.reported]
     return PeakForce(
         peak=float(contact.force_in_window.max()),
-        filtered=float(filtered[contact.window].max()),
+        filtered=float(contact.filtered_force[contact.window].max()),
         contact_sum=float(normal[contact.window].max()),
         any_segment=float(contact.force_norm.max()),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import ceil
 
 import numpy as np
@@ -68,6 +69,18 @@ class Contact:
     def force_in_window(self) -> F64:
         """(N,) reported segment's force norm over the contact window [N]; empty without contact."""
         return self.force_norm[self.window, self.reported] if self.reported is not None else np.empty(0)
+
+    @cached_property
+    def filtered_force(self) -> F64:
+        """(T,) reported segment's force norm [N] after the zero-phase low pass of the filtered peak; empty without."""
+        if self.reported is None:
+            return np.empty(0)
+        return low_pass(
+            self.force_norm[:, self.reported],
+            cutoff_hz=self.protocol.contact.peak_filter_hz,
+            sample_hz=1.0 / self.dt_s,
+            zero_phase=True,
+        )
 
 
 def find_contact(recording: Recording) -> Contact:

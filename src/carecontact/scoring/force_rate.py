@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from carecontact.scoring.contact import Contact
-from carecontact.scoring.filters import low_pass
 from carecontact.scoring.metric import METRICS, Metric
 
 
@@ -16,16 +15,10 @@ def force_rate_p95(contact: Contact) -> float | None:
     the filtered peak (100 Hz): a difference over one physics step would measure the contact solver's jitter.
     None (NA) without valid contact or without two neighbouring steps.
     """
-    if not contact.valid or contact.reported is None:
+    if not contact.valid:
         return None
-    force = low_pass(
-        contact.force_norm[:, contact.reported],
-        cutoff_hz=contact.protocol.contact.peak_filter_hz,
-        sample_hz=1.0 / contact.dt_s,
-        zero_phase=True,
-    )
     both = contact.window[1:] & contact.window[:-1]
-    rate = np.abs(np.diff(force)[both]) / contact.dt_s
+    rate = np.abs(np.diff(contact.filtered_force)[both]) / contact.dt_s
     return float(np.percentile(rate, 95)) if len(rate) else None
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from carecontact.errors import RecordingError
 from carecontact.recording import Recording
+from carecontact.scoring.filters import rate_faults
 
 TIME_TOLERANCE_S = 1e-6
 QUAT_TOLERANCE = 1e-3
@@ -42,18 +43,11 @@ def check_streams(recording: Recording) -> None:
 
 def _check_rates(recording: Recording, trial_id: str) -> None:
     protocol = recording.header.spec.protocol
-    dt, contact = protocol.physics.dt_s, protocol.contact
+    dt = protocol.physics.dt_s
     if not SHORTEST_STEP_S <= dt <= LONGEST_STEP_S:
         raise RecordingError(f"{trial_id}: physics.dt_s is {dt:g} s; valid: {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g}")
-    for name, cutoff, rate in (
-        ("filter_hz", contact.filter_hz, 1 / dt),
-        ("peak_filter_hz", contact.peak_filter_hz, 1 / dt),
-        ("stroke_filter_hz", contact.stroke_filter_hz, min(contact.stroke_sample_hz, 1 / dt)),
-    ):
-        if not 0 < cutoff < rate / 2:
-            raise RecordingError(
-                f"{trial_id}: contact.{name} is {cutoff:g} Hz; sampled at {rate:g} Hz it must be below {rate / 2:g} Hz"
-            )
+    for fault in rate_faults(protocol):
+        raise RecordingError(f"{trial_id}: {fault}")
     gaps = np.diff(recording["scorer/time_s"])
     wrong = np.flatnonzero(np.abs(gaps - dt) > TIME_TOLERANCE_S)
     if len(wrong):

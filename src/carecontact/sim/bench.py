@@ -163,9 +163,9 @@ class Bench:
         self._data = mujoco.MjData(self.model)
         slide = self.model.joint("indenter")
         self._slide_q, self._slide_v = int(slide.qposadr[0]), int(slide.dofadr[0])
-        self._inward_q = [
-            int(self.model.joint(f"{region}_v{k}_n").qposadr[0]) for k in np.flatnonzero(~self.shell.pinned)
-        ]
+        self._inward_q = np.array(
+            [self.model.joint(f"{region}_v{k}_n").qposadr[0] for k in np.flatnonzero(~self.shell.pinned)]
+        )
         self.tissue = tissue
         self.set_law(tissue)
 

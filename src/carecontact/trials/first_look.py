@@ -8,10 +8,8 @@ from carecontact.contract.protocol import Protocol
 from carecontact.observation.builder import ObservationBuilder
 from carecontact.observation.keypoints import MediaPipePose
 from carecontact.sim.rendering import SceneRenderer
-from carecontact.sim.settled import settle
-from carecontact.sim.simulation import Simulation
-from carecontact.trials.randomization import comfort_arm_deg, dress, sensor_noise
-from carecontact.world.scene import build_scene
+from carecontact.trials.prepare import settled_world
+from carecontact.trials.randomization import sensor_noise
 
 
 def first_look(protocol: Protocol, *, task_id: str, seed: int, card: PolicyCard) -> Observation:
@@ -19,19 +17,16 @@ def first_look(protocol: Protocol, *, task_id: str, seed: int, card: PolicyCard)
 
     Raises SceneError, SettleError and DependencyError as a trial does.
     """
-    task = protocol.task(task_id)
-    scene = build_scene(protocol, target=task.region)
-    model_sha256 = scene.model_sha256
-    dress(scene, seed)
-    simulation = Simulation(scene)
-    settle(simulation, comfort_arm_deg(protocol, seed), model_sha256=model_sha256)
+    simulation, _, _ = settled_world(protocol, task_id=task_id, seed=seed)
     simulation.start()
     keypoints = MediaPipePose()
     try:
-        with SceneRenderer(scene.model, protocol=protocol) as renderer:
+        with SceneRenderer(simulation.model, protocol=protocol) as renderer:
             noise = sensor_noise(protocol, seed)
             builder = ObservationBuilder(renderer, card, protocol, keypoints, noise=noise)
             simulation.refresh()
-            return builder.build(simulation.data, instruction=task.prompt, sim_time_s=simulation.time_s)
+            return builder.build(
+                simulation.data, instruction=protocol.task(task_id).prompt, sim_time_s=simulation.time_s
+            )
     finally:
         keypoints.close()

@@ -46,19 +46,22 @@ class PerceptionLog:
     def add(self, data: mujoco.MjData, observation: Observation) -> None:
         """``data`` is the state that the observation shows, and only read."""
         index, self._seen = self._seen, self._seen + 1
-        for name, view in observation.cameras.items():
-            if view.landmarks is None and view.masks is None:
-                continue
+        looked = {n: v for n, v in observation.cameras.items() if v.landmarks is not None or v.masks is not None}
+        if not looked:
+            return
+        joints = self.joints_in_base(data)
+        skin = self.skin_in_base(data) if any(_finds_targets(view) for view in looked.values()) else None
+        for name, view in looked.items():
             truth = self._renderer.truth(data, name)
             # With encoder noise the policy's camera pose is not the true one.
             pose = self._renderer.pose_camera_in_base(data, name)
-            visible, error = landmark_error_px(view, self.joints_in_base(data), pose, truth)
+            visible, error = landmark_error_px(view, joints, pose, truth)
             self._rows.append(
                 {
                     "observation_index": index, "camera_index": CAMERAS.index(name), "joint_visible": visible,
                     "landmark_error_px": error,
                     "human_iou": np.nan if view.masks is None else iou(view.masks["human"], truth.human),
-                    "target_error_m": self._target_errors(data, observation, name),
+                    "target_error_m": self._target_errors(joints, skin, observation, name),
                 }
             )  # fmt: skip
 
@@ -78,12 +81,10 @@ class PerceptionLog:
             found[name] = self._robot.in_base(data, centre, np.eye(3))[:3, 3]
         return found
 
-    def _target_errors(self, data: mujoco.MjData, observation: Observation, camera: str) -> F32:
+    def _target_errors(self, joints: dict[str, F64], skin: F64 | None, observation: Observation, camera: str) -> F32:
         errors = np.full((len(REGIONS), 3), np.nan, np.float32)
-        view = observation.cameras[camera]
-        if any(image is None for image in (view.depth, view.points, view.masks, view.landmarks)):
+        if skin is None or not _finds_targets(observation.cameras[camera]):
             return errors
-        joints, skin = self.joints_in_base(data), self.skin_in_base(data)
         for row, region in enumerate(REGIONS):
             try:
                 found = region_from_observation(observation, region, camera=camera)  # pyright: ignore[reportArgumentType]
@@ -99,6 +100,11 @@ class PerceptionLog:
         placed = skin_in_world(self._model, data)
         to_base = self._robot.in_base(data, np.zeros(3), np.eye(3))
         return placed @ to_base[:3, :3].T + to_base[:3, 3]
+
+
+def _finds_targets(view: CameraView) -> bool:
+    """Whether the state machine could look for regions in it."""
+    return all(image is not None for image in (view.depth, view.points, view.masks, view.landmarks))
 
 
 def landmark_error_px(

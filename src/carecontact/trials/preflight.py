@@ -8,6 +8,7 @@ import numpy as np
 
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError, UnknownNameError
+from carecontact.scoring.filters import rate_faults
 
 
 def check_protocol(protocol: Protocol) -> None:
@@ -19,14 +20,7 @@ def check_protocol(protocol: Protocol) -> None:
         load_body(protocol.person.body)
     except (ConfigError, UnknownNameError) as error:
         faults.append(f"person.body: {error}")
-    dt_s, contact = protocol.physics.dt_s, protocol.contact
-    for name, cutoff_hz, rate_hz in (
-        ("filter_hz", contact.filter_hz, 1 / dt_s),
-        ("peak_filter_hz", contact.peak_filter_hz, 1 / dt_s),
-        ("stroke_filter_hz", contact.stroke_filter_hz, min(contact.stroke_sample_hz, 1 / dt_s)),
-    ):
-        if cutoff_hz >= rate_hz / 2:
-            faults.append(f"contact.{name}: {cutoff_hz:g} is not below half of the {rate_hz:g} Hz that it filters")
+    faults += rate_faults(protocol)
     for joint, (angle, (low, high)) in enumerate(
         zip(protocol.scene.parked_joint_rad, _robot_joint_range_rad(), strict=True), start=1
     ):

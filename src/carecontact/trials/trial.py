@@ -24,15 +24,14 @@ from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS, EndR
 from carecontact.sim.close_up import render_close_up
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.rendering import SceneRenderer
-from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.log import TrialLog
 from carecontact.trials.perception import PerceptionLog
-from carecontact.trials.randomization import comfort_arm_deg, dress, sensor_noise
+from carecontact.trials.prepare import settled_world
+from carecontact.trials.randomization import sensor_noise
 from carecontact.trials.versions import EMBODIMENT, package_versions
 from carecontact.world.robot import panda_sha256
-from carecontact.world.scene import build_scene
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,13 +57,9 @@ class _Peak:
 def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> Recording:
     """A policy's failure is part of the recording; what is raised is the harness's own (SceneError and its kin)."""
     started = time.monotonic()
-    protocol, task = spec.protocol, spec.protocol.task(spec.task_id)
-    scene = build_scene(protocol, target=task.region)
-    # Before anything is changed: looks are the seed's, settling writes the seed's rest angles, a policy its stiffness.
-    model_sha256 = scene.model_sha256
-    dress(scene, spec.seed)
-    simulation = Simulation(scene)
-    settled = settle(simulation, comfort_arm_deg(protocol, spec.seed), model_sha256=model_sha256)
+    protocol = spec.protocol
+    simulation, settled, model_sha256 = settled_world(protocol, task_id=spec.task_id, seed=spec.seed)
+    scene = simulation.scene
     settled_wall = time.monotonic()
     if search_path is None:
         search_path = [p for p in os.environ.get(POLICY_PATH, "").split(os.pathsep) if p]

@@ -67,11 +67,10 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 def applying(subject: Subject) -> tuple[Reference, ...]:
     """Curves to which the law of their region was fitted. By the rows and not the set's name: a calibrated set keeps
     the rows of its base that it does not replace. None applies to a row of the user's own."""
-    shipped = {name: load_tissue_set(name).tissue for name in FITTED}
-    found = {
-        reference.name: reference for name, references in FITTED.items() for reference in references
-        if subject.tissue(reference.region) == {str(k): row for k, row in shipped[name].items()}[reference.region]
-    }  # fmt: skip
+    found: dict[str, Reference] = {}
+    for name, references in FITTED.items():
+        shipped = {str(region): row for region, row in load_tissue_set(name).tissue.items()}
+        found |= {r.name: r for r in references if subject.tissue(r.region) == shipped[r.region]}
     return tuple(found.values())
 
 

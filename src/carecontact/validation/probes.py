@@ -124,10 +124,8 @@ def judge(probe: Probe, recordings: Sequence[Recording], metric: Metric) -> Chec
     )  # fmt: skip
 
 
-def run(subject: Subject, probe: Probe, metrics: Mapping[str, Metric] | None = None) -> CheckResult:
-    """``metrics``: others than the registered ones, by the same ids."""
-    metric = METRICS[probe.metric] if metrics is None else metrics[probe.metric]
-    return judge(probe, sweep(subject, probe), metric)
+def run(subject: Subject, probe: Probe) -> CheckResult:
+    return judge(probe, sweep(subject, probe), METRICS[probe.metric])
 
 
 def draw(results: Sequence[CheckResult], figure: Figure) -> None:

@@ -45,9 +45,8 @@ SMOOTHING_M = 0.012
 made the force of a press vary by 9-16 % from place to place."""
 NAVEL_BALL_M = 0.20
 """A ball of this radius rolled over the belly does not enter the navel, and the shell spans it as the ball does: the
-skin in a navel is a fold that bears nothing, and a tool over one met 30 % more force, on its rim. The belly of
-man-adult, which the laws are fitted on, is lifted
-by 2.4 mm at most and 0.2 mm in the mean."""
+skin in a navel is a fold that bears nothing, and a tool over one met up to 30 % more force, on its rim. The belly of
+man-adult, which the laws are fitted on, is lifted by 2.4 mm at most and 0.2 mm in the mean."""
 ROW_RATIO = np.sqrt(3) / 2
 """Rows of a triangular lattice stand this much closer than the points in a row."""
 
