@@ -243,6 +243,6 @@ def _draw_step(measures: Sequence[Measure], axes: Axes) -> None:
     axes.plot([limits[label] for label in labels], range(len(labels)), "|", color="0.3", ms=12, label="limit")
     axes.set_yticks(range(len(labels)), labels)
     both = len(rows) > len(labels) * len({m.name.partition(":")[0] for m in rows})
-    axes.set(xlabel=f"change at half {'(o), twice (x)' if both else 'the step'} [%]", title="time step", xlim=(0, None))
+    axes.set(xlabel="change [%]", title="half (o), twice (x) the step" if both else "half the step", xlim=(0, None))
     axes.invert_yaxis()
-    axes.legend(loc="lower right")
+    axes.legend(loc="upper right")
