@@ -17,6 +17,7 @@ a_n_m3 = 1.5e6
 b_n_m4 = 0.0
 c_n_m5 = 1e8
 coupling_length_m = 0.0
+membrane_n_m = 0.0
 damping_ns_m3 = 2e4
 areal_mass_kg_m2 = 12.0
 spacing_m = 0.008

@@ -12,7 +12,6 @@ from carecontact.errors import SceneError
 from carecontact.protocols import load_protocol
 from carecontact.world.human.body import Body
 from carecontact.world.human.shell import (
-    CELL_ROUND_DEG,
     FINE_HALF_LENGTH_M,
     FINE_HALF_ROUND_DEG,
     PINNED_BEYOND_DEG,
@@ -95,13 +94,19 @@ def test_cells_part_the_free_vertices_and_their_frames_follow_the_surface(region
     for c, frame in enumerate(shell.cell_frames):
         np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-12)
         mine = shell.cell == c
-        # The vertices of a cell move along its normal: it must be close to theirs.
+        # The cell glides along its tangents: they must be close to its vertices' own.
         turn = np.degrees(np.arccos(np.clip(shell.normals[mine] @ frame[:, 2], -1, 1)))
-        assert turn.max() < 45
+        assert turn.max() < 50
         assert frame[:, 0] @ shell.frame[:, 0] > 0.7
     free = ~shell.pinned
     along = np.einsum("ij,ij->i", shell.normals[free], shell.cell_frames[shell.cell[free], :, 2])
-    assert np.degrees(np.arccos(np.clip(along, -1, 1))).mean() < 0.7 * CELL_ROUND_DEG
+    assert np.degrees(np.arccos(np.clip(along, -1, 1))).mean() < 18
+
+
+def test_no_cell_is_a_sliver(shell: Shell) -> None:
+    """A cell of a vertex or two is so light that the membrane would be too stiff for the time step."""
+    area = np.bincount(shell.cell[~shell.pinned], shell.area[~shell.pinned])
+    assert area.min() > 0.25 * np.median(area)
 
 
 def test_vertices_lie_on_the_bodys_smoothed_surface(body: Body, shell: Shell) -> None:

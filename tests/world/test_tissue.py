@@ -14,7 +14,13 @@ from carecontact.validation.reference import ABDOMEN, FOREARM, Reference
 from carecontact.world.human.body import body_names, load_body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
-from carecontact.world.human.tissue import CORE_MIN_RADIUS_M, check_step, inner_surface
+from carecontact.world.human.tissue import (
+    CORE_MIN_RADIUS_M,
+    check_step,
+    coupling_tendons,
+    inner_surface,
+    membrane_weights,
+)
 from carecontact.world.scene import build_scene, region_shell
 
 PROTOCOL = load_protocol()
@@ -102,17 +108,61 @@ def test_coupling_is_the_surface_gradients_energy() -> None:
         data.qpos[model.joint(f"abdomen_v{k}_n").qposadr[0]] = w[k]
     mujoco.mj_fwdPosition(model, data)
     energy = 0.5 * float(model.tendon_stiffness @ data.ten_length**2)
+    assert len(coupling_tendons(model, "abdomen")) > 1000
     assert energy == pytest.approx(tissue.a_n_m3 * 0.006**2 * gradient_energy(shell, w), rel=0.03)
 
 
 def test_coupling_spreads_a_light_touch() -> None:
     """More anchors carry the load, so the same depth takes more force; and none at all takes no tendons."""
-    plain = PROTOCOL.person.tissue["forearm"].model_copy(update={"coupling_length_m": 0.0})
+    plain = PROTOCOL.person.tissue["forearm"].model_copy(update={"coupling_length_m": 0.0, "membrane_n_m": 0.0})
     alone = bench("forearm", plain)
     assert alone.model.ntendon == 0
     spread = bench("forearm", plain.model_copy(update={"coupling_length_m": 0.005}))
     depth = np.array([0.003])
     assert spread.response(depth, speed_m_s=0.01) > 1.1 * alone.response(depth, speed_m_s=0.01)
+
+
+def cells(made: Bench, kind: str) -> np.ndarray:
+    """Joint numbers of the cells' slides."""
+    return np.array([made.model.joint(f"{made.region}_cell{c}_{kind}").id for c in range(len(made.shell.cell_frames))])
+
+
+@pytest.mark.parametrize("region", ["forearm", "abdomen"])
+def test_membrane_is_the_glides_gradient_energy(region: str) -> None:
+    """A glide that grows evenly along the region stores K / 2 times its squared gradient times the area."""
+    tissue = PROTOCOL.person.tissue[region].model_copy(update={"coupling_length_m": 0.0})
+    made = bench(region, tissue)
+    model, shell = made.model, made.shell
+    middle = np.array([shell.grid[shell.cell == c, 0].mean() for c in range(len(shell.cell_frames))])
+    data = mujoco.MjData(model)
+    gradient = 0.05
+    data.qpos[model.jnt_qposadr[cells(made, "t")]] = gradient * middle
+    mujoco.mj_fwdPosition(model, data)
+    energy = 0.5 * float(model.tendon_stiffness @ data.ten_length**2)
+    # Half a cell at either end of the region has no neighbour beyond it.
+    area = float(shell.area[shell.cell >= 0].sum()) * np.ptp(middle) / np.ptp(shell.grid[shell.cell >= 0, 0])
+    assert energy == pytest.approx(tissue.membrane_n_m * gradient**2 / 2 * area, rel=0.12)
+
+
+def test_skin_that_is_dragged_takes_its_neighbours_along() -> None:
+    """Alone, a patch under 4 N of friction moves so far past its neighbour that the triangles between them fold."""
+    step: dict[float, float] = {}
+    for membrane in (0.0, PROTOCOL.person.tissue["abdomen"].membrane_n_m):
+        made = bench("abdomen", PROTOCOL.person.tissue["abdomen"].model_copy(update={"membrane_n_m": membrane}))
+        model, data = made.model, mujoco.MjData(made.model)
+        data.qpos[model.joint("indenter").qposadr[0]] = -0.05
+        joints = cells(made, "t")
+        pulled = int(np.linalg.norm(made.shell.grid[made.shell.fine].mean(0) - np.array(
+            [made.shell.grid[made.shell.cell == c].mean(0) for c in range(len(joints))]), axis=1).argmin())  # fmt: skip
+        data.qfrc_applied[model.jnt_dofadr[joints[pulled]]] = 4.0
+        for _ in range(500):
+            mujoco.mj_step(model, data)
+        glide = data.qpos[model.jnt_qposadr[joints]]
+        pairs, _ = membrane_weights(made.shell)
+        step[membrane] = float(np.abs(np.diff(glide[pairs], axis=1)).max())
+    alone, together = step.values()
+    assert alone > 0.004
+    assert together < 0.0015
 
 
 def test_springs_too_stiff_for_the_time_step_are_told() -> None:
@@ -123,6 +173,13 @@ def test_springs_too_stiff_for_the_time_step_are_told() -> None:
         ConfigError, match=r"coupling_length_m 0.02 on a mesh of 8 mm is unstable at time steps of 2 ms"
     ):
         build_scene(PROTOCOL.model_copy(update={"person": other}), target="forearm", skin=False)
+
+
+def test_membrane_too_stiff_for_the_time_step_is_told() -> None:
+    tissue = PROTOCOL.person.tissue["forearm"].model_copy(update={"membrane_n_m": 20_000.0})
+    shell = region_shell(load_body("man-adult"), "forearm", tissue)
+    with pytest.raises(ConfigError, match=r"membrane_n_m 20000 on a mesh of 8 mm is unstable at time steps of 4 ms"):
+        check_step("forearm", shell, tissue, 0.004)
 
 
 @pytest.mark.parametrize("name", ["paper-mapping", "human-published", "manikin-like"])

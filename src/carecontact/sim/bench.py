@@ -19,7 +19,7 @@ from carecontact.errors import ConfigError, SceneError
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name, tissue_body_name
-from carecontact.world.human.tissue import add_tissue
+from carecontact.world.human.tissue import add_tissue, coupling_tendons
 from carecontact.world.robot import CAP_SEMI_AXES_M
 from carecontact.world.scene import by_conjugate_gradients, compile_with_tissue, region_shell, set_physics
 
@@ -148,6 +148,7 @@ class Bench:
         bone = spec.worldbody.add_body(name=body_name(segment))
         bone.add_body(name=tissue_body_name(region))
         # Every spring and damper is linear in its own coefficient: those of a unit law, scaled, are those of any law.
+        # The membrane is none of the law's.
         unit = tissue.model_copy(update=dict.fromkeys(LAW_FIELDS, 1.0))
         made = add_tissue(spec, body, region, self.shell, unit)
         _add_indenter(spec, indenter)
@@ -160,6 +161,7 @@ class Bench:
             self.model.jnt_stiffness.copy(), self.model.jnt_stiffnesspoly.copy(), self.model.dof_damping.copy(),
             self.model.tendon_stiffness.copy(),
         )  # fmt: skip
+        self._coupling = coupling_tendons(self.model, region)
         self._data = mujoco.MjData(self.model)
         slide = self.model.joint("indenter")
         self._slide_q, self._slide_v = int(slide.qposadr[0]), int(slide.dofadr[0])
@@ -179,7 +181,7 @@ class Bench:
         self.model.jnt_stiffness[:] = tissue.a_n_m3 * stiffness
         self.model.jnt_stiffnesspoly[:] = polynomial * [tissue.b_n_m4, tissue.c_n_m5]
         self.model.dof_damping[:] = tissue.damping_ns_m3 * damping
-        self.model.tendon_stiffness[:] = tissue.a_n_m3 * coupling
+        self.model.tendon_stiffness[self._coupling] = tissue.a_n_m3 * coupling[self._coupling]
         self.tissue = tissue
 
     def place(self, along_m: float, across_m: float, tilt_deg: float = 0.0) -> tuple[Array, Array, Array]:

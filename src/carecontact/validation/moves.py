@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.validation.result import Array
+from carecontact.world.human.surface_mesh import first_hits
 
 DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 """quat_wxyz in the robot's base of a tool whose z points to the floor."""
@@ -19,6 +21,10 @@ PLACE_M = {"forearm": 0.0, "upper_arm": 0.055, "abdomen": 0.0}
 the robot's hand stays clear of a large chest."""
 
 
+ABOVE_M = 0.5
+"""Over a region's site: higher than any of its skin."""
+
+
 def skin_points(simulation: Simulation, region: str) -> Array:
     """(n, 3) free shell vertices in the world now [m]; the skin lies the flex radius above them."""
     ids = [simulation.model.body(f"{region}_v{k}").id for k in simulation.scene.regions[region].vertex_index]
@@ -26,13 +32,16 @@ def skin_points(simulation: Simulation, region: str) -> Array:
 
 
 def surface_point(simulation: Simulation, region: str, offset: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """(3,) highest skin near the region's place of contact plus a horizontal ``offset`` (along, across) [m]."""
+    """(3,) skin under the region's place of contact plus a horizontal ``offset`` (along, across) [m], the flex radius
+    below its outside. Raises SceneError where the region's shell does not lie."""
     along, across = axes(simulation, region)
-    points, middle = skin_points(simulation, region), simulation.data.site(f"region_{region}").xpos
-    at = middle[:2] + (PLACE_M[region] + offset[0]) * along[:2] + offset[1] * across[:2]
-    distance = np.linalg.norm(points[:, :2] - at, axis=1)
-    near = points[distance < max(0.015, float(distance.min()) + 1e-6)]
-    return np.array([*at, near[:, 2].max()])
+    model, shell = simulation.model, simulation.scene.regions[region].shell
+    first = model.flex_vertadr[mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, region)]
+    corners = simulation.data.flexvert_xpos[first : first + len(shell.vertices)][shell.triangles]
+    middle = simulation.data.site(f"region_{region}").xpos
+    above = middle + (PLACE_M[region] + offset[0]) * along + offset[1] * across + [0, 0, ABOVE_M]
+    down = np.array([0.0, 0.0, -1.0])
+    return above + float(first_hits(corners, above[None], down[None])[0]) * down
 
 
 def axes(simulation: Simulation, region: str) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from carecontact.validation.moves import Behaviour, perform
 from carecontact.validation.result import CheckResult, Measure
 from carecontact.validation.scores import Scores, scores_of
 from carecontact.validation.subject import Subject
+from carecontact.world.human.tissue import coupling_tendons
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -79,8 +80,7 @@ def change(simulation: Simulation, *, stiffness: float, damping: float, friction
     joints = anchor_joints(model, REGION)
     model.jnt_stiffness[joints] *= stiffness
     model.jnt_stiffnesspoly[joints] *= stiffness
-    coupling = [t for t in range(model.ntendon) if model.tendon(t).name.startswith(f"{REGION}_")]
-    model.tendon_stiffness[coupling] *= stiffness
+    model.tendon_stiffness[coupling_tendons(model, REGION)] *= stiffness
     model.dof_damping[model.jnt_dofadr[joints]] *= damping
     if friction is not None:
         flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, REGION)

@@ -149,7 +149,7 @@ def region_shell(body: Body, region: str, tissue: Tissue) -> Shell:
 
 def off_target(tissue: Tissue) -> Tissue:
     """The same tissue on the coarse mesh of a region that is not the task's target."""
-    scaled = ("a_n_m3", "b_n_m4", "c_n_m5", "damping_ns_m3")
+    scaled = ("a_n_m3", "b_n_m4", "c_n_m5", "damping_ns_m3", "membrane_n_m")
     return tissue.model_copy(
         update={
             "spacing_m": tissue.off_target_spacing_m,

@@ -35,7 +35,7 @@ BELLY_FINE_HALF_WIDTH_M, BELLY_FINE_MARGIN_M = 0.080, 0.03
 """The fine patch is this wide at most, and this far from the shell's border."""
 LIMB_SPAN = {"forearm": (0.05, 0.96), "upper_arm": (0.25, 0.97)}
 """Share of the joint-to-joint line that a shell covers; the upper arm's begins under the armpit, where it is a tube."""
-CELL_LENGTH_M, CELL_ROUND_DEG, BELLY_CELL_M = 0.040, 14.0, 0.040
+CELL_LENGTH_M, CELL_ROUND_M, BELLY_CELL_M = 0.040, 0.016, 0.040
 """Vertices of one cell glide over the bone together; round a limb the cells are narrow: with 24 degrees
 where on a cell the tool lands changed its force by 5 %, with 14 by 2 %."""
 LIMB_SAMPLES, BELLY_SAMPLES = (41, 61), 41
@@ -132,25 +132,25 @@ def limb_shell(body: Body, segment: str, outward: Array, tissue: Tissue) -> Shel
         sections, turns, measured, sigma=(SMOOTHING_M / np.ptp(sections), SMOOTHING_M / (2 * np.pi * radius)), wrap=True
     )
     half = np.radians(SHELL_HALF_DEG)
-    rows, angles = [], []
+    rows, angles, radii = [], [], []
     for i, (at, centre) in enumerate(zip(t, line(t), strict=True)):
 
         def step(theta: Array, at=at) -> Array:
-            radii = radius_at(at, theta)
-            return spacing(away(at, theta, float(np.median(radii)))) / radii
+            distance = radius_at(at, theta)
+            return spacing(away(at, theta, float(np.median(distance)))) / distance
 
         theta = graded_from_middle(half, step, half_step=bool(i % 2))
-        rows.append(centre + radius_at(at, theta)[:, None] * _directions(y, z, theta))
+        radii.append(radius_at(at, theta))
+        rows.append(centre + radii[-1][:, None] * _directions(y, z, theta))
         angles.append(theta)
     grid = np.stack([np.repeat(t, [len(a) for a in angles]), np.concatenate(angles)], 1)
     ends = (grid[:, 0] == t[0]) | (grid[:, 0] == t[-1])
     pinned = ends | (np.abs(grid[:, 1]) > np.radians(PINNED_BEYOND_DEG[kind]))
     centre = line(np.array([length / 2]))[0]
     depth = float(radius_at(length / 2, np.zeros(1))[0])
-    cell_length, cell_round = _cell(tissue, CELL_LENGTH_M), _cell(tissue, np.radians(CELL_ROUND_DEG) * radius) / radius
     return _finish(
         rows, grid - [low, 0.0], pinned=pinned, fine=away(grid[:, 0], grid[:, 1], radius) <= 1e-9,
-        cell_size=(cell_length, min(cell_round, np.pi / 4)),
+        cell_size=(_cell(tissue, CELL_LENGTH_M), _cell(tissue, CELL_ROUND_M)), across_m=np.concatenate(radii),
         axis_points=np.repeat(line(t), [len(a) for a in angles], 0),
         origin=start + 0.5 * along + (centre - start - ((centre - start) @ x) * x), frame=np.stack([x, y, z], 1),
         length=length, radius=radius, depth=depth,
@@ -218,6 +218,7 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
     cell = _cell(tissue, BELLY_CELL_M)
     return _finish(
         rows, grid - [low, 0.0], pinned=pinned, fine=away(grid[:, 0], grid[:, 1]) <= 1e-9, cell_size=(cell, cell),
+        across_m=np.ones(len(grid)),
         axis_points=np.concatenate(origins), origin=origin, frame=np.stack([x, y, z], 1), length=high - low,
         radius=half_width, depth=float(depth_at((low + high) / 2, np.zeros(1))[0]),
     )  # fmt: skip
@@ -259,20 +260,31 @@ def _centre_line(triangles: Array, start: Array, x: Array, y: Array, z: Array, t
     return lambda u: start + u[:, None] * x + across[0](u)[:, None] * y + across[1](u)[:, None] * z
 
 
+def _bin(values: Array, low: float, high: float, count: int) -> npt.NDArray[np.int64]:
+    """Number of the equal part of [low, high] that each value lies in, the nearest for those outside."""
+    return np.clip(np.floor((values - low) / (high - low) * count).astype(np.int64), 0, count - 1)
+
+
 def _finish(
     rows: list[Array], grid: Array, *, pinned: npt.NDArray[np.bool_], fine: npt.NDArray[np.bool_],
-    cell_size: tuple[float, float], axis_points: Array, origin: Array, frame: Array, length: float, radius: float,
-    depth: float,
+    cell_size: tuple[float, float], across_m: Array, axis_points: Array, origin: Array, frame: Array, length: float,
+    radius: float, depth: float,
 ) -> Shell:  # fmt: skip
     vertices, triangles = np.concatenate(rows), zip_rows(rows)
     x = frame[:, 0]
     normals, area = normals_and_areas(vertices, triangles)
     if np.einsum("ij,ij->i", normals, vertices - axis_points).mean() < 0:
         triangles, normals = triangles[:, ::-1], -normals
-    along = np.floor(grid[:, 0] / cell_size[0]).astype(np.int64)
-    # A cell's middle, not its edge, lies on top, where the tool meets the region most.
-    across = np.floor(grid[:, 1] / cell_size[1] + 0.5).astype(np.int64)
-    key = np.where(pinned, -1, along * 1000 + across + 500)
+    low, high, half = grid[~pinned, 0].min(), grid[~pinned, 0].max(), np.abs(grid[~pinned, 1]).max()
+    rings = max(1, round((high - low) / cell_size[0]))
+    ring = _bin(grid[:, 0], low, high, rings)
+    key = np.full(len(grid), -1)
+    for i in range(rings):
+        mine = ~pinned & (ring == i)
+        breadth = 2 * half * across_m[mine].mean()
+        # An odd number: a cell's middle, not its edge, lies on top, where the tool meets the region most.
+        columns = max(1, 2 * round((breadth / cell_size[1] - 1) / 2) + 1)
+        key[mine] = 1000 * i + _bin(grid[mine, 1], -half, half, columns)
     free_keys = np.unique(key[~pinned])
     cell = np.where(pinned, -1, np.searchsorted(free_keys, key))
     frames = np.empty((len(free_keys), 3, 3))

@@ -4,7 +4,8 @@ Each free vertex is a small body with one slide along the inward normal of its c
 with two tangential slides, so that neighbouring vertices glide over the bone together. The slides' polynomial stiffness
 and damping are the anchor law of the paper's Eq. 3, f_c = K_c phi + D_c dphi/dt; the reaction on the skeleton comes out
 of the kinematic tree. The flex over the vertices gives collision. Interaction between neighbours (f_int of Eq. 1) is
-a discrete Laplacian of the indentation, made of fixed tendons, where ``Tissue.coupling_length_m`` is not 0.
+made of fixed tendons: a discrete Laplacian of the vertices' indentation, where ``Tissue.coupling_length_m`` is not 0,
+and one of the cells' gliding, where ``Tissue.membrane_n_m`` is not 0.
 """
 
 from __future__ import annotations
@@ -89,6 +90,8 @@ def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissu
     )  # fmt: skip
     if tissue.coupling_length_m > 0:
         _add_coupling(spec, region, shell, tissue.a_n_m3 * tissue.coupling_length_m**2)
+    if tissue.membrane_n_m > 0:
+        _add_membrane(spec, region, shell, tissue.membrane_n_m)
     _add_core(spec, region, shell, tissue, origin)
     return Region(name=region, shell=shell, tissue=tissue, vertex_index=np.flatnonzero(~shell.pinned))
 
@@ -110,37 +113,76 @@ def coupling_weights(shell: Shell) -> tuple[npt.NDArray[np.int64], Array]:
     return edges[kept].astype(np.int64), weights[kept]
 
 
+def membrane_weights(shell: Shell) -> tuple[npt.NDArray[np.int64], Array]:
+    """Pairs (P, 2) of neighbouring cells, and for each the length of their common border over their distance (P,).
+
+    Finite volumes: the sum over pairs of weight times squared difference of the cells' displacement approximates the
+    integral of its squared gradient. A mesh edge with one end in each cell crosses a border of weight times its length,
+    with the weight of ``coupling_weights``.
+    """
+    edges, weights = coupling_weights(shell)
+    pair = np.sort(shell.cell[edges], axis=1)
+    across = (pair[:, 0] >= 0) & (pair[:, 0] != pair[:, 1])
+    ends = shell.vertices[edges[across]]
+    border = weights[across] * np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+    pairs, owner = np.unique(pair[across], axis=0, return_inverse=True)
+    length = np.bincount(owner.ravel(), border, minlength=len(pairs))
+    middle = np.array([shell.vertices[shell.cell == c].mean(0) for c in range(len(shell.cell_frames))])
+    return pairs, length / np.linalg.norm(middle[pairs[:, 0]] - middle[pairs[:, 1]], axis=1)
+
+
 def check_step(region: str, shell: Shell, tissue: Tissue, dt_s: float) -> None:
     """Raise ConfigError where the springs are too stiff for the time step.
 
     The integrator takes springs explicitly and dampers implicitly: a mode of frequency w and damping rate g = D_c / m
     grows where (w dt)^2 > 4 + 2 g dt.
     """
-    free = np.flatnonzero(~shell.pinned)
+    free = ~shell.pinned
+    area = shell.area[free]
     row = np.full(len(shell.vertices), -1)
-    row[free] = np.arange(len(free))
-    matrix = np.diag(tissue.a_n_m3 * shell.area[free])
-    coupling_n_m = tissue.a_n_m3 * tissue.coupling_length_m**2
-    for edge, weight in zip(*coupling_weights(shell), strict=True):
-        ends = [k for k in row[edge] if k >= 0]
-        matrix[ends, ends] += coupling_n_m * weight
-        if len(ends) == 2:
-            matrix[ends[0], ends[1]] -= coupling_n_m * weight
-            matrix[ends[1], ends[0]] -= coupling_n_m * weight
-    mass = tissue.areal_mass_kg_m2 * shell.area[free]
+    row[free] = np.arange(len(area))
+    edges, weights = coupling_weights(shell)
+    cell_area = np.bincount(shell.cell[free], area).astype(np.float64)
+    normal = _springs(tissue.a_n_m3 * area, row[edges], tissue.a_n_m3 * tissue.coupling_length_m**2 * weights)
+    pairs, shares = membrane_weights(shell)
+    tangential = _springs(tissue.a_n_m3 * cell_area, pairs, tissue.membrane_n_m * shares)
     limit = 4 + 2 * dt_s * tissue.damping_ns_m3 / tissue.areal_mass_kg_m2
+    for matrix, areas, field in (
+        (normal, area, f"coupling_length_m {tissue.coupling_length_m:g}"),
+        (tangential, cell_area, f"membrane_n_m {tissue.membrane_n_m:g}"),
+    ):
+        largest = dt_s**2 * _fastest(matrix, tissue.areal_mass_kg_m2 * areas, limit / dt_s**2)
+        if largest >= limit:
+            raise ConfigError(
+                f"tissue of the {region}: a_n_m3 {tissue.a_n_m3:g} with {field} on a mesh of "
+                f"{1000 * tissue.spacing_m:g} mm is unstable at time steps of {1000 * dt_s:g} ms "
+                f"((w dt)^2 = {largest:.1f}, limit {limit:.1f}): take a shorter step, less of either or more damping"
+            )
+
+
+def _springs(own: Array, pairs: npt.NDArray[np.int64], between: Array) -> Array:
+    """Stiffness matrix of springs to the ground and between pairs; a member of -1 is the ground."""
+    matrix = np.diag(own)
+    for a, b in (pairs.T, pairs.T[::-1]):
+        here, both = a >= 0, (a >= 0) & (b >= 0)
+        np.add.at(matrix, (a[here], a[here]), between[here])
+        np.add.at(matrix, (a[both], b[both]), -between[both])
+    return matrix
+
+
+def _fastest(matrix: Array, mass: Array, enough: float) -> float:
+    """Largest squared frequency [rad^2/s^2], or a bound on it that is below ``enough``."""
     # Gershgorin's bound first: it is cheap and nearly always enough.
-    if dt_s**2 * (np.abs(matrix).sum(1) / mass).max() < limit:
-        return
+    bound = float((np.abs(matrix).sum(1) / mass).max())
+    if bound < enough:
+        return bound
     root = np.sqrt(mass)
-    largest = dt_s**2 * float(np.linalg.eigvalsh(matrix / root / root[:, None])[-1])
-    if largest >= limit:
-        raise ConfigError(
-            f"tissue of the {region}: a_n_m3 {tissue.a_n_m3:g} with "
-            f"coupling_length_m {tissue.coupling_length_m:g} on a mesh of {1000 * tissue.spacing_m:g} mm "
-            f"is unstable at time steps of {1000 * dt_s:g} ms "
-            f"((w dt)^2 = {largest:.1f}, limit {limit:.1f}): take a shorter step, a shorter coupling or more damping"
-        )
+    return float(np.linalg.eigvalsh(matrix / root / root[:, None])[-1])
+
+
+def coupling_tendons(model: mujoco.MjModel, region: str) -> list[int]:
+    """The model's tendons that spread a region's indentation; those of the membrane are not among them."""
+    return [t for t in range(model.ntendon) if model.tendon(t).name.startswith(f"{region}_e")]
 
 
 def _add_coupling(spec: mujoco.MjSpec, region: str, shell: Shell, coupling_n_m: float) -> None:
@@ -152,6 +194,21 @@ def _add_coupling(spec: mujoco.MjSpec, region: str, shell: Shell, coupling_n_m: 
         for k, sign in zip((i, j), (1.0, -1.0), strict=True):
             if not shell.pinned[k]:
                 tendon.wrap_joint(f"{region}_v{k}_n", sign)
+
+
+def _add_membrane(spec: mujoco.MjSpec, region: str, shell: Shell, membrane_n_m: float) -> None:
+    """Springs on the difference of neighbouring cells' gliding, along the region and across it alike.
+
+    Without them a dragged cell folds the skin at its border, and the tool hooks on the fold. Cells at the shell's
+    border are not held by the skin beyond it.
+    """
+    for (a, b), weight in zip(*membrane_weights(shell), strict=True):
+        for kind in "tb":
+            tendon = spec.add_tendon(
+                name=f"{region}_m{a}_{b}_{kind}", stiffness=[membrane_n_m * weight, 0, 0], springlength=[0, 0]
+            )
+            for cell, sign in ((a, 1.0), (b, -1.0)):
+                tendon.wrap_joint(f"{region}_cell{cell}_{kind}", sign)
 
 
 def inner_surface(shell: Shell, thickness_m: float) -> Array:
