@@ -12,6 +12,8 @@ from carecontact.trials.manifest import read_manifest
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rich.console import Console
+
     from carecontact.scoring.result import TrialScore
     from carecontact.scoring.run import RunScores
 
@@ -135,7 +137,38 @@ def print_table(scores: Sequence[TrialScore]) -> None:
             "NA" if not peaks else f"{peaks[0]:.1f}" if len(peaks) == 1 else f"{peaks[0]:.1f} to {peaks[-1]:.1f}",
             ", ".join(f"{sum(s.failure_mode == mode for s in rows)} {mode}" for mode in modes),
         )
-    Console(highlight=False, width=None if Console().is_terminal else 120).print(table)
+    console = Console(highlight=False, width=None if Console().is_terminal else 120)
+    console.print(table)
+    print_load(console, scores)
+
+
+def print_load(console: Console, scores: Sequence[TrialScore]) -> None:
+    """What the person bore: medians beside C1 to C5, then the counts that a success rate hides."""
+    from rich.table import Table
+
+    from carecontact.reports.limit_rows import limit_rows
+    from carecontact.reports.load import load
+    from carecontact.scoring.aggregate import quadrants, valid_ratio
+    from carecontact.scoring.run import judged
+
+    found = load(scores)
+    if not found.n[-1]:
+        return
+    if found.rows:
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        table.add_column("median")
+        for task in (*found.tasks, "all"):
+            table.add_column(task, justify="right")
+        for row in found.rows:
+            table.add_row(f"{row.id}{f' [{row.unit}]' * bool(row.unit)}", *row.cells(found.contacts))
+        console.print()
+        console.print(table, markup=False)
+    counted = judged(scores)
+    valid, quadrant = valid_ratio(counted), quadrants(counted)
+    print(f"\nvalid ratio {valid['n']} of {len(counted)}; valid contact in {found.contacts[-1]}")
+    print("; ".join(f"{k} {name.replace('_', ' ')}" for name, k in quadrant.items()))
+    for row in limit_rows(counted, gamma=None):
+        print(f"above {row.name}: {row.above.k} of {row.above.n}, {row.n_success} of them successful")
 
 
 def differences(before: object, after: object) -> list[str]:

@@ -13,9 +13,14 @@ from carecontact.errors import RecordingError
 from carecontact.recording.schema import Header, Recording
 from carecontact.recording.writer import replace_file
 from carecontact.reports.detail import MAX_TEXT, Frame, TrialDetail, peak_frame, snapshot, trial_detail
+from carecontact.reports.failures import anatomy, causes, failure_modes
 from carecontact.reports.funnel import Step, funnel, funnel_svg
+from carecontact.reports.gate_figures import gamma_svg, gate_panels
+from carecontact.reports.limit_rows import limit_rows
+from carecontact.reports.load import load, rounded
 from carecontact.reports.provenance import cannot_say, provenance_rows
 from carecontact.reports.table import COLUMNS, POOLED, sorted_scores, summary_rows
+from carecontact.scoring.aggregate import quadrants, valid_ratio
 from carecontact.scoring.result import TrialScore
 from carecontact.scoring.run import check_one_run, harness_errors, judged
 
@@ -24,17 +29,6 @@ FULL_DETAIL = 21
 """Up to this many trials every one is shown in detail."""
 FAILURES_SHOWN = 14
 """Beyond FULL_DETAIL: one trial a task, and this many of those that did not pass."""
-
-MODE_MEANING = {
-    "process_failure": "the policy's own process did not start, died, hung or answered wrongly",
-    "safety_truncation": "cut because a force passed the truncation limit or the solver failed",
-    "no_target_contact": "the person was never touched",
-    "off_target_contact": "touched, but never the named region",
-    "lost_contact": "contact with the region broke off before the gate was met",
-    "insufficient_progress": "contact held, but too little push, stroke or reversal",
-    "wrong_share": "gate met, but too much of the contact lay elsewhere",
-    "time_limit": "still under way when the time ran out",
-}
 
 
 def write_report(
@@ -74,6 +68,8 @@ def write_report(
             details[score.trial_id] = trial_detail(score, None)
     shown = [details[s.trial_id] for s in chosen]
     steps = funnel(ordered)
+    protocol = headers[0].spec.protocol if headers else None
+    gamma = None if protocol is None else protocol.limits.gamma
     page = (
         _environment()
         .get_template("report.html.j2")
@@ -96,7 +92,17 @@ def write_report(
             failures_shown=FAILURES_SHOWN,
             scene=scene,
             frames=[frames[task] for task in sorted(frames)],
+            valid=valid_ratio(ordered),
+            touched=sum(s.valid_contact for s in ordered),
+            quadrants=quadrants(ordered),
+            limit_rows=limit_rows(ordered, gamma=gamma),
+            load=load(ordered),
+            rounded=rounded,
+            gamma_svg=gamma_svg(ordered, gamma=gamma),
+            panels=gate_panels(ordered, protocol),
             modes=failure_modes(ordered),
+            causes=causes(ordered),
+            anatomy=anatomy(ordered),
             failed=sum(not s.region_correct for s in ordered),
             limits=cannot_say(everything, headers, steps, len(skipped)),
             provenance=provenance_rows(ordered or everything, headers),
@@ -158,18 +164,6 @@ def trials_in_detail(ordered: Sequence[TrialScore]) -> list[TrialScore]:
 def hardest_first(chosen: Sequence[TrialScore]) -> list[TrialScore]:
     """Hardest contact of each task first: its frame is the one shown."""
     return sorted(chosen, key=lambda s: (s.task_id, -(s.c1_peak_force_n or 0.0), s.seed))
-
-
-def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
-    """One row a failure mode, most frequent first, with what the failures were attributed to."""
-    failed = [s for s in judged(scores) if s.failure_mode is not None]
-    counts = Counter(str(s.failure_mode) for s in failed)
-    out: list[dict[str, Any]] = []
-    for mode, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
-        causes = Counter(s.attribution or "unattributed" for s in failed if s.failure_mode == mode)
-        text = ", ".join(f"{cause} {k}" for cause, k in sorted(causes.items(), key=lambda item: (-item[1], item[0])))
-        out.append({"mode": mode.replace("_", " "), "meaning": MODE_MEANING[mode], "count": count, "attribution": text})
-    return out
 
 
 def _shortened(errors: Sequence[Mapping[str, str]], run_folder: Path) -> list[tuple[str, str]]:
