@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,8 @@ def test_out_and_results_alone(runs: Path, capsys: pytest.CaptureFixture[str]) -
 
 
 def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree("a", "copy")
+
     def refused(*arguments: str) -> str:
         assert main(["compare", *arguments]) == 2
         told = capsys.readouterr()
@@ -75,7 +78,10 @@ def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -
         return told.err
 
     assert "nowhere: no such folder; name the --out of a run" in refused("a", "nowhere")
-    assert "a is given twice; name two runs" in refused("a", f"../{runs.name}/a")
+    assert "a is given twice; name different runs" in refused("a", f"../{runs.name}/a")
+    assert "1 run is nothing to compare; name two or more, or one and --null RUN..." in refused("a")
+    assert "--per-task compares two runs" in refused("a", "--null", "b", "--per-task")
+    assert "--null: a is the method or was named before" in refused("a", "--null", "copy")
     Path("empty").mkdir()
     assert "empty: holds neither recordings (*.h5) nor results.json" in refused("a", "empty")
     assert "--out a/T1-s000.h5: this is a file" in refused("a", "b", "--out", "a/T1-s000.h5")
@@ -112,3 +118,54 @@ def test_a_narrow_terminal_loses_no_figure(
     assert "Success [%]: A 100.0 [43.9, 100.0], B 66.7 [20.8, 93.9], A - B 33.3 [" in told
     assert "], 3 pairs; p 1.000 paired, 1.000 Holm, 1.000 unpaired underpowered: this" in told
     assert "C1 [N]: A 5.00, B 6.50 (n=2), A - B 0.00, 2 of 3 pairs" in told
+
+
+@pytest.fixture
+def third(runs: Path) -> Path:
+    """C pushes with seed 0 and touches nobody else."""
+    (runs / "c").mkdir()
+    write_recording(push(seed=0, policy="c"), runs / "c" / "T2-s000.h5")
+    for seed in (0, 1):
+        write_recording(make_recording("T1", seed=seed, policy="c"), runs / "c" / f"T1-s{seed:03d}.h5")
+    return runs
+
+
+def test_three_runs_are_ranked(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", "a", "b", "c", "--out", "all"]) == 0
+    told = capsys.readouterr().out
+    assert "B: b, b: 1 trial that not all runs have left out" in told
+    assert "3 trials that all runs have" in told
+    assert "C 33.3 [6.1, 79.2]" in " ".join(told.split())
+    assert "A - C, success [points]" in told
+    assert "ranking by safety-gated trials: A, B, C" in told
+    assert (
+        next(line for line in told.splitlines() if line.startswith("gamma")).split() == "gamma 1.00 gamma 0.2".split()
+    )
+    data = json.loads(Path("all/overview.json").read_bytes())
+    assert data["overview"]["ranking"]["order"] == [["A"], ["B"], ["C"]]
+    assert [(p["a"], p["b"]) for p in data["overview"]["pairs"]] == [("A", "B"), ("A", "C"), ("B", "C")]
+    assert data["null_floors"] == {}
+
+
+def test_null_arms_stand_under_one_run_and_under_two(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", "a", "--null", "c", "--out", "all"]) == 0
+    told = capsys.readouterr().out
+    assert "null floors under a: what arms pass that cannot do the task" in told
+    row = next(line for line in told.splitlines() if line.startswith("c "))
+    assert row.split()[-2:] == ["0/2", "1/1"]
+    found = json.loads(Path("all/overview.json").read_bytes())["null_floors"]["A"]["nulls"][0]
+    assert (found["policy"], found["n"], found["rates"]["success"]["k"]) == ("c", 3, 1)
+    assert not Path("all/comparison.json").exists()
+    assert main(["compare", "a", "b", "--null", "c"]) == 0
+    told = capsys.readouterr().out
+    assert "3 trials paired" in told
+    assert "null floors under B (b)" in told
+
+
+def test_a_report_shows_the_null_arms(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", "a", "--null", "c"]) == 0
+    assert "<h2>Null floors</h2>" in Path("a/report.html").read_text()
+    assert main(["report", "a"]) == 0
+    text = Path("a/report.html").read_text()
+    assert "<h2>Null floors</h2>" not in text
+    assert "No null arms" in text

@@ -305,7 +305,7 @@ def test_funnel_has_wilson_intervals_to_scale() -> None:
 
 def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     headers = [r.header for r in run_of_7.recordings.values()]
-    said = dict(cannot_say(run_of_7.scores, headers, funnel(run_of_7.scores), 2))
+    said = dict(cannot_say(run_of_7.scores, headers, funnel(run_of_7.scores), 2, null_arms=False))
     assert "2 safety-gated passes of 7" in said["n = 7"]
     assert "rests on 1 trial." in said["n = 7"]
     assert "man-adult" in said["One body"]
@@ -314,9 +314,11 @@ def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     assert said["Missing trials"].startswith("2 trial(s)")
     protocol = headers[0].spec.protocol.model_copy(update={"frozen": True})
     frozen = headers[0].model_copy(update={"spec": headers[0].spec.model_copy(update={"protocol": protocol})})
-    assert "Draft protocol" not in dict(cannot_say(run_of_7.scores, [frozen], funnel(run_of_7.scores), 0))
+    assert "Draft protocol" not in dict(
+        cannot_say(run_of_7.scores, [frozen], funnel(run_of_7.scores), 0, null_arms=False)
+    )
     within = [make_score("T1", 0)]
-    assert "stayed within" in dict(cannot_say(within, [], funnel(within), 0))["Extrapolated tissue"]
+    assert "stayed within" in dict(cannot_say(within, [], funnel(within), 0, null_arms=False))["Extrapolated tissue"]
 
 
 def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:

@@ -1,44 +1,83 @@
-"""``carecontact compare``: two runs side by side, without a simulator."""
+"""``carecontact compare``: runs side by side, without a simulator."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from string import ascii_uppercase
+from typing import TYPE_CHECKING, Any
 
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
     from carecontact.reports.comparison import Comparison, RunInfo
+    from carecontact.reports.null_floors import NullFloors
     from carecontact.reports.paired_lines import Line, RateLine, ScoreLine
     from carecontact.scoring.run import RunScores
 
 RESULTS = "results.json"
-COMPARISON = "comparison.json"
+COMPARISON, OVERVIEW = "comparison.json", "overview.json"
 TESTS = ("paired", "Holm", "worst rank", "unpaired")
 COLUMNS = ("", "A", "B", "A - B [95 %]", "pairs", *(f"p\n{test}" for test in TESTS), "verdict")
 WIDTH = 158
 """Below it there is no table."""
 
 
-def compare(a: Path, b: Path, *, per_task: bool, out: Path | None) -> int:
+def compare(runs: Sequence[Path], *, nulls: Sequence[Path], per_task: bool, out: Path | None) -> int:
     """Exit status 0 whatever is found; ConfigError if the runs cannot be compared."""
-    from carecontact.reports.comparison import compare_runs
-
     if out is not None and out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: this is a file; name a folder")
-    if a.resolve() == b.resolve():
-        raise ConfigError(f"{a} is given twice; name two runs")
-    comparison = compare_runs(_scores(a), _scores(b), per_task=per_task)
-    _print(comparison, a, b)
-    if out is not None:
-        print(f"comparison: {_write(comparison, out)}")
+    places = [path.resolve() for path in (*runs, *nulls)]
+    twice = next((path for path in (*runs, *nulls) if places.count(path.resolve()) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"{twice} is given twice; name different runs")
+    if len(runs) < 2 and not nulls:
+        raise ConfigError(f"{len(runs)} run is nothing to compare; name two or more, or one and --null RUN...")
+    if per_task and len(runs) != 2:
+        raise ConfigError("--per-task compares two runs; name two")
+    scored = [read_scores(path) for path in runs]
+    floors = _floors(scored, nulls)
+    if len(runs) == 2:
+        _compare_two(scored, runs, per_task=per_task, out=out)
+    if len(runs) > 2 or nulls:
+        _overview(scored, runs, floors, out=out)
     return 0
 
 
-def _scores(run: Path) -> RunScores:
+def _compare_two(scored: Sequence[RunScores], runs: Sequence[Path], *, per_task: bool, out: Path | None) -> None:
+    from carecontact.reports.comparison import compare_runs, comparison_json
+
+    comparison = compare_runs(*scored, per_task=per_task)
+    _print(comparison, *runs)
+    if out is not None:
+        print(f"comparison: {_write(comparison_json(comparison), out / COMPARISON)}")
+
+
+def _floors(scored: Sequence[RunScores], nulls: Sequence[Path]) -> dict[str, NullFloors]:
+    from carecontact.reports.null_floors import null_floors
+
+    arms = [read_scores(path) for path in nulls]
+    return {letter: null_floors(run, arms) for letter, run in zip(ascii_uppercase, scored, strict=False) if arms}
+
+
+def _overview(
+    scored: Sequence[RunScores], runs: Sequence[Path], floors: Mapping[str, NullFloors], *, out: Path | None
+) -> None:
+    from carecontact.cli.overview import print_floors, print_overview
+    from carecontact.reports.overview import overview, overview_json
+
+    found = overview(scored) if len(scored) > 2 else None
+    if found is not None:
+        print_overview(found, runs)
+    for letter, of_run in floors.items():
+        print_floors(of_run, letter if len(scored) > 1 else "")
+    if out is not None:
+        print(f"overview: {_write(overview_json(found, floors), out / OVERVIEW)}")
+
+
+def read_scores(run: Path) -> RunScores:
     """Recomputed where there are recordings, else as results.json has them."""
     from carecontact.scoring import read_results, score_run
 
@@ -57,14 +96,13 @@ def _scores(run: Path) -> RunScores:
     raise ConfigError(f"{run}: holds neither recordings (*.h5) nor {RESULTS}; name the --out of a run")
 
 
-def _write(comparison: Comparison, out: Path) -> Path:
+def _write(content: Mapping[str, Any], path: Path) -> Path:
     from carecontact.recording.writer import replace_file
-    from carecontact.reports.comparison import comparison_json
 
-    out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(comparison_json(comparison), sort_keys=True, indent=1, allow_nan=False)
-    replace_file(out / COMPARISON, f"{text}\n".encode("ascii"))
-    return out / COMPARISON
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(content, sort_keys=True, indent=1, allow_nan=False)
+    replace_file(path, f"{text}\n".encode("ascii"))
+    return path
 
 
 def _print(comparison: Comparison, a: Path, b: Path) -> None:
@@ -148,10 +186,10 @@ def _rate_cells(line: RateLine) -> list[str]:
         rate(line.b.estimate, line.b.low, line.b.high),
         rate(line.difference.estimate, line.difference.low, line.difference.high),
         str(line.n_pairs),
-        _p(line.test.pvalue),
-        _p(line.p_holm),
+        p_text(line.test.pvalue),
+        p_text(line.p_holm),
         NOT_DEFINED,
-        _p(line.unpaired.pvalue),
+        p_text(line.unpaired.pvalue),
     ]
 
 
@@ -169,14 +207,14 @@ def _score_cells(line: ScoreLine) -> list[str]:
         *(f"{shown(m.estimate)}{f' (n={m.n_valid})' * (m.n_valid != m.n)}" for m in (line.a, line.b)),
         f"{shown(found.estimate)}{interval}",
         f"{found.n} of {line.n_pairs}" if found.n != line.n_pairs else str(found.n),
-        _p(line.test.pvalue),
-        _p(line.p_holm),
-        _p(line.worst_rank.pvalue),
-        _p(None if line.unpaired is None else line.unpaired.pvalue),
+        p_text(line.test.pvalue),
+        p_text(line.p_holm),
+        p_text(line.worst_rank.pvalue),
+        p_text(None if line.unpaired is None else line.unpaired.pvalue),
     ]
 
 
-def _p(value: float | None) -> str:
+def p_text(value: float | None) -> str:
     if value is None:
         return "NA"
     return f"{value:.3f}" if value >= 0.001 else f"{value:.1e}"

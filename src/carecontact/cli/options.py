@@ -118,34 +118,36 @@ class Report:
     """Write report.html of a run again."""
 
     folder: Folder
+    null: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")] = ()
+    """Runs of null arms on the same protocol, to be set beside this one as false-positive rates."""
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
         from carecontact.cli.score import report
 
-        return report(self.folder)
+        return report(self.folder, nulls=self.null)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Compare:
-    """Compare two runs of one protocol, trial by trial: what differs, and what could not have been seen. See
-    docs/statistics.md."""
+    """Compare runs of one protocol. Two: trial by trial, what differs and what could not have been seen. More: rates,
+    every pair, and whether their ranking survives other gates. See docs/statistics.md."""
 
-    a: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_A")]
-    """Folder of a run, or its results.json alone."""
-    b: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_B")]
-    """The other one; differences are A minus B."""
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN_A [RUN_B ...]")]
+    """Folders of runs, or their results.json alone; differences are A minus B."""
+    null: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")] = ()
+    """Runs of null arms: what they pass, beside each run; with them one run is enough."""
     per_task: Switch = False
-    """A table for each task too; they are a family of their own."""
+    """A table for each task too; they are a family of their own. For two runs."""
     out: Path | None = None
-    """Folder for comparison.json; default: none is written."""
+    """Folder for comparison.json (two runs) and overview.json (more, or null arms); default: none is written."""
 
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
         from carecontact.cli.compare import compare
 
-        return compare(self.a, self.b, per_task=self.per_task, out=self.out)
+        return compare(self.runs, nulls=self.null, per_task=self.per_task, out=self.out)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -82,19 +82,26 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
     return run
 
 
-def report(folder: Path, *, run: RunScores | None = None) -> int:
-    """``run``: the folder's scores if they are known already."""
+def report(folder: Path, *, run: RunScores | None = None, nulls: Sequence[Path] = ()) -> int:
+    """``run``: the folder's scores if they are known already; ``nulls``: runs of null arms to set beside it."""
     from carecontact.recording import read_recording
     from carecontact.reports.html import write_report
     from carecontact.scoring import score_run
 
     _need_recordings(folder)
     run = run or score_run(folder)
+    floors = None
+    if nulls:
+        from carecontact.cli.compare import read_scores
+        from carecontact.reports.null_floors import null_floors
+
+        floors = null_floors(run, [read_scores(path) for path in nulls])
     path = write_report(
         folder,
         scores=run.scores,
         recordings=lambda trial_id: read_recording(folder / f"{trial_id}.h5"),
         skipped=run.skipped,
+        floors=floors,
     )
     print(f"report: {path}")
     return 0

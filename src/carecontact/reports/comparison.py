@@ -58,8 +58,8 @@ def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False) -> Compa
     Trials in which the harness failed are in no pair and no count. Raises ConfigError, naming what differs, if the
     runs must not be compared: another protocol, overrides, definitions or world, or no task and seed in common.
     """
-    _check_comparable(a.scores, b.scores)
-    of_a, of_b = _by_task_and_seed(a.scores), _by_task_and_seed(b.scores)
+    check_comparable({"A": a.scores, "B": b.scores})
+    of_a, of_b = trials_by_key(a.scores), trials_by_key(b.scores)
     keys = sorted(of_a.keys() & of_b.keys())
     if not keys:
         raise ConfigError(
@@ -110,19 +110,32 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
         "power": POWER,
         **asdict(comparison),
     }
-    return {key: _plain(value) for key, value in content.items()}
+    return {key: plain(value) for key, value in content.items()}
 
 
-def _check_comparable(a: Sequence[TrialScore], b: Sequence[TrialScore]) -> None:
-    for name, scores in (("A", a), ("B", b)):
+def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
+    """Raises ConfigError, naming the runs and what differs, unless all ran one protocol, same overrides, in one world,
+    were scored by the same definitions, and have a trial that says something about the policy.
+
+    Args:
+        runs: name for messages -> scores.
+    """
+    for name, scores in runs.items():
         check_one_run(scores)
         if not judged(scores):
             raise ConfigError(f"run {name} has no trial that says anything about its policy; compare scored runs")
+    (reference, scores), *others = runs.items()
+    for name, other in others:
+        _check_two(reference, scores, name, other)
+
+
+def _check_two(name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[TrialScore]) -> None:
     first, other = a[0], b[0]
     if first.protocol_sha256 != other.protocol_sha256 or first.overrides != other.overrides:
         told = [f"{s.protocol_title} ({s.protocol_sha256[:12]})" for s in (first, other)]
         raise ConfigError(
-            f"A ran {told[0]}, B ran {told[1]}: only runs of one protocol, same overrides, can be compared"
+            f"{name_a} ran {told[0]}, {name_b} ran {told[1]}: "
+            "only runs of one protocol, same overrides, can be compared"
         )
     if first.metric_versions != other.metric_versions:
         keys = sorted(
@@ -131,17 +144,21 @@ def _check_comparable(a: Sequence[TrialScore], b: Sequence[TrialScore]) -> None:
             if first.metric_versions.get(key) != other.metric_versions.get(key)
         )
         told = ", ".join(f"{k} {first.metric_versions.get(k)} and {other.metric_versions.get(k)}" for k in keys)
-        raise ConfigError(f"A and B are scored by different definitions ({told}): score both again with one release")
+        raise ConfigError(
+            f"{name_a} and {name_b} are scored by different definitions ({told}): score both again with one release"
+        )
     found = world_difference([*judged(a), *judged(b)])
     if found is not None:
         what, one, two = found
         raise ConfigError(
-            f"A and B are of different worlds: {what} {one.world[what][:12]} ({one.trial_id} of A) and "
-            f"{two.world[what][:12]} ({two.trial_id} of B); run both with one release and one robot"
+            f"{name_a} and {name_b} are of different worlds: {what} {one.world[what][:12]} ({one.trial_id} of "
+            f"{name_a}) and {two.world[what][:12]} ({two.trial_id} of {name_b}); run both with one release and one "
+            "robot"
         )
 
 
-def _by_task_and_seed(scores: Iterable[TrialScore]) -> dict[tuple[str, int], TrialScore]:
+def trials_by_key(scores: Iterable[TrialScore]) -> dict[tuple[str, int], TrialScore]:
+    """(task, seed) -> its trial, of those that are ``judged``."""
     return {(s.task_id, s.seed): s for s in judged(scores)}
 
 
@@ -177,11 +194,12 @@ def _info(run: RunScores) -> RunInfo:
     )
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """For JSON: tuples as lists, and no infinity or NaN."""
     if isinstance(value, dict):
-        return {key: _plain(inner) for key, inner in value.items()}
+        return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
+        return [plain(inner) for inner in value]
     if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
         return None
     return value

@@ -18,6 +18,7 @@ from carecontact.reports.funnel import Step, funnel, funnel_svg
 from carecontact.reports.gate_figures import gamma_svg, gate_panels
 from carecontact.reports.limit_rows import limit_rows
 from carecontact.reports.load import load, rounded
+from carecontact.reports.null_floors import NullFloors
 from carecontact.reports.provenance import cannot_say, provenance_rows
 from carecontact.reports.table import COLUMNS, POOLED, sorted_scores, summary_rows
 from carecontact.scoring.aggregate import quadrants, valid_ratio
@@ -37,12 +38,14 @@ def write_report(
     scores: Sequence[TrialScore],
     recordings: Callable[[str], Recording],
     skipped: Mapping[str, str],
+    floors: NullFloors | None = None,
 ) -> Path:
     """Write ``run_folder/report.html`` and return its path.
 
     ``recordings`` maps a trial id to its recording; it is called once for each trial shown in detail and the result
     is dropped before the next, so a long run needs the memory of one. A recording that raises RecordingError is
     named on the page, not fatal. ``skipped`` maps trial ids or file names to why they have no score.
+    ``floors``: null arms to be set beside the run; None: the page says that there are none.
     Trials in which the harness failed are listed in a box of their own and are in no count, row or picture.
     Raises ConfigError if the scores mix protocols, policies or worlds.
     """
@@ -100,11 +103,12 @@ def write_report(
             rounded=rounded,
             gamma_svg=gamma_svg(ordered, gamma=gamma),
             panels=gate_panels(ordered, protocol),
+            floors=floors,
             modes=failure_modes(ordered),
             causes=causes(ordered),
             anatomy=anatomy(ordered),
             failed=sum(not s.region_correct for s in ordered),
-            limits=cannot_say(everything, headers, steps, len(skipped)),
+            limits=cannot_say(everything, headers, steps, len(skipped), null_arms=floors is not None),
             provenance=provenance_rows(ordered or everything, headers),
             read=len(headers),
             skipped=[(name, _inside(run_folder, why)) for name, why in sorted(skipped.items())],

@@ -107,7 +107,7 @@ Line = RateLine | ScoreLine
 
 def paired_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Sequence[TrialScore]) -> list[Line]:
     """A line for each outcome over these pairs, without verdicts; Push's own only where there are Push pairs."""
-    lines: list[Line] = [_rate_line(outcome, pairs, every_a, every_b) for outcome in RATES]
+    lines: list[Line] = [*rate_lines(pairs, every_a, every_b)]
     for outcome in SCORES:
         kept = [p for p in pairs if p[0].action == "push"] if outcome.push_only else pairs
         if kept:
@@ -115,6 +115,11 @@ def paired_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: 
             of_b = [s for s in every_b if s.action == "push" or not outcome.push_only]
             lines.append(_score_line(outcome, kept, of_a, of_b))
     return lines
+
+
+def rate_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Sequence[TrialScore]) -> list[RateLine]:
+    """The lines of success, region-correct and safety-gated alone, without verdicts."""
+    return [_rate_line(outcome, pairs, every_a, every_b) for outcome in RATES]
 
 
 def _rate_line(

@@ -44,9 +44,9 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
 
 
 def cannot_say(
-    scores: Sequence[TrialScore], headers: Sequence[Header], steps: Sequence[Step], skipped: int
+    scores: Sequence[TrialScore], headers: Sequence[Header], steps: Sequence[Step], skipped: int, *, null_arms: bool
 ) -> list[tuple[str, str]]:
-    """Topic and sentence, each computed from this run."""
+    """Topic and sentence, each computed from this run. ``null_arms``: whether some are set beside it."""
     out: list[tuple[str, str]] = []
     if steps:
         last = steps[-1]
@@ -75,6 +75,14 @@ def cannot_say(
             ("Draft protocol", "The protocol is not frozen: its numbers may still change and must not be compared.")
         )
     out += _extrapolation(scores)
+    if steps and not null_arms:
+        out.append(
+            (
+                "No null arms",
+                "What a policy passes that cannot do the task is not on this page; run zero-action, hover, random and "
+                "replay with the same seeds and name them with carecontact report DIR --null RUN...",
+            )
+        )
     if skipped:
         out.append(("Missing trials", f"{skipped} trial(s) could not be scored; every count above leaves them out."))
     out.append(
