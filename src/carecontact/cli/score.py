@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, DependencyError
 from carecontact.trials.manifest import read_manifest
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def score(folder: Path, *, jobs: int | None = None) -> int:
 
 def append(folder: Path) -> int:
     """Add what results.json lacks; an error leaves it as it was."""
-    from carecontact.scoring import append_metrics
+    from carecontact.scoring import append_metrics, read_results
 
     _need_recordings(folder)
     found = append_metrics(folder)
@@ -42,6 +42,8 @@ def append(folder: Path) -> int:
     if found.not_listed:
         print(f"not in {RESULTS}, score without --append to take them in: {', '.join(found.not_listed)}")
     print(f"scores: {found.path}")
+    if found.metrics:
+        print(write_table(folder, read_results(found.path).scores))
     return 0
 
 
@@ -79,7 +81,20 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
             planned = len(manifest.trials)
             print(f"{planned - len(absent)} of {planned} planned trials scored; not: {', '.join(absent)}")
     print(f"scores: {path}" if path else f"nothing could be scored; {RESULTS} was not written")
+    if path is not None:
+        print(write_table(folder, run.scores))
     return run
+
+
+def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:
+    """Write results.parquet where that can be done; a line on what became of it."""
+    from carecontact.reports.trial_table import TABLE_NAME, write_trial_table
+
+    try:
+        return f"table: {write_trial_table(folder, scores)}"
+    except DependencyError as error:
+        stale = f"; the {TABLE_NAME} there is of an earlier scoring" if (folder / TABLE_NAME).exists() else ""
+        return f"no table: {error}{stale}"
 
 
 def report(folder: Path, *, run: RunScores | None = None, nulls: Sequence[Path] = ()) -> int:

@@ -1,0 +1,92 @@
+"""``results.parquet``: one row a trial, for data frames and SQL. Needs the extra ``tables``."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin
+
+from carecontact.errors import DependencyError
+from carecontact.recording.writer import replace_file
+from carecontact.reports.table import sorted_scores
+from carecontact.scoring.metric import METRICS
+from carecontact.scoring.result import TrialScore
+
+TABLE_NAME = "results.parquet"
+UNIT_SUFFIX = {"1": "", "N": "_n", "N s": "_ns", "N/s": "_n_s", "s": "_s", "J": "_j", "m": "_m", "rad": "_rad"}
+"""Unit of a metric -> end of its column's name."""
+NEEDS = f"{TABLE_NAME} needs pyarrow: pip install 'carecontact[tables]'"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    name: str
+    """The unit is its end, as in ``c1_peak_force_n``; without one it is a plain number."""
+    kind: type[str] | type[float] | type[int] | type[bool]
+    value: Callable[[TrialScore], Any]
+    """None: null."""
+
+
+def columns(scores: Sequence[TrialScore]) -> list[Column]:
+    """Every field of a score that is one value, what tells worlds apart, and the further metrics that any trial has."""
+    found = [
+        Column(name=name, kind=kind, value=lambda s, name=name: getattr(s, name))
+        for name, field in TrialScore.model_fields.items()
+        if (kind := _scalar(field.annotation)) is not None
+    ]
+    found += [
+        Column(name="is_judged", kind=bool, value=lambda s: s.is_judged),
+        Column(name="protocol_title", kind=str, value=lambda s: s.protocol_title),
+        Column(name="mujoco_version", kind=str, value=lambda s: s.world.get("mujoco")),
+    ]
+    further = sorted({id_ for s in scores for id_ in s.additional})
+    return found + [
+        Column(name=metric_column(id_), kind=float, value=lambda s, id_=id_: s.additional.get(id_)) for id_ in further
+    ]
+
+
+def metric_column(id_: str) -> str:
+    """``impulse@1`` -> ``metric_impulse_v1_ns``: SQL wants no @, and the version stays."""
+    name, _, version = id_.partition("@")
+    unit = METRICS[id_].unit if id_ in METRICS else "1"
+    return f"metric_{name}_v{version or '0'}{UNIT_SUFFIX.get(unit, '')}"
+
+
+def write_trial_table(folder: Path | str, scores: Sequence[TrialScore]) -> Path:
+    """Write ``results.parquet`` into ``folder`` at once, rows by task and seed. Returns its path.
+
+    Raises DependencyError, saying what installs it, without pyarrow.
+    """
+    try:
+        arrow, parquet = _pyarrow()
+    except ModuleNotFoundError:
+        raise DependencyError(NEEDS) from None
+    types_of = {str: arrow.string(), float: arrow.float64(), int: arrow.int64(), bool: arrow.bool_()}
+    rows, fields = sorted_scores(scores), columns(scores)
+    table = arrow.table(
+        [arrow.array([c.value(s) for s in rows], type=types_of[c.kind]) for c in fields],
+        schema=arrow.schema([arrow.field(c.name, types_of[c.kind]) for c in fields]),
+    )
+    buffer = BytesIO()
+    parquet.write_table(table, buffer)
+    path = Path(folder) / TABLE_NAME
+    replace_file(path, buffer.getvalue())
+    return path
+
+
+def _pyarrow() -> tuple[Any, Any]:
+    return import_module("pyarrow"), import_module("pyarrow.parquet")
+
+
+def _scalar(annotation: Any) -> type[str] | type[float] | type[int] | type[bool] | None:
+    """Of ``float``, ``float | None`` or a Literal of strings; None for what is no single value."""
+    if get_origin(annotation) in (Union, types.UnionType):
+        kinds = {_scalar(part) for part in get_args(annotation) if part is not type(None)}
+        return kinds.pop() if len(kinds) == 1 else None
+    if get_origin(annotation) is Literal:
+        return str
+    return annotation if annotation in (str, float, int, bool) else None
