@@ -192,7 +192,7 @@ def test_variation_that_is_off_is_no_word_of_the_protocol() -> None:
 
 @pytest.mark.parametrize(
     "varied", [{"appearance": "varied-v1"}, {"light": "varied-v1"}, {"depth_noise": "structured-light-v1"},
-               {"encoder_noise_rad": 0.003}]
+               {"encoder_noise_rad": 0.003}, {"place_along_m": 0.01}, {"place_across_m": 0.01}, {"place_yaw_deg": 1.0}]
 )  # fmt: skip
 def test_variation_that_is_on_is_part_of_the_protocol(varied: dict[str, object]) -> None:
     protocol = load_protocol()
@@ -201,7 +201,13 @@ def test_variation_that_is_on_is_part_of_the_protocol(varied: dict[str, object])
     assert Protocol.model_validate_json(other.model_dump_json()) == other
 
 
-@pytest.mark.parametrize("wrong", [{"appearance": "other"}, {"encoder_noise_rad": -1}, {"colour": "red"}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"appearance": "other"}, {"encoder_noise_rad": -1}, {"colour": "red"}, {"place_along_m": 40.0},
+        {"place_across_m": -0.01}, {"place_yaw_deg": 90.0},
+    ],
+)  # fmt: skip
 def test_unknown_variations_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValidationError, match="variation"):
         Protocol.model_validate({**load_protocol().model_dump(mode="json"), "variation": wrong})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from carecontact.contract.policy import CAMERAS
-from carecontact.contract.protocol import Protocol
+from carecontact.contract.protocol import Protocol, Variation
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol, shipped_protocols
 from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
 from carecontact.world.human.body import body_names
@@ -85,6 +85,14 @@ def test_target_period_and_filters_fit_the_physics_step(protocol: Protocol) -> N
     nyquist_hz = 0.5 / protocol.physics.dt_s
     assert max(protocol.contact.filter_hz, protocol.contact.peak_filter_hz) < nyquist_hz
     assert 2 * protocol.contact.stroke_filter_hz < protocol.contact.stroke_sample_hz
+
+
+def test_the_moved_protocol_is_the_draft_with_other_places() -> None:
+    moved, draft = load_protocol("bathing-moved-v1-draft"), load_protocol("bathing-v1-draft")
+    assert draft.variation == Variation()
+    assert moved.variation == Variation(place_along_m=0.04, place_across_m=0.03, place_yaw_deg=5.0)
+    same = {"id": draft.id, "description": draft.description, "variation": draft.variation}
+    assert moved.model_copy(update=same) == draft
 
 
 # -- bathing-v1: what the written definition of the benchmark says ---------------------------------------------------

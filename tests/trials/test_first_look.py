@@ -26,8 +26,9 @@ class Once:
 
 def test_it_is_what_the_trial_shows_with_every_variation_on(tmp_path: Path) -> None:
     variation = Variation(
-        appearance="varied-v1", light="varied-v1", depth_noise="structured-light-v1", encoder_noise_rad=0.003
-    )
+        appearance="varied-v1", light="varied-v1", depth_noise="structured-light-v1", encoder_noise_rad=0.003,
+        place_along_m=0.04, place_across_m=0.03, place_yaw_deg=5.0,
+    )  # fmt: skip
     protocol = load_protocol().model_copy(update={"variation": variation})
     (tmp_path / "look_once.py").write_text(POLICY)
     spec = TrialSpec(protocol=protocol, task_id="T1", seed=2, policy="look_once:Once")

@@ -63,7 +63,7 @@ class Randomization(Section):
 
 
 class Variation(Section):
-    """What else a seed changes in what is seen; by default nothing. Contact and motion of the person stay."""
+    """What else a seed changes; by default nothing. Contact and motion of the person against the bed stay."""
 
     appearance: Literal["baked", "varied-v1"] = "baked"
     """Skin tone, clothes and hair: the body's own, or drawn (``world.human.appearance``)."""
@@ -73,6 +73,12 @@ class Variation(Section):
     """``observation.sensor_noise``"""
     encoder_noise_rad: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """Standard deviation, every joint and reading on its own; joint speeds stay."""
+    place_along_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """The person, with pillow and arm board, lies elsewhere on the bed: uniform up to so far either way along it."""
+    place_across_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """The same across the bed."""
+    place_yaw_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
+    """The same, turned about the vertical through the right shoulder (``world.place``)."""
 
 
 class Impedance(Section):

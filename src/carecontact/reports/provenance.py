@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from carecontact.contract.protocol import Variation
 from carecontact.recording.schema import Header
 from carecontact.reports.funnel import Step
 from carecontact.reports.table import percent
@@ -62,14 +63,7 @@ def cannot_say(
     if bodies:
         count = "One body" if len(bodies) == 1 else f"{len(bodies)} bodies"
         out.append((count, f"Only {', '.join(bodies)} was touched; other builds, ages and skins are not covered."))
-    angles = sorted({h.spec.protocol.randomization.comfort_arm_deg for h in headers})
-    if angles:
-        spans = ", ".join(f"{low:g}–{high:g}°" for low, high in angles)
-        measured = [h.comfort_arm_deg for h in headers if h.comfort_arm_deg is not None]
-        seen = f"; in the recordings read it was {_range(measured)}°" if measured else ""
-        out.append(
-            ("One angle family", f"Between seeds only the comfort-arm angle changes (drawn from {spans}{seen}).")
-        )
+    out += _variation(headers)
     if any(not h.spec.protocol.frozen for h in headers):
         out.append(
             ("Draft protocol", "The protocol is not frozen: its numbers may still change and must not be compared.")
@@ -89,6 +83,35 @@ def cannot_say(
         ("Simulation", "These are forces on a simulated person. They are no statement on comfort, pain or injury.")
     )
     return out
+
+
+def _variation(headers: Sequence[Header]) -> list[tuple[str, str]]:
+    """What a seed changes, and so what the trials of a task can differ in."""
+    angles = sorted({h.spec.protocol.randomization.comfort_arm_deg for h in headers})
+    if not angles:
+        return []
+    spans = ", ".join(f"{low:g}–{high:g}°" for low, high in angles)
+    measured = [h.comfort_arm_deg for h in headers if h.comfort_arm_deg is not None]
+    seen = f"; in the recordings read it was {_range(measured)}°" if measured else ""
+    angle = f"the comfort-arm angle (drawn from {spans}{seen})"
+    more = sorted({text for h in headers for text in _varied(h.spec.protocol.variation)})
+    if not more:
+        text = f"Between seeds only {angle} changes, so that actions repeated blindly may pass: see the null arms."
+        return [("One angle family", text)]
+    return [("What seeds change", f"Between seeds {angle} changes and {', '.join(more)}; nothing else is covered.")]
+
+
+def _varied(variation: Variation) -> list[str]:
+    along, across, yaw = 1000 * variation.place_along_m, 1000 * variation.place_across_m, variation.place_yaw_deg
+    place = f"up to {along:g} mm along, {across:g} mm across and {yaw:g}° of yaw either way"
+    texts = {
+        f"the person's place on the bed ({place})": any((along, across, yaw)),
+        "appearance": variation.appearance != "baked",
+        "light": variation.light != "fixed",
+        "depth noise": variation.depth_noise != "none",
+        "encoder noise": variation.encoder_noise_rad > 0,
+    }
+    return [text for text, on in texts.items() if on]
 
 
 def _extrapolation(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:

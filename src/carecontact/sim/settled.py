@@ -1,8 +1,8 @@
 """Settled persons kept between trials: lying down takes longer than loading where it ended.
 
-A file is named by all that the settled state depends on: the compiled model, the comfort angle, the settling rules and
-MuJoCo's version. A trial continues from the stored state in the same way whether it was just computed or read, so the
-recording is the same bit for bit.
+A file is named by all that the settled state depends on: the compiled model, the comfort angle, the place on the bed,
+the settling rules and MuJoCo's version. A trial continues from the stored state in the same way whether it was just
+computed or read, so the recording is the same bit for bit.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from carecontact.sim.simulation import Settled, Simulation
+from carecontact.world.place import place_in_model
 
 CACHE_VARIABLE = "CARECONTACT_CACHE"
 """Environment variable with the folder; empty: keep nothing."""
@@ -59,7 +60,7 @@ def _key(simulation: Simulation, comfort_arm_deg: float, model_sha256: str) -> s
     facts = {
         "model": model_sha256, "mujoco": mujoco.__version__, "comfort_arm_deg": comfort_arm_deg.hex(),
         "phases": protocol.phases.model_dump(mode="json"), "target_period_s": protocol.physics.target_period_s,
-        "parked": protocol.scene.parked_joint_rad,
+        "parked": protocol.scene.parked_joint_rad, "place": [v.hex() for v in place_in_model(simulation.model)],
     }  # fmt: skip
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from carecontact.contract.protocol import Protocol
 from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Settled, Simulation
-from carecontact.trials.randomization import comfort_arm_deg, dress
+from carecontact.trials.randomization import comfort_arm_deg, dress, lay
 from carecontact.world.scene import build_scene
 
 
@@ -15,8 +15,10 @@ def settled_world(protocol: Protocol, *, task_id: str, seed: int) -> tuple[Simul
     Raises SceneError or SettleError.
     """
     scene = build_scene(protocol, target=protocol.task(task_id).region)
-    # Before anything is changed: looks are the seed's, settling writes the seed's rest angles, a policy its stiffness.
+    # Before anything is changed: looks and place are the seed's, settling writes the seed's rest angles, a policy its
+    # stiffness.
     model_sha256 = scene.model_sha256
     dress(scene, seed)
+    lay(scene, seed)
     simulation = Simulation(scene)
     return simulation, settle(simulation, comfort_arm_deg(protocol, seed), model_sha256=model_sha256), model_sha256

@@ -10,9 +10,10 @@ from carecontact.contract.protocol import Protocol
 from carecontact.observation.sensor_noise import SensorNoise
 from carecontact.world.human.appearance import draw_appearance, wear
 from carecontact.world.light import draw_light, shine
+from carecontact.world.place import draw_place, move_person
 from carecontact.world.scene import Scene
 
-STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light")
+STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "place")
 """In the order of the seed's children: a new one goes to the end."""
 
 
@@ -38,6 +39,16 @@ def dress(scene: Scene, seed: int) -> None:
         wear(scene.model, scene.body, draw_appearance(stream["appearance"]))
     if protocol.variation.light == "varied-v1":
         shine(scene.model, draw_light(stream["light"]))
+
+
+def lay(scene: Scene, seed: int) -> None:
+    """Put the person of a compiled scene where its protocol varies the place with the seed.
+
+    Once, and before the person settles.
+    """
+    variation = scene.protocol.variation
+    if variation.place_along_m or variation.place_across_m or variation.place_yaw_deg:
+        move_person(scene.model, draw_place(streams(scene.protocol, seed)["place"], variation))
 
 
 def sensor_noise(protocol: Protocol, seed: int) -> SensorNoise:

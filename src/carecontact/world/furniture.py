@@ -11,6 +11,8 @@ from carecontact.world.human.pose import BOARD_HEIGHT_M
 BED_TOUCH = {"contype": 0, "conaffinity": 3}
 LOOK_ONLY = {"contype": 0, "conaffinity": 0}
 PILLOW_HEIGHT_M = 0.045
+SUPPORT = "bed_support"
+"""A body that rests on the bed and holds what moves with the person: pillow and arm board."""
 FURNITURE_GROUP = 0
 """Geoms of the empty cell and no others: what a camera sees of it is part of the cell's calibration."""
 
@@ -19,6 +21,7 @@ BOX, CYLINDER, ELLIPSOID = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLI
 
 def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float, head_y: float) -> None:
     world = spec.worldbody
+    support = world.add_body(name=SUPPORT)
     top = scene.mattress_top_m
     linen, wood, steel = [0.80, 0.86, 0.90, 1], [0.62, 0.50, 0.38, 1], [0.42, 0.44, 0.48, 1]
     soft = {
@@ -29,8 +32,11 @@ def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float, head_y: f
         "priority": 1,
     }
 
-    def add(name: str, kind: mujoco.mjtGeom, size: list[float], pos: list[float], rgba: list[float], **kwargs) -> None:
-        world.add_geom(
+    def add(
+        name: str, kind: mujoco.mjtGeom, size: list[float], pos: list[float], rgba: list[float],
+        to: mujoco.MjsBody = world, **kwargs,
+    ) -> None:  # fmt: skip
+        to.add_geom(
             name=name, type=kind, size=size, pos=pos, rgba=rgba, **{"group": FURNITURE_GROUP, **LOOK_ONLY, **kwargs}
         )
 
@@ -44,17 +50,31 @@ def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float, head_y: f
     for a in (-0.95, 0.95):
         for b in (-0.40, 0.40):
             add(f"bed_leg_{a}_{b}", CYLINDER, [0.025, (top - 0.22) / 2, 0], [a, b, (top - 0.22) / 2], steel)
-    add("bed_pillow", ELLIPSOID, [0.16, 0.27, 0.045], [head_x + 0.02, head_y, top + 0.012], [0.95, 0.95, 0.93, 1])
+    add(
+        "bed_pillow",
+        ELLIPSOID,
+        [0.16, 0.27, 0.045],
+        [head_x + 0.02, head_y, top + 0.012],
+        [0.95, 0.95, 0.93, 1],
+        support,
+    )
     add("bed_pillow_contact", BOX, [0.12, 0.2, PILLOW_HEIGHT_M / 2], [head_x + 0.02, head_y, top + PILLOW_HEIGHT_M / 2],
-        [0, 0, 0, 0], group=3, **soft, **BED_TOUCH)  # fmt: skip
+        [0, 0, 0, 0], support, group=3, **soft, **BED_TOUCH)  # fmt: skip
     low, high = np.array(scene.board_low_m), np.array(scene.board_high_m)
     middle, half = (low + high) / 2, (high - low) / 2
     board = {**soft, "friction": [scene.board_friction, 0.005, 0.0001], "priority": 2}
     thickness = BOARD_HEIGHT_M / 2
     add(
-        "bed_armboard", BOX, [*half, thickness], [*middle, top + thickness], [0.30, 0.46, 0.52, 1], **board, **BED_TOUCH
+        "bed_armboard",
+        BOX,
+        [*half, thickness],
+        [*middle, top + thickness],
+        [0.30, 0.46, 0.52, 1],
+        support,
+        **board,
+        **BED_TOUCH,
     )
-    add("bed_armboard_arm", BOX, [0.03, half[1] * 0.6, 0.015], [middle[0], middle[1], top - 0.015], steel)
+    add("bed_armboard_arm", BOX, [0.03, half[1] * 0.6, 0.015], [middle[0], middle[1], top - 0.015], steel, support)
 
 
 def add_light(spec: mujoco.MjSpec) -> None:

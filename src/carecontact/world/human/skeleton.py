@@ -18,6 +18,7 @@ from carecontact.world.human.shell import LIMB_SPAN, belly_half_width, belly_spa
 ROBOT_ONLY = {"contype": 0, "conaffinity": 1}
 BED_ONLY = {"contype": 2, "conaffinity": 0}
 HIDDEN_GROUP = 3
+ROOT_JOINT = "human_root"
 LIMB_REACH_M = 0.09
 """Surface nearer to a limb's axis than this is the limb's."""
 
@@ -54,7 +55,7 @@ def add_skeleton(
         at = body.joint_centre[segment]
         if parent is None:
             made = spec.worldbody.add_body(name=body_name(segment), pos=root_position, quat=root_quat)
-            made.add_freejoint(name="human_root")
+            made.add_freejoint(name=ROOT_JOINT)
         else:
             made = bodies[parent].add_body(name=body_name(segment), pos=at - body.joint_centre[parent])
         bodies[segment] = made

@@ -1,0 +1,69 @@
+"""Where on the bed the person lies: drawn by a seed, set in a compiled model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
+
+import mujoco
+import numpy as np
+
+from carecontact.contract.protocol import Variation
+from carecontact.world.furniture import SUPPORT
+from carecontact.world.human.pose import RIGHT_SHOULDER_M
+from carecontact.world.human.skeleton import ROOT_JOINT
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Against the protocol's own: first turned about the vertical through the right shoulder, then shifted.
+
+    About the shoulder, since that is where the person is laid beside the robot: far from it a turn moves the arm most.
+    """
+
+    along_m: float = 0.0
+    """Along the bed, to the head."""
+    across_m: float = 0.0
+    """To the person's right, which is towards the robot."""
+    yaw_deg: float = 0.0
+    """Seen from above, counter-clockwise."""
+
+
+def draw_place(rng: np.random.Generator, variation: Variation) -> Place:
+    """Each uniform between plus and minus what the protocol says; shares are drawn, so that a narrower range keeps the
+    order of the seeds, and none takes another's number."""
+    along, across, yaw = (float(share) for share in rng.uniform(-1.0, 1.0, 3))
+    return Place(
+        along_m=along * variation.place_along_m,
+        across_m=across * variation.place_across_m,
+        yaw_deg=yaw * variation.place_yaw_deg,
+    )
+
+
+def move_person(model: mujoco.MjModel, place: Place) -> None:
+    """Lay the person, pillow and arm board elsewhere in a compiled model; bed, robot and cameras stay.
+
+    Once, and before the person settles: it sets where a reset puts the person.
+    """
+    turn, at = np.zeros(4), np.array([*RIGHT_SHOULDER_M, 0.0])
+    mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0.0, 1.0]), radians(place.yaw_deg))
+    shift = np.array([place.along_m, place.across_m, 0.0])
+
+    def moved(position: np.ndarray, quat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        offset, turned = np.zeros(3), np.zeros(4)
+        mujoco.mju_rotVecQuat(offset, np.asarray(position, np.float64) - at, turn)
+        mujoco.mju_mulQuat(turned, turn, np.asarray(quat, np.float64))
+        return at + offset + shift, turned
+
+    support = model.body(SUPPORT)
+    support.pos[:], support.quat[:] = moved(support.pos, support.quat)
+    start = model.joint(ROOT_JOINT).qposadr[0]
+    root = model.qpos0[start : start + 7]
+    root[:3], root[3:] = moved(root[:3].copy(), root[3:].copy())
+
+
+def place_in_model(model: mujoco.MjModel) -> list[float]:
+    """(14,) poses of the person at a reset and of pillow and board: with the compiled model all that ``move_person``
+    decides."""
+    start, support = model.joint(ROOT_JOINT).qposadr[0], model.body(SUPPORT)
+    return [*model.qpos0[start : start + 7].tolist(), *support.pos.tolist(), *support.quat.tolist()]
