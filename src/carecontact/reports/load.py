@@ -13,7 +13,7 @@ from carecontact.stats import Median, median
 
 FIRST = (
     "impulse@1", "force_rate_p95@1", "exposure_comfort@1", "exposure_gate@1", "exposure_pain@1", "pain_utilisation@1",
-    "iso_utilisation@1", "shear_work@1", "beyond_calibrated@1",
+    "iso_utilisation@1", "shear_work@1", "beyond_calibrated@1", "force_predicted_r2@1",
 )  # fmt: skip
 """Order of the rows that this package gives; those of other packages follow by name."""
 

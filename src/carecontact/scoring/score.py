@@ -6,7 +6,7 @@ from math import isfinite
 
 from carecontact.errors import RecordingError
 from carecontact.recording import Recording, canonical_hash, check_recording
-from carecontact.scoring import exposure, force_rate, shear_work, utilisation
+from carecontact.scoring import exposure, force_predicted, force_rate, shear_work, utilisation
 from carecontact.scoring.attribution import attribute
 from carecontact.scoring.c1_peak_force import peak_force, peak_of_segments
 from carecontact.scoring.c2_joint_margin import joint_margin
@@ -23,7 +23,7 @@ from carecontact.scoring.streams import check_streams
 from carecontact.scoring.verdict import reach_verdict
 
 BUILT_IN = ("C1@1", "C2@1", "C3@1", "C4@1", "C5@1")
-ALSO_KEPT = (exposure, force_rate, shear_work, utilisation)
+ALSO_KEPT = (exposure, force_predicted, force_rate, shear_work, utilisation)
 """Files whose metrics are rows of METRICS and nothing else."""
 
 
