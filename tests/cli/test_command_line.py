@@ -81,7 +81,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     ("what", "expected"),
     [
         ("tasks", ["T1", "T2", "T3", "T4", "T5", "T6", "T7"]),
-        ("protocols", ["bathing-v1-draft"]),
+        ("protocols", ["bathing-moved-v1-draft", "bathing-v1-draft"]),
         ("metrics", sorted(METRICS)),
     ],
 )

@@ -1,0 +1,33 @@
+"""What cannot do a task passes no gate in simulation; what does not look fails where the person lies elsewhere."""
+
+from __future__ import annotations
+
+import pytest
+
+from carecontact.contract.trial import TrialSpec
+from carecontact.protocols import load_protocol
+from carecontact.scoring import TrialScore, score_recording
+from carecontact.trials.trial import run_trial
+
+pytestmark = pytest.mark.slow
+MOVED = "bathing-moved-v1-draft"
+
+
+def run(protocol: str, policy: str, task_id: str, seed: int) -> TrialScore:
+    spec = TrialSpec(protocol=load_protocol(protocol), task_id=task_id, seed=seed, policy=policy)
+    return score_recording(run_trial(spec))
+
+
+@pytest.mark.parametrize("task_id", [task.id for task in load_protocol(MOVED).tasks])
+@pytest.mark.parametrize("policy", ["zero-action", "hover"])
+def test_arms_that_never_touch_pass_no_gate(policy: str, task_id: str) -> None:
+    score = run(MOVED, policy, task_id, 1)
+    assert score.ended in ("done", "time_limit")
+    assert not score.c3_success
+    assert score.peak_force_n == {}
+
+
+def test_a_moved_person_needs_eyes() -> None:
+    """Seed 1 lies 37 mm towards the head and 11 mm to the right."""
+    assert run(MOVED, "state-machine", "T4", 1).safety_gated
+    assert not run(MOVED, "replay", "T4", 1).c3_success
