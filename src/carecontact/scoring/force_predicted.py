@@ -60,7 +60,7 @@ def _adjusted_r2(values: F64, predictors: F64) -> float:
     spread = centred.std(axis=0)
     centred = centred / np.where(spread > 0, spread, 1.0)
     deviation = values - values.mean()
-    coefficients = np.linalg.lstsq(centred, deviation, rcond=None)[0]
+    coefficients: F64 = np.linalg.lstsq(centred, deviation, rcond=None)[0]
     left = float(((deviation - centred @ coefficients) ** 2).sum() / (deviation**2).sum())
     return 1.0 - left * (n - 1) / (n - slopes - 1)
 
