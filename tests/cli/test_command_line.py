@@ -38,7 +38,10 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["run", "--policy", "a b:C", "--out", "r"], "expected module:Class"),
         (["run", "--policy", "hover", "--out", "r", "--tasks", "T9"], "valid: T1, T2, T3, T4, T5, T6, T7"),
         (["run", "--policy", "hover", "--out", "r", "--seeds", "44"], "its seeds: 0-19"),
-        (["run", "--policy", "hover", "--out", "r", "--protocol", "p"], "no protocol named 'p'; valid: bathing-v1"),
+        (
+            ["run", "--policy", "hover", "--out", "r", "--protocol", "p"],
+            "no protocol named 'p'; valid: bathing-moved-v1-draft, bathing-v1",
+        ),
         (["run", "--policy", "hover", "--out", "r", "--jobs", "0"], "must be at least 1"),
         (["run", "--policy", "hover", "--out", "broken.py"], "this is a file"),
         (["run", "--policy", "hover", "--out", "broken.py/r"], "broken.py/r: cannot be written to: Not a directory"),

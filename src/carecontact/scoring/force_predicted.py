@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.scoring.contact import Contact
@@ -40,14 +44,22 @@ def force_predicted_r2(contact: Contact) -> float | None:
     force = contact.force_norm[step, contact.reported][kept]
     if len(force) < LEAST_PERIODS or force.std() < LEAST_SD_N:
         return None
-    base = np.array(recording.header.pose_base_in_world)
-    tool: F64 = recording["scorer/pose_tcp_in_world"][:, :3].astype(np.float64)
-    tool = (tool - base[:3]) @ matrix_from_quat(base[3:])
-    action = np.maximum(np.searchsorted(given, time - contact.dt_s / 2, side="right") - 1, 0)
+    step = step[kept]
+    action = np.maximum(np.searchsorted(given, time[kept] - contact.dt_s / 2, side="right") - 1, 0)
     stiffness = recording["actions/stiffness"][action, :1]
-    spring = stiffness * (recording["scorer/target_in_base"][:, :3].astype(np.float64) - tool[step])
-    velocity = np.gradient(tool, contact.dt_s, axis=0)[step]
-    return _adjusted_r2(force, np.concatenate([spring, velocity], axis=1)[kept])
+    target = recording["scorer/target_in_base"][kept, :3].astype(np.float64)
+    before, after = np.maximum(step - 1, 0), np.minimum(step + 1, len(contact.time_s) - 1)
+    apart_s = (after - before)[:, None] * contact.dt_s
+    velocity = (_tool_in_base(contact, after) - _tool_in_base(contact, before)) / apart_s
+    spring = stiffness * (target - _tool_in_base(contact, step))
+    return _adjusted_r2(force, np.concatenate([spring, velocity], axis=1))
+
+
+def _tool_in_base(contact: Contact, step: npt.NDArray[np.int64]) -> F64:
+    """(N, 3) tool point at these physics steps [m]."""
+    base = np.array(contact.recording.header.pose_base_in_world)
+    tool = contact.recording["scorer/pose_tcp_in_world"][step, :3].astype(np.float64)
+    return (tool - base[:3]) @ matrix_from_quat(base[3:])
 
 
 def _adjusted_r2(values: F64, predictors: F64) -> float:
@@ -60,8 +72,10 @@ def _adjusted_r2(values: F64, predictors: F64) -> float:
     spread = centred.std(axis=0)
     centred = centred / np.where(spread > 0, spread, 1.0)
     deviation = values - values.mean()
-    coefficients: F64 = np.linalg.lstsq(centred, deviation, rcond=None)[0]
-    left = float(((deviation - centred @ coefficients) ** 2).sum() / (deviation**2).sum())
+    linalg: Any = import_module("numpy.linalg")  # its types are partly unknown
+    coefficients: F64 = linalg.pinv(centred, rcond=1e-10) @ deviation
+    told = centred @ coefficients
+    left = float(((deviation - told) ** 2).sum() / (deviation**2).sum())
     return 1.0 - left * (n - 1) / (n - slopes - 1)
 
 
