@@ -20,7 +20,7 @@ from carecontact.recording.perception import ARRAYS, JOINTS
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.trials.perception import PerceptionLog, iou, true_target
-from carecontact.world.furniture import FURNITURE_GROUP
+from carecontact.world.furniture import FURNITURE_GROUP, SUPPORT
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import build_scene
 
@@ -100,7 +100,8 @@ def test_calibration_knows_nothing_of_the_person(seen: tuple[Simulation, SceneRe
             np.testing.assert_array_equal(one.cell_depth(angles, camera), other.cell_depth(angles, camera))
             np.testing.assert_array_equal(one.robot_depth(angles, camera), other.robot_depth(angles, camera))
     shown = {model.body(int(b)).name for b in model.geom_bodyid[model.geom_group == FURNITURE_GROUP]}
-    assert shown == {"world"}
+    assert shown == {"world", SUPPORT}
+    assert model.body(SUPPORT).weldid == 0, "pillow and board stand where they were put, whatever the person does"
 
 
 def test_errors_are_measured_beside_the_observation(seen: tuple[Simulation, SceneRenderer, Observation]) -> None:
