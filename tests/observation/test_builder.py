@@ -16,11 +16,14 @@ from carecontact.observation.builder import (
     ObservationBuilder,
     RawView,
     assemble,
+    derive,
     derive_view,
 )
 from carecontact.observation.keypoints import KeyPoints
 from carecontact.observation.pointcloud import coloured_cloud, organised_points
 from carecontact.observation.sensor_noise import SensorNoise
+from carecontact.policies.wire import codec
+from carecontact.policies.wire.packing import pack
 from carecontact.protocols import load_protocol
 
 H, W = 48, 64
@@ -179,6 +182,24 @@ def test_a_privileged_key_is_refused(key: str) -> None:
         assemble({"instruction": "", key: 0}, {})
     with pytest.raises(ObservationError, match=f"camera overhead: {key}"):
         assemble({"instruction": ""}, {"overhead": {key: 0}})
+
+
+def test_readings_alone_give_the_observation_again() -> None:
+    renderer, card = FakeRenderer(), PolicyCard(name="test", modalities=MODALITIES)
+    made = ObservationBuilder(renderer, card, load_protocol(), FakeKeypoints())  # pyright: ignore[reportArgumentType]
+    assert made.raw is None
+    seen = made.build(None, instruction="touch", sim_time_s=0.5)  # pyright: ignore[reportArgumentType]
+    assert made.raw is not None
+    scene = load_protocol().scene
+    again = derive(
+        made.raw,
+        instruction="touch",
+        sim_time_s=0.5,
+        modalities=MODALITIES,
+        keypoints=FakeKeypoints(),
+        bed_height_in_base_m=scene.mattress_top_m - scene.robot_base_m[2],
+    )
+    assert pack(codec.encode_observation(again)) == pack(codec.encode_observation(seen))
 
 
 def test_noise_comes_before_everything_that_is_made_of_depth() -> None:

@@ -78,7 +78,7 @@ def test_a_conversation(launch: Launch) -> None:
     assert np.linalg.norm(first.pose_tcp_in_base[3:]) == pytest.approx(1.0, abs=1e-15)
     assert (last.stiffness, last.done) == ((200.0, 10.0), True)
     sent = pack({"type": "act", "observation": codec.encode_observation(observation)})
-    assert (reply.sent_sha256, reply.sent_bytes) == (hashlib.sha256(sent).digest(), len(sent))
+    assert (reply.sent_sha256, reply.sent) == (hashlib.sha256(sent).digest(), sent)
     assert process.act(observation).sent_sha256 == reply.sent_sha256
     process.close()
     process.close()

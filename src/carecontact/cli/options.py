@@ -266,6 +266,29 @@ class Look:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Audit:
+    """Try to catch the benchmark cheating: does anything that a policy is sent depend on what it must not know?"""
+
+    policy: tuple[str, ...] = ()
+    """Policies to audit (see `carecontact list policies`, or module:Class); default: every registered one."""
+    quick: Switch = False
+    """One region and short trials, for continuous integration; the full form takes minutes."""
+    body: str | None = None
+    """Another person than the protocol's (see `carecontact list bodies`)."""
+    protocol: str = "bathing-v1-draft"
+    """Id of a shipped protocol, or a .toml file."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/audit")
+    """Folder for audit.json."""
+
+    after_interrupt: ClassVar[str] = "; nothing was written"
+
+    def __call__(self) -> int:
+        from carecontact.cli.audit import audit
+
+        return audit(policies=self.policy, quick=self.quick, body=self.body, protocol=self.protocol, out=self.out)
+
+
+@dataclass(frozen=True, kw_only=True)
 class List:
     """What can be named on the command line."""
 
@@ -322,6 +345,7 @@ COMMANDS = {
     "validate": Validate,
     "calibrate": Calibrate,
     "look": Look,
+    "audit": Audit,
     "probe": Probe,
     "protocol": Protocols,
     "list": List,

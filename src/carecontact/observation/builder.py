@@ -78,6 +78,17 @@ class RawView:
     """Of the empty cell, known from calibration."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class RawReadings:
+    """All that one observation is made of, besides the instruction and the time."""
+
+    joint_position: F64
+    joint_velocity: F64
+    pose_tcp_in_base: F64
+    """(4, 4), which the robot's controller knows from its encoders."""
+    views: dict[str, RawView]
+
+
 def assemble(values: Mapping[str, Any], views: Mapping[str, Mapping[str, Any]]) -> Observation:
     """The allowlist: the only caller of Observation's constructor in a trial.
 
@@ -139,6 +150,33 @@ def derive_view(
     return view
 
 
+def derive(
+    raw: RawReadings,
+    *,
+    instruction: str,
+    sim_time_s: float,
+    modalities: tuple[str, ...],
+    keypoints: KeypointEstimator,
+    bed_height_in_base_m: float,
+) -> Observation:
+    """The observation that raw readings give; needs no simulator. Raises ObservationError as its parts do."""
+    pose = raw.pose_tcp_in_base
+    values = {
+        "instruction": instruction,
+        "sim_time_s": sim_time_s,
+        "joint_position": raw.joint_position,
+        "joint_velocity": raw.joint_velocity,
+        # The gripper is closed for good and has no actuator to read.
+        "gripper_position": np.zeros(1),
+        "pose_tcp_in_base": np.concatenate([pose[:3, 3], quat_from_matrix(pose[:3, :3])]),
+    }
+    views = {
+        camera: derive_view(view, modalities=modalities, keypoints=keypoints, bed_height_in_base_m=bed_height_in_base_m)
+        for camera, view in raw.views.items()
+    }
+    return assemble(values, views)
+
+
 class ObservationBuilder:
     """Builds the observation of one policy: renders what its card names, derives the rest, and reads the encoders."""
 
@@ -156,6 +194,8 @@ class ObservationBuilder:
         self._noise = noise or SensorNoise(Variation(), key=(), dt_s=protocol.physics.dt_s)
         self._bed_height_in_base_m = protocol.scene.mattress_top_m - protocol.scene.robot_base_m[2]
         self._images = {image for modality in card.modalities for image in IMAGES_FOR[modality]}
+        self.raw: RawReadings | None = None
+        """What the last observation was made of; for the audit, never for a policy."""
 
     def build(self, data: mujoco.MjData, *, instruction: str, sim_time_s: float) -> Observation:
         """``data`` is only read. Images show the last computed kinematics."""
@@ -163,26 +203,21 @@ class ObservationBuilder:
         angles = self._noise.joint_position(robot.joint_position(data), sim_time_s=sim_time_s)
         # What follows from the encoders follows from what they say.
         known = self._renderer.at_encoders(angles) if self._noise.on_encoders else data
-        pose = robot.pose_tcp_in_base(known)
-        values = {
-            "instruction": instruction,
-            "sim_time_s": sim_time_s,
-            "joint_position": angles,
-            "joint_velocity": robot.joint_velocity(data),
-            # The gripper is closed for good and has no actuator to read.
-            "gripper_position": np.zeros(1),
-            "pose_tcp_in_base": np.concatenate([pose[:3, 3], quat_from_matrix(pose[:3, :3])]),
-        }
-        views = {}
-        if self._card.modalities:
-            for camera in self._card.cameras:
-                views[camera] = derive_view(
-                    self.raw_view(data, camera, angles=angles, sim_time_s=sim_time_s),
-                    modalities=self._card.modalities,
-                    keypoints=self._keypoints,
-                    bed_height_in_base_m=self._bed_height_in_base_m,
-                )
-        return assemble(values, views)
+        cameras = self._card.cameras if self._card.modalities else ()
+        self.raw = RawReadings(
+            joint_position=angles,
+            joint_velocity=robot.joint_velocity(data),
+            pose_tcp_in_base=robot.pose_tcp_in_base(known),
+            views={c: self.raw_view(data, c, angles=angles, sim_time_s=sim_time_s) for c in cameras},
+        )
+        return derive(
+            self.raw,
+            instruction=instruction,
+            sim_time_s=sim_time_s,
+            modalities=self._card.modalities,
+            keypoints=self._keypoints,
+            bed_height_in_base_m=self._bed_height_in_base_m,
+        )
 
     def raw_view(self, data: mujoco.MjData, camera: str, *, angles: F64, sim_time_s: float) -> RawView:
         """``angles``: (7,) [rad] as the encoders give them."""

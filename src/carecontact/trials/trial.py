@@ -13,11 +13,12 @@ import mujoco
 import numpy as np
 
 from carecontact.contract.action import Action, ActionBounds, check_action
+from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ActionError, PolicyError
-from carecontact.observation.builder import ObservationBuilder
+from carecontact.observation.builder import ObservationBuilder, RawReadings
 from carecontact.observation.keypoints import MediaPipePose
 from carecontact.policies.process import PolicyProcess
 from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS, EndReason, Failure, Header, Recording
@@ -34,7 +35,17 @@ from carecontact.trials.versions import EMBODIMENT, package_versions
 from carecontact.world.robot import panda_sha256
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """One observation as the audit is shown it, after the policy has answered."""
+
+    observation: Observation
+    raw: RawReadings
+    sent: bytes
+    """The message in which the policy received it."""
 
 
 @dataclass
@@ -54,16 +65,31 @@ class _Peak:
     state: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
-def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> Recording:
-    """A policy's failure is part of the recording; what is raised is the harness's own (SceneError and its kin)."""
+def run_trial(
+    spec: TrialSpec,
+    *,
+    search_path: Sequence[str] | None = None,
+    prepare: Callable[[TrialSpec], tuple[Simulation, Settled, str]] | None = None,
+    on_look: Callable[[Look], None] | None = None,
+) -> Recording:
+    """A policy's failure is part of the recording; what is raised is the harness's own (SceneError and its kin).
+
+    Args:
+        search_path: where ``module:Class`` is looked for first.
+        prepare: gives the world at t = 0, as ``settled_world`` does; the audit has its own.
+        on_look: told after every answer what the policy was shown and what it was made of; nothing of it is kept here.
+    """
     started = time.monotonic()
     protocol = spec.protocol
-    simulation, settled, model_sha256 = settled_world(protocol, task_id=spec.task_id, seed=spec.seed)
+    if prepare is None:
+        simulation, settled, model_sha256 = settled_world(protocol, task_id=spec.task_id, seed=spec.seed)
+    else:
+        simulation, settled, model_sha256 = prepare(spec)
     scene = simulation.scene
     settled_wall = time.monotonic()
     if search_path is None:
         search_path = [p for p in os.environ.get(POLICY_PATH, "").split(os.pathsep) if p]
-    trial = _Trial(spec, simulation, settled)
+    trial = _Trial(spec, simulation, settled, on_look)
     with SceneRenderer(scene.model, protocol=protocol) as renderer:
         card, ended = trial.run(renderer, list(search_path))
         if trial.perception is not None:
@@ -89,8 +115,10 @@ def run_trial(spec: TrialSpec, *, search_path: Sequence[str] | None = None) -> R
 
 
 class _Trial:
-    def __init__(self, spec: TrialSpec, simulation: Simulation, settled: Settled) -> None:
-        self.spec, self.simulation = spec, simulation
+    def __init__(
+        self, spec: TrialSpec, simulation: Simulation, settled: Settled, on_look: Callable[[Look], None] | None
+    ) -> None:
+        self.spec, self.simulation, self.on_look = spec, simulation, on_look
         self.protocol: Protocol = spec.protocol
         self.task = self.protocol.task(spec.task_id)
         self.log = TrialLog(simulation, settled)
@@ -137,6 +165,8 @@ class _Trial:
                 reply = process.act(observation)
                 self.log.add_observation(observation, reply.sent_sha256)
                 self.perception.add(simulation.data, observation)
+                if self.on_look is not None and builder.raw is not None:
+                    self.on_look(Look(observation=observation, raw=builder.raw, sent=reply.sent))
                 queue.extend(reply.actions)
             action = self._checked(queue.popleft())
             if action.stiffness is not None and action.stiffness != stiffness:

@@ -27,9 +27,10 @@ MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA = 1009, 1002, 1007
 class ActReply:
     actions: list[Action]
     """1 to MAX_CHUNK, each through ``check_action``."""
+    sent: bytes
+    """The message that carried the observation: everything the policy was shown at this step."""
     sent_sha256: bytes
-    """(32,) digest of the message that carried the observation: everything the policy was shown at this step."""
-    sent_bytes: int
+    """(32,) digest of ``sent``"""
 
 
 class PolicyClient:
@@ -82,7 +83,7 @@ class PolicyClient:
             actions = [check_action(action, self._bounds) for action in codec.decode_actions(plain)]
         except ActionError as error:
             raise PolicyError("action", str(error)) from None
-        return ActReply(actions=actions, sent_sha256=hashlib.sha256(message).digest(), sent_bytes=len(message))
+        return ActReply(actions=actions, sent=message, sent_sha256=hashlib.sha256(message).digest())
 
     def say_goodbye(self, *, deadline_s: float) -> None:
         """Ask the policy to end; a policy that is gone already has."""

@@ -1,0 +1,95 @@
+"""Part (c): two worlds that differ only in what is hidden look the same until the tool touches."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carecontact.audit.differences import differences
+from carecontact.audit.finding import Finding, Part
+from carecontact.audit.watched import Watched
+from carecontact.contract.protocol import Protocol
+from carecontact.contract.trial import TrialSpec
+from carecontact.policies.wire.packing import unpack
+
+NAME, TITLE = "canary", "worlds with other hidden values until contact"
+OTHER_SEED = 48_611
+"""Added to the seed: no protocol has it."""
+CONTROL = "scorer/force_human_from_robot_in_world"
+
+
+def without_noise(protocol: Protocol) -> Protocol:
+    """Sensor noise is drawn from the seed by design; it would differ between the two worlds."""
+    quiet = protocol.variation.model_copy(update={"depth_noise": "none", "encoder_noise_rad": 0.0})
+    return protocol.model_copy(update={"variation": quiet})
+
+
+def other_hidden_values(spec: TrialSpec) -> TrialSpec:
+    """The same public trial with another seed, labels, thresholds, limits and tissue."""
+    protocol, task = spec.protocol, spec.protocol.task(spec.task_id)
+    renamed = task.model_copy(update={"id": "canary", "name": "Canary"})
+    tissue = {
+        region: row.model_copy(update={"a_n_m3": 2 * row.a_n_m3, "b_n_m4": 2 * row.b_n_m4, "c_n_m5": 2 * row.c_n_m5})
+        for region, row in protocol.person.tissue.items()
+    }
+    contact, gates, limits = protocol.contact, protocol.gates, protocol.limits
+    other = protocol.model_copy(
+        update={
+            "description": "canary",
+            "person": protocol.person.model_copy(update={"tissue": tissue, "tissue_set": "canary"}),
+            "tasks": [renamed if t.id == task.id else t for t in protocol.tasks],
+            "contact": contact.model_copy(
+                update={"on_n": 3 * contact.on_n, "valid_total_s": 2 * contact.valid_total_s}
+            ),
+            "gates": gates.model_copy(
+                update={"touch": gates.touch.model_copy(update={"duration_s": 2 * gates.touch.duration_s})}
+            ),
+            "limits": limits.model_copy(
+                update={"gamma": limits.gamma / 2, "f_pain_n": {k: 1.5 * v for k, v in limits.f_pain_n.items()}}
+            ),
+        }
+    )
+    return spec.model_copy(update={"protocol": other, "task_id": "canary", "seed": spec.seed + OTHER_SEED})
+
+
+def audit_canary(one: Watched, twin: Watched) -> Part:
+    """``one`` and ``twin``: the same press, recorded by ``watched.press``, their looks still there."""
+    findings = [
+        Finding(policy=trial.policy, place="trial", told=f"could not be run in the {which} world: {trial.error}")
+        for which, trial in (("first", one), ("other", twin))
+        if trial.error
+    ]
+    counts = {"observations before contact": 0, "scorer samples that differ after contact": 0}
+    if one.recording is not None and twin.recording is not None and not findings:
+        forces = [trial.recording[CONTROL] for trial in (one, twin) if trial.recording is not None]
+        steps = [np.flatnonzero(force.any((1, 2))) for force in forces]
+        times = one.recording["scorer/time_s"]
+        first = int(steps[0][0]) if len(steps[0]) else len(times)
+        dt_s = one.recording.header.spec.protocol.physics.dt_s
+        until_s = (first + 0.5) * dt_s
+        for look, other in zip(one.looks, twin.looks, strict=False):
+            if look.observation.sim_time_s > until_s:
+                break
+            counts["observations before contact"] += 1
+            if look.sent == other.sent:
+                continue
+            told = differences(unpack(look.sent), unpack(other.sent), "message")
+            at = f"at {look.observation.sim_time_s:.3f} s, before contact"
+            findings += [
+                Finding(
+                    policy=one.policy, place=place.removeprefix("message."),
+                    told=f"{at}: {what} between worlds that differ only in what is hidden",
+                )
+                for place, what in told or [("message", "other bytes for the same values")]
+            ]  # fmt: skip
+        if len(steps[1]) and int(steps[1][0]) != first:
+            told = f"first contact at step {first} in one world and {int(steps[1][0])} in the other"
+            findings.append(Finding(policy=one.policy, place="trial", told=f"{told}: they did not begin alike"))
+        after = [force[first:] for force in forces]
+        length = min(map(len, after))
+        counts["scorer samples that differ after contact"] = int(
+            (after[0][:length] != after[1][:length]).any((1, 2)).sum()
+        )
+        if not counts["scorer samples that differ after contact"]:
+            told = "is the same in both worlds after contact: the canary could not have shown anything"
+            findings.append(Finding(policy=one.policy, place=CONTROL, told=told))
+    return Part(name=NAME, title=TITLE, counts=counts, findings=tuple(findings))

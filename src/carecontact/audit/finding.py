@@ -1,0 +1,38 @@
+"""What a part of the audit hands back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    policy: str
+    place: str
+    """What leaks, as ``observation.cameras.overhead.landmarks`` or ``session.time_limit_s``."""
+    told: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    name: str
+    title: str
+    counts: dict[str, int]
+    """What was looked at and how often; a part that looked at nothing has shown nothing."""
+    findings: tuple[Finding, ...]
+
+    @property
+    def passed(self) -> bool:
+        return not self.findings and bool(self.counts) and all(self.counts.values())
+
+    @property
+    def missing(self) -> list[str]:
+        """What the part should have looked at and did not."""
+        return [what for what, count in self.counts.items() if not count]
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "part": self.name, "title": self.title, "passed": self.passed, "counts": self.counts,
+            "findings": [{"policy": f.policy, "place": f.place, "told": f.told} for f in self.findings],
+        }  # fmt: skip

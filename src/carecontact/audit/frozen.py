@@ -1,0 +1,168 @@
+"""Part (b): with images and encoders held still, does anything else of the world move the observation?"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from carecontact.audit.differences import differences
+from carecontact.audit.finding import Finding, Part
+from carecontact.contract.policy import PolicyCard
+from carecontact.observation import builder as builders
+from carecontact.observation.keypoints import MediaPipePose
+from carecontact.policies.wire import codec
+from carecontact.sim.proprioception import BASE_BODY, ROBOT_JOINTS, TCP_SITE
+from carecontact.sim.rendering import SceneRenderer
+from carecontact.sim.simulation import Simulation
+
+NAME, TITLE = "frozen frames", "world scrambled behind held images"
+ROUNDS = 2
+POSES = (
+    "xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat",
+    "cam_xpos", "cam_xmat", "light_xpos", "light_xdir", "flexvert_xpos", "flexelem_aabb", "flexedge_length",
+    "ten_wrapadr", "ten_wrapnum", "wrap_obj", "wrap_xpos", "bvh_aabb_dyn", "bvh_active", "mocap_pos", "mocap_quat",
+)  # fmt: skip
+"""Of MjData: what is drawn, and only that."""
+HIDDEN_OF_MODEL = (
+    "jnt_stiffness", "jnt_stiffnesspoly", "jnt_range", "jnt_solref", "qpos_spring", "dof_damping", "dof_armature",
+    "dof_frictionloss", "body_mass", "body_inertia", "geom_friction", "geom_solref", "geom_solimp", "flex_friction",
+    "flex_solref", "flex_solimp", "tendon_stiffness", "tendon_damping", "actuator_gainprm", "actuator_biasprm",
+)  # fmt: skip
+"""Of MjModel: mechanics of person, tissue and robot, none of which is drawn."""
+
+
+def audit_frozen(simulation: Simulation, cards: list[PolicyCard], *, instruction: str) -> Part:
+    """``simulation``: at a moment of contact. Its data and model are left as they were."""
+    findings: list[Finding] = []
+    fields = changed = images = 0
+    mujoco.mj_forward(simulation.model, simulation.data)
+    scrambled_model = copy.deepcopy(simulation.model)
+    _scramble(scrambled_model, HIDDEN_OF_MODEL, np.random.default_rng(0))
+    keypoints = MediaPipePose()
+    with (
+        SceneRenderer(simulation.model, protocol=simulation.protocol) as renderer,
+        SceneRenderer(scrambled_model, protocol=simulation.protocol) as other,
+    ):
+        for card in cards:
+            frames = _Frames()
+
+            def build(
+                source: SceneRenderer, data: mujoco.MjData, frames: _Frames = frames, card: PolicyCard = card
+            ) -> dict[str, object]:
+                with frames.instead_of(source):
+                    made = builders.ObservationBuilder(source, card, simulation.protocol, keypoints)
+                    return codec.encode_observation(made.build(data, instruction=instruction, sim_time_s=1.0))
+
+            before = build(renderer, simulation.data)
+            for round_ in range(ROUNDS):
+                rng = np.random.default_rng([1, round_])
+                data = scrambled(simulation, rng, keep=_encoders(simulation.model))
+                fields += len(_arrays(data))
+                changed += sum(
+                    not np.array_equal(a, b, equal_nan=True)
+                    for a, b in zip(_arrays(simulation.data).values(), _arrays(data).values(), strict=True)
+                )
+                after = build(other, data)
+                findings += _named(card.name, differences(before, after, "observation"), "frames and encoders held")
+        # The images themselves: everything but what is drawn is scrambled.
+        visible = scrambled(simulation, np.random.default_rng(2), keep=lambda name: True if name in POSES else None)
+        shown = sorted({(c, i) for card in cards for c in card.cameras for m in card.modalities
+                        for i in builders.IMAGES_FOR[m] if i in ("rgb", "depth")})  # fmt: skip
+        for camera, image in shown:
+            images += 1
+            pair = [
+                getattr(source, image)(data, camera) for source, data in ((renderer, simulation.data), (other, visible))
+            ]
+            told = differences(pair[0], pair[1], f"observation.cameras.{camera}.{image}")
+            findings += _named("every policy", told, "the same scene drawn")
+    keypoints.close()
+    counts = {"cards": len(cards), "fields of the world scrambled": min(fields, changed)}
+    if shown:
+        counts["images drawn again"] = images
+    return Part(name=NAME, title=TITLE, counts=counts, findings=tuple(findings))
+
+
+def scrambled(simulation: Simulation, rng: np.random.Generator, *, keep: Callable[[str], Any]) -> mujoco.MjData:
+    """A copy of the data with every number drawn anew but those that ``keep(field)`` indexes; True: all of it."""
+    data = copy.copy(simulation.data)
+    for name, array in _arrays(data).items():
+        kept = keep(name)
+        if kept is True:
+            continue
+        held = None if kept is None else array[kept].copy()
+        _draw(array, rng)
+        if held is not None:
+            array[kept] = held
+    contact = data.contact
+    for name in ("dist", "pos", "frame", "friction", "solref", "solimp", "mu"):
+        _draw(getattr(contact, name), rng)
+    data.time = float(rng.uniform(10, 20))
+    return data
+
+
+def _encoders(model: mujoco.MjModel) -> Callable[[str], Any]:
+    """Where the robot's own readings and the calibrated cameras are."""
+    joints = [model.joint(name) for name in ROBOT_JOINTS]
+    base, tcp = model.body(BASE_BODY).id, model.site(TCP_SITE).id
+    rows: dict[str, Any] = {
+        "qpos": [int(j.qposadr[0]) for j in joints], "qvel": [int(j.dofadr[0]) for j in joints],
+        "xpos": base, "xmat": base, "xquat": base, "site_xpos": tcp, "site_xmat": tcp,
+        "cam_xpos": slice(None), "cam_xmat": slice(None),
+    }  # fmt: skip
+    return rows.get
+
+
+def _arrays(data: mujoco.MjData) -> dict[str, np.ndarray]:
+    """Every array of numbers, by name; whole numbers are addresses and stay."""
+    found = {}
+    for name in dir(data):
+        if name.startswith("_"):
+            continue
+        value = getattr(data, name)
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.size and value.flags.writeable:
+            found[name] = value
+    return found
+
+
+def _scramble(model: mujoco.MjModel, fields: tuple[str, ...], rng: np.random.Generator) -> None:
+    for name in fields:
+        _draw(getattr(model, name), rng)
+
+
+def _draw(array: np.ndarray, rng: np.random.Generator) -> None:
+    array[...] = rng.uniform(0.5, 2.0, array.shape)
+
+
+class _Frames:
+    """Images that the first build made, given again to every later one whatever the world is."""
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[str, str], np.ndarray] = {}
+
+    @contextmanager
+    def instead_of(self, renderer: SceneRenderer) -> Iterator[None]:
+        def frozen(kind: str, real: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
+            def give(source: object, camera: str) -> np.ndarray:
+                if (kind, camera) not in self._kept:
+                    self._kept[kind, camera] = real(source, camera)
+                return self._kept[kind, camera].copy()
+
+            return give
+
+        kinds = ("rgb", "depth", "robot_depth", "cell_depth")
+        for kind in kinds:
+            setattr(renderer, kind, frozen(kind, getattr(renderer, kind)))
+        try:
+            yield
+        finally:
+            for kind in kinds:
+                delattr(renderer, kind)
+
+
+def _named(policy: str, told: list[tuple[str, str]], held: str) -> list[Finding]:
+    return [Finding(policy=policy, place=place, told=f"{held}, the rest scrambled: {what}") for place, what in told]

@@ -1,0 +1,140 @@
+"""Worlds that trials of the audit begin from: settled once, with the robot parked or just about to touch."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.protocol import Protocol
+from carecontact.contract.trial import TrialSpec
+from carecontact.errors import SceneError
+from carecontact.policies.state_machine.primitives import UP, Leg, radial_quat, sample, travel
+from carecontact.recording.schema import REGIONS
+from carecontact.sim.simulation import Samples, Settled, Simulation
+from carecontact.trials.prepare import settled_world
+from carecontact.trials.randomization import comfort_arm_deg
+from carecontact.world.scene import Scene
+
+F64 = npt.NDArray[np.float64]
+
+CONTROL_HZ = 20.0
+"""Of the pressing motion."""
+PRESS_DEPTH_M = 0.020
+"""Commanded below the skin: with the default 400 N/m at most 8 N."""
+CLEARANCE_M = 0.20
+"""Over the skin on the way there."""
+PRESS_SPEED_M_S = 0.06
+BEFORE_S, AFTER_S = 0.30, 0.45
+"""How long before the first contact the later keyframe lies, and how much of the press follows it."""
+NEAR_MIDDLE_M = 0.02
+STIFFER = 2.0
+"""How much stiffer the twin's tissue is; still stable at every shipped time step."""
+
+
+class Keyframe:
+    """One settled world of a task and seed. Every trial that begins from it begins from the same bits."""
+
+    def __init__(self, protocol: Protocol, *, task_id: str, seed: int) -> None:
+        """Builds, settles and presses once. Raises SceneError or SettleError as a trial does, and SceneError if the
+        robot cannot touch the region."""
+        simulation, self.settled, self.model_sha256 = settled_world(protocol, task_id=task_id, seed=seed)
+        self._laid_at_deg = comfort_arm_deg(protocol, seed)
+        self.scene = simulation.scene
+        self._parked = simulation.integration_state()
+        self._near, self.poses = self._approach(simulation, region=protocol.task(task_id).region)
+        """(n, 7) poses of the TCP in base at CONTROL_HZ that follow the later keyframe and end in contact."""
+
+    def parked(self, spec: TrialSpec) -> tuple[Simulation, Settled, str]:
+        """As ``trials.prepare.settled_world``; usable as ``run_trial``'s ``prepare``."""
+        return self._begin(Simulation(self.scene), self._parked)
+
+    def near(self, spec: TrialSpec) -> tuple[Simulation, Settled, str]:
+        """With the tool BEFORE_S before its first contact."""
+        return self._begin(Simulation(self.scene), self._near)
+
+    def twin(self, spec: TrialSpec) -> tuple[Simulation, Settled, str]:
+        """The same moment in a world with other hidden values: those of ``spec`` and stiffer tissue."""
+        scene = replace(self.scene, model=copy.deepcopy(self.scene.model), protocol=spec.protocol)
+        return self._begin(Twin(scene), self._near)
+
+    def _begin(self, simulation: Simulation, state: F64) -> tuple[Simulation, Settled, str]:
+        simulation.restore(state, comfort_arm_deg=self._laid_at_deg)
+        return simulation, self.settled, self.model_sha256
+
+    def _approach(self, simulation: Simulation, *, region: str) -> tuple[F64, F64]:
+        """The state BEFORE_S before first contact, and the poses that follow it."""
+        simulation.start()
+        base = simulation.robot.in_base(simulation.data, _skin_in_world(simulation, region), np.eye(3))
+        skin, start = base[:3, 3], simulation.interpolator.pose
+        press = Leg(points=(skin - PRESS_DEPTH_M * UP)[None], quat_wxyz=radial_quat(skin), speed_m_s=PRESS_SPEED_M_S)
+        above = replace(press, points=(skin + 0.02 * UP)[None], speed_m_s=5 * PRESS_SPEED_M_S)
+        hold = replace(press, hold_s=AFTER_S)
+        legs = travel(start, [above, hold], travel_height_m=float(skin[2]) + CLEARANCE_M)[:-1]
+        poses = np.array(list(sample(legs, start, control_hz=CONTROL_HZ)))
+        steps = round(1 / CONTROL_HZ / simulation.model.opt.timestep)
+        back, ahead = round(BEFORE_S * CONTROL_HZ), round(AFTER_S * CONTROL_HZ)
+        states = [simulation.integration_state()]
+        for k, pose in enumerate(poses):
+            simulation.set_goal(pose, 1 / CONTROL_HZ)
+            if touches(simulation.advance(steps)):
+                first = max(k - back, 0)
+                return states[-1 - (k - first)], poses[first : k + 1 + ahead]
+            states = [*states[-back:], simulation.integration_state()]
+        raise SceneError(f"the audit's press does not touch the {region} at {np.round(skin, 3).tolist()} m in base")
+
+
+class Twin(Simulation):
+    """A world whose model holds stiffer tissue whenever it is looked at, and which moves like the other until contact.
+
+    Springs that differ sag differently under the tissue's own weight: with twice the stiffness 15,000 depth pixels
+    changed before anything was touched. That is no leak but sight, so until the first contact the steps themselves are
+    taken with the other world's springs.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._touched = False
+        joints = [
+            i for i in range(self.model.njnt) if self.model.joint(i).name.startswith(tuple(f"{r}_" for r in REGIONS))
+        ]
+        dofs = self.model.jnt_dofadr[joints]
+        self._soft = {
+            name: (rows, getattr(self.model, name)[rows].copy())
+            for name, rows in (
+                ("jnt_stiffness", joints), ("jnt_stiffnesspoly", joints), ("dof_damping", dofs),
+                ("tendon_stiffness", slice(None)),
+            )
+        }  # fmt: skip
+        self._write(STIFFER)
+
+    def advance(self, steps: int) -> list[Samples]:
+        if self._touched:
+            return super().advance(steps)
+        self._write(1.0)
+        samples = super().advance(steps)
+        self._write(STIFFER)
+        self._touched = touches(samples)
+        return samples
+
+    def _write(self, factor: float) -> None:
+        for name, (rows, values) in self._soft.items():
+            getattr(self.model, name)[rows] = factor * values
+
+
+def touches(samples: list[Samples]) -> bool:
+    return any(bool(s.force.any()) for s in samples)
+
+
+def _skin_in_world(simulation: Simulation, region: str) -> F64:
+    """(3,) the highest place of the region's shell near its middle."""
+    model = simulation.model
+    flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, region)
+    first = int(model.flex_vertadr[flex])
+    vertices = simulation.data.flexvert_xpos[first : first + int(model.flex_vertnum[flex])]
+    middle = vertices.mean(0)
+    near = np.linalg.norm(vertices[:, :2] - middle[:2], axis=1) < NEAR_MIDDLE_M
+    return np.array([*middle[:2], vertices[near, 2].max()])

@@ -1,0 +1,91 @@
+"""What an audited trial showed its policy and what that was made of, on disk, for a process that knows no simulator.
+
+A trial is a folder: ``trial.json`` and a ``look-NNN.npz`` for each observation. An ordinary trial writes none of it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.observation import Observation
+from carecontact.observation.builder import RawReadings, RawView
+
+META = "trial.json"
+IMAGES = ("rgb", "depth", "robot_depth", "cell_depth")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Meta:
+    policy: str
+    """Whose card was shown."""
+    instruction: str
+    modalities: tuple[str, ...]
+    cameras: tuple[str, ...]
+    bed_height_in_base_m: float
+    tcp_in_hand_m: tuple[float, float, float]
+    cell: dict[str, Any]
+    """Calibration of the cell: ``robot_base_m``, ``robot_yaw_deg`` and the ``cameras`` of the protocol."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoggedLook:
+    sim_time_s: float
+    raw: RawReadings
+    sent: bytes
+
+
+def write_meta(folder: Path, meta: Meta) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / META).write_text(json.dumps(asdict(meta)))
+
+
+def read_meta(folder: Path) -> Meta:
+    fields = json.loads((folder / META).read_text())
+    for name in ("modalities", "cameras", "tcp_in_hand_m"):
+        fields[name] = tuple(fields[name])
+    return Meta(**fields)
+
+
+def write_look(folder: Path, index: int, *, observation: Observation, raw: RawReadings, sent: bytes) -> None:
+    arrays: dict[str, npt.NDArray[Any]] = {
+        "sent": np.frombuffer(sent, np.uint8),
+        "sim_time_s": np.array(observation.sim_time_s),
+        "joint_position": raw.joint_position,
+        "joint_velocity": raw.joint_velocity,
+        "pose_tcp_in_base": raw.pose_tcp_in_base,
+    }
+    for camera, view in raw.views.items():
+        for name in ("intrinsics", "pose_camera_in_base", *IMAGES):
+            value = getattr(view, name)
+            if value is not None:
+                arrays[f"{camera}/{name}"] = value
+    folder.mkdir(parents=True, exist_ok=True)
+    np.savez(folder / f"look-{index:03d}.npz", allow_pickle=False, **arrays)
+
+
+def read_looks(folder: Path) -> Iterator[LoggedLook]:
+    for path in sorted(folder.glob("look-*.npz")):
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        views: dict[str, dict[str, npt.NDArray[Any]]] = {}
+        for name in arrays:
+            camera, slash, image = name.partition("/")
+            if slash:
+                views.setdefault(camera, {})[image] = arrays[name]
+        yield LoggedLook(
+            sim_time_s=float(arrays["sim_time_s"]),
+            raw=RawReadings(
+                joint_position=arrays["joint_position"],
+                joint_velocity=arrays["joint_velocity"],
+                pose_tcp_in_base=arrays["pose_tcp_in_base"],
+                views={camera: RawView(**images) for camera, images in views.items()},
+            ),
+            sent=arrays["sent"].tobytes(),
+        )

@@ -1,0 +1,96 @@
+"""Part (a)'s process: every byte sent, made again from what was logged, where no simulator can be imported."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carecontact.audit.cell_geometry import SAME, intrinsics, pose_camera_in_base, pose_hand_in_base
+from carecontact.audit.differences import differences
+from carecontact.audit.no_simulator import within_reach
+from carecontact.audit.raw_log import LoggedLook, Meta, read_looks, read_meta
+from carecontact.errors import CarecontactError
+from carecontact.observation.builder import RawReadings, derive
+from carecontact.observation.keypoints import KeypointEstimator, MediaPipePose
+from carecontact.policies.wire import codec
+from carecontact.policies.wire.packing import pack, unpack
+
+BOOTSTRAP = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from carecontact.audit.no_simulator import refuse_simulators
+refuse_simulators()
+from carecontact.audit.rederive import main
+main(sys.argv[2])
+"""
+"""For ``python -c``, with the folder of the package and that of the trial logs (``raw_log``)."""
+
+
+def main(folder: str) -> None:
+    """Write one JSON object: ``looks`` of every trial (``rederive_trial``) and the ``simulators`` within reach."""
+    keypoints = MediaPipePose()
+    trials = sorted(path for path in Path(folder).iterdir() if path.is_dir())
+    looks = [row for trial in trials for row in rederive_trial(trial, keypoints)]
+    keypoints.close()
+    sys.stdout.write(json.dumps({"looks": looks, "simulators": within_reach()}) + "\n")
+
+
+def rederive_trial(folder: Path, keypoints: KeypointEstimator) -> list[dict[str, Any]]:
+    """One row a look: trial, policy, time, bytes sent, and ``differences`` as (place, what differs)."""
+    meta = read_meta(folder)
+    return [
+        {
+            "trial": folder.name,
+            "policy": meta.policy,
+            "time_s": look.sim_time_s,
+            "bytes": len(look.sent),
+            "differences": [*_misplaced(look.raw, meta), *_changed(look, meta, keypoints)],
+        }
+        for look in read_looks(folder)
+    ]
+
+
+def _changed(look: LoggedLook, meta: Meta, keypoints: KeypointEstimator) -> list[tuple[str, str]]:
+    """Where the message is not what the logged readings give, bit for bit."""
+    try:
+        observation = derive(
+            look.raw,
+            instruction=meta.instruction,
+            sim_time_s=look.sim_time_s,
+            modalities=meta.modalities,
+            keypoints=keypoints,
+            bed_height_in_base_m=meta.bed_height_in_base_m,
+        )
+        again = pack({"type": "act", "observation": codec.encode_observation(observation)})
+    except CarecontactError as error:
+        return [("observation", f"could not be made again: {error}")]
+    if again == look.sent:
+        return []
+    told = differences(unpack(again), unpack(look.sent), "message")
+    # Nothing may hide in the packing either, such as another order of keys.
+    return [(place.removeprefix("message."), what) for place, what in told] or [
+        ("message", "the same values are packed in other bytes")
+    ]
+
+
+def _misplaced(raw: RawReadings, meta: Meta) -> list[tuple[str, str]]:
+    """Poses and optics that are not what calibration and encoders give."""
+    hand, tcp_in_hand = pose_hand_in_base(raw.joint_position), np.eye(4)
+    tcp_in_hand[:3, 3] = meta.tcp_in_hand_m
+    rows = [("pose_tcp_in_base", raw.pose_tcp_in_base, hand @ tcp_in_hand)]
+    for name, view in raw.views.items():
+        camera, place = meta.cell["cameras"][name], f"cameras.{name}"
+        rows.append((f"{place}.intrinsics", view.intrinsics, intrinsics(camera)))
+        rows.append(
+            (f"{place}.pose_camera_in_base", view.pose_camera_in_base, pose_camera_in_base(camera, meta.cell, hand))
+        )
+    out: list[tuple[str, str]] = []
+    for place, logged, known in rows:
+        away = float(np.abs(logged - known).max())
+        if not away <= SAME * max(1.0, float(np.abs(known).max())):
+            out.append((f"observation.{place}", f"is {away:.3g} off what calibration and encoders give"))
+    return out

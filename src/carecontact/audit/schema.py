@@ -1,0 +1,81 @@
+"""Part (e): does a policy get what its card names, in the contract's schema, and no word more?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from carecontact.audit.finding import Finding, Part
+from carecontact.audit.watched import Watched
+from carecontact.contract.policy import PolicyCard
+from carecontact.errors import ContractError
+from carecontact.policies.wire import codec
+from carecontact.policies.wire.packing import unpack
+
+NAME, TITLE = "schema", "messages of real trials of each policy"
+FIELDS_OF = {
+    "rgb": {"rgb"},
+    "depth": {"depth"},
+    "points": {"points", "point_colors"},
+    "masks": {"masks"},
+    "landmarks": {"landmarks", "landmarks_in_base"},
+}
+"""Modality -> fields of a camera's view."""
+ALWAYS = {"intrinsics", "pose_camera_in_base"}
+MESSAGE = {"type", "observation"}
+PRIVILEGED = (
+    "force", "torque", "wrench", "stiffness", "tissue", "anchor", "shell", "human_joint", "qpos", "seed", "trial",
+    "label", "score", "gate", "comfort", "protocol", "task",
+)  # fmt: skip
+"""No key of a message may contain one of these words, whatever the contract's classes say."""
+
+
+def audit_schema(trials: list[Watched]) -> Part:
+    """``trials``: real trials of the audited policies, their looks still there."""
+    findings: list[Finding] = []
+    for trial in trials:
+        if trial.error:
+            findings.append(Finding(policy=trial.policy, place="trial", told=trial.error))
+        card = trial.card
+        for look in trial.looks:
+            findings += [
+                Finding(policy=trial.policy, place=place, told=told) for place, told in check_message(look.sent, card)
+            ]
+    return Part(
+        name=NAME, title=TITLE,
+        counts={"policies": len(trials), "messages": sum(len(trial.look_times_s) for trial in trials)},
+        findings=tuple(dict.fromkeys(findings)),
+    )  # fmt: skip
+
+
+def check_message(sent: bytes, card: PolicyCard | None) -> list[tuple[str, str]]:
+    """(place, what is wrong) of one act message."""
+    message = unpack(sent)
+    if not isinstance(message, dict) or set(message) != MESSAGE:
+        keys = sorted(message) if isinstance(message, dict) else type(message).__name__
+        return [("message", f"expected the keys {sorted(MESSAGE)}, got {keys}")]
+    found = [(place, "no policy may see this") for place in _keys(message["observation"], "observation")
+             if any(word in place.rpartition(".")[2] for word in PRIVILEGED)]  # fmt: skip
+    try:
+        observation = codec.decode_observation(message["observation"])
+    except ContractError as error:
+        return [*found, ("observation", str(error))]
+    if card is None:
+        return [*found, ("card", "an observation was sent to a policy that showed no card")]
+    cameras = set(card.cameras) if card.modalities else set()
+    if set(observation.cameras) != cameras:
+        told = f"the card asks for {sorted(cameras) or 'none'}, sent were {sorted(observation.cameras)}"
+        found.append(("observation.cameras", told))
+    wanted = ALWAYS.union(*(FIELDS_OF[m] for m in card.modalities))
+    for name, view in observation.cameras.items():
+        sent_fields = {field for field, value in vars(view).items() if value is not None}
+        found += [(f"observation.cameras.{name}.{f}", "was sent unasked") for f in sorted(sent_fields - wanted)]
+        found += [
+            (f"observation.cameras.{name}.{f}", "was asked for and not sent") for f in sorted(wanted - sent_fields)
+        ]
+    return found
+
+
+def _keys(value: Any, place: str) -> list[str]:
+    if not isinstance(value, dict):
+        return []
+    return [p for key, inner in value.items() for p in (f"{place}.{key}", *_keys(inner, f"{place}.{key}"))]

@@ -1,0 +1,148 @@
+"""Trials that the audit runs through the product's own ``run_trial``, with a raw log beside them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.audit.keyframe import CONTROL_HZ
+from carecontact.audit.raw_log import Meta, write_look, write_meta
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.trial import TrialSpec
+from carecontact.errors import CarecontactError
+from carecontact.policies.wire import codec
+from carecontact.policies.witness import TASK, TOLD
+from carecontact.recording.schema import Recording
+from carecontact.sim.simulation import Settled, Simulation
+from carecontact.trials.trial import Look, run_trial
+from carecontact.world.robot import TCP_Z_M
+
+Prepare = Callable[[TrialSpec], tuple[Simulation, Settled, str]]
+
+ACTIONS_PER_LOOK = 3
+"""At 20 Hz a look every 0.15 s: two before the press touches, four while it does."""
+WITNESS = "audit_witness:witness"
+_WITNESS_SOURCE = """
+from pathlib import Path
+from carecontact.policies.witness import Witness
+
+def witness():
+    return Witness(Path(__file__).parent)
+"""
+
+
+@dataclass(kw_only=True)
+class Watched:
+    """One audited trial."""
+
+    policy: str
+    """Whose card was shown."""
+    recording: Recording | None = None
+    error: str | None = None
+    """Why the harness could not run it, or why the policy's process failed."""
+    looks: list[Look] = field(default_factory=list[Look])
+    """Some 20 MB each: see ``forget``."""
+    look_times_s: list[float] = field(default_factory=list[float])
+    told: dict[str, Any] = field(default_factory=dict[str, Any])
+    """Of a witness: what reached its process by its reset."""
+
+    @property
+    def card(self) -> PolicyCard | None:
+        shown = None if self.recording is None else self.recording.header.card
+        return None if shown is None else codec.decode_card(dict(shown))
+
+    @property
+    def force_n(self) -> npt.NDArray[np.float64]:
+        """(T,) largest force on any segment at each step."""
+        if self.recording is None:
+            return np.zeros(0)
+        return np.linalg.norm(self.recording["scorer/force_human_from_robot_in_world"], axis=2).max(1, initial=0.0)
+
+    @property
+    def looks_in_contact(self) -> int:
+        """How many looks came right after a step with a force in it."""
+        if self.recording is None:
+            return 0
+        force_n, dt_s = self.force_n, self.recording.header.spec.protocol.physics.dt_s
+        steps = [round(time_s / dt_s) - 1 for time_s in self.look_times_s]
+        return sum(0 <= step < len(force_n) and bool(force_n[step]) for step in steps)
+
+    def forget(self) -> None:
+        """Give the looks' memory back; when they were stays known."""
+        self.looks.clear()
+
+
+def watch(
+    spec: TrialSpec, *, policy: str, prepare: Prepare, log: Path | None = None, search_path: Sequence[str] = ()
+) -> Watched:
+    """Run one trial and keep what it showed; with ``log`` also on disk. What fails is told, never raised."""
+    watched = Watched(policy=policy)
+
+    def on_look(look: Look) -> None:
+        if log is not None:
+            write_look(log, len(watched.looks), observation=look.observation, raw=look.raw, sent=look.sent)
+        watched.looks.append(look)
+        watched.look_times_s.append(look.observation.sim_time_s)
+
+    try:
+        recording = watched.recording = run_trial(spec, search_path=search_path, prepare=prepare, on_look=on_look)
+    except CarecontactError as error:
+        watched.error = str(error)
+        return watched
+    failure = recording.header.failure
+    if recording.header.ended == "process_failure" and failure is not None:
+        watched.error = failure.message
+    card, protocol = watched.card, spec.protocol
+    if log is not None and watched.looks and card is not None:
+        scene = protocol.scene
+        write_meta(
+            log,
+            Meta(
+                policy=policy, instruction=protocol.task(spec.task_id).prompt, modalities=card.modalities,
+                cameras=card.cameras, bed_height_in_base_m=scene.mattress_top_m - scene.robot_base_m[2],
+                tcp_in_hand_m=(0.0, 0.0, TCP_Z_M),
+                cell={
+                    "robot_base_m": scene.robot_base_m, "robot_yaw_deg": scene.robot_yaw_deg,
+                    "cameras": {name: camera.model_dump() for name, camera in protocol.cameras.items()},
+                },
+            ),
+        )  # fmt: skip
+    return watched
+
+
+def press(
+    spec: TrialSpec,
+    *,
+    card: PolicyCard,
+    poses: npt.NDArray[np.float64],
+    prepare: Prepare,
+    folder: Path,
+    log: Path | None = None,
+) -> Watched:
+    """A trial of the witness: the card's modalities while the poses (n, 7) are played.
+
+    ``folder``: where the witness's process looks for its task and writes what it was told; the same for trials that are
+    to be compared, since its path reaches the policy.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{WITNESS.partition(':')[0]}.py").write_text(_WITNESS_SOURCE)
+    task = {
+        "card": codec.encode_card(card), "control_hz": CONTROL_HZ, "poses": poses.tolist(),
+        "actions_per_look": ACTIONS_PER_LOOK,
+    }  # fmt: skip
+    (folder / TASK).write_text(json.dumps(task))
+    told = folder / TOLD
+    told.unlink(missing_ok=True)
+    watched = watch(
+        spec.model_copy(update={"policy": WITNESS}),
+        policy=card.name, prepare=prepare, log=log, search_path=[str(folder)],
+    )  # fmt: skip
+    if told.is_file():
+        watched.told = json.loads(told.read_text())
+    return watched

@@ -1,0 +1,208 @@
+"""Every part of the audit catches the cheat it is for, and names the place; without a cheat all of them pass."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from carecontact.audit.canary import CONTROL, audit_canary, other_hidden_values
+from carecontact.audit.derivation import audit_derivation
+from carecontact.audit.finding import Part
+from carecontact.audit.frozen import audit_frozen
+from carecontact.audit.handshake import audit_handshake
+from carecontact.audit.keyframe import CONTROL_HZ, Keyframe
+from carecontact.audit.schema import audit_schema
+from carecontact.audit.watched import Watched, press, watch
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.trial import TrialSpec
+from carecontact.observation.builder import ObservationBuilder
+from carecontact.policies import process
+from carecontact.policies.wire import client
+from carecontact.recording.perception import JOINTS
+from carecontact.sim.proprioception import Proprioception
+from carecontact.sim.rendering import SceneRenderer
+from carecontact.sim.simulation import Simulation
+from carecontact.trials import trial
+from carecontact.trials.perception import PerceptionLog
+from tests.audit.conftest import BLIND, Press
+
+
+def places(part: Part) -> set[str]:
+    return {finding.place for finding in part.findings}
+
+
+def touched(data: mujoco.MjData) -> float:
+    """[N] what the tool's contact sensors say, all of them together."""
+    return float(np.abs(data.sensordata).sum()) if data.ncon else 0.0
+
+
+def short(spec: TrialSpec) -> TrialSpec:
+    phases = spec.protocol.phases.model_copy(update={"time_limit_s": 0.1})
+    return spec.model_copy(update={"protocol": spec.protocol.model_copy(update={"phases": phases})})
+
+
+def test_a_privileged_key_on_the_wire(monkeypatch: pytest.MonkeyPatch, keyframe: Keyframe, spec: TrialSpec) -> None:
+    honest = client.pack
+
+    def leaky(message: dict[str, Any]) -> bytes:
+        if message["type"] == "act":
+            message["observation"]["contact_force"] = 3.5
+        return honest(message)
+
+    monkeypatch.setattr(client, "pack", leaky)
+    seen = watch(
+        short(spec).model_copy(update={"policy": "zero-action"}), policy="zero-action", prepare=keyframe.parked
+    )
+    part = audit_schema([seen])
+    assert not part.passed
+    assert [(f.policy, "unknown key contact_force" in f.told) for f in part.findings] == [("zero-action", True)]
+
+
+def test_landmarks_of_the_simulator(
+    monkeypatch: pytest.MonkeyPatch, keyframe: Keyframe, spec: TrialSpec, tmp_path: Path
+) -> None:
+    honest = ObservationBuilder.build
+
+    def leaky(self: ObservationBuilder, data: mujoco.MjData, **known: Any) -> Observation:
+        seen = honest(self, data, **known)
+        view = seen.cameras["overhead"]
+        assert view.landmarks is not None
+        joints = PerceptionLog(keyframe.scene.model, self._renderer).joints_in_base(data)
+        perfect = view.landmarks.copy()
+        for name, row in JOINTS.items():
+            in_camera = view.pose_camera_in_base[:3, :3].T @ (joints[name] - view.pose_camera_in_base[:3, 3])
+            perfect[row, :2] = (view.intrinsics @ in_camera)[:2] / in_camera[2]
+        return dataclasses.replace(seen, cameras={"overhead": dataclasses.replace(view, landmarks=perfect)})
+
+    monkeypatch.setattr(ObservationBuilder, "build", leaky)
+    seen = watch(
+        short(spec).model_copy(update={"policy": "hover"}),
+        policy="hover", prepare=keyframe.parked, log=tmp_path / "logs" / "hover",
+    )  # fmt: skip
+    assert seen.error is None
+    part = audit_derivation(tmp_path / "logs", [])
+    assert places(part) == {"observation.cameras.overhead.landmarks"}
+    assert {f.policy for f in part.findings} == {"hover"}
+
+
+def test_forces_that_show_only_after_contact(
+    monkeypatch: pytest.MonkeyPatch, blind_press: Press, tmp_path: Path
+) -> None:
+    honest, honest_pose = ObservationBuilder.build, Proprioception.pose_tcp_in_base
+
+    def leaky(self: ObservationBuilder, data: mujoco.MjData, **known: Any) -> Observation:
+        seen = honest(self, data, **known)
+        return dataclasses.replace(seen, gripper_position=np.array([touched(data)]))
+
+    def leaky_pose(self: Proprioception, data: mujoco.MjData) -> np.ndarray:
+        pose = honest_pose(self, data)
+        pose[0, 3] += 1e-9 * touched(data)
+        return pose
+
+    monkeypatch.setattr(ObservationBuilder, "build", leaky)
+    monkeypatch.setattr(Proprioception, "pose_tcp_in_base", leaky_pose)
+    pressed = blind_press()
+    assert pressed.error is None
+    part = audit_derivation(tmp_path / "logs", [pressed])
+    assert places(part) == {"observation.gripper_position", "observation.pose_tcp_in_base"}
+    assert part.counts["observations in contact"] >= 3
+
+
+@pytest.fixture
+def at_contact(keyframe: Keyframe, spec: TrialSpec) -> Simulation:
+    simulation, _, _ = keyframe.near(spec)
+    for pose in keyframe.poses:
+        simulation.set_goal(pose, 1 / CONTROL_HZ)
+        simulation.advance(round(1 / CONTROL_HZ / simulation.model.opt.timestep))
+    return simulation
+
+
+def test_a_force_in_an_encoder_s_reading(monkeypatch: pytest.MonkeyPatch, at_contact: Simulation) -> None:
+    honest = Proprioception.joint_velocity
+    part = audit_frozen(at_contact, [BLIND], instruction="touch")
+    assert part.passed, part
+
+    def leaky(self: Proprioception, data: mujoco.MjData) -> np.ndarray:
+        return honest(self, data) + 1e-12 * touched(data)
+
+    monkeypatch.setattr(Proprioception, "joint_velocity", leaky)
+    part = audit_frozen(at_contact, [BLIND], instruction="touch")
+    assert places(part) == {"observation.joint_velocity"}
+
+
+def test_a_force_in_the_corner_of_a_picture(monkeypatch: pytest.MonkeyPatch, at_contact: Simulation) -> None:
+    honest = SceneRenderer.rgb
+
+    def leaky(self: SceneRenderer, data: mujoco.MjData, camera: str) -> np.ndarray:
+        image = honest(self, data, camera)
+        image[0, 0] = int(touched(data)) % 251
+        return image
+
+    monkeypatch.setattr(SceneRenderer, "rgb", leaky)
+    part = audit_frozen(at_contact, [PolicyCard(name="seeing", modalities=("rgb",))], instruction="touch")
+    assert places(part) == {"observation.cameras.overhead.rgb"}
+
+
+@pytest.fixture(scope="module")
+def leaky_pair(
+    keyframe: Keyframe, spec: TrialSpec, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Watched, Watched]:
+    """A press in two worlds; the seed leaks through session and environment, the stiffness through a joint speed."""
+    folder = tmp_path_factory.mktemp("witness")
+    build, session, environment = ObservationBuilder.build, trial._Trial._session, process._environment
+    seeds: list[int] = []
+
+    def leaky_build(self: ObservationBuilder, data: mujoco.MjData, **known: Any) -> Observation:
+        seen = build(self, data, **known)
+        hidden = 1e-15 * float(self._renderer._model.jnt_stiffness.sum())
+        return dataclasses.replace(seen, joint_velocity=seen.joint_velocity + hidden)
+
+    def leaky_session(self: trial._Trial) -> Session:
+        seeds.append(self.spec.seed)
+        honest = session(self)
+        return dataclasses.replace(honest, time_limit_s=honest.time_limit_s + 1e-9 * self.spec.seed)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ObservationBuilder, "build", leaky_build)
+        patch.setattr(trial._Trial, "_session", leaky_session)
+        pair: list[Watched] = []
+        for one, prepare in ((spec, keyframe.near), (other_hidden_values(spec), keyframe.twin)):
+            told = f"run {one.trial_id}"
+            patch.setattr(process, "_environment", lambda told=told: {**environment(), "LANG": told})
+            pair.append(press(one, card=BLIND, poses=keyframe.poses, prepare=prepare, folder=folder))
+    assert [watched.error for watched in pair] == [None, None]
+    assert len(set(seeds)) == 2
+    return pair[0], pair[1]
+
+
+def test_the_seed_in_the_handshake(leaky_pair: tuple[Watched, Watched]) -> None:
+    part = audit_handshake(*leaky_pair)
+    assert not part.passed
+    assert places(part) == {"session.time_limit_s", "environment.LANG"}
+    assert any("T1-s000" in finding.told for finding in part.findings)
+
+
+def test_the_stiffness_in_a_field_that_needs_no_image(leaky_pair: tuple[Watched, Watched]) -> None:
+    part = audit_canary(*leaky_pair)
+    assert places(part) == {"observation.joint_velocity"}
+    assert part.counts["observations before contact"] >= 2
+    assert part.counts["scorer samples that differ after contact"] > 50
+
+
+def test_a_canary_that_could_not_sing_has_not_passed(leaky_pair: tuple[Watched, Watched]) -> None:
+    part = audit_canary(leaky_pair[0], leaky_pair[0])
+    assert places(part) == {CONTROL}
+    assert not part.passed
+
+
+def test_without_a_log_nothing_was_made_again(tmp_path: Path) -> None:
+    part = audit_derivation(tmp_path, [])
+    assert part.findings == ()
+    assert not part.passed
+    assert part.missing == ["observations", "observations in contact", "bytes"]

@@ -1,0 +1,44 @@
+"""The quick audit of every registered policy, as anybody would run it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from carecontact.cli import main
+from carecontact.policies.registry import POLICIES
+
+
+def test_nothing_leaks_to_any_registered_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["audit", "--quick", "-o", str(tmp_path / "audit")]) == 0
+    printed = capsys.readouterr().out
+    rows = [line.split()[:2] for line in printed.splitlines() if line.startswith(("pass ", "FAIL "))]
+    assert rows == [["pass", name] for name in ("re-derivation", "frozen", "canary", "handshake", "schema")]
+    said = json.loads((tmp_path / "audit" / "audit.json").read_text())
+    assert said["schema"] == "carecontact-audit-1"
+    assert said["passed"] is True
+    assert said["policies"] == list(POLICIES)
+    counts = {part["part"]: part["counts"] for part in said["parts"]}
+    assert counts["schema"] == {"policies": len(POLICIES), "messages": len(POLICIES)}
+    assert counts["re-derivation"]["observations in contact"] >= 3
+    assert counts["canary"]["observations before contact"] >= 2
+    assert counts["frozen frames"]["fields of the world scrambled"] > 100
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--policy", "no-such"], "no policy named 'no-such'; valid: hover"),
+        (["--policy", "hover", "hover"], "hover is named twice"),
+        (["--protocol", "none"], "no protocol named 'none'"),
+        (["-o", __file__], "this is a file; name a folder"),
+        (["--policy", "nowhere:Policy"], "does not start"),
+    ],
+)
+def test_what_cannot_be_audited_is_told(arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["audit", "--quick", *arguments]) == 2
+    said = capsys.readouterr()
+    assert told in said.err
+    assert said.out == ""
