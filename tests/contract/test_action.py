@@ -45,6 +45,19 @@ def test_other_fields_arrive() -> None:
     assert checked == Action(stiffness=(400.0, 20.0), gripper=0.25, done=True)
 
 
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -0.01, 1.01, 9.2e18])
+def test_a_gripper_opening_is_a_share(bad: float) -> None:
+    with pytest.raises(ActionError, match=r"gripper: expected an opening in \[0, 1\], got "):
+        check_action(Action(gripper=bad), BOUNDS)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("bad", [pose(1e308, 0.0, 0.3), pose(*INSIDE, quat=(1e308, 0, 1e308, 0))])
+def test_numbers_that_overflow_are_told_without_a_warning(bad: np.ndarray) -> None:
+    with pytest.raises(ActionError, match=r"outside the workspace|quaternion norm"):
+        check_action(Action(pose_tcp_in_base=bad), BOUNDS)
+
+
 def test_whole_numbers_are_numbers() -> None:
     whole = ActionBounds(
         workspace_low_m=(0, 0, 0),

@@ -22,7 +22,7 @@ class Action:
     stiffness: tuple[float, float] | None = None
     """(translational [N/m], rotational [N m/rad]); None keeps the last. Out of bounds is an error, never clamped."""
     gripper: float | None = None
-    """Ignored by the closed-gripper embodiment."""
+    """Opening in [0, 1]; None keeps the last. Ignored by the closed-gripper embodiment, but not unchecked."""
     done: bool = False
     """True ends the trial after this action."""
 
@@ -57,10 +57,11 @@ def check_action(action: Action, bounds: ActionBounds) -> Action:
         low, high = np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m)
         if (pose[:3] < low).any() or (pose[:3] > high).any():
             raise ActionError(
-                f"pose_tcp_in_base: position {np.round(pose[:3], 4).tolist()} m is outside the workspace "
+                f"pose_tcp_in_base: position {[float(f'{x:.6g}') for x in pose[:3]]} m is outside the workspace "
                 f"{list(bounds.workspace_low_m)} to {list(bounds.workspace_high_m)} m in base"
             )
-        norm = float(np.linalg.norm(pose[3:]))
+        with np.errstate(over="ignore"):
+            norm = float(np.linalg.norm(pose[3:]))
         if abs(norm - 1.0) > 1e-2:
             raise ActionError(f"pose_tcp_in_base: quaternion norm {norm:.4g}, expected 1")
         pose[3:] /= norm
@@ -73,4 +74,7 @@ def check_action(action: Action, bounds: ActionBounds) -> Action:
             if not low_k <= value <= high_k:
                 raise ActionError(f"stiffness: {value} {unit} is outside [{low_k}, {high_k}]")
         stiffness = (float(stiffness[0]), float(stiffness[1]))
-    return Action(pose_tcp_in_base=pose, stiffness=stiffness, gripper=action.gripper, done=bool(action.done))
+    gripper = action.gripper
+    if gripper is not None and not 0 <= gripper <= 1:
+        raise ActionError(f"gripper: expected an opening in [0, 1], got {gripper}")
+    return Action(pose_tcp_in_base=pose, stiffness=stiffness, gripper=gripper, done=bool(action.done))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import random
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 
@@ -13,14 +15,15 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection
 
-from carecontact.contract.action import Action
+from carecontact.contract.action import Action, check_action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError, PolicyError
 from carecontact.policies.wire import client, server
 from carecontact.policies.wire.client import PolicyClient
 from carecontact.policies.wire.packing import MAX_REPLY_BYTES, pack
-from tests.policies.synthetic import SESSION, synthetic_observation
+from tests.policies.synthetic import BOUNDS, SESSION, synthetic_observation
+from tests.policies.wire.fuzz import LAYERS, replies, spoilt, spoilt_transport
 
 
 class Answers:
@@ -100,7 +103,8 @@ def test_an_answer_that_is_no_action(meet: Meet, answer: object, says: str) -> N
         (pack({"type": "actions", "actions": []}), "action", "expected 1 to 2000 actions, got 0"),
         (pack({"type": "error", "kind": "exception", "message": "why"}), "exception", "^why$"),
         (pack({"type": "error", "kind": "invented", "message": "why"}), "exception", "^why$"),
-        (pack({"type": "error"}), "exception", "None"),
+        (pack({"type": "error"}), "exception", "expected its reason as text, got None"),
+        (pack({"type": "error", "kind": [], "message": " "}), "exception", "expected its reason as text, got ' '"),
     ],
 )
 def test_a_reply_that_is_no_answer(
@@ -129,6 +133,68 @@ def test_a_request_that_the_server_does_not_know(
     monkeypatch.setattr(client, "pack", lambda _: pack(message))
     with pytest.raises(PolicyError, match=says):
         one.act(synthetic_observation(), deadline_s=20)
+
+
+def test_a_second_answer_is_not_taken_for_the_next_one(meet: Meet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would be counted for an observation that the policy had not seen when it said it."""
+    one, send = meet(Answers(Action())), ServerConnection.send
+    twice = threading.Event()
+
+    def send_twice(self: ServerConnection, message: bytes) -> None:
+        send(self, message)
+        send(self, message)
+        twice.set()
+
+    monkeypatch.setattr(ServerConnection, "send", send_twice)
+    one.act(synthetic_observation(), deadline_s=20)
+    assert twice.wait(20)
+    # The second one has left the other end; once it is here it is seen.
+    waiting = one._connection.recv_messages.frames
+    assert any(waiting.qsize() or time.sleep(0.01) for _ in range(2000))
+    with pytest.raises(PolicyError, match="expected no message before the next request, got one of") as caught:
+        one.act(synthetic_observation(), deadline_s=20)
+    assert caught.value.kind == "garbage"
+
+
+SAMPLE = 10
+"""Spoilt frames of each layer that travel over a real WebSocket on the loopback; test_fuzz.py has ten thousand more."""
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_spoilt_frames_over_the_real_line(meet: Meet, monkeypatch: pytest.MonkeyPatch, layer: str) -> None:
+    """Each is a PolicyError that says why, or an answer within the contract; never anything else."""
+    rng, refused = random.Random(f"line {layer}"), 0
+    message = replies()["actions"]
+    for _ in range(SAMPLE):
+        with monkeypatch.context() as patch:
+            one = meet(Answers(Action()))
+            if layer == "transport":
+                raw = spoilt_transport(pack(message), rng)
+
+                def scribble(self: ServerConnection, data: bytes, raw: bytes = raw) -> None:
+                    with contextlib.suppress(OSError):  # the client hangs up at the first byte that it cannot take
+                        self.socket.sendall(raw)
+                        self.socket.shutdown(socket.SHUT_WR)
+
+                patch.setattr(ServerConnection, "send", scribble)
+            else:
+                data = spoilt(message, layer, rng)
+                patch.setattr(server, "pack", lambda _, data=data: data)
+            answer = _answer_of(one)
+            if isinstance(answer, PolicyError):
+                refused += 1
+                assert answer.kind not in ("timeout", "start")
+                assert str(answer)
+            else:
+                assert all(check_action(action, BOUNDS) for action in answer)
+    assert refused >= SAMPLE // 2
+
+
+def _answer_of(one: PolicyClient) -> list[Action] | PolicyError:
+    try:
+        return one.act(synthetic_observation(), deadline_s=20).actions
+    except PolicyError as error:
+        return error
 
 
 def test_act_before_reset_is_the_harness_s_mistake(meet: Meet) -> None:

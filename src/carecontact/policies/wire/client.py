@@ -67,6 +67,7 @@ class PolicyClient:
     def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
         message = pack({"type": "reset", "instruction": instruction, "session": codec.encode_session(session)})
         self._bounds = session.action_bounds
+        self._expect_silence()
         started = time.monotonic()
         self._send(message, deadline_s=deadline_s)
         self._receive("ready", None, deadline_s=deadline_s, started=started)
@@ -76,6 +77,7 @@ class PolicyClient:
         if self._bounds is None:
             raise ContractError("act was called before reset")
         message = pack({"type": "act", "observation": codec.encode_observation(observation)})
+        self._expect_silence()
         started = time.monotonic()
         self._send(message, deadline_s=deadline_s)
         plain = self._receive("actions", "actions", deadline_s=deadline_s, started=started)
@@ -92,6 +94,15 @@ class PolicyClient:
 
     def disconnect(self) -> None:
         self._stack.close()
+
+    def _expect_silence(self) -> None:
+        """An answer that is there before its question would count for an observation that it never saw."""
+        try:
+            frame = self._connection.recv(timeout=0)
+        except Exception:
+            # Nothing there, as it should be; or the line is closed, which the request itself will tell.
+            return
+        raise PolicyError("garbage", f"expected no message before the next request, got one of {len(frame)} bytes")
 
     def _send(self, message: bytes, *, deadline_s: float) -> None:
         """A peer that does not read can block a send for ever; closing our end of the line unblocks it."""
@@ -130,8 +141,10 @@ class PolicyClient:
             raise PolicyError("garbage", f"{kind} {error}") from None
         entries = message if is_map(message) else {}
         if entries.get("type") == "error":
-            said, reason = str(entries.get("kind")), str(entries.get("message"))
-            raise PolicyError(said if said in PolicyError.KINDS else "exception", reason)
+            said, reason = entries.get("kind"), entries.get("message")
+            if not isinstance(reason, str) or not reason.strip():
+                reason = f"the policy's server reported an error, expected its reason as text, got {reason!r:.80}"
+            raise PolicyError(said if isinstance(said, str) and said in PolicyError.KINDS else "exception", reason)
         if set(entries) != {"type"} | ({field} if field else set()) or entries["type"] != kind:
             got = f"keys {sorted(entries)}, type {entries.get('type')!r}" if entries else f"{message!r:.200}"
             raise PolicyError("garbage", f"expected one {kind!r} message, got {got:.300}")
