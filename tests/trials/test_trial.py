@@ -83,7 +83,7 @@ def test_action_outside_the_workspace_is_the_policys_process_failure(policies: P
     assert recording.header.ended == "process_failure"
     assert recording.header.failure is not None
     assert recording.header.failure.kind == "action"
-    assert "outside the workspace" in recording.header.failure.message
+    assert "inside the workspace" in recording.header.failure.message
     assert recording["scorer/time_s"][-1] == pytest.approx(0.498, abs=0.003), "what ran before is kept"
     score = score_recording(recording)
     assert (score.failure_mode, score.attribution, score.c3_success) == ("process_failure", "process", False)

@@ -57,13 +57,13 @@ def check_action(action: Action, bounds: ActionBounds) -> Action:
         low, high = np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m)
         if (pose[:3] < low).any() or (pose[:3] > high).any():
             raise ActionError(
-                f"pose_tcp_in_base: position {[float(f'{x:.6g}') for x in pose[:3]]} m is outside the workspace "
-                f"{list(bounds.workspace_low_m)} to {list(bounds.workspace_high_m)} m in base"
+                f"pose_tcp_in_base: expected a position inside the workspace {list(bounds.workspace_low_m)} to "
+                f"{list(bounds.workspace_high_m)} m in base, got {[float(f'{x:.6g}') for x in pose[:3]]}"
             )
         with np.errstate(over="ignore"):
             norm = float(np.linalg.norm(pose[3:]))
         if abs(norm - 1.0) > 1e-2:
-            raise ActionError(f"pose_tcp_in_base: quaternion norm {norm:.4g}, expected 1")
+            raise ActionError(f"pose_tcp_in_base: expected a quaternion of norm 1, got {norm:.4g}")
         pose[3:] /= norm
     stiffness = action.stiffness
     if stiffness is not None:
@@ -72,7 +72,7 @@ def check_action(action: Action, bounds: ActionBounds) -> Action:
         limits = (bounds.translational_stiffness, bounds.rotational_stiffness)
         for value, (low_k, high_k), unit in zip(stiffness, limits, ("N/m", "N m/rad"), strict=True):
             if not low_k <= value <= high_k:
-                raise ActionError(f"stiffness: {value} {unit} is outside [{low_k}, {high_k}]")
+                raise ActionError(f"stiffness: expected {low_k:g} to {high_k:g} {unit}, got {value}")
         stiffness = (float(stiffness[0]), float(stiffness[1]))
     gripper = action.gripper
     if gripper is not None and not 0 <= gripper <= 1:

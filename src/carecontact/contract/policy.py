@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import NoReturn, Protocol, cast, runtime_checkable
 
 from carecontact.contract.action import ACTION_SPACES, Action, ActionBounds
 from carecontact.contract.observation import MODALITIES, Observation
@@ -28,16 +28,29 @@ class PolicyCard:
     """``none``, ``rules-v1``, ``replay:<hash>`` or ``live:<model>``; travels with every result."""
 
     def __post_init__(self) -> None:
-        if not self.name:
-            raise ContractError("PolicyCard.name is empty")
+        """Raises ContractError naming the field, what was expected and what was got."""
+        # Whatever its annotations say, a card is written by hand.
+        fields = {name: cast(object, value) for name, value in vars(self).items()}
+        for field in ("name", "language_backend"):
+            if not isinstance(fields[field], str) or not fields[field]:
+                _wrong(field, "text that is not empty", fields[field])
         if self.action_space not in ACTION_SPACES:
-            raise ContractError(f"PolicyCard.action_space {self.action_space!r}; valid: {', '.join(ACTION_SPACES)}")
-        for got, valid, field in ((self.modalities, MODALITIES, "modalities"), (self.cameras, CAMERAS, "cameras")):
-            unknown = [g for g in got if g not in valid]
-            if unknown:
-                raise ContractError(f"PolicyCard.{field} {unknown}; valid: {', '.join(valid)}")
-        if not 1 <= self.control_hz <= 50:
-            raise ContractError(f"PolicyCard.control_hz {self.control_hz}; valid: 1 to 50")
+            _wrong("action_space", f"one of {', '.join(ACTION_SPACES)}", self.action_space)
+        for field, valid in (("modalities", MODALITIES), ("cameras", CAMERAS)):
+            names = fields[field]
+            expected = f"a tuple of names out of {', '.join(valid)}"
+            if not isinstance(names, tuple | list):
+                _wrong(field, expected, names)
+            for name in cast(Sequence[object], names):
+                if name not in valid:
+                    _wrong(field, expected, name)
+        rate = fields["control_hz"]
+        if isinstance(rate, bool) or not isinstance(rate, int | float) or not 1 <= rate <= 50:
+            _wrong("control_hz", "a number from 1 to 50 [Hz]", rate)
+
+
+def _wrong(field: str, expected: str, got: object) -> NoReturn:
+    raise ContractError(f"PolicyCard.{field}: expected {expected}, got {got!r:.80}")
 
 
 @dataclass(frozen=True, kw_only=True)

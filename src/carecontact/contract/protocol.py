@@ -319,11 +319,15 @@ class Protocol(Section):
             len(set(self.randomization.seeds)) != len(self.randomization.seeds)
             or min(self.randomization.seeds, default=-1) < 0
         ):
-            raise ValueError("randomization.seeds: expected different numbers from 0 up")
+            raise ValueError(
+                f"randomization.seeds: expected different numbers from 0 up, got {self.randomization.seeds!s:.80}"
+            )
         if self.contact.off_n >= self.contact.on_n:
-            raise ValueError(f"contact.off_n {self.contact.off_n} must be below on_n {self.contact.on_n}")
+            raise ValueError(f"contact.off_n: expected less than on_n {self.contact.on_n}, got {self.contact.off_n}")
         if not self.limits.f_pain_n or min(self.limits.f_pain_n.values()) <= 0:
-            raise ValueError("limits.f_pain_n: expected at least one segment, each above 0 N")
+            raise ValueError(
+                f"limits.f_pain_n: expected at least one segment, each above 0 N, got {self.limits.f_pain_n}"
+            )
         impedance = self.impedance
         ranges = {
             "randomization.comfort_arm_deg": [self.randomization.comfort_arm_deg],
@@ -336,10 +340,10 @@ class Protocol(Section):
         for name, pairs in ranges.items():
             for low, high in pairs:
                 if not low < high:
-                    raise ValueError(f"{name}: low {low} is not below high {high}")
+                    raise ValueError(f"{name}: expected low below high, got {low} and {high}")
         steps = self.physics.target_period_s / self.physics.dt_s
         if abs(steps - round(steps)) > 1e-9:
-            raise ValueError(f"physics.target_period_s must be a whole number of dt_s, got {steps:g} steps")
+            raise ValueError(f"physics.target_period_s: expected a whole number of dt_s, got {steps:g} of them")
         return self
 
     @property

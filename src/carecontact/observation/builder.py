@@ -113,7 +113,9 @@ def derive_view(
     """
     missing = sorted({i for m in modalities for i in IMAGES_FOR[m] if getattr(raw, i) is None})
     if missing:
-        raise ObservationError(f"modalities {list(modalities)} need the image(s) {', '.join(missing)}")
+        raise ObservationError(
+            f"raw view: expected the images that {', '.join(modalities)} are made of, got no {' and no '.join(missing)}"
+        )
     view: dict[str, Any] = {"intrinsics": raw.intrinsics, "pose_camera_in_base": raw.pose_camera_in_base}
     points = found = masks = None
     if raw.depth is not None and {"points", "masks"} & set(modalities):

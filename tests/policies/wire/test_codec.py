@@ -168,7 +168,7 @@ def test_a_wrong_answer_is_named(answer: object, says: str) -> None:
         (None, "expected a PolicyCard, got NoneType"),
         ({"name": "n", "seed": 3}, "unknown key seed"),
         ({}, "expected the key name"),
-        ({"name": "n", "cameras": ["ceiling"]}, "valid: overhead"),
+        ({"name": "n", "cameras": ["ceiling"]}, "out of overhead, .* got 'ceiling'"),
         ({"name": "n", "cameras": "overhead"}, "a list of names"),
         ({"name": "n", "control_hz": "fast"}, "a number"),
         ({"name": "n", "control_hz": float("nan")}, "1 to 50"),

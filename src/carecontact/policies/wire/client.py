@@ -75,16 +75,17 @@ class PolicyClient:
     def act(self, observation: Observation, *, deadline_s: float) -> ActReply:
         """Raises ObservationError if the observation breaks the contract, which is the harness's fault."""
         if self._bounds is None:
-            raise ContractError("act was called before reset")
+            raise ContractError("PolicyClient.act: expected reset before it, got none")
         message = pack({"type": "act", "observation": codec.encode_observation(observation)})
         self._expect_silence()
         started = time.monotonic()
         self._send(message, deadline_s=deadline_s)
         plain = self._receive("actions", "actions", deadline_s=deadline_s, started=started)
         try:
-            actions = [check_action(action, self._bounds) for action in codec.decode_actions(plain)]
+            actions = codec.decode_actions(plain)
         except ActionError as error:
             raise PolicyError("action", str(error)) from None
+        actions = [_checked(action, self._bounds, place=f"actions[{i}]") for i, action in enumerate(actions)]
         return ActReply(actions=actions, sent=message, sent_sha256=hashlib.sha256(message).digest())
 
     def say_goodbye(self, *, deadline_s: float) -> None:
@@ -149,6 +150,13 @@ class PolicyClient:
             got = f"keys {sorted(entries)}, type {entries.get('type')!r}" if entries else f"{message!r:.200}"
             raise PolicyError("garbage", f"expected one {kind!r} message, got {got:.300}")
         return entries[field] if field else None
+
+
+def _checked(action: Action, bounds: ActionBounds, *, place: str) -> Action:
+    try:
+        return check_action(action, bounds)
+    except ActionError as error:
+        raise PolicyError("action", f"{place}.{error}") from None
 
 
 def _closed(error: Exception) -> PolicyError:

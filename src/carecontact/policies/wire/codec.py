@@ -221,7 +221,7 @@ def _known(plain: object, kind: type[Any], place: str, error: type[ContractError
     fields = {f.name: f for f in dataclasses.fields(kind)}
     unknown = sorted(set(plain) - set(fields))
     if unknown:
-        raise error(f"{place}: unknown key {', '.join(unknown)}; valid: {', '.join(fields)}")
+        raise error(f"{place}: unknown key {', '.join(unknown):.200}; valid: {', '.join(fields)}")
     out: Plain = {}
     for name, field in fields.items():
         if name in plain:
@@ -230,7 +230,7 @@ def _known(plain: object, kind: type[Any], place: str, error: type[ContractError
             default = field.default
             out[name] = list(cast(tuple[object, ...], default)) if isinstance(default, tuple) else default
         else:
-            raise error(f"{place}: expected the key {name}, got {', '.join(sorted(plain)) or 'none'}")
+            raise error(f"{place}: expected the key {name}, got {', '.join(sorted(plain)) or 'none':.200}")
     return out
 
 
@@ -254,7 +254,7 @@ def _number(value: object, place: str, error: type[ContractError]) -> float:
     try:
         return float(cast(float, value))
     except OverflowError:
-        raise error(f"{place}: expected a number, got one too large") from None
+        raise error(f"{place}: expected a number, got one too large for 64 bits") from None
 
 
 def _numbers(value: object, count: int, place: str) -> tuple[float, ...]:

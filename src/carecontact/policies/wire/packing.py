@@ -58,7 +58,7 @@ def pack(value: object) -> bytes:
     try:
         return _packb(value, default=_array_to_map)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise ContractError(f"message cannot be encoded: {error}") from None
+        raise ContractError(f"message: expected what can be sent, got what cannot be encoded: {error}") from None
 
 
 def unpack(data: bytes, *, max_bytes: int = MAX_MESSAGE_BYTES) -> object:
@@ -106,17 +106,19 @@ def _array_to_map(value: object) -> object:
 
 
 def _map_without_repeats(pairs: list[tuple[object, object]]) -> dict[object, object]:
-    out = dict(pairs)
-    if len(out) != len(pairs):
-        raise ContractError("message: a map repeats a key")
-    if not all(isinstance(key, str) for key in out):
-        raise ContractError("message: expected text as map keys")
+    out: dict[object, object] = {}
+    for key, value in pairs:
+        if not isinstance(key, str):
+            raise ContractError(f"message: expected text as map keys, got {key!r:.80}")
+        if key in out:
+            raise ContractError(f"message: expected each key of a map once, got {key!r:.80} again")
+        out[key] = value
     return out
 
 
 def _with_arrays(value: object, *, depth: int, place: str) -> object:
     if depth > MAX_DEPTH:
-        raise ContractError(f"{place}: nested deeper than {MAX_DEPTH} levels")
+        raise ContractError(f"{place:.80}: expected at most {MAX_DEPTH} levels, got a deeper one")
     if is_map(value):
         if "__ndarray__" in value:
             return _array_from_map(value, place)
@@ -128,10 +130,10 @@ def _with_arrays(value: object, *, depth: int, place: str) -> object:
 
 def _array_from_map(entries: dict[str, object], place: str) -> AnyArray:
     if set(entries) != _ARRAY_KEYS or entries["__ndarray__"] is not True:
-        raise ContractError(f"{place}: expected an array with keys {sorted(_ARRAY_KEYS)}, got {sorted(entries)}")
+        raise ContractError(f"{place}: expected an array with keys {sorted(_ARRAY_KEYS)}, got {sorted(entries)!s:.200}")
     dtype, shape, data = entries["dtype"], entries["shape"], entries["data"]
     if dtype not in DTYPES:
-        raise ContractError(f"{place}: array dtype {dtype!r}; valid: {', '.join(DTYPES)}")
+        raise ContractError(f"{place}: expected an array dtype out of {', '.join(DTYPES)}, got {dtype!r:.80}")
     if not is_list(shape) or len(shape) > MAX_RANK:
         raise ContractError(f"{place}: expected a shape of at most {MAX_RANK} sizes, got {shape!r:.80}")
     sizes = [s for s in shape if type(s) is int and 0 <= s <= MAX_ELEMENTS]
@@ -141,7 +143,8 @@ def _array_from_map(entries: dict[str, object], place: str) -> AnyArray:
     expected = math.prod(sizes) * kind.itemsize
     if not isinstance(data, bytes) or len(data) != expected:
         got = f"{len(data)} bytes" if isinstance(data, bytes) else type(data).__name__
-        raise ContractError(f"{place}: array {sizes} of {dtype} expects {expected} bytes, got {got}")
-    if dtype == "|b1" and any(data.translate(None, b"\x00\x01")):
-        raise ContractError(f"{place}: expected 0 or 1 in a bool array")
+        raise ContractError(f"{place}: expected {expected} bytes for an array {sizes} of {dtype}, got {got}")
+    odd = data.translate(None, b"\x00\x01") if dtype == "|b1" else b""
+    if odd:
+        raise ContractError(f"{place}: expected 0 or 1 in a bool array, got the byte {odd[0]}")
     return np.frombuffer(data, kind).reshape(sizes).copy()

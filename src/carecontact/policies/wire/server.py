@@ -86,4 +86,6 @@ def _answer(policy: Policy, frame: str | bytes) -> dict[str, object] | None:
         return {"type": "actions", "actions": codec.encode_actions(answer)}
     if kind == "close" and not keys:
         return None
-    raise ContractError(f"expected a reset, act or close message, got type {kind!r} with {sorted(keys)}")
+    raise ContractError(
+        f"message: expected a reset, act or close message, got type {kind!r:.80} with {sorted(keys)!s:.200}"
+    )
