@@ -35,9 +35,12 @@ BELLY_FINE_HALF_WIDTH_M, BELLY_FINE_MARGIN_M = 0.080, 0.03
 """The fine patch is this wide at most, and this far from the shell's border."""
 LIMB_SPAN = {"forearm": (0.05, 0.96), "upper_arm": (0.25, 0.97)}
 """Share of the joint-to-joint line that a shell covers; the upper arm's begins under the armpit, where it is a tube."""
-CELL_LENGTH_M, CELL_ROUND_M, BELLY_CELL_M = 0.040, 0.016, 0.040
-"""Vertices of one cell glide over the bone together; round a limb the cells are narrow: with 24 degrees
-where on a cell the tool lands changed its force by 5 %, with 14 by 2 %."""
+CELL_LENGTH_M, CELL_ROUND_M, BELLY_CELL_M = 0.040, 0.016, 0.032
+"""Vertices of one cell glide over the bone together; round a limb the cells are narrow, as their normals differ."""
+BELLY_LEAN = 0.5
+"""How far a belly vertex's direction leans from its cell's normal (0) to its own (1). With 0, vertices on either side
+of a cell's border run together under a deep press and the tool hooks there; with 1, up to 1.5 % of a press goes past
+the springs into the bone, as a vertex's direction and its cell's tangents are then not at right angles."""
 LIMB_SAMPLES, BELLY_SAMPLES = (41, 61), 41
 """Rays along and round a limb, and each way over the belly."""
 SMOOTHING_M = 0.012
@@ -71,6 +74,8 @@ class Shell:
     """(N,) number of the cell; -1 where pinned"""
     cell_frames: Array
     """(C, 3, 3) columns: tangent along the region, tangent across, outward normal"""
+    inward: Array
+    """(N, 3) unit, the direction that a vertex's anchor gives way in"""
     axis_points: Array
     """(N, 3) point of the region's axis (belly: of its back plane) inward of each vertex"""
     grid: Array
@@ -150,7 +155,7 @@ def limb_shell(body: Body, segment: str, outward: Array, tissue: Tissue) -> Shel
     depth = float(radius_at(length / 2, np.zeros(1))[0])
     return _finish(
         rows, grid - [low, 0.0], pinned=pinned, fine=away(grid[:, 0], grid[:, 1], radius) <= 1e-9,
-        cell_size=(_cell(tissue, CELL_LENGTH_M), _cell(tissue, CELL_ROUND_M)), across_m=np.concatenate(radii),
+        cell_size=(_cell(tissue, CELL_LENGTH_M), _cell(tissue, CELL_ROUND_M)), across_m=np.concatenate(radii), lean=0.0,
         axis_points=np.repeat(line(t), [len(a) for a in angles], 0),
         origin=start + 0.5 * along + (centre - start - ((centre - start) @ x) * x), frame=np.stack([x, y, z], 1),
         length=length, radius=radius, depth=depth,
@@ -218,7 +223,7 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
     cell = _cell(tissue, BELLY_CELL_M)
     return _finish(
         rows, grid - [low, 0.0], pinned=pinned, fine=away(grid[:, 0], grid[:, 1]) <= 1e-9, cell_size=(cell, cell),
-        across_m=np.ones(len(grid)),
+        across_m=np.ones(len(grid)), lean=BELLY_LEAN,
         axis_points=np.concatenate(origins), origin=origin, frame=np.stack([x, y, z], 1), length=high - low,
         radius=half_width, depth=float(depth_at((low + high) / 2, np.zeros(1))[0]),
     )  # fmt: skip
@@ -267,8 +272,8 @@ def _bin(values: Array, low: float, high: float, count: int) -> npt.NDArray[np.i
 
 def _finish(
     rows: list[Array], grid: Array, *, pinned: npt.NDArray[np.bool_], fine: npt.NDArray[np.bool_],
-    cell_size: tuple[float, float], across_m: Array, axis_points: Array, origin: Array, frame: Array, length: float,
-    radius: float, depth: float,
+    cell_size: tuple[float, float], across_m: Array, lean: float, axis_points: Array, origin: Array,
+    frame: Array, length: float, radius: float, depth: float,
 ) -> Shell:  # fmt: skip
     vertices, triangles = np.concatenate(rows), zip_rows(rows)
     x = frame[:, 0]
@@ -295,8 +300,11 @@ def _finish(
         tangent = x - (x @ n) * n
         tangent /= np.linalg.norm(tangent)
         frames[k] = np.stack([tangent, np.cross(n, tangent), n], 1)
+    outward = np.where(pinned[:, None], normals, (1 - lean) * frames[cell, :, 2] + lean * normals)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     return Shell(
         vertices=vertices, normals=normals, triangles=triangles, pinned=pinned, fine=fine & ~pinned, area=area,
-        cell=cell, cell_frames=frames, axis_points=axis_points, grid=grid, frame_origin=origin, frame=frame,
+        cell=cell, cell_frames=frames, inward=-outward,
+        axis_points=axis_points, grid=grid, frame_origin=origin, frame=frame,
         length_m=length, radius_m=radius, axis_depth_m=depth,
     )  # fmt: skip

@@ -81,7 +81,7 @@ def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissu
         vertex.ipos = [0, 0, 0]
         vertex.inertia = np.full(3, vertex.mass * 1e-5)
         law = [tissue.a_n_m3 * area, tissue.b_n_m4 * area, tissue.c_n_m5 * area]
-        vertex.add_joint(name=f"{name}_n", type=slide, axis=-shell.cell_frames[shell.cell[k], :, 2], stiffness=law)
+        vertex.add_joint(name=f"{name}_n", type=slide, axis=shell.inward[k], stiffness=law)
     spec.add_flex(
         name=region, dim=2, radius=FLEX_RADIUS_M, vertbody=names, vert=positions.ravel(),
         elem=shell.triangles.ravel().astype(np.int32), contype=0, conaffinity=1, condim=3,
