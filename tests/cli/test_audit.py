@@ -22,6 +22,7 @@ def test_nothing_leaks_to_any_registered_policy(tmp_path: Path, capsys: pytest.C
     assert said["policies"] == list(POLICIES)
     counts = {part["part"]: part["counts"] for part in said["parts"]}
     assert counts["schema"] == {"policies": len(POLICIES), "messages": len(POLICIES)}
+    assert "1 card, " in printed
     assert counts["re-derivation"]["observations in contact"] >= 3
     assert counts["canary"]["observations before contact"] >= 2
     assert counts["frozen frames"]["fields of the world scrambled"] > 100

@@ -67,13 +67,13 @@ def audit_canary(one: Watched, twin: Watched) -> Part:
         dt_s = one.recording.header.spec.protocol.physics.dt_s
         until_s = (first + 0.5) * dt_s
         for look, other in zip(one.looks, twin.looks, strict=False):
-            if look.observation.sim_time_s > until_s:
+            if look.time_s > until_s:
                 break
             counts["observations before contact"] += 1
             if look.sent == other.sent:
                 continue
             told = differences(unpack(look.sent), unpack(other.sent), "message")
-            at = f"at {look.observation.sim_time_s:.3f} s, before contact"
+            at = f"at {look.time_s:.3f} s, before contact"
             findings += [
                 Finding(
                     policy=one.policy, place=place.removeprefix("message."),

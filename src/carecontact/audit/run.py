@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -71,8 +72,10 @@ def audit(
         found.setdefault(part.name, []).append(part)
 
     with tempfile.TemporaryDirectory(prefix="carecontact-audit-") as name:
-        folder, real, pressed = Path(name), list[Watched](), list[Watched]()
+        folder, real = Path(name), list[Watched]()
         for number, task_id in enumerate(tasks[:1] if quick else tasks):
+            logs, pressed = folder / "logs", list[Watched]()
+            logs.mkdir()
             keyframe = Keyframe(protocol, task_id=task_id, seed=seed)
             region = protocol.task(task_id).region
             spec = TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy="")
@@ -81,7 +84,7 @@ def audit(
                     on_event(f"a trial of {policy}")
                     trial = watch(
                         _shortened(spec, policy, quick=quick), policy=policy, prepare=keyframe.parked,
-                        log=folder / "logs" / f"real-{index:02d}", search_path=search_path,
+                        log=logs / f"real-{index:02d}", search_path=search_path,
                     )  # fmt: skip
                     add(schema.audit_schema([trial]))
                     trial.forget()
@@ -91,7 +94,7 @@ def audit(
                 on_event(f"two presses on the {region.replace('_', ' ')}, seen by {card.name}")
                 one, twin = _pair(
                     _without_noise(spec), card, keyframe, folder=folder,
-                    log=folder / "logs" / f"press-{number}-{index:02d}",
+                    log=logs / f"press-{number}-{index:02d}",
                 )  # fmt: skip
                 add(canary.audit_canary(one, twin))
                 add(handshake.audit_handshake(one, twin))
@@ -99,8 +102,10 @@ def audit(
                 one.forget()
             on_event(f"the world scrambled in contact with the {region.replace('_', ' ')}")
             add(frozen.audit_frozen(_at_contact(keyframe, spec), cards, instruction=protocol.task(task_id).prompt))
-        on_event("everything made again without a simulator")
-        add(derivation.audit_derivation(folder / "logs", pressed))
+            on_event("all of it made again without a simulator")
+            add(derivation.audit_derivation(logs, pressed))
+            # Hundreds of megabytes a region.
+            shutil.rmtree(logs)
     parts = tuple(_merged(part.NAME, part.TITLE, found.get(part.NAME, [])) for part in PARTS)
     return Audit(protocol=protocol, policies=tuple(policies), quick=quick, parts=parts)
 

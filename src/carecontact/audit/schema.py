@@ -10,6 +10,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError
 from carecontact.policies.wire import codec
 from carecontact.policies.wire.packing import unpack
+from carecontact.trials.failed import reason
 
 NAME, TITLE = "schema", "messages of real trials of each policy"
 FIELDS_OF = {
@@ -34,7 +35,8 @@ def audit_schema(trials: list[Watched]) -> Part:
     findings: list[Finding] = []
     for trial in trials:
         if trial.error:
-            findings.append(Finding(policy=trial.policy, place="trial", told=trial.error))
+            told = f"failed, so that not all it would be sent was looked at: {reason(trial.error)}"
+            findings.append(Finding(policy=trial.policy, place="trial", told=told))
         card = trial.card
         for look in trial.looks:
             findings += [
@@ -42,7 +44,7 @@ def audit_schema(trials: list[Watched]) -> Part:
             ]
     return Part(
         name=NAME, title=TITLE,
-        counts={"policies": len(trials), "messages": sum(len(trial.look_times_s) for trial in trials)},
+        counts={"policies": len(trials), "messages": sum(len(trial.looks) for trial in trials)},
         findings=tuple(dict.fromkeys(findings)),
     )  # fmt: skip
 

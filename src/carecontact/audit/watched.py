@@ -27,6 +27,8 @@ Prepare = Callable[[TrialSpec], tuple[Simulation, Settled, str]]
 
 ACTIONS_PER_LOOK = 3
 """At 20 Hz a look every 0.15 s: two before the press touches, four while it does."""
+MAX_LOOKS = 20
+"""Of one trial that are kept and logged: a policy that looks at every step would fill memory and disk."""
 WITNESS = "audit_witness:witness"
 _WITNESS_SOURCE = """
 from pathlib import Path
@@ -35,6 +37,12 @@ from carecontact.policies.witness import Witness
 def witness():
     return Witness(Path(__file__).parent)
 """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    time_s: float
+    sent: bytes
 
 
 @dataclass(kw_only=True)
@@ -46,9 +54,10 @@ class Watched:
     recording: Recording | None = None
     error: str | None = None
     """Why the harness could not run it, or why the policy's process failed."""
-    looks: list[Look] = field(default_factory=list[Look])
-    """Some 20 MB each: see ``forget``."""
+    looks: list[Message] = field(default_factory=list["Message"])
+    """The first MAX_LOOKS, some 10 MB each: see ``forget``."""
     look_times_s: list[float] = field(default_factory=list[float])
+    """Of all looks."""
     told: dict[str, Any] = field(default_factory=dict[str, Any])
     """Of a witness: what reached its process by its reset."""
 
@@ -85,10 +94,13 @@ def watch(
     watched = Watched(policy=policy)
 
     def on_look(look: Look) -> None:
+        time_s, number = look.observation.sim_time_s, len(watched.look_times_s)
+        watched.look_times_s.append(time_s)
+        if number >= MAX_LOOKS:
+            return
+        watched.looks.append(Message(time_s=time_s, sent=look.sent))
         if log is not None:
-            write_look(log, len(watched.looks), observation=look.observation, raw=look.raw, sent=look.sent)
-        watched.looks.append(look)
-        watched.look_times_s.append(look.observation.sim_time_s)
+            write_look(log, number, observation=look.observation, raw=look.raw, sent=look.sent)
 
     try:
         recording = watched.recording = run_trial(spec, search_path=search_path, prepare=prepare, on_look=on_look)

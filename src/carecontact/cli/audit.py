@@ -35,6 +35,8 @@ def audit(*, policies: tuple[str, ...], quick: bool, body: str | None, protocol:
     from carecontact.audit.run import audit as run_audit
     from carecontact.audit.run import write
 
+    # Now, not after minutes of work.
+    out.mkdir(parents=True, exist_ok=True)
     print(f"{rules.title}, {rules.person.body}{', quick' if quick else ''}: {', '.join(names)}", flush=True)
     result = run_audit(
         rules, names, quick=quick, search_path=[str(folder)], on_event=lambda said: print(f"  {said}", flush=True)
@@ -53,7 +55,13 @@ def audit(*, policies: tuple[str, ...], quick: bool, body: str | None, protocol:
 
 
 def _looked_at(part: Part) -> str:
-    return ", ".join(f"{count:,} {what}" for what, count in part.counts.items())
+    return ", ".join(f"{count:,} {_one(what) if count == 1 else what}" for what, count in part.counts.items())
+
+
+def _one(what: str) -> str:
+    """``policies`` -> ``policy``, ``observations in contact`` -> ``observation in contact``."""
+    first, space, rest = what.partition(" ")
+    return (f"{first[:-3]}y" if first.endswith("ies") else first.removesuffix("s")) + space + rest
 
 
 def _line(finding: Finding) -> str:
