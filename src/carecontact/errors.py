@@ -10,6 +10,8 @@ CarecontactError
 ├── ContractError            a message does not fit the observation / action contract
 │   ├── ObservationError
 │   └── ActionError
+├── LanguageError            a language backend is out of reach, refuses, or answers outside its schema
+├── ProgramError             a program that a language model wrote was stopped or is wrong
 ├── PolicyError              the policy process died, hung or answered wrongly: its process failure
 └── RecordingError           a trial file is corrupt, truncated or foreign
 """
@@ -65,10 +67,29 @@ class ActionError(ContractError):
     pass
 
 
+class LanguageError(CarecontactError):
+    """Inside a policy it is that policy's process failure."""
+
+
+class ProgramError(CarecontactError):
+    """Inside a policy it is that policy's process failure."""
+
+
 class PolicyError(CarecontactError):
     """A policy process failed; ``kind`` is one of KINDS and goes into the recording as evidence."""
 
-    KINDS = ("start", "handshake", "died", "timeout", "garbage", "oversize", "exception", "action")
+    KINDS = (
+        "start",
+        "handshake",
+        "died",
+        "timeout",
+        "garbage",
+        "oversize",
+        "exception",
+        "action",
+        "language",
+        "program",
+    )
 
     def __init__(self, kind: str, message: str) -> None:
         if kind not in self.KINDS:

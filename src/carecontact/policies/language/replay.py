@@ -1,0 +1,85 @@
+"""``replay:<hash>:<model>``: completions from a file, found by what was asked. Asking anything else is an error."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from carecontact.errors import ConfigError, LanguageError
+from carecontact.policies.language.completion import Completion, CompletionRequest
+
+AUTHORED = "authored"
+"""Model name of completions that a person wrote: rows made with them are references of the harness, and say so."""
+MAX_BYTES = 64 << 20
+
+
+class RecordedCompletion(BaseModel):
+    """One line of a replay file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    key: str
+    """sha256 of the request"""
+    request: CompletionRequest
+    completion: Completion
+
+
+class Replay:
+    """Deterministic; needs no network."""
+
+    def __init__(self, path: Path | str) -> None:
+        """Raises ConfigError naming file and line: unreadable, not JSON lines, a key that is not its request's, two
+        answers to one request, or completions for more than one model."""
+        content = read_bytes(Path(path))
+        self._completions: dict[str, Completion] = {}
+        self.model = ""
+        for number, line in enumerate(content.decode(errors="replace").splitlines(), 1):
+            if line.strip():
+                self._add(line, place=f"{path}, line {number}")
+        if not self._completions:
+            raise ConfigError(f"replay file {path} has no completion")
+        self.name = replay_name(content, model=self.model)
+
+    def complete(self, request: CompletionRequest) -> Completion:
+        """Raises LanguageError for what was not recorded; never falls back to something similar."""
+        found = self._completions.get(request.sha256)
+        if found is None:
+            last = request.messages[-1].content.strip()[-200:]
+            raise LanguageError(
+                f"{self.name} has no completion for request {request.sha256[:12]} (prompt {request.prompt_version}, "
+                f"ending {last!r}); it holds {len(self._completions)}"
+            )
+        return found
+
+    def _add(self, line: str, *, place: str) -> None:
+        try:
+            row = RecordedCompletion.model_validate_json(line)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"])) or "the line"
+            raise ConfigError(f"replay file {place}: {where}: {first['msg']}") from None
+        if row.key != row.request.sha256:
+            raise ConfigError(f"replay file {place}: its request has key {row.request.sha256[:12]}, not {row.key[:12]}")
+        if self.model not in ("", row.request.model):
+            raise ConfigError(f"replay file {place}: model {row.request.model}, but {self.model} before")
+        # A model that is asked twice may answer twice; which one counts must not depend on the order of lines.
+        if self._completions.get(row.key, row.completion) != row.completion:
+            raise ConfigError(f"replay file {place}: another answer to the same request came before")
+        self.model = row.request.model
+        self._completions[row.key] = row.completion
+
+
+def replay_name(content: bytes, *, model: str) -> str:
+    return f"replay:{hashlib.sha256(content).hexdigest()[:12]}:{model}"
+
+
+def read_bytes(path: Path) -> bytes:
+    """Raises ConfigError for a file that cannot be read or is larger than MAX_BYTES."""
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ConfigError(f"replay file {path}: more than {MAX_BYTES >> 20} MiB")
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"replay file {path}: {error.strerror}") from None

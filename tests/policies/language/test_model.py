@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from carecontact.errors import ContractError, LanguageError
+from carecontact.policies.language.backend import Intent, Option
+from carecontact.policies.language.completion import Completion, CompletionRequest
+from carecontact.policies.language.model import LanguageModel
+from carecontact.policies.language.replay import Replay
+from carecontact.policies.language.transcript import Transcript
+
+OPTIONS = [
+    Option(primitive="touch", approach="above", key_point=k, depth_m=0.012, speed_m_s=0.03) for k in (0.35, 0.5, 0.65)
+]
+INTENT = Intent(action="touch", region="forearm", side="right", manner="gentle")
+READ = {"action": "scrub", "region": "forearm", "side": "right", "manner": "gentle", "unclear": ""}
+
+
+class Says:
+    """A source of completions that says what it is given, in turn."""
+
+    name, model = "live:m-1", "m-1"
+
+    def __init__(self, *said: str | Completion) -> None:
+        self.said, self.asked = list(said), list[CompletionRequest]()
+
+    def complete(self, request: CompletionRequest) -> Completion:
+        self.asked.append(request)
+        said = self.said.pop(0)
+        return said if isinstance(said, Completion) else Completion(text=said, model="m-1-exact")
+
+
+def model(*said: str | Completion, record: Path | None = None) -> tuple[LanguageModel, Says]:
+    source = Says(*said)
+    return LanguageModel(Transcript(source, record=record)), source
+
+
+def test_reads_an_instruction() -> None:
+    backend, source = model(json.dumps(READ))
+    assert backend.parse("gently scrub the right forearm") == Intent(
+        action="scrub", region="forearm", side="right", manner="gentle"
+    )
+    assert backend.name == "live:m-1"
+    (asked,) = source.asked
+    assert asked.messages[-1].content == "gently scrub the right forearm"
+    schema: dict[str, Any] = asked.json_schema or {}
+    assert schema["additionalProperties"] is False
+    assert set(schema["required"]) == set(READ)
+    assert schema["properties"]["action"]["enum"] == ["touch", "push", "scrub"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [({"unclear": "which arm?"}, "finds it unclear: which arm"), ({"side": "none"}, "reads side none of forearm"),
+     ({"region": "abdomen"}, "reads side right of abdomen")],
+)  # fmt: skip
+def test_an_unclear_instruction_is_refused(changed: dict[str, str], told: str) -> None:
+    with pytest.raises(ContractError, match=told):
+        model(json.dumps(READ | changed))[0].parse("scrub the forearm")
+
+
+def test_selects_by_a_closed_schema() -> None:
+    backend, source = model('{"number": 2, "reason": "far from the elbow"}')
+    assert backend.choose(INTENT, OPTIONS) == 2
+    schema: dict[str, Any] = source.asked[0].json_schema or {}
+    assert schema["properties"]["number"]["enum"] == [0, 1, 2]
+    assert source.asked[0].messages[-1].content.count('"primitive": "touch"') == 3
+
+
+@pytest.mark.parametrize("wrong", ['{"number": 3, "reason": ""}', '{"number": "2"}', '{"number": 1}', "2", "", "none"])
+def test_a_wrong_answer_is_repaired_once(wrong: str) -> None:
+    backend, source = model(wrong, '{"number": 1, "reason": ""}')
+    assert backend.choose(INTENT, OPTIONS) == 1
+    assert [m.role for m in source.asked[1].messages] == ["system", "user", "assistant", "user"]
+    assert source.asked[1].messages[2].content == wrong
+    backend, source = model(wrong, wrong)
+    with pytest.raises(LanguageError, match="does not fit its schema after 1 repair"):
+        backend.choose(INTENT, OPTIONS)
+    assert len(source.asked) == 2
+
+
+def test_a_refusal_is_final() -> None:
+    backend, source = model(Completion(text="", refusal="I cannot touch people", model="m"))
+    with pytest.raises(LanguageError, match="is a refusal: I cannot touch people"):
+        backend.choose(INTENT, OPTIONS)
+    assert len(source.asked) == 1
+
+
+def test_every_answer_is_accounted_for() -> None:
+    backend, source = model("", json.dumps(READ), '{"number": 0, "reason": ""}')
+    backend.parse("x")
+    backend.choose(INTENT, OPTIONS)
+    calls = backend.take_calls()
+    assert [(c["purpose"], c["model"], c["backend"]) for c in calls] == [
+        ("parse", "m-1-exact", "live:m-1"), ("parse", "m-1-exact", "live:m-1"), ("choose", "m-1-exact", "live:m-1"),
+    ]  # fmt: skip
+    assert [c["request_sha256"] for c in calls] == [request.sha256 for request in source.asked]
+    assert calls[0]["completion_sha256"] == Completion(text="", model="whoever").sha256
+    assert backend.take_calls() == []
+
+
+def test_a_recording_replays_to_the_same_end(tmp_path: Path) -> None:
+    record = tmp_path / "said.jsonl"
+    backend, _ = model("wrong", '{"number": 1, "reason": ""}', record=record)
+    backend.choose(INTENT, OPTIONS)
+    replayed = LanguageModel(Transcript(Replay(record)))
+    assert replayed.choose(INTENT, OPTIONS) == 1
+    with pytest.raises(LanguageError, match="has no completion"):
+        replayed.choose(INTENT, OPTIONS[:2])
+
+
+def test_a_text_that_was_cut_is_no_text() -> None:
+    source = Says(Completion(text="half a", finish_reason="length", model="m"), "whole")
+    transcript = Transcript(source)
+    with pytest.raises(LanguageError, match=r"not whole \(finish reason length\)"):
+        transcript.text([], purpose="a program", prompt_version="p")
+    assert transcript.text([], purpose="a program", prompt_version="p") == "whole"
