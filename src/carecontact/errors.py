@@ -91,10 +91,11 @@ class PolicyError(CarecontactError):
         "program",
     )
 
-    def __init__(self, kind: str, message: str) -> None:
+    def __init__(self, kind: str, message: str, *, notes: dict[str, object] | None = None) -> None:
+        """``notes``: what the policy wanted to be kept of the step that failed."""
         if kind not in self.KINDS:
             raise ValueError(f"unknown policy failure kind {kind!r}; valid: {', '.join(self.KINDS)}")
-        self.kind = kind
+        self.kind, self.notes = kind, notes or {}
         super().__init__(message)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -11,9 +12,10 @@ import pytest
 
 from carecontact.contract.action import Action
 from carecontact.contract.observation import CameraView, Observation
+from carecontact.errors import PolicyError
 from carecontact.recording.schema import ARRAYS, REGIONS, SEGMENTS, dimensions
 from carecontact.sim.simulation import Samples, Settled, Simulation
-from carecontact.trials.log import MAX_LOSSLESS_FRAMES, TrialLog
+from carecontact.trials.log import MAX_LOSSLESS_FRAMES, MAX_NOTES_BYTES, TrialLog
 
 JOINTS = ["a", "b", "c"]
 PERIOD_S, STEPS = 0.02, 10
@@ -234,3 +236,23 @@ def test_reading_the_arrays_does_not_end_the_log(clock: Clock, log: TrialLog) ->
     assert len(log.arrays()["scorer/time_s"]) == STEPS
     log.add_samples(clock.advance())
     assert len(log.arrays()["scorer/time_s"]) == 2 * STEPS
+
+
+def test_notes_are_kept_beside_their_observation(log: TrialLog) -> None:
+    for k in range(2):
+        log.add_observation(observation(0.0), sha(str(k)))
+    log.add_notes({"chosen": 2, "map": np.eye(2, dtype=np.float32)})
+    log.add_notes({})
+    arrays = log.arrays()
+    assert json.loads(arrays["policy/notes/0001/json"].tobytes()) == {"chosen": 2}
+    np.testing.assert_array_equal(arrays["policy/notes/0001/map"], np.eye(2))
+    assert set(arrays) - set(ARRAYS) == {"policy/notes/0001/json", "policy/notes/0001/map"}
+
+
+@pytest.mark.parametrize(
+    ("notes", "kind"), [({"a": [np.zeros(2)]}, "garbage"), ({"a": np.zeros(MAX_NOTES_BYTES // 8)}, "oversize")]
+)
+def test_notes_that_cannot_be_kept_are_the_policys_failure(log: TrialLog, notes: dict[str, Any], kind: str) -> None:
+    with pytest.raises(PolicyError) as caught:
+        log.add_notes(notes)
+    assert caught.value.kind == kind

@@ -47,6 +47,11 @@ class Run:
     output says so, and such trials are never pooled with the protocol's own."""
     tissue: str | None = None
     """Other tissue than the protocol's: a name of `carecontact list tissue` or a .toml file, as calibrate writes it."""
+    language: str | None = None
+    """rules-v1, replay:FILE.jsonl or live:MODEL for policies that use language (see docs/language.md); default: the
+    policy's own."""
+    record: Path | None = None
+    """With a live language model: replay file to add its completions to."""
     fast: Switch = False
     """Physics steps of 4 ms instead of the protocol's: fewer steps a second, for development."""
     unfrozen: Switch = False
@@ -70,6 +75,8 @@ class Run:
             protocol=self.protocol,
             body=self.body,
             tissue=self.tissue,
+            language=self.language,
+            record=self.record,
             fast=self.fast,
             unfrozen=self.unfrozen,
             jobs=self.jobs,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from carecontact.cli.language import language_environment
 from carecontact.cli.policy_name import check_policy
 from carecontact.cli.progress import progress
 from carecontact.cli.score import report, rescore
@@ -30,13 +31,16 @@ def run(
     protocol: str,
     body: str | None = None,
     tissue: str | None = None,
+    language: str | None = None,
+    record: Path | None = None,
     fast: bool = False,
     unfrozen: bool = False,
     jobs: int | None,
     retry_failed: bool,
     purpose: Purpose = "run",
 ) -> int:
-    """``body``, ``tissue``, ``fast``: see ``protocols.adapted``; ``unfrozen``: see ``check_frozen``.
+    """``body``, ``tissue``, ``fast``: see ``protocols.adapted``; ``unfrozen``: see ``check_frozen``; ``language``,
+    ``record``: see ``language_environment``.
 
     Exit status 1 if the harness failed in any trial or a recording was skipped; a policy that fails is a result."""
     check_jobs(jobs)
@@ -45,6 +49,7 @@ def run(
     check_protocol(rules)
     task_ids, seed_list = parse_tasks(tasks, protocol=rules), parse_seeds(seeds, protocol=rules)
     folder = Path.cwd()
+    spoken = language_environment(policy, language=language, record=record)
     check_policy(policy, search_path=folder, deadline_s=rules.phases.first_call_deadline_s)
     specs = plan_trials(protocol=rules, policy=policy, tasks=task_ids, seeds=seed_list)
     print(f"{policy}: {len(specs)} trial(s) of {protocol_title(rules)} into {out}", flush=True)
@@ -54,7 +59,7 @@ def run(
             out=out,
             jobs=jobs,
             retry_failed=retry_failed,
-            environment={POLICY_PATH: str(folder)},
+            environment={POLICY_PATH: str(folder), **spoken},
             on_event=on_event,
             purpose=purpose,
         )

@@ -34,6 +34,13 @@ def quat_from_matrix(matrix: Array) -> Array:
     return q if q[0] >= 0 else -q
 
 
+def pixels(points_m: Array, intrinsics: Array, pose_camera: Array) -> Array:
+    """(..., 3) points, (3, 3) pinhole matrix, (4, 4) camera pose in the points' frame -> (..., 2) u, v [px]."""
+    in_camera = (points_m - pose_camera[:3, 3]) @ pose_camera[:3, :3]
+    projected = in_camera @ intrinsics.T
+    return projected[..., :2] / projected[..., 2:]
+
+
 def pose_matrix(position: Array, quat_wxyz: Array) -> Array:
     """(3,), (4,) -> (4, 4)."""
     out = np.eye(4)

@@ -25,7 +25,8 @@ class PolicyCard:
     control_hz: float = 10.0
     """Rate at which the actions of a chunk are executed: 1-50 Hz."""
     language_backend: str = "none"
-    """``none``, ``rules-v1``, ``replay:<hash>`` or ``live:<model>``; travels with every result."""
+    """``none``, ``rules-v1``, ``replay:<hash>:<model>`` or ``live:<model>``; travels with every result. The model of
+    completions that a person wrote is ``authored``."""
 
     def __post_init__(self) -> None:
         """Raises ContractError naming the field, what was expected and what was got."""
@@ -71,8 +72,10 @@ class Session:
 class Policy(Protocol):
     """Runs in a process of its own. Nothing about the trial but the instruction ever reaches it.
 
-    Optional: a policy that has a method ``configure(session: Session) -> None`` is given the session before every
-    ``reset``, for example to plan inside the workspace bounds.
+    Optional methods: ``configure(session: Session) -> None`` is given the session before every ``reset``, for example
+    to plan inside the workspace bounds. ``take_notes() -> dict[str, object]`` is asked after every ``act`` and once
+    when the policy fails: plain values and numeric arrays that go into the recording for people to look at, and into
+    no score. Notes that depend on the clock make a recording that no other equals.
     """
 
     card: PolicyCard

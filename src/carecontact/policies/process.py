@@ -20,6 +20,7 @@ import carecontact
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.errors import PolicyError
+from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
 from carecontact.policies.registry import resolve_policy
 from carecontact.policies.wire.client import ActReply, PolicyClient
 
@@ -32,6 +33,7 @@ EVIDENCE_CHARS = 4000
 ENVIRONMENT = (
     "PATH", "HOME", "TMPDIR", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "CUDA_VISIBLE_DEVICES", "SSL_CERT_FILE",
     "HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY", "http_proxy", "https_proxy", "no_proxy",
+    LANGUAGE_VARIABLE, RECORD_VARIABLE,
 )  # fmt: skip
 ENVIRONMENT_PREFIXES = ("OMP_", "OPENBLAS_", "OPENAI_")
 """Nothing else reaches the policy: no variable of the harness can carry a seed or a label."""
@@ -182,7 +184,7 @@ class PolicyProcess:
             message = f"policy {self.policy!r} failed at {doing}: {str(error)[:EVIDENCE_CHARS]}{ended}"
             if self.printed:
                 message += f"\nit printed last:\n{self.printed[-EVIDENCE_CHARS // 2 :]}"
-            raise PolicyError(error.kind, message) from None
+            raise PolicyError(error.kind, message, notes=error.notes) from None
         except BaseException:
             self._kill_and_reap()
             raise

@@ -13,6 +13,8 @@ class PolicyRow:
     target: str
     """``module:Class``; imported only in the policy's own process."""
     description: str
+    languages: tuple[str, ...] = ()
+    """Kinds of language backend that it takes by --language, its default first; empty: it takes none."""
 
 
 POLICIES: Registry[PolicyRow] = Registry("policy", plural="policies")
@@ -49,6 +51,7 @@ POLICIES.register(
     PolicyRow(
         target="carecontact.policies.state_machine.policy:StateMachine",
         description="The paper's method: perceive once, choose contact primitives by language, execute open loop.",
+        languages=("rules-v1", "replay", "live"),
     ),
 )
 

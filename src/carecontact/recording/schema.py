@@ -55,6 +55,7 @@ ARRAYS: dict[str, tuple[str, str]] = {
     "state/integration": ("f8", "(K, n) mjSTATE_INTEGRATION vectors"),
 }
 """Required arrays: dtype and meaning. Further paths are allowed: ``policy/frames/<index>/<camera>/<modality>``,
+``policy/notes/<index>/*`` (``recording.notes``),
 ``report/peak_rgb`` (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``perception/*``
 (``recording.perception``), ``wall/*`` (the only place for wall-clock data; outside the canonical hash)."""
 

@@ -34,6 +34,8 @@ class TrialScore(BaseModel):
     seed: int
     policy: str
     language_backend: str
+    language_sha256: str | None = None
+    """Over everything that language models were asked and answered in this trial; None: nothing was asked."""
     protocol_id: str
     protocol_sha256: str
     overrides: dict[str, str] = {}

@@ -6,6 +6,7 @@ from math import isfinite
 
 from carecontact.errors import RecordingError
 from carecontact.recording import Recording, canonical_hash, check_recording
+from carecontact.recording.notes import language_sha256
 from carecontact.scoring import exposure, force_predicted, force_rate, shear_work, utilisation
 from carecontact.scoring.attribution import attribute
 from carecontact.scoring.c1_peak_force import peak_force, peak_of_segments
@@ -54,6 +55,7 @@ def score_recording(recording: Recording, *, sha256: str | None = None) -> Trial
         seed=header.spec.seed,
         policy=header.spec.policy,
         language_backend=str(header.card.get("language_backend", "none")) if header.card else "none",
+        language_sha256=language_sha256(recording),
         protocol_id=protocol.id,
         protocol_sha256=protocol.sha256,
         overrides=protocol.overrides,

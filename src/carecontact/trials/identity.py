@@ -13,6 +13,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from carecontact.contract.trial import TrialSpec
+from carecontact.policies.language.selection import language_name
 from carecontact.trials.versions import package_versions
 from carecontact.world.human.body import SMPLX_PREFIX, smplx_path
 
@@ -27,6 +28,8 @@ class Identity(BaseModel):
 
     policy_sha256: str | None
     """Of the file of a ``module:Class`` policy's module; None for a registered policy, which the version stands for."""
+    language: str | None = None
+    """Backend that --language named; None: the policy's own choice."""
     versions: dict[str, str]
     sha256: dict[str, str]
     """Of the body's and the robot's baked archives; keys and values are those of a recording's header."""
@@ -38,8 +41,9 @@ class Identity(BaseModel):
         return [f"{name} was {old}, is {now}" for name, old, now in pairs if old and old != now]
 
 
-def identity_of(spec: TrialSpec, *, search_path: Sequence[str]) -> Identity:
-    """``search_path``: folders in which ``module:Class`` is looked for before the installed packages."""
+def identity_of(spec: TrialSpec, *, search_path: Sequence[str], language: str | None = None) -> Identity:
+    """``search_path``: folders in which ``module:Class`` is looked for before the installed packages; ``language``: as
+    the command line spells it."""
     versions = package_versions()
     source = policy_source(spec.policy, search_path=search_path)
     assets = resources.files("carecontact") / "assets"
@@ -50,6 +54,7 @@ def identity_of(spec: TrialSpec, *, search_path: Sequence[str]) -> Identity:
     }  # fmt: skip
     return Identity(
         policy_sha256=None if source is None else hashlib.sha256(source.read_bytes()).hexdigest(),
+        language=language_name(language) if language else None,
         versions={name: versions[name] for name in ("carecontact", "mujoco")},
         sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()},
     )

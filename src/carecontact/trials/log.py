@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,10 +11,12 @@ import numpy.typing as npt
 
 from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
+from carecontact.errors import PolicyError
 from carecontact.recording.schema import empty_arrays
 from carecontact.sim.simulation import Samples, Settled, Simulation
 
 MAX_LOSSLESS_FRAMES = 64
+MAX_NOTES_BYTES = 32 << 20
 STATE_PERIOD_S = 1.0
 
 _SCORER = {
@@ -38,6 +42,7 @@ class TrialLog:
         self._actions: list[tuple[float, npt.NDArray[np.float64], tuple[float, float], int]] = []
         self._states: list[tuple[float, npt.NDArray[np.float64]]] = []
         self._frames: dict[str, npt.NDArray[Any]] = {}
+        self._notes_bytes = 0
         self.extra: dict[str, npt.NDArray[Any]] = {}
 
     def add_samples(self, samples: list[Samples]) -> None:
@@ -58,6 +63,23 @@ class TrialLog:
                 image = getattr(view, modality)
                 if image is not None and len(self._frames) < MAX_LOSSLESS_FRAMES:
                     self._frames[f"policy/frames/{index:04d}/{name}/{modality}"] = image
+
+    def add_notes(self, notes: Mapping[str, object]) -> None:
+        """What the policy wants to be kept of its latest step. Raises PolicyError for what no JSON can hold."""
+        if not notes:
+            return
+        place = f"policy/notes/{max(len(self._observations) - 1, 0):04d}"
+        arrays = {f"{place}/{key}": value for key, value in notes.items() if isinstance(value, np.ndarray)}
+        try:
+            rest = {key: value for key, value in notes.items() if not isinstance(value, np.ndarray)}
+            text = json.dumps(rest, sort_keys=True).encode()
+        except (TypeError, ValueError) as error:
+            raise PolicyError("garbage", f"notes: arrays belong at the top, the rest is JSON: {error}") from None
+        size = len(text) + sum(array.nbytes for array in arrays.values())
+        self._notes_bytes += size
+        if self._notes_bytes > MAX_NOTES_BYTES:
+            raise PolicyError("oversize", f"notes of more than {MAX_NOTES_BYTES} bytes in one trial")
+        self.extra |= {**arrays, f"{place}/json": np.frombuffer(text, "u1")}
 
     def add_action(self, action: Action, stiffness: tuple[float, float]) -> None:
         pose = np.full(7, np.nan) if action.pose_tcp_in_base is None else action.pose_tcp_in_base

@@ -134,6 +134,9 @@ def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity:
     held = manifest.identity
     if held.policy_sha256 != identity.policy_sha256:
         raise ConfigError(f"{out}: the policy's source changed since this folder was started: use another --out")
+    if held.language != identity.language:
+        spoken = [name or "the policy's own" for name in (held.language, identity.language)]
+        raise ConfigError(f"{out} was started with language backend {spoken[0]}, wanted {spoken[1]}: use another --out")
     changed = identity.differences(versions=held.versions, sha256=held.sha256)
     if changed:
         raise ConfigError(f"{out} was started with something else ({'; '.join(changed)}): use another --out")
@@ -145,6 +148,9 @@ def _check_header(header: Header, spec: TrialSpec, *, path: Path, identity: Iden
             f"{path.parent} holds another run: {path.name} is of {_told(header.spec)}; wanted {_told(spec)}: "
             "use another --out"
         )
+    spoken = (header.card or {}).get("language_backend", identity.language)
+    if identity.language is not None and spoken != identity.language:
+        raise ConfigError(f"{path} was recorded with language backend {spoken}: use another --out")
     changed = identity.differences(versions=header.versions, sha256=header.sha256)
     if changed:
         raise ConfigError(f"{path} was recorded with something else ({'; '.join(changed)}): use another --out")

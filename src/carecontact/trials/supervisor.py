@@ -19,6 +19,7 @@ from typing import Literal
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, RecordingError
+from carecontact.policies.language import LANGUAGE_VARIABLE
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.schema import EndReason, Recording
 from carecontact.trials.failed import harness_error_recording, reason, tail
@@ -167,7 +168,10 @@ def run_trials(
     jobs = available_cores() if jobs is None else jobs
     if not specs:
         raise ConfigError("no trial to run")
-    identity = identity_of(specs[0], search_path=(environment or {}).get(POLICY_PATH, "").split(os.pathsep))
+    given = environment or {}
+    identity = identity_of(
+        specs[0], search_path=given.get(POLICY_PATH, "").split(os.pathsep), language=given.get(LANGUAGE_VARIABLE)
+    )
     found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -188,7 +192,7 @@ def run_trials(
             out=out,
             work=work,
             command=worker_command,
-            environment=environment or {},
+            environment=given,
             trial_limit_s=trial_limit_s,
         )
         try:

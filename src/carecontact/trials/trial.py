@@ -6,6 +6,7 @@ import json
 import os
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
@@ -146,7 +147,13 @@ class _Trial:
                     process.close()
                     self.log.extra["wall/policy_output"] = np.frombuffer(process.printed.encode(), "u1")
         except PolicyError as error:
+            self._keep_last_notes(error)
             return card, _Ended("process_failure", Failure(kind=error.kind, message=str(error)))
+
+    def _keep_last_notes(self, error: PolicyError) -> None:
+        # Those of a step that failed are a courtesy; how it failed is what counts.
+        with suppress(PolicyError):
+            self.log.add_notes(error.notes)
 
     def _act_loop(self, process: PolicyProcess, card: PolicyCard, renderer: SceneRenderer) -> _Ended:
         simulation, impedance = self.simulation, self.protocol.impedance
@@ -164,6 +171,7 @@ class _Trial:
                 observation = builder.build(simulation.data, instruction=self.task.prompt, sim_time_s=simulation.time_s)
                 reply = process.act(observation)
                 self.log.add_observation(observation, reply.sent_sha256)
+                self.log.add_notes(reply.notes)
                 self.perception.add(simulation.data, observation)
                 if self.on_look is not None and builder.raw is not None:
                     self.on_look(Look(observation=observation, raw=builder.raw, sent=reply.sent))

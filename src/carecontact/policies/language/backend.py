@@ -43,13 +43,19 @@ class Option:
 
 
 class LanguageBackend(Protocol):
-    """Deterministic for rules and replays. Both methods raise ContractError rather than guess."""
+    """Deterministic for rules and replays. Both methods raise ContractError rather than guess, and LanguageError when
+    the backend itself fails."""
 
     name: str
-    """``rules-v1``, ``replay:<hash>`` or ``live:<model>``; travels with every result."""
+    """``rules-v1``, ``replay:<hash>:<model>`` or ``live:<model>``; travels with every result."""
 
     def parse(self, instruction: str) -> Intent: ...
 
     def choose(self, intent: Intent, options: Sequence[Option]) -> int:
         """Index of the option to execute."""
+        ...
+
+    def take_calls(self) -> list[dict[str, object]]:
+        """What a language model was asked since the last time: purpose, backend, model, sha256 of request and
+        completion; empty for rules."""
         ...

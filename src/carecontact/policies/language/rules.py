@@ -82,6 +82,10 @@ class Rules:
 
         return min(range(len(options)), key=cost)
 
+    def take_calls(self) -> list[dict[str, object]]:
+        """None: nobody was asked."""
+        return []
+
 
 def _contains(text: str, phrase: str) -> bool:
     return re.search(rf"(?<![\w'-]){re.escape(phrase)}(?![\w'-])", text) is not None

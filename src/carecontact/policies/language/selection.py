@@ -6,12 +6,12 @@ import os
 from pathlib import Path
 
 from carecontact.errors import ConfigError
+from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
 from carecontact.policies.language.live import Live
 from carecontact.policies.language.replay import Replay
 from carecontact.policies.language.rules import Rules
 from carecontact.policies.language.transcript import Transcript
 
-VARIABLE, RECORD_VARIABLE = "CARECONTACT_LANGUAGE", "CARECONTACT_LANGUAGE_RECORD"
 SPELLINGS = "rules-v1, replay:FILE.jsonl or live:MODEL"
 
 
@@ -25,7 +25,7 @@ def language_name(spelled: str) -> str:
 
 def chosen_transcript(default: str) -> Transcript | None:
     """Of this process's environment; None stands for rules-v1. Raises as ``language_name``."""
-    spelled = os.environ.get(VARIABLE) or default
+    spelled = os.environ.get(LANGUAGE_VARIABLE) or default
     record = os.environ.get(RECORD_VARIABLE)
     return None if spelled == Rules.name else Transcript(_source(spelled), record=Path(record) if record else None)
 

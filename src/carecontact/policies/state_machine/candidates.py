@@ -28,6 +28,12 @@ class PlanningFailure(ContractError):
 class Candidate:
     option: Option
     legs: list[Leg]
+    """The whole way, from where the arm is parked"""
+
+    @property
+    def corners_m(self) -> F64:
+        """(n, 3) where the tool comes down and where each motion in contact ends, in base."""
+        return np.array([leg.points[-1] for leg in self.legs[3:-2]])
 
 
 def candidates(

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import asdict
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.action import MAX_CHUNK, Action, ActionBounds
+from carecontact.contract.geometry import pixels
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.errors import ContractError
 from carecontact.policies.language.backend import Intent, LanguageBackend
+from carecontact.policies.language.model import LanguageModel
 from carecontact.policies.language.rules import Rules
+from carecontact.policies.language.selection import chosen_transcript
 from carecontact.policies.state_machine import fixed_values as fixed
 from carecontact.policies.state_machine.candidates import Candidate, PlanningFailure, candidates
 from carecontact.policies.state_machine.geometry import person_points, region_from_observation
@@ -31,7 +35,8 @@ class StateMachine:
     """
 
     def __init__(self, *, language: LanguageBackend | None = None) -> None:
-        self._language: LanguageBackend = language or Rules()
+        """``language``: default as the run's --language says, rules-v1 if it says nothing."""
+        self._language: LanguageBackend = language or _backend()
         self.card = PolicyCard(
             name="state-machine",
             modalities=("rgb", "depth", "points", "masks", "landmarks"),
@@ -41,13 +46,15 @@ class StateMachine:
         )
         self._bounds: ActionBounds | None = None
         self._intent: Intent | None = None
+        self._notes: dict[str, object] = {}
 
     def configure(self, session: Session) -> None:
         """Without it the workspace is taken as unlimited."""
         self._bounds = session.action_bounds
 
     def reset(self, instruction: str) -> None:
-        """Raises ContractError if the instruction is not understood."""
+        """Raises ContractError if the instruction is not understood, LanguageError if the backend fails."""
+        self._intent, self._notes = None, {}
         self._intent = self._language.parse(instruction)
 
     def act(self, observation: Observation) -> Sequence[Action]:
@@ -59,6 +66,7 @@ class StateMachine:
                 raise PlanningFailure(f"the plan has {len(poses)} actions, at most {MAX_CHUNK} fit one chunk")
         except ContractError as error:
             logger.warning("state machine ends without touching: %s", error)
+            self._notes["ended_without_touching"] = str(error)
             return [Action(done=True)]
         return [Action(pose_tcp_in_base=pose, done=k == len(poses) - 1) for k, pose in enumerate(poses)]
 
@@ -73,9 +81,31 @@ class StateMachine:
         options = candidates(
             geometry, start_pose=observation.pose_tcp_in_base, travel_height_m=height, bounds=self._bounds
         )
-        chosen = options[self._language.choose(intent, [option.option for option in options])]
-        logger.info("state machine chose %s of %d options", chosen.option, len(options))
-        return chosen
+        view = observation.cameras[CAMERA]
+        self._notes |= {"method": self.card.name, "camera": CAMERA, "intent": intent.model_dump()}
+        self._notes["options"] = [
+            asdict(candidate.option)
+            | {
+                "corners_m": candidate.corners_m.round(4).tolist(),
+                "corners_px": pixels(candidate.corners_m, view.intrinsics, view.pose_camera_in_base).round(1).tolist(),
+            }
+            for candidate in options
+        ]
+        index = self._language.choose(intent, [option.option for option in options])
+        self._notes["chosen"] = index
+        logger.info("state machine chose %s of %d options", options[index].option, len(options))
+        return options[index]
+
+    def take_notes(self) -> dict[str, object]:
+        """The options with their place in the picture, the choice, and what a language model was asked."""
+        calls, notes = self._language.take_calls(), self._notes
+        self._notes = {}
+        return notes | ({"language": calls} if calls else {})
+
+
+def _backend() -> LanguageBackend:
+    transcript = chosen_transcript(Rules.name)
+    return Rules() if transcript is None else LanguageModel(transcript)
 
 
 def _travel_height(observation: Observation, goal: F64) -> float:

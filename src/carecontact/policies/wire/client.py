@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import socket
 import threading
 import time
@@ -19,6 +20,7 @@ from carecontact.errors import ActionError, ContractError, PolicyError
 from carecontact.policies.wire import codec
 from carecontact.policies.wire.packing import MAX_REPLY_BYTES, is_map, pack, unpack
 
+NOTE_KEY = re.compile(r"[a-z][a-z0-9_]{0,63}")
 MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA = 1009, 1002, 1007
 """Close codes of RFC 6455, section 7.4.1."""
 
@@ -31,6 +33,8 @@ class ActReply:
     """The message that carried the observation: everything the policy was shown at this step."""
     sent_sha256: bytes
     """(32,) digest of ``sent``"""
+    notes: dict[str, object]
+    """What the policy wants to be kept of this step; empty for most."""
 
 
 class PolicyClient:
@@ -62,7 +66,7 @@ class PolicyClient:
             raise PolicyError("handshake", f"no WebSocket conversation with the policy server: {error!r}") from None
 
     def card(self, *, deadline_s: float) -> PolicyCard:
-        return codec.decode_card(self._receive("card", "card", deadline_s=deadline_s))
+        return codec.decode_card(self._receive("card", "card", deadline_s=deadline_s)["card"])
 
     def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
         message = pack({"type": "reset", "instruction": instruction, "session": codec.encode_session(session)})
@@ -80,13 +84,14 @@ class PolicyClient:
         self._expect_silence()
         started = time.monotonic()
         self._send(message, deadline_s=deadline_s)
-        plain = self._receive("actions", "actions", deadline_s=deadline_s, started=started)
+        entries = self._receive("actions", "actions", deadline_s=deadline_s, started=started)
+        notes = _notes(entries)
         try:
-            actions = codec.decode_actions(plain)
+            actions = codec.decode_actions(entries["actions"])
+            actions = [_checked(action, self._bounds, place=f"actions[{i}]") for i, action in enumerate(actions)]
         except ActionError as error:
-            raise PolicyError("action", str(error)) from None
-        actions = [_checked(action, self._bounds, place=f"actions[{i}]") for i, action in enumerate(actions)]
-        return ActReply(actions=actions, sent=message, sent_sha256=hashlib.sha256(message).digest())
+            raise PolicyError("action", str(error), notes=notes) from None
+        return ActReply(actions=actions, sent=message, sent_sha256=hashlib.sha256(message).digest(), notes=notes)
 
     def say_goodbye(self, *, deadline_s: float) -> None:
         """Ask the policy to end; a policy that is gone already has."""
@@ -125,8 +130,10 @@ class PolicyClient:
         finally:
             timer.cancel()
 
-    def _receive(self, kind: str, field: str | None, *, deadline_s: float, started: float | None = None) -> object:
-        """The value of ``field`` of the next message, which has to be of type ``kind``."""
+    def _receive(
+        self, kind: str, field: str | None, *, deadline_s: float, started: float | None = None
+    ) -> dict[str, object]:
+        """The next message, which has to be of type ``kind`` and to have ``field``; with actions notes may come."""
         spent = 0.0 if started is None else time.monotonic() - started
         try:
             frame = self._connection.recv(timeout=max(deadline_s - spent, 0.0))
@@ -145,18 +152,28 @@ class PolicyClient:
             said, reason = entries.get("kind"), entries.get("message")
             if not isinstance(reason, str) or not reason.strip():
                 reason = f"the policy's server reported an error, expected its reason as text, got {reason!r:.80}"
-            raise PolicyError(said if isinstance(said, str) and said in PolicyError.KINDS else "exception", reason)
-        if set(entries) != {"type"} | ({field} if field else set()) or entries["type"] != kind:
+            known = said if isinstance(said, str) and said in PolicyError.KINDS else "exception"
+            raise PolicyError(known, reason, notes=_notes(entries))
+        keys = set(entries) - ({"notes"} if kind == "actions" else set[str]())
+        if keys != {"type"} | ({field} if field else set()) or entries["type"] != kind:
             got = f"keys {sorted(entries)}, type {entries.get('type')!r}" if entries else f"{message!r:.200}"
             raise PolicyError("garbage", f"expected one {kind!r} message, got {got:.300}")
-        return entries[field] if field else None
+        return entries
+
+
+def _notes(entries: dict[str, object]) -> dict[str, object]:
+    """Raises PolicyError ``garbage``."""
+    notes = entries.get("notes", {})
+    if not is_map(notes) or not all(NOTE_KEY.fullmatch(key) for key in notes):
+        raise PolicyError("garbage", f"notes: expected a map with plain names as keys, got {notes!r:.200}")
+    return notes
 
 
 def _checked(action: Action, bounds: ActionBounds, *, place: str) -> Action:
     try:
         return check_action(action, bounds)
     except ActionError as error:
-        raise PolicyError("action", f"{place}.{error}") from None
+        raise ActionError(f"{place}.{error}") from None
 
 
 def _closed(error: Exception) -> PolicyError:

@@ -13,9 +13,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve
 
 from carecontact.contract.policy import Policy
-from carecontact.errors import ActionError, ContractError, PolicyError
+from carecontact.errors import ActionError, ContractError, LanguageError, PolicyError, ProgramError
 from carecontact.policies.wire import codec
-from carecontact.policies.wire.packing import MAX_MESSAGE_BYTES, is_map, pack, unpack
+from carecontact.policies.wire.packing import MAX_MESSAGE_BYTES, MAX_REPLY_BYTES, is_map, pack, unpack
 
 TRACEBACK_CHARS = 2000
 """The end of a traceback says most; all of it could be the policy's whole input."""
@@ -26,7 +26,7 @@ def serve_policy(policy: Policy, *, on_port: Callable[[int], None], port: int = 
 
     The policy runs in the calling thread, because GPU, GUI and asyncio libraries are happiest there. The messages:
     ``card`` to the client; then ``reset`` -> ``ready``, ``act`` -> ``actions``, in any number, and ``close``; ``error``
-    instead of an answer ends the conversation.
+    instead of an answer ends the conversation. ``actions`` and ``error`` may carry the policy's notes.
     """
     offered: SimpleQueue[ServerConnection] = SimpleQueue()
     finished = threading.Event()
@@ -57,18 +57,34 @@ def _converse(policy: Policy, connection: ServerConnection) -> None:
     except ConnectionClosed:
         return
     except PolicyError as error:
-        _report(connection, error.kind, str(error))
-    except ActionError as error:
-        _report(connection, "action", str(error))
+        _report(connection, policy, error.kind, str(error))
+    except (ActionError, LanguageError, ProgramError) as error:
+        # No traceback: what went wrong is in the message, and none of the policy's lines is to blame.
+        _report(connection, policy, _KINDS[type(error)], str(error))
     except (Exception, SystemExit):
         # Whatever a policy raises is its process failure and must reach the harness; it is not this server's to handle.
-        _report(connection, "exception", traceback.format_exc())
+        _report(connection, policy, "exception", traceback.format_exc())
 
 
-def _report(connection: ServerConnection, kind: str, message: str) -> None:
+_KINDS: dict[type[Exception], str] = {ActionError: "action", LanguageError: "language", ProgramError: "program"}
+
+
+def _report(connection: ServerConnection, policy: Policy, kind: str, message: str) -> None:
     sayable = message[-TRACEBACK_CHARS:].encode(errors="replace").decode()
+    report: dict[str, object] = {"type": "error", "kind": kind, "message": sayable}
+    # A policy that failed may fail at its notes too; the first failure is the one to tell.
+    packed = pack(report)
+    with suppress(Exception):
+        with_notes = pack(report | _notes(policy))
+        packed = with_notes if len(with_notes) <= MAX_REPLY_BYTES else packed
     with suppress(ConnectionClosed):
-        connection.send(pack({"type": "error", "kind": kind, "message": sayable}))
+        connection.send(packed)
+
+
+def _notes(policy: Policy) -> dict[str, object]:
+    take: Any = getattr(policy, "take_notes", None)
+    notes = take() if take is not None else None
+    return {"notes": notes} if notes else {}
 
 
 def _answer(policy: Policy, frame: str | bytes) -> dict[str, object] | None:
@@ -83,7 +99,7 @@ def _answer(policy: Policy, frame: str | bytes) -> dict[str, object] | None:
         return {"type": "ready"}
     if kind == "act" and keys == {"observation"}:
         answer = policy.act(codec.decode_observation(entries["observation"]))
-        return {"type": "actions", "actions": codec.encode_actions(answer)}
+        return {"type": "actions", "actions": codec.encode_actions(answer), **_notes(policy)}
     if kind == "close" and not keys:
         return None
     raise ContractError(

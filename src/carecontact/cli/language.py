@@ -1,0 +1,34 @@
+"""--language and --record: checked before a run, then carried to every policy's process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from carecontact.errors import ConfigError
+from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
+
+
+def language_environment(policy: str, *, language: str | None, record: Path | None) -> dict[str, str]:
+    """For the trials' processes; empty values where nothing was asked for, so that a shell's own are not inherited.
+
+    Raises ConfigError for a policy that takes no such language, a replay file that is none, or a record of nothing;
+    DependencyError for ``live:`` without its package.
+    """
+    if record is not None and not (language or "").startswith("live:"):
+        raise ConfigError("--record: only the answers of --language live:MODEL can be recorded")
+    if record is not None and not record.resolve().parent.is_dir():
+        raise ConfigError(f"--record {record}: there is no folder {record.parent}")
+    if language is None:
+        return {LANGUAGE_VARIABLE: "", RECORD_VARIABLE: ""}
+    from carecontact.policies.language.selection import language_name
+    from carecontact.policies.registry import POLICIES
+
+    if ":" not in policy:
+        kinds = POLICIES[policy].languages
+        if language.partition(":")[0] not in kinds:
+            takes = f"takes {', '.join(kinds)}" if kinds else "uses no language backend that can be chosen"
+            raise ConfigError(f"--language {language}: policy {policy} {takes}")
+    kind, colon, place = language.partition(":")
+    spelled = f"replay:{Path(place).resolve()}" if kind == "replay" and colon else language
+    language_name(spelled)
+    return {LANGUAGE_VARIABLE: spelled, RECORD_VARIABLE: str(record.resolve()) if record else ""}
