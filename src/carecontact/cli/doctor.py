@@ -22,6 +22,7 @@ PACKAGES = {
     "scipy": "scipy",
     "h5py": "h5py",
     "pydantic": "'pydantic>=2.9'",
+    "pydantic-monty": "'pydantic-monty>=1.4,<2'",
     "websockets": "websockets",
     "msgpack": "msgpack",
     "matplotlib": "matplotlib",

@@ -54,6 +54,22 @@ POLICIES.register(
         languages=("rules-v1", "replay", "live"),
     ),
 )
+POLICIES.register(
+    "voxposer",
+    PolicyRow(
+        target="carecontact.policies.voxposer.policy:VoxPoser",
+        description="Value maps from a language model's programs, a greedy planner over them, and no force map.",
+        languages=("replay", "live"),
+    ),
+)
+POLICIES.register(
+    "voxposer-phased",
+    PolicyRow(
+        target="carecontact.policies.voxposer.phased:VoxPoserPhased",
+        description="VoxPoser up to the touch, then an explicit progress objective: the paper's proposal.",
+        languages=("replay", "live"),
+    ),
+)
 
 
 def resolve_policy(name: str) -> str:

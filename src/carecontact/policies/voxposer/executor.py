@@ -1,0 +1,73 @@
+"""From a plan to targets for the next moment: skip what leads back, keep to the maps' speeds and turns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.action import Action
+from carecontact.policies.state_machine.primitives import slerp
+from carecontact.policies.voxposer import fixed_values as fixed
+from carecontact.policies.voxposer.grid import Grid
+from carecontact.policies.voxposer.maps import ValueMap
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    actions: list[Action]
+    """At CONTROL_HZ"""
+    whole: bool
+    """Whether they go to the end of the path, or only as far as the horizon."""
+
+
+def forward_only(waypoints_m: F64, tool_m: F64) -> F64:
+    """(n, 3) -> (k, 3) without those in between that lie away from the last one, seen from the tool (published)."""
+    if len(waypoints_m) < 3:
+        return waypoints_m
+    towards = waypoints_m[-1] - tool_m
+    ahead: F64 = (waypoints_m - tool_m) @ towards
+    keep: npt.NDArray[np.bool_] = ahead.round(3) > 0
+    # The first and the last are always gone to.
+    keep[[0, -1]] = True
+    return waypoints_m[keep]
+
+
+def motion(
+    waypoints_m: F64,
+    pose_tcp: F64,
+    *,
+    grid: Grid,
+    velocity: ValueMap | None,
+    rotation: ValueMap | None,
+    gripper: ValueMap | None,
+    horizon_s: float = fixed.HORIZON_S,
+) -> Motion:
+    """Straight lines from the tool (7,) through the waypoints, at each one's speed, up to the horizon."""
+    position, quat = pose_tcp[:3], pose_tcp[3:]
+    budget = round(horizon_s * fixed.CONTROL_HZ)
+    actions: list[Action] = []
+    for goal in forward_only(waypoints_m, position):
+        wanted = rotation.at(grid, goal) if rotation else None
+        turn = quat if wanted is None else np.array(wanted)
+        factor = (velocity.at(grid, goal) if velocity else None) or (1.0,)
+        speed = fixed.FULL_SPEED_M_S * float(np.clip(factor[0], fixed.MIN_VELOCITY, 1.0))
+        opening = gripper.at(grid, goal) if gripper else None
+        angle = 2 * float(np.arccos(np.clip(abs(float(quat @ turn)), 0.0, 1.0)))
+        seconds = max(float(np.linalg.norm(goal - position)) / speed, angle / fixed.ROTATION_SPEED_RAD_S)
+        ticks = max(1, int(np.ceil(seconds * fixed.CONTROL_HZ)))
+        for k in range(1, ticks + 1):
+            if len(actions) == budget:
+                return Motion(actions=actions, whole=False)
+            share = k / ticks
+            # The tool may have been pushed out of the workspace; no target may lie there.
+            place = np.clip(position + share * (goal - position), grid.low_m, grid.high_m)
+            pose = np.concatenate([place, slerp(quat, turn, share)])
+            actions.append(Action(pose_tcp_in_base=pose, gripper=None if opening is None else opening[0]))
+        position, quat = goal, turn
+    last = np.concatenate([np.clip(position, grid.low_m, grid.high_m), quat])
+    actions += [Action(pose_tcp_in_base=last)] * round(fixed.SETTLE_S * fixed.CONTROL_HZ)
+    return Motion(actions=actions, whole=True)

@@ -1,0 +1,50 @@
+"""The voxels that all maps share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.policies.voxposer import fixed_values as fixed
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Voxel = tuple[int, int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """MAP_SIZE voxels along each axis of a box; voxel 0 is centred on the low corner, the last on the high one."""
+
+    low_m: F64
+    """(3,) in base"""
+    high_m: F64
+
+    @property
+    def pitch_m(self) -> F64:
+        """(3,) edge lengths of a voxel"""
+        return (self.high_m - self.low_m) / (fixed.MAP_SIZE - 1)
+
+    @property
+    def shape(self) -> Voxel:
+        return fixed.MAP_SIZE, fixed.MAP_SIZE, fixed.MAP_SIZE
+
+    def voxel(self, point_m: F64) -> Voxel:
+        """The nearest one; points outside go to the border."""
+        x, y, z = self.voxels(point_m[None])[0].tolist()
+        return x, y, z
+
+    def voxels(self, points_m: F64) -> I64:
+        """(N, 3) points -> (N, 3)"""
+        index = np.rint((points_m - self.low_m) / self.pitch_m)
+        return np.clip(index, 0, fixed.MAP_SIZE - 1).astype(np.int64)
+
+    def contains(self, points_m: F64) -> npt.NDArray[np.bool_]:
+        """(N, 3) -> (N,)"""
+        return np.asarray(((points_m >= self.low_m) & (points_m <= self.high_m)).all(axis=1))
+
+    def points(self, voxels: F64) -> F64:
+        """(..., 3), fractions allowed -> (..., 3) [m] in base"""
+        return self.low_m + voxels * self.pitch_m

@@ -1,0 +1,101 @@
+"""``voxposer-phased``: value maps up to the touch, then a progress objective; still nothing measures force."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic_monty import ClassInstance
+
+from carecontact.contract.action import Action
+from carecontact.contract.observation import Observation
+from carecontact.errors import ProgramError
+from carecontact.policies.state_machine.geometry import person_points
+from carecontact.policies.voxposer.executor import Motion
+from carecontact.policies.voxposer.policy import CAMERA, Execution, VoxPoser, text_of
+from carecontact.policies.voxposer.progress import Objective, Pursuit, objective_functions, touches
+from carecontact.policies.voxposer.prompts import VOXPOSER_PHASED, PromptSet
+
+F64 = npt.NDArray[np.float64]
+ROLE = "get_progress"
+
+
+@dataclass(frozen=True)
+class ProgressQuery:
+    query: str
+
+
+@dataclass(kw_only=True)
+class PhasedExecution(Execution):
+    progress: ProgressQuery | None = None
+    pursuit: Pursuit | None = None
+
+
+class VoxPoserPhased(VoxPoser):
+    """As VoxPoser, but ``execute`` may be given an objective that replaces the maps once the tool touches.
+
+    The touch is told by where the skin was seen before the arm came near, or by the end of the value maps' own motion:
+    the method feels nothing. See docs/voxposer-phased.md.
+    """
+
+    name = "voxposer-phased"
+    prompts: PromptSet = VOXPOSER_PHASED
+    authored = "authored-phased.jsonl"
+
+    def reset(self, instruction: str) -> None:
+        super().reset(instruction)
+        self._skin: F64 | None = None
+
+    def act(self, observation: Observation) -> Sequence[Action]:
+        if self._skin is None:
+            self._skin = person_points(observation.cameras[CAMERA])
+        return super().act(observation)
+
+    def _composer_functions(self) -> dict[str, Callable[..., object]]:
+        def progress(query: object) -> object:
+            return ClassInstance(ProgressQuery(text_of(query)))
+
+        return super()._composer_functions() | {ROLE: progress}
+
+    def _execution(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> PhasedExecution:
+        kwargs = dict(kwargs)
+        progress = kwargs.pop("progress", None)
+        if progress is not None and not isinstance(progress, ProgressQuery):
+            raise ProgramError(f"execute: progress expects what {ROLE} returns, got {type(progress).__name__}")
+        return PhasedExecution(maps=super()._execution(args, kwargs).maps, progress=progress)
+
+    def _try(self, execution: Execution) -> None:
+        super()._try(execution)
+        if isinstance(execution, PhasedExecution) and execution.progress is not None:
+            self._objective(execution.progress)
+
+    def _move(self, current: Execution) -> Motion | None:
+        if not isinstance(current, PhasedExecution) or current.progress is None:
+            return super()._move(current)
+        tool = self._scene.pose_tcp
+        assert self._skin is not None
+        assert self._grid is not None
+        if current.pursuit is None:
+            if not touches(self._skin, tool[:3]) and (motion := super()._move(current)) is not None:
+                return motion
+            current.pursuit = Pursuit(
+                objective=self._objective(current.progress), skin=self._skin, start=tool[:3].copy()
+            )
+        pursuit = current.pursuit
+        moved = pursuit.next_motion(tool, self._grid)
+        self._notes |= {
+            "subtask": self._subtask, "progress": current.progress.query, "progress_m": round(pursuit.done_m, 4),
+            "progress_of_m": pursuit.objective.distance_m,
+        }  # fmt: skip
+        return moved
+
+    def _objective(self, query: ProgressQuery) -> Objective:
+        assert self._grid is not None
+        functions = {**self._map_functions(), **objective_functions(self._grid)}
+        made = self._box.value(f"{ROLE}: {query.query}", self._programs.program(ROLE, query.query), functions)
+        if not isinstance(made, Objective):
+            raise ProgramError(f"program {ROLE}: {query.query} leaves no objective in ret_val")
+        return made

@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tools.freeze_completions import replay_lines
+
+from carecontact.contract.action import check_action
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import Policy, Session
+from carecontact.errors import ContractError, LanguageError, PolicyError, ProgramError
+from carecontact.policies.language import LANGUAGE_VARIABLE
+from carecontact.policies.process import PolicyProcess
+from carecontact.policies.voxposer import fixed_values as fixed
+from carecontact.policies.voxposer.policy import VoxPoser
+from carecontact.policies.voxposer.prompts import SETS
+from carecontact.protocols import load_protocol
+from tests.policies.state_machine.lying_person import Person, observe
+from tests.policies.voxposer.conftest import scripted
+
+PROMPTS = {task.id: task.prompt for task in load_protocol().tasks}
+MakeSession = Callable[..., Session]
+BENIGN = {
+    ("planner", "go"): 'composer("there")',
+    ("composer", "there"): 'execute(parse_query_obj("gripper"), affordance_map=get_affordance_map("x"))',
+    ("parse_query_obj", "gripper"): 'ret_val = detect("gripper")',
+    ("get_affordance_map", "x"): "m = get_empty_affordance_map()\nset_voxel(m, (50, 50, 50), 1)\nret_val = m",
+}
+
+
+def follow(policy: VoxPoser, observation: Observation, *, looks: int = 60) -> tuple[np.ndarray, list[dict]]:
+    """As if the arm followed perfectly: (n, 3) where it was sent, and the notes."""
+    way, notes = [], []
+    for _ in range(looks):
+        actions = policy.act(observation)
+        notes.append(policy.take_notes())
+        poses = [a.pose_tcp_in_base for a in actions if a.pose_tcp_in_base is not None]
+        way += [pose[:3] for pose in poses]
+        if actions[-1].done:
+            return np.array(way), notes
+        observation = dataclasses.replace(observation, pose_tcp_in_base=poses[-1])
+    raise AssertionError("never done")
+
+
+def started(session: Session, programs: dict | None = None, instruction: str = "go") -> VoxPoser:
+    policy = VoxPoser(transcript=None if programs is None else scripted(programs))
+    policy.configure(session)
+    policy.reset(instruction)
+    return policy
+
+
+def test_the_authored_programs_reach_their_region_and_come_back(
+    observation: Observation, person: Person, session: MakeSession
+) -> None:
+    policy = started(session(), instruction=PROMPTS["T1"])
+    way, notes = follow(policy, observation)
+    assert person.clearance(way).min() < 0.01
+    np.testing.assert_allclose(way[-1], observation.pose_tcp_in_base[:3], atol=1e-6)
+    said = notes[0]
+    assert said["language"][0]["backend"] == policy.card.language_backend
+    assert policy.card.language_backend.endswith(":authored")
+    assert said["cost_level"].shape == (fixed.MAP_SIZE, fixed.MAP_SIZE)
+    assert len(said["path_px"]) == len(said["path_m"])
+    assert {p["role"] for p in said["programs"]} >= {"planner", "composer", "get_affordance_map"}
+    assert all("language" not in note for note in notes[1:]), "every program was asked for before anything moved"
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_the_authored_completions_are_frozen_and_answer_every_task(
+    name: str, observation: Observation, session: MakeSession
+) -> None:
+    folder = resources.files("carecontact.policies.voxposer") / "completions"
+    content = (folder / f"{name}.jsonl").read_bytes()
+    assert (folder / f"{name}.sha256").read_text().split() == [hashlib.sha256(content).hexdigest(), f"{name}.jsonl"]
+    assert replay_lines((folder / f"{name}.toml").read_text(), SETS[name]).encode() == content, "make them again"
+
+
+@pytest.mark.parametrize("task", PROMPTS)
+def test_every_task_starts_with_a_valid_motion(observation: Observation, session: MakeSession, task: str) -> None:
+    actions = started(session(), instruction=PROMPTS[task]).act(observation)
+    assert 1 < len(actions) <= (fixed.HORIZON_S + fixed.SETTLE_S) * fixed.CONTROL_HZ
+    for action in actions:
+        check_action(action, session().action_bounds)
+
+
+def test_a_person_who_is_not_there_is_not_looked_for_by_moving(session: MakeSession) -> None:
+    policy = started(session(), instruction=PROMPTS["T1"])
+    (action,) = policy.act(observe(None))
+    assert (action.done, action.pose_tcp_in_base) == (True, None)
+    assert "nobody was found" in policy.take_notes()["ended_because"]
+
+
+BAD = {
+    "plans nothing": ({("planner", "go"): "x = 1"}, "composes nothing"),
+    "plans without end": ({("planner", "go"): 'while True:\n    composer("there")'}, "at most 12 texts"),
+    "moves a limb by itself": (
+        {("composer", "there"): 'execute(parse_query_obj("right forearm"), affordance_map=get_affordance_map("x"))',
+         ("parse_query_obj", "right forearm"): 'ret_val = detect("right forearm")'},
+        "only the gripper moves by itself, not right forearm",
+    ),
+    "takes one map for another": (
+        {("composer", "there"): 'execute(parse_query_obj("gripper"), velocity_map=get_affordance_map("x"))'},
+        "velocity_map expects a map of its kind",
+    ),
+    "asks for what is not known": ({("parse_query_obj", "gripper"): 'ret_val = detect("left foot")'}, "not known"),
+    "finds a number": ({("parse_query_obj", "gripper"): "ret_val = 3"}, "leaves no part"),
+    "makes no map": ({("get_affordance_map", "x"): "ret_val = 1"}, "leaves no affordance map"),
+    "writes nonsense": (
+        {("get_affordance_map", "x"): 'm = get_empty_affordance_map()\nset_voxel(m, (1, 2), float("nan"))'},
+        "expected 3 numbers",
+    ),
+    "writes for ever": (
+        {("get_affordance_map", "x"): "m = get_empty_affordance_map()\nwhile True:\n    set_voxel(m, (1, 2, 3), 1)"},
+        "more than 1000 entries",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_wrong_program_is_told_before_anything_moves(
+    observation: Observation, session: MakeSession, name: str
+) -> None:
+    changed, told = BAD[name]
+    with pytest.raises(ProgramError, match=told):
+        started(session(), BENIGN | changed).act(observation)
+
+
+def test_an_empty_map_has_nowhere_to_go(observation: Observation, session: MakeSession) -> None:
+    programs = BENIGN | {("get_affordance_map", "x"): "ret_val = get_empty_affordance_map()"}
+    with pytest.raises(ProgramError, match="'there' is empty"):
+        started(session(), programs).act(observation)
+
+
+def test_a_completion_that_is_missing_is_the_languages_failure(session: MakeSession) -> None:
+    policy = VoxPoser()
+    policy.configure(session())
+    with pytest.raises(LanguageError, match="has no completion"):
+        policy.reset("juggle")
+
+
+def test_the_order_of_calls(session: MakeSession, observation: Observation) -> None:
+    policy = VoxPoser()
+    assert isinstance(policy, Policy)
+    with pytest.raises(ContractError, match="before configure"):
+        policy.reset(PROMPTS["T1"])
+    policy.configure(session())
+    with pytest.raises(ContractError, match="before reset"):
+        policy.act(observation)
+
+
+def test_a_hostile_program_ends_its_own_trial_and_no_other(
+    replay_file: Callable[[dict], Path], observation: Observation, session: MakeSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hostile = BENIGN | {("get_affordance_map", "x"): "ret_val = open('/etc/passwd').read()"}
+    for programs, told in ((hostile, "PermissionError"), (BENIGN, None)):
+        monkeypatch.setenv(LANGUAGE_VARIABLE, f"replay:{replay_file(programs)}")
+        with PolicyProcess("voxposer", first_deadline_s=20, deadline_s=20) as process:
+            process.start()
+            process.reset("go", session())
+            if told is None:
+                assert len(process.act(observation).actions) > 1
+                continue
+            with pytest.raises(PolicyError, match=f"program get_affordance_map: x was stopped: {told}") as caught:
+                process.act(observation)
+            assert caught.value.kind == "program"
+            codes = [row["code"] for row in caught.value.notes["programs"]]
+            assert hostile["get_affordance_map", "x"] in codes, "what was run is kept"
