@@ -296,6 +296,23 @@ class Audit:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Notes:
+    """Draw what a policy noted in a trial over what it saw: the state machine's options and choice, VoxPoser's value
+    maps and paths."""
+
+    recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRIAL.h5")]
+    out: Path | None = None
+    """Picture to write, .png, .jpg or .pdf; default: notes-TRIAL.png here."""
+
+    after_interrupt: ClassVar[str] = "; nothing was written"
+
+    def __call__(self) -> int:
+        from carecontact.cli.notes import notes
+
+        return notes(self.recording, out=self.out)
+
+
+@dataclass(frozen=True, kw_only=True)
 class List:
     """What can be named on the command line."""
 
@@ -353,6 +370,7 @@ COMMANDS = {
     "calibrate": Calibrate,
     "look": Look,
     "audit": Audit,
+    "notes": Notes,
     "probe": Probe,
     "protocol": Protocols,
     "list": List,
