@@ -19,7 +19,7 @@ from carecontact.errors import ConfigError, SceneError
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name, tissue_body_name
-from carecontact.world.human.tissue import add_tissue, coupling_tendons
+from carecontact.world.human.tissue import add_tissue, anchor_directions, coupling_tendons
 from carecontact.world.robot import CAP_SEMI_AXES_M
 from carecontact.world.scene import by_conjugate_gradients, compile_with_tissue, region_shell, set_physics
 
@@ -300,9 +300,10 @@ class Bench:
         travel = touch + np.interp(time, time_s, depth_m)
         speed = np.r_[np.diff(travel) / (stride * dt), 0.0]
         model, data = self.model, self._data
-        # Every joint is a slide on a body that never turns: a dof is a joint, its axis that of the bone's frame.
-        lever = model.jnt_axis @ outward
-        lever[self._slide_v] = 0.0
+        # Every joint is a slide: a dof is a joint.
+        joints, directions = anchor_directions(model, self.region)
+        lever = np.zeros(model.nv)
+        lever[joints] = directions @ outward
         force, anchors, deepest = np.zeros(count + 1), np.zeros(count + 1), np.zeros(count + 1)
         newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
         for k in range(count):

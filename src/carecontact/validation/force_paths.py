@@ -9,6 +9,7 @@ import numpy.typing as npt
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.result import Array
 from carecontact.world.human.skeleton import tissue_body_name
+from carecontact.world.human.tissue import anchor_directions
 
 
 def anchor_joints(model: mujoco.MjModel, region: str) -> npt.NDArray[np.int64]:
@@ -21,12 +22,14 @@ class AnchorForce:
 
     def __init__(self, simulation: Simulation, region: str) -> None:
         self._data, model = simulation.data, simulation.model
-        self._joints = anchor_joints(model, region)
-        self._dofs = model.jnt_dofadr[self._joints]
+        joints, self._directions = anchor_directions(model, region)
+        self._dofs = model.jnt_dofadr[joints]
+        self._bone = model.body(tissue_body_name(region)).id
 
     def __call__(self) -> Array:
         """(3,)"""
-        return -self._data.qfrc_passive[self._dofs] @ self._data.xaxis[self._joints]
+        in_bone = -self._data.qfrc_passive[self._dofs] @ self._directions
+        return self._data.xmat[self._bone].reshape(3, 3) @ in_bone
 
 
 def bed_reaction(simulation: Simulation) -> Array:

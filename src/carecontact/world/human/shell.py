@@ -39,8 +39,9 @@ CELL_LENGTH_M, CELL_ROUND_M, BELLY_CELL_M = 0.040, 0.016, 0.032
 """Vertices of one cell glide over the bone together; round a limb the cells are narrow, as their normals differ."""
 BELLY_LEAN = 0.5
 """How far a belly vertex's direction leans from its cell's normal (0) to its own (1). With 0, vertices on either side
-of a cell's border run together under a deep press and the tool hooks there; with 1, up to 1.5 % of a press goes past
-the springs into the bone, as a vertex's direction and its cell's tangents are then not at right angles."""
+of a cell's border run together under a deep press, and peaks vary with the place. The more it leans, the more of a
+press goes past the springs into the bone, as its direction and its cell's tangents are then not at right angles: with
+0.5 nothing at a cell's middle and up to 1.8 % at its corners."""
 LIMB_SAMPLES, BELLY_SAMPLES = (41, 61), 41
 """Rays along and round a limb, and each way over the belly."""
 SMOOTHING_M = 0.012

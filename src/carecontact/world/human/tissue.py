@@ -211,6 +211,23 @@ def _add_membrane(spec: mujoco.MjSpec, region: str, shell: Shell, membrane_n_m: 
                 tendon.wrap_joint(f"{region}_cell{cell}_{kind}", sign)
 
 
+def anchor_directions(model: mujoco.MjModel, region: str) -> tuple[npt.NDArray[np.int64], Array]:
+    """Numbers (n,) of the region's slides and the force (n, 3) on the bone, in its frame, for a unit of each one's.
+
+    What a vertex's slide bears along its cell's tangents goes on through the cell's own slides and counts there: where
+    the vertex leans from the cell's normal, only its share along the normal is left.
+    """
+    joints = np.array([j for j in range(model.njnt) if model.joint(j).name.startswith(f"{region}_")])
+    directions = model.jnt_axis[joints].copy()
+    parent = model.body_parentid[model.jnt_bodyid[joints]]
+    first = model.body_jntadr[parent]
+    on_cell = (model.body_jntnum[parent] == 2) & np.isin(first, joints)
+    for slide in (first[on_cell], first[on_cell] + 1):
+        tangent = model.jnt_axis[slide]
+        directions[on_cell] -= (directions[on_cell] * tangent).sum(1, keepdims=True) * tangent
+    return joints, directions
+
+
 def inner_surface(shell: Shell, thickness_m: float) -> Array:
     """(N, 3) the shell moved inward by the tissue's thickness along its normals, but never past the region's axis."""
     room = np.einsum("ij,ij->i", shell.vertices - shell.axis_points, shell.normals) - CORE_MIN_RADIUS_M
