@@ -107,9 +107,9 @@ class Tissue(Section):
     coupling_length_m: Annotated[float, Field(ge=0, le=0.02)]
     """How far f_int spreads a load along the surface: a gradient of the indentation is resisted with G = a l^2 [N/m]
     (Pasternak's foundation). 0: neighbours act alone."""
-    membrane_n_m: Annotated[float, Field(ge=0, le=20_000)]
+    membrane_n_m: Annotated[float, Field(ge=0, le=20_000)] = 0.0
     """In-plane stiffness of the skin (Young's modulus times thickness): a patch that the tool drags along pulls its
-    neighbours with it. 0: patches glide alone."""
+    neighbours with it. 0: patches glide alone, as in recordings from before there was a membrane."""
     areal_mass_kg_m2: Positive
     spacing_m: Length
     """Vertex spacing on the patch that the tool can reach."""
