@@ -162,6 +162,7 @@ class Bench:
             self.model.tendon_stiffness.copy(),
         )  # fmt: skip
         self._coupling = coupling_tendons(self.model, region)
+        self._anchors = anchor_directions(self.model, region)
         self._data = mujoco.MjData(self.model)
         slide = self.model.joint("indenter")
         self._slide_q, self._slide_v = int(slide.qposadr[0]), int(slide.dofadr[0])
@@ -301,7 +302,7 @@ class Bench:
         speed = np.r_[np.diff(travel) / (stride * dt), 0.0]
         model, data = self.model, self._data
         # Every joint is a slide: a dof is a joint.
-        joints, directions = anchor_directions(model, self.region)
+        joints, directions = self._anchors
         lever = np.zeros(model.nv)
         lever[joints] = directions @ outward
         force, anchors, deepest = np.zeros(count + 1), np.zeros(count + 1), np.zeros(count + 1)
