@@ -73,7 +73,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                 Measure(name=f"{name}: past its end stop, at last", value=float(past[-1]), unit="deg",
                         limit=REACHED_DEG, side="at least"),
             ]  # fmt: skip
-            curves[f"stop/{name}"] = np.stack([time, past])
+            curves[f"stop/{rest.replace('_', ' ')} {'+' if sign > 0 else '-'}"] = np.stack([time, past])
     return CheckResult(check="passive-response", title=TITLE, measures=tuple(measures), curves=curves)
 
 
@@ -159,7 +159,7 @@ def into_end_stop(simulation: Simulation, joint: str, torque_nm: float) -> tuple
 
 
 def draw(result: CheckResult, figure: Figure) -> None:
-    figure.set_size_inches(7.0, 2.6)
+    figure.set_size_inches(8.4, 2.6)
     left, middle, right = figure.subplots(1, 3)
     for name, (time, moved) in ((k, v) for k, v in result.curves.items() if k.startswith("push/")):
         locked = name.endswith("locked")
@@ -169,14 +169,19 @@ def draw(result: CheckResult, figure: Figure) -> None:
     left.axhline(20.0, color="0.4", lw=0.8, ls=":")
     left.set(xlabel="time [s]", ylabel="wrist moved [mm]", title="pushed (grey) and let go")
     left.set_ylim(-20, 1.45 * left.get_ylim()[1])
-    left.legend(ncols=2, loc="upper right")
+    left.legend(ncols=2, loc="upper right", handlelength=1.2)
     force, moved = result.curves["ramp"]
     middle.plot(force, moved)
     middle.axhline(1000 * BREAKAWAY_M, color="0.4", lw=0.8, ls=":")
     middle.set(xlabel="push [N]", ylabel="wrist moved [mm]", title="slow push: breakaway", yscale="log",
                ylim=(0.1, None))  # fmt: skip
-    for time, past in (v for k, v in result.curves.items() if k.startswith("stop/")):
-        right.plot(time, past, lw=0.9)
+    stops = {k.removeprefix("stop/"): v for k, v in result.curves.items() if k.startswith("stop/")}
+    joints = list(dict.fromkeys(name.rpartition(" ")[0] for name in stops))
+    for name, (time, past) in stops.items():
+        joint, _, sign = name.rpartition(" ")
+        right.plot(time, past, "-" if sign == "+" else "--", lw=0.9, color=f"C{joints.index(joint)}",
+                   label=joint if sign == "+" else None)  # fmt: skip
     right.axhline(0.0, color="0.4", lw=0.8)
     right.axhline(OVERSHOOT_LIMIT_DEG, color="0.4", lw=0.8, ls=":")
     right.set(xlabel="time [s]", ylabel="angle past the end stop [deg]", ylim=(-40, 12), title="into the end stops")
+    right.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), title="solid +, dashed -", fontsize="small")
