@@ -13,7 +13,7 @@ demo: env ## the seven tasks once, and an HTML report in runs/demo
 	@$(BIN)/carecontact demo
 
 test: env lint ## style, types, import walls and the fast tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 lint: env ## style, types and import walls only
 	$(BIN)/ruff check .

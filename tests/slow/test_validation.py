@@ -13,7 +13,7 @@ from tests.validation.defects import at_ten_milliseconds, half_stiff, overdamped
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("body", body_names())
+@pytest.mark.parametrize("body", [name for name in body_names() if name != load_protocol().person.body])
 def test_a_shipped_body_passes_the_short_form(body: str) -> None:
     validation = validate(load_protocol(), body=body, quick=True)
     assert len(validation.results) == len(CHECKS)
@@ -22,9 +22,9 @@ def test_a_shipped_body_passes_the_short_form(body: str) -> None:
     }
 
 
-@pytest.mark.parametrize("body", ["man-adult", "man-old-heavy"])
+@pytest.mark.parametrize("body", ["man-adult", "man-old-heavy", "woman-adult-heavy", "woman-old-heavy"])
 def test_a_body_that_the_readme_names_passes_the_full_form(body: str) -> None:
-    """A quarter of an hour each."""
+    """Ten to twenty minutes each."""
     validation = validate(load_protocol(), body=body)
     assert {r.check: r.error or [f"{m.name} {m.value:.3g}" for m in r.missed] for r in validation.results} == {
         name: [] for name in CHECKS

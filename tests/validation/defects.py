@@ -31,6 +31,12 @@ def soft_contact(protocol: Protocol, *, target: str | None, skin: bool) -> Scene
     return scene
 
 
+def slippery(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    scene = build_scene(protocol, target=target, skin=skin)
+    scene.model.flex_friction[:, 0] *= 0.9
+    return scene
+
+
 def half_stiff(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     scene = build_scene(protocol, target=target, skin=skin)
     for region in REGIONS:

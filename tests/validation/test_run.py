@@ -84,3 +84,11 @@ def test_every_check_has_a_title_of_its_own() -> None:
 
     titles = [import_module(f"carecontact.validation.{module}").TITLE for module in CHECKS.values()]
     assert len(set(titles)) == len(CHECKS) == 10
+
+
+@pytest.mark.parametrize("check", CHECKS)
+def test_the_protocols_person_passes_the_short_form(check: str) -> None:
+    (result,) = validate(load_protocol(), quick=True, checks=[check]).results
+    assert result.error is None
+    assert [f"{m.name} {m.value:.3g}" for m in result.missed] == []
+    assert any(m.limit is not None for m in result.measures)

@@ -5,7 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from carecontact.protocols import load_protocol
+from carecontact.validation.run import validate
 from carecontact.validation.smoothness import dropouts
+from tests.validation.defects import slippery
 
 
 def steady_force(count: int = 200, dt: float = 0.002) -> tuple[np.ndarray, np.ndarray]:
@@ -39,3 +42,9 @@ def test_a_lasting_step_is_no_dropout() -> None:
     force[100:] *= 0.3
     assert dropouts(time, force).sum() <= 1
     assert not dropouts(time, np.minimum(force, 100.0))[102:].any()
+
+
+def test_skin_more_slippery_than_declared_is_found() -> None:
+    result = validate(load_protocol(), make_scene=slippery, quick=True, checks=["smoothness"]).results[0]
+    assert [m.name for m in result.missed] == ["scrubbing at 5 N: sliding friction off the declared one"]
+    assert result.missed[0].value == pytest.approx(10.0, abs=1.0)

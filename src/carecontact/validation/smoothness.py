@@ -1,12 +1,15 @@
 """Acceptance: a scrubbing tool glides; the force neither rattles nor drops out for single steps.
 
-The arm is held, as a patient may hold it: left loose it goes along with a firm tool, and nothing slides.
+The arm is held, as a patient may hold it: left loose it goes along with a firm tool, and nothing slides. While it
+slides, skin and tool rub with the friction that the protocol declares.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -32,6 +35,17 @@ STEADY = 0.7
 NOISE_ABOVE_HZ, NOISE_LIMIT_N = 20.0, 0.15
 SAMPLE_HZ, DROP_SHARE, DROP_N = 500.0, 0.3, 0.3
 SERVO_S, SERVO_RAD_S = 2.0, 6.0
+FRICTION_LIMIT_PERCENT = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scrub:
+    time_s: Array
+    force_n: Array
+    steady: npt.NDArray[np.bool_]
+    """(n,) each; steady: the tool moves at speed."""
+    friction: Array
+    """(k,) tangential over normal force, summed over the contacts, after every target period at speed."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -40,7 +54,8 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     for wanted in QUICK_FORCES_N if quick else FORCES_N:
         simulation = subject.hovering(REGION)
         lock_arm(simulation)
-        time, force, steady = scrub(simulation, wanted, strokes=QUICK_STROKES if quick else STROKES)
+        done = scrub(simulation, wanted, strokes=QUICK_STROKES if quick else STROKES)
+        time, force, steady = done.time_s, done.force_n, done.steady
         high = force - low_pass(force, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=1 / (time[1] - time[0]), zero_phase=True)
         name = f"scrubbing at {wanted:.0f} N"
         measures += [
@@ -51,6 +66,8 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                     value=float(100 * abs(force[steady].mean() / wanted - 1))),
             Measure(name=f"{name}: share of the time at speed", value=float(100 * steady.mean()), unit="%",
                     limit=25.0, side="at least"),
+            Measure(name=f"{name}: sliding friction off the declared one", unit="%", limit=FRICTION_LIMIT_PERCENT,
+                    value=float(100 * abs(np.median(done.friction) / subject.tissue(REGION).friction - 1))),
         ]  # fmt: skip
         curves[f"{wanted:.0f} N"] = np.stack([time, force, steady.astype(np.float64)])
     return CheckResult(check="smoothness", title=TITLE, measures=tuple(measures), curves=curves)
@@ -69,8 +86,8 @@ def dropouts(time_s: Array, force_n: Array) -> npt.NDArray[np.bool_]:
     return out
 
 
-def scrub(simulation: Simulation, newton: float, *, strokes: int) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """To and fro over the skin at a mean force; time [s], force [N] and whether the tool moves at speed, each (n,).
+def scrub(simulation: Simulation, newton: float, *, strokes: int) -> Scrub:
+    """To and fro over the skin at a mean force.
 
     The target follows the skin's profile at rest under the tool; its depth is set by the measured force, slowly
     enough (about 1 Hz) to leave the noise alone.
@@ -97,14 +114,35 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int) -> tuple[Array
     for _ in range(round(SERVO_S / period)):
         go(0.0)
     samples: list[Samples] = []
+    friction: list[float] = []
     place, direction = 0.0, 1.0
     for _ in range(round(strokes * 2 * HALF_STROKE_M / SPEED_M_S / period)):
         place += direction * SPEED_M_S * period
-        samples += go(place)
+        new = go(place)
+        samples += new
+        if new[-1].tcp_speed[-1] > STEADY * SPEED_M_S:
+            friction.append(friction_now(simulation))
         if abs(place) >= HALF_STROKE_M - 1e-9:
             direction = -np.sign(place)
     time, speed = (np.concatenate([getattr(s, name) for s in samples]) for name in ("time_s", "tcp_speed"))
-    return time - time[0], force_norm(samples, REGION_SEGMENT[REGION]), speed > STEADY * SPEED_M_S
+    return Scrub(
+        time_s=time - time[0], force_n=force_norm(samples, REGION_SEGMENT[REGION]), steady=speed > STEADY * SPEED_M_S,
+        friction=np.array(friction),
+    )  # fmt: skip
+
+
+def friction_now(simulation: Simulation) -> float:
+    """Tangential over normal force of the region's contacts, their magnitudes summed; NaN where nothing touches."""
+    model, data = simulation.model, simulation.data
+    flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, REGION)
+    wrench, tangential, normal = np.zeros(6), 0.0, 0.0
+    for number in range(data.ncon):
+        contact = data.contact[number]
+        if flex in contact.flex and contact.efc_address >= 0:
+            mujoco.mj_contactForce(model, data, number, wrench)
+            normal += float(wrench[0])
+            tangential += float(np.hypot(wrench[1], wrench[2]))
+    return tangential / normal if normal > 0 else float("nan")
 
 
 def draw(result: CheckResult, figure: Figure) -> None:
