@@ -7,7 +7,7 @@ import numpy as np
 
 from carecontact.contract.protocol import Protocol
 from carecontact.recording.schema import REGIONS
-from carecontact.validation.force_paths import anchor_joints
+from carecontact.world.human.tissue import anchor_joints
 from carecontact.world.scene import Scene, build_scene
 
 

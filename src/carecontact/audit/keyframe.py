@@ -17,6 +17,7 @@ from carecontact.recording.schema import REGIONS
 from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.trials.prepare import settled_world
 from carecontact.trials.randomization import comfort_arm_deg
+from carecontact.world.human.tissue import anchor_joints
 from carecontact.world.scene import Scene
 
 F64 = npt.NDArray[np.float64]
@@ -98,9 +99,7 @@ class Twin(Simulation):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
         self._touched = False
-        joints = [
-            i for i in range(self.model.njnt) if self.model.joint(i).name.startswith(tuple(f"{r}_" for r in REGIONS))
-        ]
+        joints = np.concatenate([anchor_joints(self.model, region) for region in REGIONS])
         dofs = self.model.jnt_dofadr[joints]
         self._soft = {
             name: (rows, getattr(self.model, name)[rows].copy())

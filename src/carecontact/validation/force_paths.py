@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.result import Array
 from carecontact.world.human.skeleton import tissue_body_name
 from carecontact.world.human.tissue import anchor_directions
-
-
-def anchor_joints(model: mujoco.MjModel, region: str) -> npt.NDArray[np.int64]:
-    """Every slide of a region's tissue, by number."""
-    return np.array([j for j in range(model.njnt) if model.joint(j).name.startswith(f"{region}_")])
 
 
 class AnchorForce:

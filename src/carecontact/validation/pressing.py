@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 
 from carecontact.sim.bench import Bench, Indenter
-from carecontact.validation.force_paths import anchor_joints
 from carecontact.validation.subject import Subject
+from carecontact.world.human.tissue import anchor_joints
 
 
 def person_bench(subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None) -> Bench:

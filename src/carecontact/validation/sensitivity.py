@@ -9,12 +9,11 @@ import mujoco
 import numpy as np
 
 from carecontact.sim.simulation import Simulation
-from carecontact.validation.force_paths import anchor_joints
 from carecontact.validation.moves import Behaviour, perform
 from carecontact.validation.result import CheckResult, Measure
 from carecontact.validation.scores import Scores, scores_of
 from carecontact.validation.subject import Subject
-from carecontact.world.human.tissue import coupling_tendons
+from carecontact.world.human.tissue import anchor_joints, coupling_tendons
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -211,13 +211,18 @@ def _add_membrane(spec: mujoco.MjSpec, region: str, shell: Shell, membrane_n_m: 
                 tendon.wrap_joint(f"{region}_cell{cell}_{kind}", sign)
 
 
+def anchor_joints(model: mujoco.MjModel, region: str) -> npt.NDArray[np.int64]:
+    """(n,) every slide of a region's tissue, by number."""
+    return np.array([j for j in range(model.njnt) if model.joint(j).name.startswith(f"{region}_")])
+
+
 def anchor_directions(model: mujoco.MjModel, region: str) -> tuple[npt.NDArray[np.int64], Array]:
     """Numbers (n,) of the region's slides and the force (n, 3) on the bone, in its frame, for a unit of each one's.
 
     What a vertex's slide bears along its cell's tangents goes on through the cell's own slides and counts there: where
     the vertex leans from the cell's normal, only its share along the normal is left.
     """
-    joints = np.array([j for j in range(model.njnt) if model.joint(j).name.startswith(f"{region}_")])
+    joints = anchor_joints(model, region)
     directions = model.jnt_axis[joints].copy()
     parent = model.body_parentid[model.jnt_bodyid[joints]]
     first = model.body_jntadr[parent]
