@@ -60,10 +60,24 @@ def test_a_velocity_of_nothing_still_arrives(grid: Grid) -> None:
 
 
 def test_waypoints_that_lead_back_are_skipped() -> None:
-    way = np.array([[0.6, 0, 0], [0.4, 0, 0], [0.7, 0, 0], [0.3, 0, 0], [1.0, 0, 0]])
+    way = np.array([[0.6, 0, 0], [0.4, 0, 0], [0.7, 0, 0], [0.3, 0, 0], [0.65, 0, 0], [1.0, 0, 0]])
     kept = forward_only(way, np.array([0.5, 0, 0]))
-    assert kept[:, 0].tolist() == [0.6, 0.7, 1.0]
-    assert forward_only(way[:2], np.array([0.5, 0, 0])).shape == (2, 3)
+    assert kept[:, 0].tolist() == [0.6, 0.7, 1.0], "seen from the one gone to before"
+    back = np.array([[0.4, 0, 0], [1.0, 0, 0]])
+    assert forward_only(back, np.array([0.5, 0, 0]))[:, 0].tolist() == [1.0]
+
+
+def test_near_the_end_the_tool_goes_straight_to_it() -> None:
+    way = np.array([[0.9, 0, 0], [0.992, 0.05, 0], [1.0, 0, 0]])
+    assert len(forward_only(way, np.array([0.5, 0, 0]))) == 3
+    assert forward_only(way, np.array([0.991, 0, 0]))[:, 0].tolist() == [1.0]
+
+
+def test_many_short_stretches_take_no_longer_than_one(grid: Grid) -> None:
+    """A waypoint does not wait for the next tick."""
+    one = run(grid, (0.5, 0.0, 0.1))
+    many = run(grid, *[(0.5, 0.0, 0.3 - 0.2 * k / 37) for k in range(1, 38)])
+    np.testing.assert_allclose(positions(many), positions(one), atol=1e-9)
 
 
 def test_no_target_leaves_the_workspace(grid: Grid) -> None:

@@ -1,9 +1,14 @@
 from __future__ import annotations
 
+import json
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
 from carecontact.policies.voxposer import fixed_values as fixed
+from carecontact.policies.voxposer.executor import forward_only
 from carecontact.policies.voxposer.grid import Grid
 from carecontact.policies.voxposer.maps import ValueMap
 from carecontact.policies.voxposer.planner import Plan, plan
@@ -54,31 +59,71 @@ def test_what_is_written_as_avoided_is_gone_round() -> None:
     assert np.abs(round_it.waypoints[:, 1] - 50).max() > 3
 
 
+RELEASE = json.loads((Path(__file__).parent / "release_paths.json").read_text())["cases"]
+
+
+@pytest.mark.parametrize("case", RELEASE, ids=lambda case: case["name"])
+def test_paths_are_those_of_the_published_release(case: dict[str, Any]) -> None:
+    goal, avoided, occupied = NOTHING.copy(), NOTHING.copy(), EMPTY.copy()
+    for voxel in case["targets"]:
+        goal[tuple(voxel)] = 1
+    for low, high, value in case["avoided"]:
+        avoided[tuple(map(slice, low, high))] = value
+    for low, high in case["occupied"]:
+        occupied[tuple(map(slice, low, high))] = True
+    made = plan(tuple(case["start"]), goal, avoided, occupied)
+    np.testing.assert_allclose(made.waypoints, case["waypoints"], atol=0.002)
+
+
 def test_the_scene_is_an_obstacle_but_near_tool_and_target() -> None:
     scene = EMPTY.copy()
     scene[:, :, 30] = True
+    scene[:, 50, 80] = True
     made = plan((50, 50, 80), target(50, 50, 30), NOTHING, scene)
     assert made.avoidance[50, 50, 30] == 0
-    assert made.avoidance[50, 50 + fixed.FREE_RADIUS_VOXELS - 1, 30] == 0
-    assert made.avoidance[50, 50 + fixed.FREE_RADIUS_VOXELS + 1, 30] == 1
+    assert made.avoidance[50, 50 + fixed.TARGET_FREE_VOXELS - 1, 30] == 0
+    assert made.avoidance[50, 50 + fixed.TARGET_FREE_VOXELS, 30] == 1
+    free = made.avoidance[:, 50, 80] == 0
+    assert np.flatnonzero(free).tolist() == list(range(50 - fixed.START_FREE_VOXELS, 50 + fixed.START_FREE_VOXELS))
     np.testing.assert_allclose(made.waypoints[-1], [50, 50, 30])
 
 
-def test_a_path_that_ends_far_from_the_target_does_not_jump_to_it() -> None:
+def test_a_walk_that_is_kept_out_is_cut_and_then_goes_straight_to_the_target() -> None:
     shell = NOTHING.copy()
     shell[30:71, 30:71, 30:71] = 1
-    made = plan((5, 5, 5), target(50, 50, 50), shell, EMPTY)
-    if made.distance[tuple(made.waypoints[-1].astype(int))] > 0:
-        assert np.linalg.norm(made.waypoints[-1] - made.waypoints[-2]) < fixed.SNAP_VOXELS
-    assert np.isfinite(made.waypoints).all()
+    made = plan((15, 15, 15), target(50, 50, 50), shell, EMPTY)
+    np.testing.assert_allclose(made.waypoints[-1], [50, 50, 50])
+    assert np.linalg.norm(made.waypoints[-1] - made.waypoints[-2]) > 20
+    assert len(made.waypoints) < fixed.MAX_STEPS / 3, "cut where it began to circle"
 
 
-def test_on_the_target_already() -> None:
-    np.testing.assert_allclose(plan((50, 50, 50), target(50, 50, 50), NOTHING, EMPTY).waypoints, [[50, 50, 50]])
+def test_on_the_target_already(grid: Grid) -> None:
+    """The walk has to leave it; the executor goes straight to the end."""
+    made = plan((50, 50, 50), target(50, 50, 50), NOTHING, EMPTY)
+    np.testing.assert_allclose(made.waypoints[-1], [50, 50, 50])
+    here = grid.points(np.array([50.0, 50, 50]))
+    np.testing.assert_allclose(forward_only(grid.points(made.waypoints), here), [here])
+
+
+def test_at_the_border_the_walk_stays_inside() -> None:
+    made = plan((0, 99, 0), target(0, 99, 40), NOTHING, EMPTY)
+    np.testing.assert_allclose(made.waypoints[-1], [0, 99, 40])
+    assert made.waypoints.min() >= 0
+    assert made.waypoints.max() <= 99
+
+
+def test_only_a_full_value_is_a_target() -> None:
+    graded = target(60, 60, 60)
+    graded[20, 20, 20] = 0.9
+    made = plan((22, 22, 22), graded, NOTHING, EMPTY)
+    assert made.distance[20, 20, 20] > 60
+    np.testing.assert_allclose(made.waypoints[-1], [60, 60, 60])
+    with pytest.raises(ValueError, match="no voxel of the affordance map is 1"):
+        plan((1, 1, 1), (0.9 * target(5, 5, 5)).astype(np.float32), NOTHING, EMPTY)
 
 
 def test_an_empty_target_is_an_error() -> None:
-    with pytest.raises(ValueError, match="empty"):
+    with pytest.raises(ValueError, match="no voxel of the affordance map is 1"):
         plan((1, 1, 1), NOTHING, NOTHING, EMPTY)
 
 
@@ -88,15 +133,19 @@ def test_a_map_is_what_was_written_last(grid: Grid) -> None:
     made.add((50, 50, 50), (0.2,), radius_cm=3)
     made.add((99, 0, 0), (0.7,), radius_cm=5)
     dense = made.dense(grid)
-    centre = grid.points(np.array([50.0, 50, 50]))
-    for offset, value in ((0.0, 0.2), (0.025, 0.2), (0.05, 0.5), (0.099, 0.5), (0.12, None)):
-        place = centre + [0, 0, offset]
-        assert (made.at(grid, place) or (None,))[0] == value
-        if abs(offset / grid.pitch_m[2] - round(offset / grid.pitch_m[2])) < 0.01:
-            assert dense[grid.voxel(place)] == pytest.approx(value or 0)
-    assert dense[99, 0, 0] == pytest.approx(0.7)
-    volume = (dense > 0.15).sum() * grid.pitch_m.prod()
-    assert volume == pytest.approx(4 / 3 * np.pi * (0.10**3 + 0.05**3 / 8), rel=0.1)
+    # 10 cm are 10, 8 and 13 whole voxels along the axes, 3 cm are 3, 2 and 4.
+    for (x, y, z), value in {
+        (50, 50, 50): 0.2, (53, 52, 54): 0.2, (54, 50, 50): 0.5, (50, 53, 50): 0.5, (50, 50, 55): 0.5,
+        (60, 58, 63): 0.5, (61, 50, 50): None, (50, 59, 50): None, (50, 50, 64): None, (94, 4, 6): 0.7,
+    }.items():  # fmt: skip
+        assert (made.at(grid, grid.points(np.array([x, y, z], float))) or (None,))[0] == value
+        assert dense[x, y, z] == pytest.approx(value or 0)
+    assert (dense > 0.45).sum() == 21 * 17 * 27 - 7 * 5 * 9 + 6 * 5 * 7
+
+
+def test_centimetres_are_whole_voxels_towards_zero(grid: Grid) -> None:
+    assert grid.whole_voxels(0.02).tolist() == [2, 1, 2]
+    assert grid.whole_voxels(np.array([-0.05, 0.05, -0.001])).tolist() == [-5, 4, 0]
 
 
 def test_voxels_and_points(grid: Grid) -> None:

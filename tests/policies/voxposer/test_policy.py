@@ -132,7 +132,7 @@ def test_a_wrong_program_is_told_before_anything_moves(
 
 def test_an_empty_map_has_nowhere_to_go(observation: Observation, session: MakeSession) -> None:
     programs = BENIGN | {("get_affordance_map", "x"): "ret_val = get_empty_affordance_map()"}
-    with pytest.raises(ProgramError, match="'there' is empty"):
+    with pytest.raises(ProgramError, match="no voxel of the affordance map of 'there' is 1"):
         started(session(), programs).act(observation)
 
 

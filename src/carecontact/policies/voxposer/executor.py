@@ -14,6 +14,7 @@ from carecontact.policies.voxposer.grid import Grid
 from carecontact.policies.voxposer.maps import ValueMap
 
 F64 = npt.NDArray[np.float64]
+ROUNDING_S = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,15 +26,17 @@ class Motion:
 
 
 def forward_only(waypoints_m: F64, tool_m: F64) -> F64:
-    """(n, 3) -> (k, 3) without those in between that lie away from the last one, seen from the tool (published)."""
-    if len(waypoints_m) < 3:
-        return waypoints_m
-    towards = waypoints_m[-1] - tool_m
-    ahead: F64 = (waypoints_m - tool_m) @ towards
-    keep: npt.NDArray[np.bool_] = ahead.round(3) > 0
-    # The first and the last are always gone to.
-    keep[[0, -1]] = True
-    return waypoints_m[keep]
+    """(n, 3) -> (k, 3): the last one, and before it those that lie towards it, seen from the one gone to before (or the
+    tool), until one is NEAR_END_M from it. The release, too, rounds the product that decides to 0.001 m^2."""
+    kept: list[F64] = []
+    place, last = tool_m, waypoints_m[-1]
+    for waypoint in waypoints_m[:-1]:
+        if np.linalg.norm(last - place) <= fixed.NEAR_END_M:
+            break
+        if round(float((last - place) @ (waypoint - place)), 3) > 0:
+            kept.append(waypoint)
+            place = waypoint
+    return np.array([*kept, last])
 
 
 def motion(
@@ -46,11 +49,12 @@ def motion(
     gripper: ValueMap | None,
     horizon_s: float = fixed.HORIZON_S,
 ) -> Motion:
-    """Straight lines from the tool (7,) through the waypoints, at each one's speed, up to the horizon."""
+    """Straight lines from the tool (7,) through all waypoints (n, 3), at each one's speed, up to the horizon."""
     position, quat = pose_tcp[:3], pose_tcp[3:]
     budget = round(horizon_s * fixed.CONTROL_HZ)
     actions: list[Action] = []
-    for goal in forward_only(waypoints_m, position):
+    began_s = 0.0
+    for goal in waypoints_m:
         wanted = rotation.at(grid, goal) if rotation else None
         turn = quat if wanted is None else np.array(wanted)
         factor = (velocity.at(grid, goal) if velocity else None) or (1.0,)
@@ -58,16 +62,19 @@ def motion(
         opening = gripper.at(grid, goal) if gripper else None
         angle = 2 * float(np.arccos(np.clip(abs(float(quat @ turn)), 0.0, 1.0)))
         seconds = max(float(np.linalg.norm(goal - position)) / speed, angle / fixed.ROTATION_SPEED_RAD_S)
-        ticks = max(1, int(np.ceil(seconds * fixed.CONTROL_HZ)))
-        for k in range(1, ticks + 1):
+        while (since_s := (len(actions) + 1) / fixed.CONTROL_HZ - began_s) <= seconds + ROUNDING_S:
             if len(actions) == budget:
                 return Motion(actions=actions, whole=False)
-            share = k / ticks
+            share = min(since_s / seconds, 1.0)
             # The tool may have been pushed out of the workspace; no target may lie there.
             place = np.clip(position + share * (goal - position), grid.low_m, grid.high_m)
             pose = np.concatenate([place, slerp(quat, turn, share)])
             actions.append(Action(pose_tcp_in_base=pose, gripper=None if opening is None else opening[0]))
+        began_s += seconds
         position, quat = goal, turn
+    if len(actions) == budget and began_s > horizon_s + ROUNDING_S:
+        return Motion(actions=actions, whole=False)
     last = np.concatenate([np.clip(position, grid.low_m, grid.high_m), quat])
-    actions += [Action(pose_tcp_in_base=last)] * round(fixed.SETTLE_S * fixed.CONTROL_HZ)
+    arriving = int(len(actions) / fixed.CONTROL_HZ < began_s - ROUNDING_S)
+    actions += [Action(pose_tcp_in_base=last)] * (arriving + round(fixed.SETTLE_S * fixed.CONTROL_HZ))
     return Motion(actions=actions, whole=True)

@@ -68,16 +68,16 @@ class MapFunctions:
         value_map.add((x, y, z), _value(value_map.kind, value), radius_cm=radius)
 
     def cm2index(self, cm: object, direction: object) -> object:
-        """Whole voxels along an axis, or (x, y, z) of them along a vector."""
+        """Whole voxels along an axis, or (x, y, z) of them along a vector; what is over is cut off."""
         length = number(cm, "cm") / 100
         if isinstance(direction, str):
             along = _axis(direction)
-            return round(length / float(self._grid.pitch_m @ along))
+            return int(self._grid.whole_voxels(length) @ along)
         vector = _unit(numbers(direction, 3, "direction"))
-        return tuple(round(v) for v in (length * vector / self._grid.pitch_m).tolist())
+        return tuple(self._grid.whole_voxels(length * vector).tolist())
 
     def index2cm(self, count: object, direction: object) -> float:
-        return number(count, "count") * float(self._grid.pitch_m @ _axis(direction)) * 100
+        return number(count, "count") * float(self._grid.resolution_m @ _axis(direction)) * 100
 
     def vec2quat(self, vector: object) -> tuple[float, ...]:
         """The tool along the vector, turned about it as little as possible from where it is."""

@@ -28,6 +28,16 @@ class Grid:
         return (self.high_m - self.low_m) / (fixed.MAP_SIZE - 1)
 
     @property
+    def resolution_m(self) -> F64:
+        """(3,) by which centimetres are told in voxels: the box by MAP_SIZE and not by one less, as the release does
+        (interfaces.py 25)."""
+        return (self.high_m - self.low_m) / fixed.MAP_SIZE
+
+    def whole_voxels(self, length_m: float | F64) -> I64:
+        """(3,) of a length or of (3,) along the axes, towards zero, as the release does (interfaces.py 209-229)."""
+        return np.trunc(length_m / self.resolution_m).astype(np.int64)
+
+    @property
     def shape(self) -> Voxel:
         return fixed.MAP_SIZE, fixed.MAP_SIZE, fixed.MAP_SIZE
 

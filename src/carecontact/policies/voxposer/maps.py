@@ -1,4 +1,4 @@
-"""Value maps as a program writes them: single voxels and balls over a default. Arrays are made on demand."""
+"""Value maps as a program writes them: single voxels and boxes over a default. Arrays are made on demand."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.policies.voxposer import fixed_values as fixed
-from carecontact.policies.voxposer.grid import Grid, Voxel
+from carecontact.policies.voxposer.grid import I64, Grid, Voxel
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -25,7 +25,7 @@ VALUE_RANGE: dict[str, tuple[float, float]] = {
 class Entry:
     centre: Voxel
     radius_cm: float
-    """0: the voxel alone"""
+    """Half the width of a box, the release's "radius" (interfaces.py 251-266); 0: the voxel alone"""
     value: tuple[float, ...]
     """(1,) or for rotations (4,) quat_wxyz"""
 
@@ -47,25 +47,23 @@ class ValueMap:
         """(MAP_SIZE,) * 3, 0 where nothing was written. Not for rotations."""
         out = np.zeros(grid.shape, np.float32)
         for entry in self.entries:
-            out[_ball(grid, entry)] = entry.value[0]
+            low, high = _box(grid, entry)
+            out[tuple(slice(max(a, 0), b + 1) for a, b in zip(low.tolist(), high.tolist(), strict=True))] = entry.value[
+                0
+            ]
         return out
 
     def at(self, grid: Grid, point_m: F64) -> tuple[float, ...] | None:
-        """Value at a point [m]; None where nothing was written."""
+        """Value of the voxel nearest to a point [m]; None where nothing was written."""
+        voxel = np.array(grid.voxel(point_m))
         for entry in reversed(self.entries):
-            offset = point_m - grid.points(np.array(entry.centre, np.float64))
-            inside = np.linalg.norm(offset) <= entry.radius_cm / 100 or bool((np.abs(offset) <= grid.pitch_m / 2).all())
-            if inside:
+            low, high = _box(grid, entry)
+            if ((voxel >= low) & (voxel <= high)).all():
                 return entry.value
         return None
 
 
-def _ball(grid: Grid, entry: Entry) -> tuple[npt.NDArray[np.int64], ...]:
-    reach = np.maximum(np.floor(entry.radius_cm / 100 / grid.pitch_m), 0).astype(int)
-    low = np.maximum(np.array(entry.centre) - reach, 0)
-    high = np.minimum(np.array(entry.centre) + reach, fixed.MAP_SIZE - 1)
-    ranges: list[npt.NDArray[np.int64]] = [np.arange(low[k], high[k] + 1) for k in range(3)]
-    offset = [(ranges[k] - entry.centre[k]) * float(grid.pitch_m[k]) for k in range(3)]
-    square = offset[0][:, None, None] ** 2 + offset[1][None, :, None] ** 2 + offset[2][None, None, :] ** 2
-    inside = np.nonzero(np.asarray(square <= (entry.radius_cm / 100) ** 2 + 1e-12))
-    return tuple(ranges[k][inside[k]] for k in range(3))
+def _box(grid: Grid, entry: Entry) -> tuple[I64, I64]:
+    """(3,) lowest and highest voxel, which may lie outside the map."""
+    reach = grid.whole_voxels(entry.radius_cm / 100)
+    return np.array(entry.centre) - reach, np.array(entry.centre) + reach

@@ -21,12 +21,12 @@ from carecontact.policies.language.selection import chosen_transcript
 from carecontact.policies.language.transcript import Transcript
 from carecontact.policies.state_machine.geometry import PerceptionFailure
 from carecontact.policies.voxposer import fixed_values as fixed
-from carecontact.policies.voxposer.executor import Motion, motion
+from carecontact.policies.voxposer.executor import Motion, forward_only, motion
 from carecontact.policies.voxposer.functions import MapFunctions, PartHandle
 from carecontact.policies.voxposer.grid import Grid
 from carecontact.policies.voxposer.lmp import Programs
 from carecontact.policies.voxposer.maps import KINDS, MapKind, ValueMap
-from carecontact.policies.voxposer.planner import Plan, plan
+from carecontact.policies.voxposer.planner import Plan, goals, plan
 from carecontact.policies.voxposer.prompts import VOXPOSER, PromptSet
 from carecontact.policies.voxposer.sandbox import Functions, PausedProgram, Sandbox
 from carecontact.policies.voxposer.scene import GRIPPER, Scene
@@ -199,8 +199,8 @@ class VoxPoser:
         current.plans += 1
         self._note_plan(current, made, target, waypoints)
         return motion(
-            waypoints, tool, grid=grid, velocity=maps.get("velocity"), rotation=maps.get("rotation"),
-            gripper=maps.get("gripper"),
+            forward_only(waypoints, tool[:3]), tool, grid=grid, velocity=maps.get("velocity"),
+            rotation=maps.get("rotation"), gripper=maps.get("gripper"),
         )  # fmt: skip
 
     def _homewards(self, grid: Grid) -> Motion:
@@ -218,8 +218,8 @@ class VoxPoser:
         stay = ValueMap(kind="affordance")
         stay.add(self._grid.voxel(self._scene.pose_tcp[:3]), (1.0,))
         dense = (affordance or stay).dense(self._grid)
-        if not dense.any():
-            raise ProgramError(f"the affordance map of {self._subtask!r} is empty: there is nowhere to go")
+        if not len(goals(dense)):
+            raise ProgramError(f"no voxel of the affordance map of {self._subtask!r} is 1: there is nowhere to go")
         return dense
 
     def _execution(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Execution:
@@ -268,7 +268,8 @@ class VoxPoser:
     def _note_plan(self, current: Execution, made: Plan, target: npt.NDArray[np.float32], waypoints: F64) -> None:
         assert self._grid is not None
         view, grid, tool = self._scene.view, self._grid, self._scene.pose_tcp[:3]
-        goal = np.argwhere(target > 0).mean(axis=0)
+        targets = goals(target)
+        goal = targets.mean(axis=0)
         path = np.vstack([tool, waypoints])
         self._notes |= {
             "subtask": self._subtask, "plan": current.plans, "path_m": path.round(4).tolist(),
@@ -282,7 +283,7 @@ class VoxPoser:
             "grid": {"low_m": grid.low_m.tolist(), "high_m": grid.high_m.tolist(), "level": z, "upright": y},
             "intrinsics": view.intrinsics.tolist(), "pose_camera_in_base": view.pose_camera_in_base.tolist(),
             "maps": {kind: query.query for kind, query in current.maps.items()},
-            "target_voxels": np.argwhere(target > 0)[:50].tolist(),
+            "target_voxels": targets[:50].tolist(),
             "cost_level": made.cost[:, :, z].astype(np.float16), "cost_upright": made.cost[:, y, :].astype(np.float16),
             "distance_level": made.distance[:, :, z].astype(np.float16),
             "avoidance_level": made.avoidance[:, :, z].astype(np.float16),

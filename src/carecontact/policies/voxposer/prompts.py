@@ -20,7 +20,8 @@ parse_query_obj(text) returns a part of the scene with .name, .position (mean of
 centimetres in voxels along an axis, cm2index(cm, vector) gives a step (dx, dy, dz) of that length along a vector.
 """
 _WRITE = """\
-set_voxel(map, (x, y, z), value) writes one voxel; set_voxel_by_radius(map, (x, y, z), radius_cm, value) writes a ball.
+set_voxel(map, (x, y, z), value) writes one voxel; set_voxel_by_radius(map, (x, y, z), radius_cm, value) writes a box of
+that half width.
 Leave the map in ret_val.
 """
 
@@ -149,7 +150,7 @@ def _map_role(text: str) -> str:
 
 
 VOXPOSER = PromptSet(
-    version="voxposer-v1",
+    version="voxposer-v2",
     roles={
         "planner": _SETTING + PLANNER,
         "composer": _SETTING + COMPOSER,
@@ -194,7 +195,7 @@ a, b = parse_query_obj("left shoulder").position, parse_query_obj("left elbow").
 ret_val = slide((b[0] - a[0], b[1] - a[1], b[2] - a[2]), distance_cm=15, span_cm=8)
 """
 VOXPOSER_PHASED = PromptSet(
-    version="voxposer-phased-v1",
+    version="voxposer-phased-v2",
     roles={
         **VOXPOSER.roles,
         "planner": _SETTING + PHASED_PLANNER,
