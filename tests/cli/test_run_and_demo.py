@@ -221,6 +221,33 @@ def test_another_body_shows_everywhere_and_is_never_pooled(
     assert "trials of 2 protocols must not be pooled" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "title"),
+    [("--stiffness", "200", "stiffness 200 N/m"), ("--tissue", "manikin-like", "tissue manikin-like")],
+)
+def test_a_sweeps_run_says_what_it_varies(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], option: str, value: str, title: str
+) -> None:
+    command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
+    assert main([*command, option, value]) == 0
+    assert f"1 trial(s) of bathing-v1-draft with {title} into r" in capsys.readouterr().out
+    assert list(json.loads(Path("r/results.json").read_text())["protocol"]["overrides"].values()) == [value]
+    assert f"bathing-v1-draft with {title}" in Path("r/report.html").read_text()
+    assert main(command) == 2
+    assert "bathing-v1-draft with" in capsys.readouterr().err
+    assert main([*command[:-1], "own"]) == 0
+    assert main(["compare", "r", "own"]) == 2
+    assert "only runs of one protocol, same overrides" in capsys.readouterr().err
+
+
+def test_a_stiffness_that_the_protocol_does_not_allow_is_one_line(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", "--policy", "hover", "--out", "r", "--stiffness", "5000"]) == 2
+    assert "stiffness 5000 N/m: bathing-v1-draft allows 100 to 1000 N/m" in capsys.readouterr().err
+    assert not Path("r").exists()
+
+
 def test_naming_the_protocols_own_body_is_no_override(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

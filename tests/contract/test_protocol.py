@@ -167,10 +167,15 @@ def test_an_override_is_another_hash_and_title_but_the_same_id() -> None:
 
 def test_every_override_is_told_and_can_be_taken_back() -> None:
     rows = {region: row.model_copy(update={"a_n_m3": 2 * row.a_n_m3}) for region, row in PROTOCOL.person.tissue.items()}
-    other = PROTOCOL.overridden(body="woman-old-light", tissue_set=("twice", rows), dt_s=0.004)
-    assert other.overrides == {"person.body": "woman-old-light", "person.tissue_set": "twice", "physics.dt_s": "0.004"}
-    assert (other.person.tissue, other.physics.dt_s) == (rows, 0.004)
-    assert other.title == f"{PROTOCOL.id} with body woman-old-light and tissue twice and time step 0.004 s"
+    other = PROTOCOL.overridden(body="woman-old-light", tissue_set=("twice", rows), dt_s=0.004, stiffness_n_m=200)
+    assert other.overrides == {
+        "person.body": "woman-old-light", "person.tissue_set": "twice", "physics.dt_s": "0.004",
+        "impedance.translational_n_m": "200",
+    }  # fmt: skip
+    assert (other.person.tissue, other.physics.dt_s, other.impedance.translational_n_m) == (rows, 0.004, 200)
+    assert other.title == (
+        f"{PROTOCOL.id} with stiffness 200 N/m and body woman-old-light and tissue twice and time step 0.004 s"
+    )
     assert other.without_overrides(PROTOCOL) == PROTOCOL
     easier = other.model_copy(update={"gates": other.gates.model_copy(update={"region_share": 0.1})})
     assert easier.without_overrides(PROTOCOL) != PROTOCOL, "what was changed besides shows"

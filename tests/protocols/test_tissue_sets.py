@@ -108,3 +108,17 @@ def test_adapting_a_protocol() -> None:
     assert stiff.person.tissue == load_tissue_set("manikin-like").tissue
     assert stiff.physics.dt_s == FAST_DT_S
     assert stiff.overrides == {"person.tissue_set": "manikin-like", "physics.dt_s": "0.004"}
+
+
+@pytest.mark.parametrize("value", [200.0, 1000.0])
+def test_another_stiffness_is_told(value: float) -> None:
+    softer = adapted(PROTOCOL, stiffness_n_m=value)
+    assert softer.overrides == {"impedance.translational_n_m": f"{value:g}"}
+    assert softer.impedance.translational_n_m == value
+    assert adapted(PROTOCOL, stiffness_n_m=PROTOCOL.impedance.translational_n_m) == PROTOCOL
+
+
+@pytest.mark.parametrize("value", [99.0, 1001.0, float("nan")])
+def test_a_stiffness_outside_the_protocols_bounds_is_refused(value: float) -> None:
+    with pytest.raises(ConfigError, match=rf"stiffness {value:g} N/m: {PROTOCOL.id} allows 100 to 1000 N/m"):
+        adapted(PROTOCOL, stiffness_n_m=value)

@@ -47,6 +47,9 @@ class Run:
     output says so, and such trials are never pooled with the protocol's own."""
     tissue: str | None = None
     """Other tissue than the protocol's: a name of `carecontact list tissue` or a .toml file, as calibrate writes it."""
+    stiffness: float | None = None
+    """Of the arm's translation [N/m], another than the protocol's; every output says so. What a policy sets by itself
+    stays as it sets it."""
     language: str | None = None
     """rules-v1, replay:FILE.jsonl or live:MODEL for policies that use language (see docs/language.md); default: the
     policy's own."""
@@ -75,6 +78,7 @@ class Run:
             protocol=self.protocol,
             body=self.body,
             tissue=self.tissue,
+            stiffness=self.stiffness,
             language=self.language,
             record=self.record,
             fast=self.fast,

@@ -31,6 +31,7 @@ def run(
     protocol: str,
     body: str | None = None,
     tissue: str | None = None,
+    stiffness: float | None = None,
     language: str | None = None,
     record: Path | None = None,
     fast: bool = False,
@@ -39,13 +40,13 @@ def run(
     retry_failed: bool,
     purpose: Purpose = "run",
 ) -> int:
-    """``body``, ``tissue``, ``fast``: see ``protocols.adapted``; ``unfrozen``: see ``check_frozen``; ``language``,
-    ``record``: see ``language_environment``.
+    """``body``, ``tissue``, ``stiffness``, ``fast``: see ``protocols.adapted``; ``unfrozen``: see ``check_frozen``;
+    ``language``, ``record``: see ``language_environment``.
 
     Exit status 1 if the harness failed in any trial or a recording was skipped; a policy that fails is a result."""
     check_jobs(jobs)
     loaded = check_frozen(protocol, load_protocol(protocol), unfrozen=unfrozen)
-    rules = adapted(loaded, body=body, tissue=tissue, fast=fast)
+    rules = adapted(loaded, body=body, tissue=tissue, fast=fast, stiffness_n_m=stiffness)
     check_protocol(rules)
     task_ids, seed_list = parse_tasks(tasks, protocol=rules), parse_seeds(seeds, protocol=rules)
     folder = Path.cwd()

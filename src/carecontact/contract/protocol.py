@@ -22,6 +22,7 @@ OVERRIDABLE = {
     "person.body": "body {}",
     "person.tissue_set": "tissue {}",
     "physics.dt_s": "time step {} s",
+    "impedance.translational_n_m": "stiffness {} N/m",
     "lock": "drift from its lock ({})",
 }
 """What a command may replace, or had to accept, of a protocol -> its words in ``Protocol.title``."""
@@ -254,6 +255,7 @@ class Protocol(Section):
         body: str | None = None,
         tissue_set: tuple[str, dict[Region, Tissue]] | None = None,
         dt_s: float | None = None,
+        stiffness_n_m: float | None = None,
     ) -> Protocol:
         """A copy with these replaced and ``overrides`` saying so; another sha256, the same id.
 
@@ -262,8 +264,9 @@ class Protocol(Section):
 
         Args:
             tissue_set: its id and a row for every region.
+            stiffness_n_m: of the arm's translation, until a policy asks for another.
         """
-        person, physics, said = self.person, self.physics, dict(self.overrides)
+        person, physics, impedance, said = self.person, self.physics, self.impedance, dict(self.overrides)
         if body is not None and body != person.body:
             person, said["person.body"] = person.model_copy(update={"body": body}), body
         if tissue_set is not None and tissue_set != (person.tissue_set, person.tissue):
@@ -272,11 +275,15 @@ class Protocol(Section):
             said["person.tissue_set"] = name
         if dt_s is not None and dt_s != physics.dt_s:
             physics, said["physics.dt_s"] = physics.model_copy(update={"dt_s": dt_s}), f"{dt_s:g}"
-        return self.model_copy(update={"person": person, "physics": physics, "overrides": said})
+        if stiffness_n_m is not None and stiffness_n_m != impedance.translational_n_m:
+            impedance = impedance.model_copy(update={"translational_n_m": stiffness_n_m})
+            said["impedance.translational_n_m"] = f"{stiffness_n_m:g}"
+        changed = {"person": person, "physics": physics, "impedance": impedance, "overrides": said}
+        return self.model_copy(update=changed)
 
     def without_overrides(self, original: Protocol) -> Protocol:
         """A copy whose replaced fields are ``original``'s again: equal to it unless more was changed than announced."""
-        person, physics = self.person, self.physics
+        person, physics, impedance = self.person, self.physics, self.impedance
         if "person.body" in self.overrides:
             person = person.model_copy(update={"body": original.person.body})
         if "person.tissue_set" in self.overrides:
@@ -285,7 +292,10 @@ class Protocol(Section):
             )
         if "physics.dt_s" in self.overrides:
             physics = physics.model_copy(update={"dt_s": original.physics.dt_s})
-        return self.model_copy(update={"person": person, "physics": physics, "overrides": {}})
+        if "impedance.translational_n_m" in self.overrides:
+            own = original.impedance.translational_n_m
+            impedance = impedance.model_copy(update={"translational_n_m": own})
+        return self.model_copy(update={"person": person, "physics": physics, "impedance": impedance, "overrides": {}})
 
     def task(self, task_id: str) -> Task:
         """Raises KeyError; callers that face users check the id first."""

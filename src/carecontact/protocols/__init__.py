@@ -63,20 +63,33 @@ FAST_DT_S = 0.004
 """The fast mode's physics step; ``carecontact validate`` shows what it does to the scores."""
 
 
-def adapted(protocol: Protocol, *, body: str | None = None, tissue: str | None = None, fast: bool = False) -> Protocol:
-    """The protocol with another person, other tissue or the fast time step; its title, hash and every output say so.
+def adapted(
+    protocol: Protocol,
+    *,
+    body: str | None = None,
+    tissue: str | None = None,
+    fast: bool = False,
+    stiffness_n_m: float | None = None,
+) -> Protocol:
+    """The protocol with another person, other tissue, a softer or stiffer arm or the fast time step; its title, hash
+    and every output say so.
 
     Args:
         body: a shipped body or ``smplx:FILE.npz?sex=F``.
         tissue: a shipped tissue set or a TOML file.
+        stiffness_n_m: of the arm's translation, within the protocol's own bounds.
 
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """
     from carecontact.protocols.tissue_sets import load_tissue_set
 
     chosen = None if tissue is None else load_tissue_set(tissue)
+    low, high = protocol.impedance.translational_bounds
+    if stiffness_n_m is not None and not low <= stiffness_n_m <= high:
+        raise ConfigError(f"stiffness {stiffness_n_m:g} N/m: {protocol.id} allows {low:g} to {high:g} N/m")
     return protocol.overridden(
         body=body,
         tissue_set=None if chosen is None else (chosen.id, dict(chosen.tissue)),
         dt_s=FAST_DT_S if fast else None,
+        stiffness_n_m=stiffness_n_m,
     )
