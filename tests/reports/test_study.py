@@ -1,0 +1,188 @@
+"""A study over runs of known content: what is sorted in, missing, refused and said, and that the page says it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tools.results import main
+
+from carecontact.errors import ConfigError
+from carecontact.protocols import adapted, load_protocol
+from carecontact.reports.paper import read_paper
+from carecontact.reports.study import STIFFNESS, TISSUE, Study, study, study_json
+from carecontact.reports.study_page import study_page
+from carecontact.scoring import RunScores
+from carecontact.scoring.run import write_scores
+from tests.reports.synthetic_run import FAILED, make_score
+
+PROTOCOL, PAPER = load_protocol(), read_paper()
+SEEDS = range(6)
+STALLED = FAILED | {
+    "failure_mode": "insufficient_progress", "attribution": "planning", "evidence": "stroke 34 mm of 100 mm",
+}  # fmt: skip
+Change = Callable[[str, int], dict[str, Any]]
+
+
+def run(policy: str, change: Change = lambda task, seed: {}, *, seeds: range = SEEDS, **options: Any) -> RunScores:
+    """``options``: of ``adapted``."""
+    rules = adapted(PROTOCOL, **options)
+    said = {"policy": policy, "protocol_sha256": rules.sha256, "overrides": rules.overrides}
+    scores = [make_score(t.id, s, **{**said, **change(t.id, s)}) for t in PROTOCOL.tasks for s in seeds]
+    return RunScores(scores=scores, versions={"carecontact": ["0.1.0"]})
+
+
+def heavy(task: str, seed: int) -> dict[str, Any]:
+    return {"c1_peak_force_n": 20.0 + 0.1 * seed, "c5_force_sd_n": 3.0 + 0.01 * seed}
+
+
+def light(task: str, seed: int) -> dict[str, Any]:
+    """Succeeds on Touch alone."""
+    touched = {"c1_peak_force_n": 2.0 + 0.1 * seed, "c5_force_sd_n": 0.2 + 0.01 * seed}
+    authored = {"language_backend": "replay:0123456789ab:authored"}
+    return touched | authored | ({} if task in ("T1", "T4", "T6") else STALLED)
+
+
+def made(**runs: RunScores) -> Study:
+    return study(runs, protocol=PROTOCOL, paper=PAPER)
+
+
+def page(found: Study) -> str:
+    return study_page(found, PAPER, command="python tools/results.py runs/*", json_name="x.json")
+
+
+@pytest.fixture(scope="module")
+def whole() -> Study:
+    """Both methods, a null arm, and a sweep in which the stiff arm turns the order of the forces round."""
+    return made(
+        a=run("state-machine", heavy), b=run("voxposer", light), null=run("zero-action", lambda t, s: STALLED),
+        a1000=run("state-machine", light, stiffness_n_m=1000), b1000=run("voxposer", heavy, stiffness_n_m=1000),
+        manikin=run("voxposer", light, tissue="manikin-like"),
+    )  # fmt: skip
+
+
+def test_runs_are_known_by_their_trials_and_the_rest_is_named(whole: Study) -> None:
+    assert sorted(h.title for h in whole.heads) == [
+        "bathing-v1-draft", "bathing-v1-draft", "bathing-v1-draft", "bathing-v1-draft with stiffness 1000 N/m",
+        "bathing-v1-draft with stiffness 1000 N/m", "bathing-v1-draft with tissue manikin-like",
+    ]  # fmt: skip
+    missing = "\n".join(whole.missing)
+    assert "--policy voxposer-phased --protocol bathing-v1-draft --out" in missing
+    assert "--policy state-machine --protocol bathing-v1-draft --stiffness 200 " in missing
+    assert "--policy state-machine --protocol bathing-v1-draft --tissue manikin-like " in missing
+    assert len(whole.missing) == 1 + 3 + 2 + 1
+    text = page(whole)
+    assert all(command in text for command in whole.missing)
+    assert "42 of 140" in text
+
+
+def test_the_pair_is_tested_and_set_beside_the_paper(whole: Study) -> None:
+    rows = {row.outcome.id: row for row in whole.beside}
+    assert list(rows) == ["success", "region_correct", "safety_gated", "C1", "C5"]
+    assert all(row.agreement == "as in the paper" for row in rows.values())
+    success = rows["success"]
+    assert (success.line.a.estimate, success.line.b.estimate) == (1.0, pytest.approx(18 / 42))
+    assert (success.paper_a, success.paper_b, success.paper_test) == (pytest.approx(0.729), pytest.approx(0.279), None)
+    text = page(whole)
+    (line,) = [row for row in text.splitlines() if row.startswith("| Success [%] |")]
+    assert line.startswith("| Success [%] | 100.0 | 42.9 | 57.1 [")
+    assert "| 72.9 and 27.9 | not tested |" in line
+    assert "state-machine higher; higher is better" in text
+    assert "| State Machine | paper | 140 | 72.9 (65.0, 79.5) |" in text
+    assert "| insufficient progress | planning 24 |" in text
+    assert "24 of 42 trials are not region-correct. Paper: 101 of 140, 68 of them insufficient progress." in text
+    assert "replay:0123456789ab:authored" in text
+    assert "written by hand" in text
+
+
+def test_against_the_paper_not_seen_and_open() -> None:
+    same = made(a=run("state-machine", heavy), b=run("voxposer", heavy))
+    assert {row.agreement for row in same.beside if row.outcome.id in ("C1", "C5")} == {"not seen here"}
+    turned = made(a=run("state-machine", light), b=run("voxposer", heavy))
+    assert {row.agreement for row in turned.beside} == {"against the paper"}
+    few = made(a=run("state-machine", heavy, seeds=range(1)), b=run("voxposer", light, seeds=range(1)))
+    assert {row.agreement for row in few.beside} == {"open"}
+
+
+def test_a_sweep_ranks_each_level_against_the_protocols_own(whole: Study) -> None:
+    sweeps = {sweep.field: sweep for sweep in whole.sweeps}
+    stiffness = sweeps[STIFFNESS]
+    assert [(level.value, level.is_protocol, level.comparison is None) for level in stiffness.levels] == [
+        ("200", False, True), ("400", True, False), ("1000", False, False),
+    ]  # fmt: skip
+    assert {name: row.tau["1000"].tau for name, row in stiffness.ranking.items()} == dict.fromkeys(
+        ("success", "region_correct", "safety_gated", "C1", "C5"), -1
+    )
+    assert [level.comparison is None for level in sweeps[TISSUE].levels] == [False, True]
+    text = page(whole)
+    assert "| stiffness 1000 N/m | -1 | -1 | -1 | -1 | -1 |" in text
+    assert "| stiffness 200 N/m | run missing |" in text
+
+
+def test_null_arms_stand_under_the_methods(whole: Study) -> None:
+    text = page(whole)
+    assert "| zero-action | 42 | 0.0 (0.0, 8.4) |" in text
+    assert "| state-machine | zero-action | 42 | +100.0 [" in text
+    assert "No null arm was run" in page(made(a=run("state-machine")))
+
+
+def test_a_missing_method_is_no_comparison() -> None:
+    found = made(a=run("state-machine", heavy))
+    assert (found.comparison, found.beside, found.overview) == (None, (), None)
+    text = page(found)
+    assert "Not compared: a run of state-machine or voxposer is missing." in text
+    assert "| voxposer | here: not run |" in text
+
+
+def test_what_does_not_belong_is_named_and_left_out() -> None:
+    found = made(
+        a=run("state-machine"), old=run("state-machine", body="woman-old-light"), mine=run("lift"),
+        other=run("voxposer", lambda t, s: {"protocol_id": "bathing-moved-v1-draft"}),
+    )  # fmt: skip
+    assert found.unused == {
+        "old": "state-machine on bathing-v1-draft with body woman-old-light is no part of this study",
+        "mine": "lift on bathing-v1-draft is no part of this study",
+        "other": "of bathing-moved-v1-draft",
+    }
+    assert all(f"Not used: {name}: {why}." in page(found) for name, why in found.unused.items())
+
+
+@pytest.mark.parametrize(
+    ("runs", "told"),
+    [
+        ({"a": run("state-machine"), "b": run("state-machine")}, "a and b are both state-machine on bathing-v1-draft"),
+        ({"a": run("state-machine", lambda t, s: {"protocol_sha256": "5" * 64})}, "a was made with another state of"),
+        ({"a": run("lift")}, "none of 1 run"),
+        (
+            {
+                "a": run("state-machine"),
+                "b": run("voxposer", lambda t, s: {"world": {"mujoco": "9.9"}}, stiffness_n_m=200),
+            },
+            "a and b are of different worlds: mujoco",
+        ),
+    ],
+)
+def test_runs_that_must_not_be_set_together(runs: dict[str, RunScores], told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        study(runs, protocol=PROTOCOL, paper=PAPER)
+
+
+def test_the_command_writes_the_same_bytes_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, scores in (("a", run("state-machine", heavy)), ("b", run("voxposer", light))):
+        (tmp_path / name).mkdir()
+        write_scores(tmp_path / name, scores)
+    arguments = [str(tmp_path / "a"), str(tmp_path / "b" / "results.json"), "--out", str(tmp_path / "out")]
+    files = [tmp_path / "out" / f"bathing-v1-draft{suffix}" for suffix in (".md", ".json")]
+    assert main(arguments) == 0
+    first = [file.read_bytes() for file in files]
+    assert main(arguments) == 0
+    assert [file.read_bytes() for file in files] == first
+    content = json.loads(first[1])
+    assert content["schema"] == "carecontact-study-1"
+    assert content["beside"][0]["agreement"] == "as in the paper"
+    assert content == json.loads(json.dumps(study_json(made(a=run("state-machine", heavy), b=run("voxposer", light)))))
+    assert main([str(tmp_path / "nothing")]) == 2
+    assert "nothing: no such folder" in capsys.readouterr().err

@@ -1,0 +1,48 @@
+"""Tables of the evaluated methods beside the paper, from finished runs.
+
+    python tools/results.py runs/* [--protocol bathing-v1-draft] [--out docs/results]
+
+Runs are folders of recordings or results.json files: state-machine, voxposer, voxposer-phased and the null arms on the
+protocol, and state-machine and voxposer under every stiffness and tissue of the sweeps. Which is which is read from
+their trials. What is missing is named with the command that makes it. Writes PROTOCOL.md and PROTOCOL.json; the same
+runs give the same bytes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from carecontact.cli.compare import read_scores
+from carecontact.errors import CarecontactError
+from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
+from carecontact.reports.paper import read_paper
+from carecontact.reports.study import study, study_json
+from carecontact.reports.study_page import study_page
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN")
+    parser.add_argument("--protocol", default=DEFAULT_PROTOCOL)
+    parser.add_argument("--out", type=Path, default=Path("docs/results"))
+    options = parser.parse_args(arguments)
+    try:
+        protocol, paper = load_protocol(options.protocol), read_paper()
+        found = study({str(run): read_scores(run) for run in options.runs}, protocol=protocol, paper=paper)
+    except CarecontactError as error:
+        print(f"results: {error}", file=sys.stderr)
+        return 2
+    page, data = (options.out / f"{protocol.id}{suffix}" for suffix in (".md", ".json"))
+    command = f"python tools/results.py {' '.join(str(run) for run in options.runs)}"
+    options.out.mkdir(parents=True, exist_ok=True)
+    page.write_text(study_page(found, paper, command=command, json_name=data.name), encoding="utf-8")
+    data.write_text(json.dumps(study_json(found), sort_keys=True, indent=1, allow_nan=False) + "\n", encoding="ascii")
+    print(f"{page}, {data}: {len(found.heads)} run(s), {len(found.missing)} missing, {len(found.unused)} not used")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
