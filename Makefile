@@ -1,7 +1,7 @@
 # Every target makes its own Python environment first (tools/bootstrap.sh): nothing has to be installed beforehand.
 BIN := .venv/bin
 .DEFAULT_GOAL := help
-.PHONY: help env demo test lint test-slow bench clean
+.PHONY: help env demo test lint test-slow test-grounded-sam bench clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -24,9 +24,13 @@ lint: env ## style, types and import walls only
 test-slow: env ## the long simulations
 	$(BIN)/python -m pytest -m slow
 
+test-grounded-sam: env ## the segmenter on tiny random models, in .venv-torch (5 GB)
+	UV_PROJECT_ENVIRONMENT=.venv-torch .venv-uv/bin/uv sync --frozen --quiet --extra grounded-sam --python $(BIN)/python
+	.venv-torch/bin/python -m pytest -m torch tests/observation/test_grounded_sam.py
+
 bench: env ## speed of physics, trials and command line, as JSON
 	@$(BIN)/python benchmarks/speed.py
 
 clean: ## what the other targets made, runs/demo included
-	rm -rf .venv .venv-uv runs/demo .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-uv .venv-torch runs/demo .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	find src tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

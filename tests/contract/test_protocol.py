@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from carecontact.contract.protocol import Protocol
+from carecontact.contract.protocol import Protocol, Vision
 from carecontact.protocols import load_protocol
 
 PROTOCOL = load_protocol()
@@ -179,6 +179,28 @@ def test_every_override_is_told_and_can_be_taken_back() -> None:
     assert other.without_overrides(PROTOCOL) == PROTOCOL
     easier = other.model_copy(update={"gates": other.gates.model_copy(update={"region_share": 0.1})})
     assert easier.without_overrides(PROTOCOL) != PROTOCOL, "what was changed besides shows"
+
+
+SAM = Vision(segmenter="grounded-sam", weights_sha256="ab" * 32)
+
+
+def test_another_segmenter_is_an_override_and_the_own_one_is_no_word() -> None:
+    other = PROTOCOL.overridden(vision=SAM)
+    assert other.overrides == {"vision.segmenter": "grounded-sam abababababab"}
+    assert other.title == f"{PROTOCOL.id} with segmenter grounded-sam abababababab"
+    assert Protocol.model_validate(other.model_dump(mode="json")) == other
+    assert other.without_overrides(PROTOCOL) == PROTOCOL
+    assert PROTOCOL.overridden(vision=Vision()) == PROTOCOL
+    assert "vision" not in PROTOCOL.model_dump(mode="json")
+
+
+@pytest.mark.parametrize(
+    "vision",
+    [{"segmenter": "grounded-sam"}, {"weights_sha256": "ab" * 32}, {"segmenter": "sam"}, {"weights_sha256": "x"}],
+)
+def test_a_segmenter_and_its_weights_belong_together(vision: dict[str, str]) -> None:
+    with pytest.raises(ValidationError, match="vision"):
+        Protocol.model_validate(PROTOCOL.model_dump() | {"vision": vision})
 
 
 def test_one_override_keeps_another() -> None:

@@ -165,6 +165,26 @@ def test_masks_and_landmarks_share_one_estimate() -> None:
     assert keypoints.calls == 1
 
 
+class FakeSegmenter:
+    def person(self, rgb: np.ndarray) -> np.ndarray:
+        person = np.zeros((H, W), np.float32)
+        person[10:30, 20:24] = 1
+        return person
+
+
+@pytest.mark.parametrize(("modalities", "calls"), [(("masks",), 0), (("masks", "landmarks"), 1)])
+def test_a_segmenter_stands_in_for_the_estimators_mask_alone(modalities: tuple[str, ...], calls: int) -> None:
+    keypoints, renderer = FakeKeypoints(), FakeRenderer()
+    card = PolicyCard(name="test", modalities=modalities)
+    made = ObservationBuilder(renderer, card, load_protocol(), keypoints, segmenter=FakeSegmenter())  # pyright: ignore[reportArgumentType]
+    view = made.build(None, instruction="", sim_time_s=0.0).cameras["overhead"]  # pyright: ignore[reportArgumentType]
+    assert keypoints.calls == calls
+    assert (view.landmarks is not None) == (calls == 1)
+    assert view.masks is not None
+    # Grown by 5 px and cut where nothing is nearer than the empty cell: left of column 20.
+    assert view.masks["human"].any(0).nonzero()[0].tolist() == list(range(20, 29))
+
+
 def test_a_missing_image_is_an_error() -> None:
     raw = RawView(intrinsics=INTRINSICS, pose_camera_in_base=DOWN, rgb=np.zeros((H, W, 3), np.uint8))
     with pytest.raises(ObservationError, match="depth"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from carecontact.cli.policy_name import check_policy
+from carecontact.cli.policy_name import check_policy, public_name
 from carecontact.errors import ConfigError
 from carecontact.protocols import adapted, load_protocol
 from carecontact.trials.preflight import check_protocol
@@ -26,10 +26,12 @@ def audit(*, policies: tuple[str, ...], quick: bool, body: str | None, protocol:
         raise ConfigError(f"--policy: {', '.join(twice)} is named twice")
     rules = adapted(load_protocol(protocol), body=body)
     check_protocol(rules)
+    if rules.vision.segmenter != "mediapipe":
+        raise ConfigError(f"--protocol {protocol}: only the segmenter mediapipe can be audited, this one names another")
     from carecontact.policies.registry import POLICIES
 
     folder = Path.cwd()
-    names = policies or tuple(POLICIES)
+    names = tuple(public_name(name) for name in policies) or tuple(POLICIES)
     for name in names:
         check_policy(name, search_path=folder, deadline_s=rules.phases.first_call_deadline_s)
     from carecontact.audit.run import audit as run_audit

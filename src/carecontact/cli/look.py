@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from carecontact.cli.vision import chosen_vision
 from carecontact.contract.observation import MODALITIES
 from carecontact.contract.policy import CAMERAS, PolicyCard
 from carecontact.errors import ConfigError
@@ -13,9 +14,19 @@ from carecontact.trials.plan import compact
 from carecontact.trials.preflight import check_protocol
 
 
-def look(*, task: str, seed: int, protocol: str, body: str | None, out: Path | None) -> int:
+def look(
+    *,
+    task: str,
+    seed: int,
+    protocol: str,
+    body: str | None,
+    out: Path | None,
+    segmenter: str | None = None,
+    weights: Path | None = None,
+) -> int:
     """``out``: default ``look-<task>-s<seed>.png`` here. Raises ConfigError for what the protocol does not have."""
-    rules = adapted(load_protocol(protocol), body=body)
+    loaded = load_protocol(protocol)
+    rules = adapted(loaded, body=body, vision=chosen_vision(loaded, segmenter=segmenter, weights=weights))
     ids = [t.id for t in rules.tasks]
     if task not in ids:
         raise ConfigError(f"--task: {task!r} is no task of {rules.id}; valid: {', '.join(ids)}")
@@ -26,7 +37,7 @@ def look(*, task: str, seed: int, protocol: str, body: str | None, out: Path | N
     from carecontact.trials.first_look import first_look
 
     card = PolicyCard(name="look", modalities=MODALITIES, cameras=CAMERAS)
-    observation = first_look(rules, task_id=task, seed=seed, card=card)
+    observation = first_look(rules, task_id=task, seed=seed, card=card, weights=weights)
     name = rules.task(task).name
     save_sheet(observation, path, title=f"Not told to it: {task} {name}, seed {seed}, {rules.title}.")
     print(f"{path}: {task} seed {seed}, {len(CAMERAS)} cameras")

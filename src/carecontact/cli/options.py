@@ -14,6 +14,7 @@ import tyro
 from carecontact.errors import ConfigError
 
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+Segmenter = Literal["mediapipe", "grounded-sam"]
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 
 
@@ -33,7 +34,8 @@ class Run:
     """Run trials of one policy, score them and write the report. The same command again does only what is missing."""
 
     policy: str
-    """Name of a registered policy (see `carecontact list policies`) or module:Class, importable from here."""
+    """Name of a registered policy (see `carecontact list policies`), module:Class, importable from here, or
+    ws://HOST:PORT of a policy that is served (see `carecontact serve`)."""
     out: Path
     """Folder for recordings, results.json and report.html."""
     tasks: str = "all"
@@ -57,6 +59,10 @@ class Run:
     """With a live language model: replay file to add its completions to."""
     fast: Switch = False
     """Physics steps of 4 ms instead of the protocol's: fewer steps a second, for development."""
+    segmenter: Segmenter | None = None
+    """What finds the person for the masks, instead of the protocol's own (mediapipe): see docs/perception.md."""
+    weights: Path | None = None
+    """Folder with the weights of --segmenter grounded-sam; nothing is ever downloaded."""
     unfrozen: Switch = False
     """Run a frozen protocol although it drifted from its lock (see `carecontact protocol verify`); every output shows
     it."""
@@ -82,10 +88,37 @@ class Run:
             language=self.language,
             record=self.record,
             fast=self.fast,
+            segmenter=self.segmenter,
+            weights=self.weights,
             unfrozen=self.unfrozen,
             jobs=self.jobs,
             retry_failed=self.retry_failed,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Serve:
+    """Serve a policy to `carecontact run --policy ws://HOST:PORT` on another host, until Ctrl-C. Every trial that
+    connects gets a process of its own. Anyone who reaches the port may use it: see docs/threat-model.md."""
+
+    policy: Annotated[str, tyro.conf.Positional]
+    """Name of a registered policy (see `carecontact list policies`) or module:Class, importable from here."""
+    host: str = "127.0.0.1"
+    """Address of this host to listen at; 0.0.0.0 for all of them."""
+    port: int = 8765
+    """0: one that is free."""
+    at_once: int | None = None
+    """Trials at once, further ones wait; default: one per core."""
+    language: str | None = None
+    """rules-v1, replay:FILE.jsonl or live:MODEL for policies that use language (see docs/language.md); default: the
+    policy's own."""
+
+    after_interrupt: ClassVar[str] = "; its policies have ended"
+
+    def __call__(self) -> int:
+        from carecontact.cli.serve import serve
+
+        return serve(self.policy, host=self.host, port=self.port, at_once=self.at_once, language=self.language)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,6 +298,10 @@ class Look:
     """Another person than the protocol's: a name of `carecontact list bodies` or smplx:FILE.npz?sex=F (or M)."""
     protocol: str = "bathing-v1-draft"
     """Id of a shipped protocol, or a .toml file."""
+    segmenter: Segmenter | None = None
+    """What finds the person for the masks, instead of the protocol's own (mediapipe): see docs/perception.md."""
+    weights: Path | None = None
+    """Folder with the weights of --segmenter grounded-sam; nothing is ever downloaded."""
     out: Path | None = None
     """Picture to write, .png, .jpg or .pdf; default: look-TASK-sSEED.png here."""
 
@@ -273,7 +310,15 @@ class Look:
     def __call__(self) -> int:
         from carecontact.cli.look import look
 
-        return look(task=self.task, seed=self.seed, protocol=self.protocol, body=self.body, out=self.out)
+        return look(
+            task=self.task,
+            seed=self.seed,
+            protocol=self.protocol,
+            body=self.body,
+            out=self.out,
+            segmenter=self.segmenter,
+            weights=self.weights,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -366,6 +411,7 @@ class Doctor:
 
 COMMANDS = {
     "run": Run,
+    "serve": Serve,
     "demo": Demo,
     "score": Score,
     "report": Report,

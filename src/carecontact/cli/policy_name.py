@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from carecontact.errors import ConfigError, PolicyError
@@ -9,22 +10,36 @@ from carecontact.trials.failed import reason
 
 
 def check_policy(policy: str, *, search_path: Path, deadline_s: float) -> None:
-    """Raises UnknownNameError, or ConfigError saying in one line why ``module:Class`` does not start.
+    """Raises UnknownNameError, or ConfigError saying in one line why ``module:Class`` does not start or why a server
+    does not show its card.
 
-    A ``module:Class`` is started just as a trial starts it, in a process of its own and behind the wall.
+    Both are started just as a trial starts them: the first in a process of its own and behind the wall.
     """
-    from carecontact.policies.process import PolicyProcess
-    from carecontact.policies.registry import resolve_policy
+    from carecontact.policies.opening import open_policy
+    from carecontact.policies.remote import remote_address
 
-    resolve_policy(policy)
+    conversation = open_policy(
+        policy, first_deadline_s=deadline_s, deadline_s=deadline_s, search_path=[str(search_path)]
+    )
     if ":" not in policy:
         return
     try:
-        with PolicyProcess(
-            policy, first_deadline_s=deadline_s, deadline_s=deadline_s, search_path=[str(search_path)]
-        ) as process:
-            process.start()
+        with conversation:
+            conversation.start()
     except PolicyError as error:
-        raise ConfigError(
-            f"--policy {policy} does not start (looked in {search_path} first): {reason(str(error))}"
-        ) from None
+        remote = remote_address(policy) is not None
+        where = "is no server of a policy" if remote else f"does not start (looked in {search_path} first)"
+        raise ConfigError(f"--policy {policy} {where}: {reason(str(error))}") from None
+
+
+def public_name(policy: str) -> str:
+    """The name as it may stand in a recording. The credentials of an address go on to the trials' processes by the
+    environment. Raises ConfigError for a malformed address."""
+    from carecontact.policies.remote import CREDENTIALS, remote_address
+
+    address = remote_address(policy)
+    if address is None:
+        return policy
+    if address.credentials:
+        os.environ[CREDENTIALS] = address.credentials
+    return str(address)

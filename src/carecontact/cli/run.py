@@ -6,15 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carecontact.cli.language import language_environment
-from carecontact.cli.policy_name import check_policy
+from carecontact.cli.policy_name import check_policy, public_name
 from carecontact.cli.progress import progress
 from carecontact.cli.score import report, rescore
+from carecontact.cli.vision import chosen_vision
 from carecontact.protocols import adapted, load_protocol, shipped_protocols
 from carecontact.trials.freeze import check_frozen
 from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.plan import parse_seeds, parse_tasks, plan_trials
 from carecontact.trials.preflight import check_protocol
 from carecontact.trials.supervisor import check_jobs, run_trials
+from carecontact.trials.vision import WEIGHTS
 
 if TYPE_CHECKING:
     from carecontact.contract.protocol import Protocol
@@ -35,18 +37,22 @@ def run(
     language: str | None = None,
     record: Path | None = None,
     fast: bool = False,
+    segmenter: str | None = None,
+    weights: Path | None = None,
     unfrozen: bool = False,
     jobs: int | None,
     retry_failed: bool,
     purpose: Purpose = "run",
 ) -> int:
-    """``body``, ``tissue``, ``stiffness``, ``fast``: see ``protocols.adapted``; ``unfrozen``: see ``check_frozen``;
-    ``language``, ``record``: see ``language_environment``.
+    """``body``, ``tissue``, ``stiffness``, ``fast``: see ``protocols.adapted``; ``segmenter``, ``weights``: see
+    ``chosen_vision``; ``unfrozen``: see ``check_frozen``; ``language``, ``record``: see ``language_environment``.
 
     Exit status 1 if the harness failed in any trial or a recording was skipped; a policy that fails is a result."""
     check_jobs(jobs)
+    policy = public_name(policy)
     loaded = check_frozen(protocol, load_protocol(protocol), unfrozen=unfrozen)
-    rules = adapted(loaded, body=body, tissue=tissue, fast=fast, stiffness_n_m=stiffness)
+    vision = chosen_vision(loaded, segmenter=segmenter, weights=weights)
+    rules = adapted(loaded, body=body, tissue=tissue, fast=fast, stiffness_n_m=stiffness, vision=vision)
     check_protocol(rules)
     task_ids, seed_list = parse_tasks(tasks, protocol=rules), parse_seeds(seeds, protocol=rules)
     folder = Path.cwd()
@@ -60,7 +66,7 @@ def run(
             out=out,
             jobs=jobs,
             retry_failed=retry_failed,
-            environment={POLICY_PATH: str(folder), **spoken},
+            environment={POLICY_PATH: str(folder), WEIGHTS: str(weights.resolve()) if weights else "", **spoken},
             on_event=on_event,
             purpose=purpose,
         )

@@ -23,6 +23,7 @@ OVERRIDABLE = {
     "person.tissue_set": "tissue {}",
     "physics.dt_s": "time step {} s",
     "impedance.translational_n_m": "stiffness {} N/m",
+    "vision.segmenter": "segmenter {}",
     "lock": "drift from its lock ({})",
 }
 """What a command may replace, or had to accept, of a protocol -> its words in ``Protocol.title``."""
@@ -80,6 +81,15 @@ class Variation(Section):
     """The same across the bed."""
     place_yaw_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
     """The same, turned about the vertical through the right shoulder (``world.place``)."""
+
+
+class Vision(Section):
+    """Which model says where the person is in an image; by default the key points' own."""
+
+    segmenter: Literal["mediapipe", "grounded-sam"] = "mediapipe"
+    weights_sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""
+    """Of the folder of weights that the user supplied (``observation.weights``); empty for mediapipe, which has its own
+    in its wheel."""
 
 
 class Impedance(Section):
@@ -225,6 +235,7 @@ class Protocol(Section):
     phases: Phases
     randomization: Randomization
     variation: Variation = Variation()
+    vision: Vision = Vision()
     scene: Scene
     cameras: dict[Literal["overhead", "bedside", "exterior", "wrist"], Camera]
     impedance: Impedance
@@ -238,10 +249,12 @@ class Protocol(Section):
 
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without variation there is no word of it: protocols from before it keep their hash, recordings theirs."""
+        """Of what is as it always was there is no word: protocols from before it keep their hash, recordings theirs."""
         content = handler(self)
         if self.variation == Variation():
             del content["variation"]
+        if self.vision == Vision():
+            del content["vision"]
         return content
 
     @property
@@ -256,6 +269,7 @@ class Protocol(Section):
         tissue_set: tuple[str, dict[Region, Tissue]] | None = None,
         dt_s: float | None = None,
         stiffness_n_m: float | None = None,
+        vision: Vision | None = None,
     ) -> Protocol:
         """A copy with these replaced and ``overrides`` saying so; another sha256, the same id.
 
@@ -278,12 +292,15 @@ class Protocol(Section):
         if stiffness_n_m is not None and stiffness_n_m != impedance.translational_n_m:
             impedance = impedance.model_copy(update={"translational_n_m": stiffness_n_m})
             said["impedance.translational_n_m"] = f"{stiffness_n_m:g}"
-        changed = {"person": person, "physics": physics, "impedance": impedance, "overrides": said}
+        if vision is not None and vision != self.vision:
+            said["vision.segmenter"] = f"{vision.segmenter} {vision.weights_sha256[:12]}".strip()
+        seen = self.vision if vision is None else vision
+        changed = {"person": person, "physics": physics, "impedance": impedance, "vision": seen, "overrides": said}
         return self.model_copy(update=changed)
 
     def without_overrides(self, original: Protocol) -> Protocol:
         """A copy whose replaced fields are ``original``'s again: equal to it unless more was changed than announced."""
-        person, physics, impedance = self.person, self.physics, self.impedance
+        person, physics, impedance, vision = self.person, self.physics, self.impedance, self.vision
         if "person.body" in self.overrides:
             person = person.model_copy(update={"body": original.person.body})
         if "person.tissue_set" in self.overrides:
@@ -295,7 +312,10 @@ class Protocol(Section):
         if "impedance.translational_n_m" in self.overrides:
             own = original.impedance.translational_n_m
             impedance = impedance.model_copy(update={"translational_n_m": own})
-        return self.model_copy(update={"person": person, "physics": physics, "impedance": impedance, "overrides": {}})
+        if "vision.segmenter" in self.overrides:
+            vision = original.vision
+        kept = {"person": person, "physics": physics, "impedance": impedance, "vision": vision, "overrides": {}}
+        return self.model_copy(update=kept)
 
     def task(self, task_id: str) -> Task:
         """Raises KeyError; callers that face users check the id first."""
@@ -322,6 +342,8 @@ class Protocol(Section):
                 raise ValueError(f"{name}: expected exactly {sorted(regions)}, got {sorted(got)}")
         if set(self.cameras) != {"overhead", "bedside", "exterior", "wrist"}:
             raise ValueError(f"cameras: expected overhead, bedside, exterior and wrist, got {sorted(self.cameras)}")
+        if bool(self.vision.weights_sha256) != (self.vision.segmenter == "grounded-sam"):
+            raise ValueError("vision.weights_sha256: expected one with segmenter grounded-sam, and none with mediapipe")
         ids = [t.id for t in self.tasks]
         if not ids or len(set(ids)) != len(ids):
             raise ValueError(f"tasks: ids must be there and differ, got {ids}")

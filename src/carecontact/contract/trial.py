@@ -16,7 +16,7 @@ class TrialSpec(BaseModel):
     task_id: str
     seed: int
     policy: str
-    """Registry name or ``module:Class``."""
+    """Registry name, ``module:Class`` or ``ws://HOST:PORT``."""
 
     @property
     def trial_id(self) -> str:

@@ -16,7 +16,7 @@ from carecontact.contract.protocol import Protocol, Variation
 from carecontact.errors import ObservationError
 from carecontact.observation.keypoints import KeypointEstimator
 from carecontact.observation.pointcloud import coloured_cloud, organised_points, surface_under
-from carecontact.observation.segmentation import segment
+from carecontact.observation.segmentation import PersonSegmenter, segment
 from carecontact.observation.sensor_noise import SensorNoise
 
 if TYPE_CHECKING:
@@ -105,9 +105,15 @@ def assemble(values: Mapping[str, Any], views: Mapping[str, Mapping[str, Any]]) 
 
 
 def derive_view(
-    raw: RawView, *, modalities: tuple[str, ...], keypoints: KeypointEstimator, bed_height_in_base_m: float
+    raw: RawView,
+    *,
+    modalities: tuple[str, ...],
+    keypoints: KeypointEstimator,
+    bed_height_in_base_m: float,
+    segmenter: PersonSegmenter | None = None,
 ) -> dict[str, Any]:
-    """Every modality named, from one camera's images; a pure function if the estimator is one.
+    """Every modality named, from one camera's images; a pure function if the models are. ``segmenter``: None takes the
+    estimator's own person mask.
 
     Raises ObservationError if an image that a modality needs is missing.
     """
@@ -117,23 +123,26 @@ def derive_view(
             f"raw view: expected the images that {', '.join(modalities)} are made of, got no {' and no '.join(missing)}"
         )
     view: dict[str, Any] = {"intrinsics": raw.intrinsics, "pose_camera_in_base": raw.pose_camera_in_base}
-    points = found = masks = None
+    points = found = person = masks = None
     if raw.depth is not None and {"points", "masks"} & set(modalities):
         points = organised_points(raw.depth, raw.intrinsics, raw.pose_camera_in_base)
-    if raw.rgb is not None and {"masks", "landmarks"} & set(modalities):
+    if raw.rgb is not None and ("landmarks" in modalities or ("masks" in modalities and segmenter is None)):
         found = keypoints.estimate(raw.rgb)
+        person = found.person
+    if raw.rgb is not None and "masks" in modalities and segmenter is not None:
+        person = segmenter.person(raw.rgb)
     if "rgb" in modalities:
         view["rgb"] = raw.rgb
     if "depth" in modalities:
         view["depth"] = raw.depth
     if "points" in modalities and points is not None and raw.rgb is not None:
         view["points"], view["point_colors"] = coloured_cloud(points, raw.rgb)
-    if "masks" in modalities and found and points is not None:
+    if "masks" in modalities and person is not None and points is not None:
         assert raw.depth is not None
         assert raw.robot_depth is not None
         assert raw.cell_depth is not None
         masks = view["masks"] = segment(
-            person=found.person,
+            person=person,
             depth=raw.depth,
             robot_depth=raw.robot_depth,
             cell_depth=raw.cell_depth,
@@ -160,6 +169,7 @@ def derive(
     modalities: tuple[str, ...],
     keypoints: KeypointEstimator,
     bed_height_in_base_m: float,
+    segmenter: PersonSegmenter | None = None,
 ) -> Observation:
     """The observation that raw readings give; needs no simulator. Raises ObservationError as its parts do."""
     pose = raw.pose_tcp_in_base
@@ -173,7 +183,13 @@ def derive(
         "pose_tcp_in_base": np.concatenate([pose[:3, 3], quat_from_matrix(pose[:3, :3])]),
     }
     views = {
-        camera: derive_view(view, modalities=modalities, keypoints=keypoints, bed_height_in_base_m=bed_height_in_base_m)
+        camera: derive_view(
+            view,
+            modalities=modalities,
+            keypoints=keypoints,
+            bed_height_in_base_m=bed_height_in_base_m,
+            segmenter=segmenter,
+        )
         for camera, view in raw.views.items()
     }
     return assemble(values, views)
@@ -190,8 +206,9 @@ class ObservationBuilder:
         keypoints: KeypointEstimator,
         *,
         noise: SensorNoise | None = None,
+        segmenter: PersonSegmenter | None = None,
     ) -> None:
-        self._renderer, self._card, self._keypoints = renderer, card, keypoints
+        self._renderer, self._card, self._keypoints, self._segmenter = renderer, card, keypoints, segmenter
         # Without a key there is no noise to repeat; a protocol that asks for it needs the trial's.
         self._noise = noise or SensorNoise(Variation(), key=(), dt_s=protocol.physics.dt_s)
         self._bed_height_in_base_m = protocol.scene.mattress_top_m - protocol.scene.robot_base_m[2]
@@ -219,6 +236,7 @@ class ObservationBuilder:
             modalities=self._card.modalities,
             keypoints=self._keypoints,
             bed_height_in_base_m=self._bed_height_in_base_m,
+            segmenter=self._segmenter,
         )
 
     def raw_view(self, data: mujoco.MjData, camera: str, *, angles: F64, sim_time_s: float) -> RawView:

@@ -1,7 +1,8 @@
-"""Which pixel shows what, from one RGB-D image, the key-point estimator's person mask, the robot's
-own model and the empty cell."""
+"""Which pixel shows what, from one RGB-D image, a model's person mask, the robot's own model and the empty cell."""
 
 from __future__ import annotations
+
+from typing import Protocol as TypingProtocol
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ import numpy.typing as npt
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
+U8 = npt.NDArray[np.uint8]
 
 PERSON_PROBABILITY = 0.25
 PERSON_GROWN_PX = 5
@@ -21,6 +23,12 @@ BED_BAND_M = 0.04
 """Half thickness of the layer that counts as bed: mattress, sheet, arm board."""
 ROBOT_TOLERANCE_M = 0.02
 """Between seen and predicted robot depth: calibration and encoder errors of a real cell."""
+
+
+class PersonSegmenter(TypingProtocol):
+    def person(self, rgb: U8) -> F32:
+        """(H, W) probability that a pixel shows the person, from one (H, W, 3) image alone; 0 where nobody is found."""
+        ...
 
 
 def robot_mask(depth: F32, robot_depth: F32) -> Bool:
@@ -46,7 +54,7 @@ def segment(
 ) -> dict[str, Bool]:
     """Four disjoint (H, W) masks that cover the image: human, robot, bed, background.
 
-    Human: near the estimator's person, nearer than the empty cell, and not robot. Where nobody was found (``person``
+    Human: near the model's person, nearer than the empty cell, and not robot. Where nobody was found (``person``
     all 0) nothing is human. ``height_in_base`` is each pixel's z in base [m], NaN without depth. A calibrated cell
     knows its bed's height.
     """

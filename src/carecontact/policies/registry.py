@@ -85,4 +85,4 @@ def resolve_policy(name: str) -> str:
     try:
         return POLICIES[name].target
     except UnknownNameError as error:
-        raise UnknownNameError("policy", name, (*error.valid, "module:Class")) from None
+        raise UnknownNameError("policy", name, (*error.valid, "module:Class", "ws://HOST:PORT")) from None

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from carecontact.contract.protocol import Protocol
+from carecontact.contract.protocol import Protocol, Vision
 from carecontact.errors import ConfigError, UnknownNameError
 
 DEFAULT_PROTOCOL = "bathing-v1-draft"
@@ -70,14 +70,16 @@ def adapted(
     tissue: str | None = None,
     fast: bool = False,
     stiffness_n_m: float | None = None,
+    vision: Vision | None = None,
 ) -> Protocol:
-    """The protocol with another person, other tissue, a softer or stiffer arm or the fast time step; its title, hash
-    and every output say so.
+    """The protocol with what is given in place of its own; its title, hash and every output say so.
 
     Args:
         body: a shipped body or ``smplx:FILE.npz?sex=F``.
         tissue: a shipped tissue set or a TOML file.
+        fast: physics steps of FAST_DT_S.
         stiffness_n_m: of the arm's translation, within the protocol's own bounds.
+        vision: the segmenter and its weights.
 
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """
@@ -92,4 +94,5 @@ def adapted(
         tissue_set=None if chosen is None else (chosen.id, dict(chosen.tissue)),
         dt_s=FAST_DT_S if fast else None,
         stiffness_n_m=stiffness_n_m,
+        vision=vision,
     )

@@ -31,7 +31,7 @@ def harness_error_recording(spec: TrialSpec, *, kind: str, message: str) -> Reco
         regions=list(REGIONS),
         human_joints=[],
         pose_base_in_world=[*spec.protocol.scene.robot_base_m, math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw)],
-        versions=package_versions(),
+        versions=package_versions(spec.protocol.vision.segmenter),
         sha256={},
         solver_warnings=[],
     )

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.policies.language.selection import language_name
+from carecontact.policies.remote import remote_address
 from carecontact.trials.versions import package_versions
 from carecontact.world.human.body import SMPLX_PREFIX, smplx_path
 
@@ -27,7 +28,8 @@ class Identity(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     policy_sha256: str | None
-    """Of the file of a ``module:Class`` policy's module; None for a registered policy, which the version stands for."""
+    """Of the file of a ``module:Class`` policy's module; None for a registered policy, which the version stands for,
+    and for one on another host, of which nothing is known but its address and card."""
     language: str | None = None
     """Backend that --language named; None: the policy's own choice."""
     versions: dict[str, str]
@@ -63,10 +65,10 @@ def identity_of(spec: TrialSpec, *, search_path: Sequence[str], language: str | 
 def policy_source(policy: str, *, search_path: Sequence[str]) -> Path | None:
     """File of a ``module:Class`` policy's module, found as the policy's process will find it but without importing it.
 
-    None for a registered policy and where there is no such file.
+    None for a registered policy, one on another host, and where there is no such file.
     """
     module, colon, _ = policy.partition(":")
-    if not colon:
+    if not colon or remote_address(policy) is not None:
         return None
     importlib.invalidate_caches()
     places: Sequence[str] | None = [place for place in (*search_path, *sys.path) if place]

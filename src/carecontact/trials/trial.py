@@ -21,7 +21,8 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ActionError, PolicyError
 from carecontact.observation.builder import ObservationBuilder, RawReadings
 from carecontact.observation.keypoints import MediaPipePose
-from carecontact.policies.process import PolicyProcess
+from carecontact.policies.conversation import PolicyConversation
+from carecontact.policies.opening import open_policy
 from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS, EndReason, Failure, Header, Recording
 from carecontact.sim.close_up import render_close_up
 from carecontact.sim.impedance import steps_of_period
@@ -33,6 +34,7 @@ from carecontact.trials.perception import PerceptionLog
 from carecontact.trials.prepare import settled_world
 from carecontact.trials.randomization import sensor_noise
 from carecontact.trials.versions import EMBODIMENT, package_versions
+from carecontact.trials.vision import person_segmenter
 from carecontact.world.robot import panda_sha256
 
 if TYPE_CHECKING:
@@ -105,7 +107,7 @@ def run_trial(
         card=None if card is None else json.loads(json.dumps(asdict(card))),
         embodiment=EMBODIMENT, comfort_arm_deg=settled.comfort_arm_deg, segments=list(SEGMENTS), regions=list(REGIONS),
         human_joints=simulation.joint_names, pose_base_in_world=simulation.pose_base_in_world.tolist(),
-        versions=package_versions(),
+        versions=package_versions(spec.protocol.vision.segmenter),
         sha256={
             "model": model_sha256, "protocol": protocol.sha256, "body": scene.body.sha256, "robot": panda_sha256()
         },
@@ -134,7 +136,7 @@ class _Trial:
         self.simulation.start()
         self.log.add_state()
         try:
-            with PolicyProcess(
+            with open_policy(
                 self.spec.policy, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s,
                 search_path=search_path,
             ) as process:  # fmt: skip
@@ -155,10 +157,13 @@ class _Trial:
         with suppress(PolicyError):
             self.log.add_notes(error.notes)
 
-    def _act_loop(self, process: PolicyProcess, card: PolicyCard, renderer: SceneRenderer) -> _Ended:
+    def _act_loop(self, process: PolicyConversation, card: PolicyCard, renderer: SceneRenderer) -> _Ended:
         simulation, impedance = self.simulation, self.protocol.impedance
         noise = sensor_noise(self.protocol, self.spec.seed)
-        builder = ObservationBuilder(renderer, card, self.protocol, MediaPipePose(), noise=noise)
+        segmenter = person_segmenter(self.protocol) if "masks" in card.modalities else None
+        builder = ObservationBuilder(
+            renderer, card, self.protocol, MediaPipePose(), noise=noise, segmenter=segmenter
+        )  # fmt: skip
         self.perception = PerceptionLog(simulation.model, renderer)
         stiffness = (impedance.translational_n_m, impedance.rotational_nm_rad)
         limit_steps = round(self.protocol.phases.time_limit_s / self.protocol.physics.dt_s)

@@ -10,10 +10,15 @@ from carecontact import __version__
 EMBODIMENT = "panda-closed-gripper-caps"
 
 
-def package_versions() -> dict[str, str]:
+SEGMENTER_PACKAGES = {"mediapipe": (), "grounded-sam": ("torch", "transformers", "tokenizers", "pillow")}
+"""Segmenter -> what it runs on besides the packages of every trial."""
+
+
+def package_versions(segmenter: str = "mediapipe") -> dict[str, str]:
     """Of what decides a trial's numbers, without importing any of it."""
     versions = {"python": ".".join(map(str, sys.version_info[:3])), "carecontact": __version__}
-    for package in ("mujoco", "numpy", "scipy", "mediapipe", "opencv-python-headless"):
+    packages = ("mujoco", "numpy", "scipy", "mediapipe", "opencv-python-headless")
+    for package in (*packages, *SEGMENTER_PACKAGES[segmenter]):
         try:
             versions[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import re
 import socket
@@ -40,30 +41,42 @@ class ActReply:
 class PolicyClient:
     """Speaks the native wire. Every failure is a PolicyError whose kind says what the policy did."""
 
-    def __init__(self, *, port: int, deadline_s: float) -> None:
-        """Connect and read nothing yet. Raises PolicyError ``handshake`` or ``timeout``."""
+    def __init__(self, *, port: int, deadline_s: float, host: str = "127.0.0.1", credentials: str = "") -> None:
+        """Connect and read nothing yet. ``credentials``: ``USER:PASSWORD`` for HTTP basic authorization, or nothing.
+
+        Raises PolicyError ``start`` if nothing listens there, ``handshake`` or ``timeout``.
+        """
         self._stack = ExitStack()
         self._bounds: ActionBounds | None = None
+        place, until = f"[{host}]:{port}" if ":" in host else f"{host}:{port}", time.monotonic() + deadline_s
+        key = base64.b64encode(credentials.encode()).decode()
         try:
-            # A socket of our own: no proxy from the environment may come between the harness and the loopback.
-            sock = socket.create_connection(("127.0.0.1", port), timeout=deadline_s)
+            # A socket of our own: no proxy from the environment may come between the harness and the policy.
+            sock = socket.create_connection((host, port), timeout=deadline_s)
+        except TimeoutError:
+            raise PolicyError("timeout", f"{place} took no connection within {deadline_s:g} s") from None
+        except OSError as error:
+            raise PolicyError("start", f"no connection to {place}: {error.strerror or error}") from None
+        try:
             sock.settimeout(None)
             self._connection: ClientConnection = self._stack.enter_context(
                 connect(
-                    f"ws://127.0.0.1:{port}",
+                    f"ws://{place}",
                     sock=sock,
+                    additional_headers={"Authorization": f"Basic {key}"} if credentials else None,
                     compression=None,
                     ping_interval=None,
                     max_size=MAX_REPLY_BYTES,
-                    open_timeout=deadline_s,
+                    open_timeout=max(until - time.monotonic(), 0.0),
                     close_timeout=1,
                 )
             )
         except TimeoutError:
-            raise PolicyError("timeout", f"policy server did not answer within {deadline_s:g} s") from None
+            raise PolicyError("timeout", f"no answer to the WebSocket handshake within {deadline_s:g} s") from None
         except Exception as error:
             # Beside its own classes websockets raises AssertionError for some bytes that are not HTTP.
-            raise PolicyError("handshake", f"no WebSocket conversation with the policy server: {error!r}") from None
+            told = f"{type(error).__name__}: {error}"
+            raise PolicyError("handshake", f"no WebSocket conversation with the policy server: {told:.300}") from None
 
     def card(self, *, deadline_s: float) -> PolicyCard:
         return codec.decode_card(self._receive("card", "card", deadline_s=deadline_s)["card"])

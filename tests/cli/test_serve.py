@@ -1,0 +1,68 @@
+"""run against a served policy, and what serve refuses; workers only write recordings."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from carecontact.cli import main
+from carecontact.policies.remote import CREDENTIALS
+from carecontact.recording import read_recording
+from tests.cli.test_run_and_demo import fake
+from tests.policies.served import served
+
+__all__ = ["fake"]
+
+RUN = ["run", "--tasks", "T1", "--seeds", "0", "--out", "r", "--policy"]
+
+
+def test_a_run_names_the_address_without_its_credentials(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    fake.setenv(CREDENTIALS, "")
+    with served("class P(Base): pass", tmp_path) as (port, _):
+        assert main([*RUN, f"ws://user:secret@127.0.0.1:{port}"]) == 0
+    # The trials' processes inherit it.
+    assert os.environ[CREDENTIALS] == "user:secret"
+    address = f"ws://127.0.0.1:{port}"
+    assert capsys.readouterr().out.startswith(f"{address}: 1 trial(s)")
+    assert read_recording(Path("r/T1-s000.h5")).header.spec.policy == address
+    manifest = json.loads(Path("r/manifest.json").read_text())
+    assert (manifest["policy"], manifest["identity"]["policy_sha256"]) == (address, None)
+    for path in Path("r").iterdir():
+        assert b"secret" not in path.read_bytes(), path
+
+
+def test_a_server_that_is_not_there_is_told_before_anything_runs(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    assert main([*RUN, f"ws://127.0.0.1:{port}"]) == 2
+    told = capsys.readouterr().err
+    assert f"--policy ws://127.0.0.1:{port} is no server of a policy: " in told
+    assert "Connection refused" in told
+    assert main([*RUN, f"ws://127.0.0.1:{port}", "--language", "rules-v1"]) == 2
+    assert "is told at its end: carecontact serve" in capsys.readouterr().err
+    assert not Path("r").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["nobody"], "no policy named 'nobody'"),
+        (["ws://host:80"], "ws://host:80: this is served already"),
+        (["hover", "--port", "70000"], "--port 70000: expected 0 to 65535"),
+        (["hover", "--at-once", "0"], "--at-once 0: must be at least 1"),
+        (["hover", "--host", "192.0.2.1"], "cannot listen at 192.0.2.1 port 8765: "),
+        (["hover", "--language", "rules-v1"], "policy hover uses no language backend"),
+        (["not_there:P"], "--policy not_there:P does not start"),
+    ],
+)
+def test_what_cannot_be_served(options: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["serve", *options]) == 2
+    assert says in capsys.readouterr().err

@@ -1,0 +1,53 @@
+"""--segmenter and --weights, on run and look."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from carecontact.cli import main
+from carecontact.cli.vision import chosen_vision
+from carecontact.contract.protocol import Vision
+from carecontact.errors import ConfigError
+from carecontact.observation import grounded_sam
+from carecontact.protocols import adapted, load_protocol
+from tests.trials.test_vision import weights, with_sam
+
+__all__ = ["weights"]
+
+RUN = ["run", "--policy", "hover", "--out", "r"]
+LOOK = ["look", "--task", "T1"]
+
+
+@pytest.mark.parametrize("command", [RUN, LOOK])
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--weights", "w"], "--weights w: only --segmenter grounded-sam takes weights"),
+        (["--segmenter", "mediapipe", "--weights", "w"], "--weights w: only --segmenter grounded-sam takes weights"),
+        (["--segmenter", "grounded-sam"], "--segmenter grounded-sam: give its --weights DIR"),
+        (["--segmenter", "grounded-sam", "--weights", "w"], "--weights w: no such folder; expected one with grounding"),
+    ],
+)
+def test_what_does_not_fit_is_told_before_anything_runs(
+    command: list[str], options: list[str], says: str, capsys: pytest.CaptureFixture[str], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main([*command, *options]) == 2
+    assert says in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_protocol_that_names_weights_takes_no_others(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grounded_sam, "GroundedSam", lambda folder: None)
+    chosen = chosen_vision(load_protocol(), segmenter="grounded-sam", weights=weights)
+    assert chosen.segmenter == "grounded-sam"
+    own = adapted(load_protocol(), vision=chosen)
+    assert chosen_vision(own, segmenter=None, weights=weights) == chosen
+    assert chosen_vision(own, segmenter="mediapipe", weights=None) == Vision()
+    other = adapted(load_protocol(), vision=with_sam("ab" * 32))
+    with pytest.raises(ConfigError, match="names abababababab"):
+        chosen_vision(other, segmenter=None, weights=weights)
+    assert chosen_vision(other, segmenter="grounded-sam", weights=weights) == chosen

@@ -1,0 +1,151 @@
+"""Loading and inference through torch and transformers with tiny random models: make test-grounded-sam. They say
+nothing of the published weights, which no test has."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.protocol import Vision
+from carecontact.errors import ConfigError, DependencyError, ObservationError
+from carecontact.observation import grounded_sam
+from carecontact.observation.grounded_sam import GroundedSam
+from carecontact.observation.keypoints import MediaPipePose
+from carecontact.observation.segmentation import PERSON_PROBABILITY
+from carecontact.observation.weights import weights_sha256
+from carecontact.protocols import adapted, load_protocol
+from carecontact.trials.first_look import first_look
+from tests.observation.tiny_models import save_tiny_models
+
+RGB = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+
+
+def test_without_the_extra_the_error_says_what_installs_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def absent(name: str) -> Any:
+        raise ModuleNotFoundError(f"No module named {name!r}")
+
+    monkeypatch.setattr(grounded_sam, "import_module", absent)
+    with pytest.raises(DependencyError, match=r"No module named 'torch'\): pip install 'carecontact\[grounded-sam\]'"):
+        GroundedSam(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("weights")
+    save_tiny_models(folder)
+    return folder
+
+
+@pytest.fixture
+def own(weights: Path, tmp_path: Path) -> Path:
+    """A copy to be spoilt."""
+    return Path(shutil.copytree(weights, tmp_path / "weights"))
+
+
+@pytest.mark.torch
+def test_the_box_with_the_highest_score_is_outlined(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grounded_sam, "MIN_SCORE", 0.0)
+    segmenter = GroundedSam(weights)
+    boxes: list[list[float]] = []
+    outline = segmenter._mask
+    monkeypatch.setattr(segmenter, "_mask", lambda rgb, box: boxes.append(box) or outline(rgb, box))
+    mask = segmenter.person(RGB)
+    assert (mask.shape, mask.dtype) == ((48, 64), np.float32)
+    assert set(np.unique(mask)) == {0.0, 1.0}
+    np.testing.assert_array_equal(mask, GroundedSam(weights).person(RGB))
+
+    given = segmenter._detector_input(images=RGB, text="a person.", return_tensors="pt")
+    found = segmenter._detector(**given)
+    best = found.logits.sigmoid().amax(-1)[0].argmax()
+    u, v, width, height = found.pred_boxes[0, best].tolist()
+    expected = [(u - width / 2) * 64, (v - height / 2) * 48, (u + width / 2) * 64, (v + height / 2) * 48]
+    np.testing.assert_allclose(boxes[0], expected, rtol=1e-5)
+    # The outline depends on the box, so that the box really reaches SAM.
+    assert (outline(RGB, [0.0, 0.0, 63.0, 47.0]) != outline(RGB, [1.0, 1.0, 4.0, 4.0])).any()
+
+
+@pytest.mark.torch
+def test_nobody_found_is_an_empty_mask(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grounded_sam, "MIN_SCORE", 1.0)
+    assert not GroundedSam(weights).person(RGB).any()
+
+
+@pytest.mark.torch
+def test_a_mask_of_another_size_is_refused(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grounded_sam, "MIN_SCORE", 0.0)
+    segmenter = GroundedSam(weights)
+    monkeypatch.setattr(segmenter._outliner_input.image_processor, "post_process_masks", _small)
+    with pytest.raises(ObservationError, match=r"expected a mask of shape \(48, 64\), got \(16, 16\)"):
+        segmenter.person(RGB)
+
+
+def _small(*_: object) -> list[Any]:
+    return [import_module("torch").zeros(1, 1, 16, 16, dtype=bool)]
+
+
+def _truncated(folder: Path) -> None:
+    weights = folder / "sam" / "model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-100])
+
+
+def _incomplete(folder: Path) -> None:
+    numpy: Any = import_module("safetensors.numpy")
+    tensors = numpy.load_file(folder / "sam" / "model.safetensors")
+    del tensors["vision_encoder.pos_embed"]
+    numpy.save_file(tensors, folder / "sam" / "model.safetensors", metadata={"format": "pt"})
+
+
+def _of_another_size(folder: Path) -> None:
+    config = folder / "sam" / "config.json"
+    config.write_text(config.read_text().replace('"mlp_dim": 32', '"mlp_dim": 48'))
+
+
+@pytest.mark.torch
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (_truncated, r"weights/sam: SamModel cannot be loaded: SafetensorError"),
+        (_incomplete, r"weights/sam: 1 weight\(s\) of SamModel are missing, the first vision_encoder.pos_embed"),
+        (_of_another_size, r"weights/sam: SamModel cannot be loaded: "),
+        (
+            lambda w: (w / "grounding-dino" / "preprocessor_config.json").unlink(),
+            r"weights/grounding-dino: GroundingDinoImageProcessorPil cannot be loaded: OSError",
+        ),
+        (
+            lambda w: [(w / "grounding-dino" / n).unlink() for n in ("vocab.txt", "tokenizer.json")],
+            r"weights/grounding-dino: its tokenizer does not know the words 'a person.'",
+        ),
+        (
+            lambda w: (w / "grounding-dino" / "model.safetensors").write_bytes(b"version https://git-lfs"),
+            r"weights/grounding-dino: GroundingDinoForObjectDetection cannot be loaded: SafetensorError",
+        ),
+    ],
+)
+def test_a_broken_folder_is_named(own: Path, spoil: Callable[[Path], object], says: str) -> None:
+    spoil(own)
+    with pytest.raises(ConfigError, match=says):
+        GroundedSam(own)
+
+
+@pytest.mark.torch
+def test_it_makes_the_masks_of_an_observation(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grounded_sam, "MIN_SCORE", 0.0)
+    vision = Vision(segmenter="grounded-sam", weights_sha256=weights_sha256(weights))
+    protocol = adapted(load_protocol(), vision=vision)
+    card = PolicyCard(name="test", modalities=("rgb", "masks"))
+    view = first_look(protocol, task_id="T1", seed=0, card=card, weights=weights).cameras["overhead"]
+    assert view.rgb is not None
+    assert view.masks is not None
+    outlined = cv2.dilate(GroundedSam(weights).person(view.rgb), np.ones((11, 11))) > 0
+    assert view.masks["human"].any()
+    assert not (view.masks["human"] & ~outlined).any()
+    default = MediaPipePose().estimate(view.rgb).person > PERSON_PROBABILITY
+    assert (default & ~outlined).any(), "the default's mask would have been told from it"
