@@ -140,6 +140,7 @@ def test_verify_fails_where_forces_are_others(made: Path, capsys: pytest.Capture
         (lambda c: {"measured_depth_mm": 50.0}, "states measured_depth_mm 50"),
         (lambda c: {"measured_stiffness": {**c.measured_stiffness, "secant_n_mm": 9.0}}, "states measured_stiffness"),
         (lambda c: {"gate_is_extrapolated": False}, "not extrapolated"),
+        (lambda c: {"tissue": c.tissue.model_copy(update={"measured_depth_m": 0.015})}, "no anchor went deeper"),
         (lambda c: {"hashes": {**c.hashes, "body": "0" * 64}}, "of another man-adult: sha256 000000000000"),
         (lambda c: {"hashes": {"data": c.hashes["data"]}}, "no hash of: body, mesh, model"),
         (lambda c: {"versions": {}}, "by which mujoco"),
@@ -157,6 +158,7 @@ def test_verify_fails_where_forces_are_others(made: Path, capsys: pytest.Capture
         "depth",
         "measured",
         "gate",
+        "row's depth",
         "body",
         "hashes",
         "versions",
@@ -176,8 +178,17 @@ def test_a_certificate_that_contradicts_itself_is_refused(
         (lambda c: {"agreement": {**c.agreement, "nrmse": Value(value=0.9, ci95=None)}}, "nrmse"),
         (lambda c: {"agreement": {**c.agreement, "nrmse": Value(value=0.0001, ci95=None)}}, "nrmse"),
         (lambda c: {"stiffness": {**c.stiffness, "secant_n_mm": Value(value=9.0, ci95=None)}}, "secant_n_mm"),
+        (
+            lambda c: {
+                "responses": [
+                    r.model_copy(update={"loading_n": [*r.loading_n[:-2], np.nan, r.loading_n[-1]]})
+                    for r in c.responses
+                ]
+            },
+            "response",
+        ),
     ],
-    ids=["worse", "better", "stiffer"],
+    ids=["worse", "better", "stiffer", "nan"],
 )
 def test_what_is_computed_anew_must_be_what_is_stated(
     change: Callable[[Content], dict[str, object]], row: str, made: Path, capsys: pytest.CaptureFixture[str]

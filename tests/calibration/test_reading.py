@@ -101,6 +101,14 @@ def test_files_that_are_no_table(data: bytes, told: str, tmp_path: Path) -> None
         read_trials(tmp_path / "t.csv", region="forearm")
 
 
+def test_rows_of_delimiters_are_left_out(tmp_path: Path) -> None:
+    """As spreadsheets leave them under a table."""
+    path = save(tmp_path / "t.csv", rows("a"))
+    empty = "," * path.read_text().splitlines()[-1].count(",")
+    path.write_text(path.read_text().rstrip("\n") + f"\n{empty}\n{empty}\n")
+    assert len(read_trials(path, region="forearm").trials) == 1
+
+
 def test_no_file_and_folder(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
         read_trials(tmp_path / "t.csv", region="forearm")

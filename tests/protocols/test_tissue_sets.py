@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
+from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.protocols import FAST_DT_S, adapted, load_protocol
 from carecontact.protocols.tissue_sets import load_tissue_set, shipped_tissue_sets
@@ -122,3 +125,28 @@ def test_another_stiffness_is_told(value: float) -> None:
 def test_a_stiffness_outside_the_protocols_bounds_is_refused(value: float) -> None:
     with pytest.raises(ConfigError, match=rf"stiffness {value:g} N/m: {PROTOCOL.id} allows 100 to 1000 N/m"):
         adapted(PROTOCOL, stiffness_n_m=value)
+
+
+def test_the_documents_symbol_table_has_the_shipped_forearm() -> None:
+    row = load_tissue_set("paper-mapping").tissue["forearm"]
+    lines = (Path(__file__).parents[2] / "docs" / "tissue.md").read_text().splitlines()
+    cells = {line.split("|")[2].strip(): line.split("|")[4].strip() for line in lines if line.count("|") == 6}
+    said = {name.strip("` "): value for names, value in cells.items() for name in names.split(",")}
+    assert float(said["a_n_m3"]) == row.a_n_m3
+    assert [float(value) for value in cells["`b_n_m4`, `c_n_m5`"].split(",")] == [row.b_n_m4, row.c_n_m5]
+    assert float(said["damping_ns_m3"]) == row.damping_ns_m3
+    assert float(said["membrane_n_m"].split()[0]) == row.membrane_n_m
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"measured_depth_m": 0.19}, "no press went into the bone"),
+        ({"friction": 50.0}, "less than or equal to 2"),
+        ({"source": ""}, "at least 1 character"),
+    ],
+)
+def test_a_row_that_no_skin_has_is_refused(change: dict[str, Any], message: str) -> None:
+    row = load_tissue_set("paper-mapping").tissue["forearm"]
+    with pytest.raises(ValidationError, match=message):
+        Tissue.model_validate({**row.model_dump(), **change})

@@ -8,7 +8,15 @@ from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol
 from carecontact.validation.run import CHECKS, validate
 from carecontact.world.human.body import body_names
-from tests.validation.defects import at_ten_milliseconds, half_stiff, overdamped, soft_contact, uncoupled, undamped
+from tests.validation.defects import (
+    at_ten_milliseconds,
+    half_stiff,
+    overdamped,
+    soft_contact,
+    soft_upper_arm,
+    uncoupled,
+    undamped,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -40,6 +48,14 @@ def test_zeroed_damping_fails_the_energy_check() -> None:
 def test_threefold_tissue_damping_fails_the_energy_check() -> None:
     result = validate(load_protocol(), make_scene=overdamped, quick=True, checks=["energy"]).results[0]
     assert any("work against that of the declared law" in m.name for m in result.missed)
+
+
+def test_one_region_softer_than_declared_fails_the_energy_check() -> None:
+    """The upper arm has no reference of its own in `paper-mapping`."""
+    result = validate(load_protocol(), make_scene=soft_upper_arm, checks=["energy"]).results[0]
+    assert {m.name for m in result.missed} == {
+        f"upper_arm loop at {speed} mm/s: peak force off that of the declared law" for speed in (5, 20)
+    }
 
 
 def test_a_softer_contact_fails_the_calibration_residual() -> None:

@@ -31,6 +31,12 @@ def soft_contact(protocol: Protocol, *, target: str | None, skin: bool) -> Scene
     return scene
 
 
+def soft_upper_arm(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    scene = build_scene(protocol, target=target, skin=skin)
+    scene.model.jnt_stiffness[anchor_joints(scene.model, "upper_arm")] *= 0.7
+    return scene
+
+
 def slippery(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     scene = build_scene(protocol, target=target, skin=skin)
     scene.model.flex_friction[:, 0] *= 0.9

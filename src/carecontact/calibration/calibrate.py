@@ -114,7 +114,7 @@ def _content(
     tissue = fit.tissue.model_copy(update={"measured_depth_m": float(np.median(reached)), "source": source})
     law, notes = _law_values(fit), list(file.notes)
     if len(curves) == 1:
-        notes.append("a single trial: no intervals, no held-out error; record at least five")
+        notes.append("a single trial: no intervals, damping's neither, no held-out error; record at least five")
     if not fit.damping_identified:
         notes.append(f"damping is not identified ({fit.damping_reason}): the row keeps the ratio of D_c to stiffness")
     notes += hardly_identified(law)

@@ -64,6 +64,8 @@ def fit_law(
     reason = "fitted" if unloads else "no trial unloads"
     p = problem.solve(problem.start(), on_progress)
     draws = problem.draws(p) if len(curves) > 1 else None
+    if unloads and draws is None:
+        reason = "fitted to a single trial, which gives it no interval"
     if unloads and draws is not None:
         low, high = np.percentile(draws[:, -1], [2.5, 97.5])
         half = float(np.expm1((high - low) / 2))

@@ -8,6 +8,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,8 @@ def read_columns(path: Path) -> Columns:
                 raise ConfigError(f"{path}, between lines {before + 1} and {last}: a quoted field holds a line break")
             numbered = range(before + 1, last + 1)
             before = last
-            if set(map(len, chunk)) != {len(names)}:
+            # Spreadsheets save rows that hold nothing but delimiters.
+            if set(map(len, chunk)) != {len(names)} or not all(map(itemgetter(0), chunk)):
                 kept = [k for k, row in enumerate(chunk) if "".join(row).strip()]
                 numbered, chunk = [numbered[k] for k in kept], [chunk[k] for k in kept]
                 _check_widths(numbered, chunk, names, path)

@@ -71,7 +71,8 @@ def verify(trials: Path, certificate: Certificate) -> list[Check]:
         for name in ("loading_n", "unloading_n"):
             a, b = getattr(mine, name), getattr(theirs, name)
             if a is not None and b is not None:
-                worst = max(worst, float(np.abs(np.subtract(a, b)).max()) / peak)
+                # np.maximum hands a NaN on, and a NaN is not within anything.
+                worst = float(np.maximum(worst, np.abs(np.subtract(a, b)).max() / peak))
     allowed, change = BAND["response_share_of_peak"], BAND["error_change"]
     errors = pooled(agreements(curves, groups, replayed))
     stiffness = simulated_stiffness(groups, replayed)
@@ -125,6 +126,11 @@ def _check_facts(content: Content, facts: dict[str, object]) -> None:
             same = bool(np.isclose(stated, here, rtol=1e-6)) if isinstance(here, float) else stated == here
         if not same:
             raise ConfigError(f"the certificate states {name} {stated}, its data give {here}")
+    if not 0 < content.tissue.measured_depth_m <= content.measured_depth_mm / 1000:
+        raise ConfigError(
+            f"the certificate's row says measured_depth_m {content.tissue.measured_depth_m:g}; no anchor went deeper "
+            f"than the indenter, {content.measured_depth_mm:.3g} mm"
+        )
     if content.gate_is_extrapolated != (content.gate_n > content.measured_force_n):
         raise ConfigError(
             f"the certificate says that the gate of {content.gate_n:g} N is "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -136,8 +136,17 @@ class Tissue(Section):
     measured_depth_m: Length
     """Anchor displacement that the presses to which the law was fitted reach on this mesh: deeper is extrapolated. The
     indenter's travel is more, since the contact gives way too."""
-    friction: Positive
-    source: str
+    friction: Annotated[float, Field(gt=0, le=2)]
+    source: Annotated[str, Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _measured_above_the_bone(self) -> Self:
+        if self.measured_depth_m > self.thickness_m:
+            raise ValueError(
+                f"measured_depth_m {self.measured_depth_m:g} is more than thickness_m {self.thickness_m:g}: no press "
+                "went into the bone"
+            )
+        return self
 
 
 class Person(Section):

@@ -28,6 +28,7 @@ GAIN_LIMIT_PERCENT = 1.0
 LOOP_DEPTH_M, LOOP_SPEEDS_M_S, QUICK_SPEEDS_M_S = 0.004, (0.005, 0.020, 0.080), (0.020,)
 LOOP_SHARE_PERCENT, LOOP_EXCESS_PERCENT = 80.0, 125.0
 """Of the work that the declared damping takes in the same loop; springs without dampers leave under a fifth."""
+PEAK_LIMIT_PERCENT = 3.0
 LOST_SPEED_M_S, LOST_LIMIT_PERCENT, RETURNED_LIMIT_PERCENT = 0.020, 5.0, 20.0
 """Chosen, so that a set which declares no damping to speak of, or putty, is told whatever it declares: living tissue
 gives back less than it takes, and springs back."""
@@ -67,6 +68,9 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                         decides=speed <= QUICK_SPEEDS_M_S[0]),
                 Measure(name=f"{name}: work against that of the declared law", unit="%",
                         value=100 * _work(loop) / _work(declared), limit=LOOP_EXCESS_PERCENT,
+                        decides=speed <= QUICK_SPEEDS_M_S[0]),
+                Measure(name=f"{name}: peak force off that of the declared law", unit="%", limit=PEAK_LIMIT_PERCENT,
+                        value=float(100 * abs(loop.force_n.max() / declared.force_n.max() - 1)),
                         decides=speed <= QUICK_SPEEDS_M_S[0]),
             ]  # fmt: skip
             if speed == LOST_SPEED_M_S:

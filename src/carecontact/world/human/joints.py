@@ -33,6 +33,7 @@ class Hinge:
 
 
 AAOS = "American Academy of Orthopaedic Surgeons 1965, Joint Motion, adult means"
+LEGS = "Merck Manual, Normal values for range of motion of joints (2013); adduction assumed"
 AGED = "Walker et al. 1984, Phys Ther 64:919, healthy men and women of 60 to 84 years, means"
 RANGE_DEG: dict[str, dict[AgeGroup, tuple[float, float]]] = {
     "upper_arm_abduction": {"adult": (0, 180), "old": (0, 165)},
@@ -48,11 +49,14 @@ RANGE_DEG: dict[str, dict[AgeGroup, tuple[float, float]]] = {
     "shank_flexion": {"adult": (0, 130), "old": (0, 130)},
     "foot_plantarflexion": {"adult": (-20, 50), "old": (-20, 50)},
 }
-"""Low and high of the arms' and legs' hinges: adults AAOS, the old Walker et al. (arms) and AAOS (legs, whose hinges
-are welded in the lying pose). Internal rotation, supination, radial deviation and flexion are positive."""
+"""Low and high of the arms' and legs' hinges: AAOS for adults' arms, Walker et al. for the old's, the Merck Manual for
+legs, which are welded in the lying pose. Internal rotation, supination, radial deviation and flexion are positive."""
 SHOULDER = "assumed, middle of the plausible 0.5 to 5 N m/rad and 0.2 to 1.5 N m s/rad"
 WRIST = "assumed; stiffer in deviation than in flexion as Formica et al. 2012, J Neurophysiol 108:1158, found"
-ELBOW = "stiffness within the 0.4 to 1.8 N m/rad of the literature on the relaxed elbow; damping assumed"
+ELBOW = (
+    "stiffness within the 0.40 to 1.8 N m/rad of Wiegner and Watts 1986, J Neurol Neurosurg Psychiatry 49:1171, 19 "
+    "relaxed people; damping assumed"
+)
 
 
 def hinges(body: Body) -> list[Hinge]:
@@ -69,7 +73,8 @@ def hinges(body: Body) -> list[Hinge]:
         if range_deg is None:
             range_deg = RANGE_DEG[kind][body.age_group]
             aged = body.age_group == "old" and segment.endswith(("arm", "hand"))
-            range_source = AGED if aged else AAOS
+            leg = segment.endswith(("thigh", "shank", "foot"))
+            range_source = LEGS if leg else AGED if aged else AAOS
         else:
             range_source = ASSUMED
         rows.append(
