@@ -323,8 +323,8 @@ class Protocol(Section):
             impedance = impedance.model_copy(update={"translational_n_m": own})
         if "vision.segmenter" in self.overrides:
             vision = original.vision
-        kept = {"person": person, "physics": physics, "impedance": impedance, "vision": vision, "overrides": {}}
-        return self.model_copy(update=kept)
+        own_rules = {"person": person, "physics": physics, "impedance": impedance, "vision": vision}
+        return self.model_copy(update={**own_rules, "overrides": {}})
 
     def task(self, task_id: str) -> Task:
         """Raises KeyError; callers that face users check the id first."""
