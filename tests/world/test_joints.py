@@ -133,8 +133,8 @@ def test_range_of_motion_goes_by_age(
 ) -> None:
     row = {row.name: row for row in hinges(body)}[f"right_{motion}"]
     assert row.range_deg == (old if body.age_group == "old" else adult)
-    arm_of_the_old = body.age_group == "old" and not motion.startswith("thigh")
-    assert row.range_source.startswith("Walker" if arm_of_the_old else "American Academy")
+    of_an_arm = "Walker" if body.age_group == "old" else "American Academy"
+    assert row.range_source.startswith("Merck" if motion.startswith("thigh") else of_an_arm)
 
 
 def test_a_straight_arm_has_an_elbow_too() -> None:

@@ -274,6 +274,22 @@ def _bin(values: Array, low: float, high: float, count: int) -> npt.NDArray[np.i
     return np.clip(np.floor((values - low) / (high - low) * count).astype(np.int64), 0, count - 1)
 
 
+SLIVER = 0.4
+"""Of the median cell's area in its ring: a lighter cell is too light for the membrane at the longest step."""
+
+
+def _without_slivers(column: npt.NDArray[np.int64], area: Array) -> npt.NDArray[np.int64]:
+    """Cells of a ring, numbered across, each sliver joined to its neighbour toward the middle."""
+    column = column.copy()
+    middle = column.max() // 2
+    enough = SLIVER * np.median(np.bincount(column, area)[np.unique(column)])
+    for inward, numbers in ((1, range(middle)), (-1, range(column.max(), middle, -1))):
+        for number in numbers:
+            if area[column == number].sum() < enough:
+                column[column == number] += inward
+    return column
+
+
 def _finish(
     rows: list[Array], grid: Array, *, pinned: npt.NDArray[np.bool_], fine: npt.NDArray[np.bool_],
     cell_size: tuple[float, float], across_m: Array, lean: float, axis_points: Array, origin: Array,
@@ -293,7 +309,7 @@ def _finish(
         breadth = 2 * half * across_m[mine].mean()
         # An odd number: a cell's middle, not its edge, lies on top, where the tool meets the region most.
         columns = max(1, 2 * round((breadth / cell_size[1] - 1) / 2) + 1)
-        key[mine] = 1000 * i + _bin(grid[mine, 1], -half, half, columns)
+        key[mine] = 1000 * i + _without_slivers(_bin(grid[mine, 1], -half, half, columns), area[mine])
     free_keys = np.unique(key[~pinned])
     cell = np.where(pinned, -1, np.searchsorted(free_keys, key))
     frames = np.empty((len(free_keys), 3, 3))
