@@ -242,6 +242,21 @@ def test_a_single_trial_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "a single trial" in capsys.readouterr().out
 
 
+def test_damping_of_a_single_trial_has_no_interval_and_says_so(tmp_path: Path) -> None:
+    there = np.linspace(-1.0, 3.0, 80)
+    rows = []
+    for phase, travel, share in (("load", there, 1.1), ("unload", there[-2::-1], 0.9)):
+        for s in travel:
+            d, t = max(s, 0.0), len(rows) * (there[1] - there[0]) / 20
+            force = share * (0.25 * d + 0.05 * d**2)
+            rows.append(f"t0,forearm synthetic,p0,{t:.5f},{s:.5f},{force:.5f},{phase},20,hemisphere,10,0,none")
+    trials = save(tmp_path / "t.csv", rows)
+    assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(tmp_path / "out")]) == 0
+    content = read_certificate(tmp_path / "out" / "certificate.json").content
+    assert content.law["damping_ns_m3"].ci95 is None
+    assert "single trial" in content.damping
+
+
 def test_user_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     trials = save(tmp_path / "t.csv", presses(1), header=HEADER.replace("force_N", "force"))
     assert main(["calibrate", str(trials), "--region", "forearm"]) == 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from urllib.parse import unquote, urlsplit
 
 from carecontact.errors import ConfigError
@@ -18,7 +18,7 @@ CREDENTIALS = "CARECONTACT_POLICY_CREDENTIALS"
 class Address:
     host: str
     port: int
-    credentials: str = ""
+    credentials: str = field(default="", repr=False)
     """``USER:PASSWORD`` or nothing."""
 
     def __str__(self) -> str:

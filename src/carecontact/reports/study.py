@@ -160,8 +160,7 @@ Found = dict[tuple[str, Condition], tuple[str, RunScores]]
 def _sorted_out(runs: Mapping[str, RunScores], protocol: Protocol) -> tuple[Found, dict[str, str]]:
     found: Found = {}
     unused: dict[str, str] = {}
-    wanted = [*(((), name) for name in (*METHODS, *NULL_ARMS))]
-    wanted += [(condition, name) for condition in _conditions(protocol) for name in PAIR]
+    wanted = _wanted(protocol)
     for name, run in runs.items():
         if not judged(run.scores):
             unused[name] = "no trial that says anything about its policy"
@@ -170,7 +169,7 @@ def _sorted_out(runs: Mapping[str, RunScores], protocol: Protocol) -> tuple[Foun
         condition = tuple(sorted(first.overrides.items()))
         if first.protocol_id != protocol.id:
             unused[name] = f"of {first.protocol_title}"
-        elif (condition, first.policy) not in wanted:
+        elif (first.policy, condition) not in wanted:
             unused[name] = f"{first.policy} on {first.protocol_title} is no part of this study"
         else:
             expected = _under(protocol, condition)
@@ -198,11 +197,15 @@ def _under(protocol: Protocol, condition: Condition) -> Protocol:
     return adapted(protocol, tissue=said.get(TISSUE), stiffness_n_m=None if stiffness is None else float(stiffness))
 
 
+def _wanted(protocol: Protocol) -> list[tuple[str, Condition]]:
+    """Policy and condition of every run that the study has a place for."""
+    own = [(name, ()) for name in (*METHODS, *NULL_ARMS)]
+    return [*own, *((name, condition) for condition in _conditions(protocol) for name in PAIR)]
+
+
 def _missing(found: Found, protocol: Protocol) -> list[str]:
-    wanted: list[tuple[str, Condition]] = [(name, ()) for name in (*METHODS, *NULL_ARMS)]
-    wanted += [(name, condition) for condition in _conditions(protocol) for name in PAIR]
     commands: list[str] = []
-    for policy, condition in wanted:
+    for policy, condition in _wanted(protocol):
         if (policy, condition) not in found:
             options = "".join(f" {OPTION[field]} {value}" for field, value in condition)
             folder = "-".join([policy, *(value for _, value in condition)])

@@ -29,6 +29,8 @@ LOOP_DEPTH_M, LOOP_SPEEDS_M_S, QUICK_SPEEDS_M_S = 0.004, (0.005, 0.020, 0.080), 
 LOOP_SHARE_PERCENT, LOOP_EXCESS_PERCENT = 80.0, 125.0
 """Of the work that the declared damping takes in the same loop; springs without dampers leave under a fifth."""
 PEAK_LIMIT_PERCENT = 3.0
+"""Chosen. Of the loop's peak on the person's compiled anchors against the declared law's on the same shell; it is the
+only line on a region's stiffness where no reference is its own."""
 LOST_SPEED_M_S, LOST_LIMIT_PERCENT, RETURNED_LIMIT_PERCENT = 0.020, 5.0, 20.0
 """Chosen, so that a set which declares no damping to speak of, or putty, is told whatever it declares: living tissue
 gives back less than it takes, and springs back."""

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 TITLE = "Uniformity over the target"
 DEPTHS_M, CV_LIMITS_PERCENT = np.array([0.004, 0.008]), (8.0, 4.0)
 PLACES, QUICK_PLACES = 60, 20
-"""Twenty of a region's places vary by a tenth more or less than all of them do; over sixty the line judges the region
-and not the draw."""
+"""The variation over n places scatters by 1 / sqrt(2 (n - 1)) of itself: a sixth for 20, a tenth for 60, so that the
+line judges the region more than the draw."""
 SEED = 20
 BORDER_M = 0.019
 """Kept free along the mask's border: half the tool's width."""
