@@ -165,7 +165,38 @@ def test_null_arms_stand_under_one_run_and_under_two(third: Path, capsys: pytest
 def test_a_report_shows_the_null_arms(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", "a", "--null", "c"]) == 0
     assert "<h2>Null floors</h2>" in Path("a/report.html").read_text()
-    assert main(["report", "a"]) == 0
-    text = Path("a/report.html").read_text()
+    first = Path("a/report.html").read_bytes()
+    assert main(["report", "b"]) == 0
+    text = Path("b/report.html").read_text()
     assert "<h2>Null floors</h2>" not in text
     assert "No null arms" in text
+    capsys.readouterr()
+    assert main(["report", "a"]) == 0
+    assert "null arms as named before: c " in capsys.readouterr().out
+    assert Path("a/report.html").read_bytes() == first
+
+
+def test_null_arms_of_a_report_move_with_it_and_are_missed_when_gone(
+    third: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["report", "a", "--null", "c"]) == 0
+    Path("study").mkdir()
+    for name in ("a", "c"):
+        Path(name).rename(Path("study") / name)
+    assert main(["report", "study/a"]) == 0
+    assert "<h2>Null floors</h2>" in Path("study/a/report.html").read_text()
+    shutil.rmtree("study/c")
+    capsys.readouterr()
+    assert main(["report", "study/a"]) == 0
+    assert "null arm ../c is not in the report: study/c: no such folder" in capsys.readouterr().out
+    text = Path("study/a/report.html").read_text()
+    assert "<h2>Null floors</h2>" not in text
+    assert "Missing null arms" in text
+    assert main(["report", "study/a", "--null", "b"]) == 0
+    assert main(["report", "study/a", "--null", "nowhere"]) == 2
+    capsys.readouterr()
+    assert main(["report", "study/a"]) == 0
+    assert "null arms as named before: b " in capsys.readouterr().out, "an arm that is refused replaces none"
+    Path("study/a/null_arms.json").write_text("{")
+    assert main(["report", "study/a"]) == 0
+    assert "null_arms.json is damaged (" in capsys.readouterr().out

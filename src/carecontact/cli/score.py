@@ -98,25 +98,29 @@ def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:
 
 
 def report(folder: Path, *, run: RunScores | None = None, nulls: Sequence[Path] = ()) -> int:
-    """``run``: the folder's scores if they are known already; ``nulls``: runs of null arms to set beside it."""
+    """``run``: the folder's scores if they are known already; ``nulls``: runs of null arms to set beside it in place of
+    those named before; without any, those stay."""
+    from carecontact.cli.null_arms import NULL_ARMS, named_floors, remembered_floors
     from carecontact.recording import read_recording
     from carecontact.reports.html import write_report
     from carecontact.scoring import score_run
 
     _need_recordings(folder)
     run = run or score_run(folder)
-    floors = None
-    if nulls:
-        from carecontact.cli.compare import read_scores
-        from carecontact.reports.null_floors import null_floors
-
-        floors = null_floors(run, [read_scores(path) for path in nulls])
+    floors, lost = (named_floors(folder, run, nulls), {}) if nulls else remembered_floors(folder, run)
+    for name, why in lost.items():
+        print(f"null arm {name} is not in the report: {why}")
+    if floors is not None and not nulls:
+        print(
+            f"null arms as named before: {', '.join(arm.policy for arm in floors.nulls)} (without: delete {NULL_ARMS})"
+        )
     path = write_report(
         folder,
         scores=run.scores,
         recordings=lambda trial_id: read_recording(folder / f"{trial_id}.h5"),
         skipped=run.skipped,
         floors=floors,
+        lost_arms=lost,
     )
     print(f"report: {path}")
     return 0

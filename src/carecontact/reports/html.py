@@ -39,13 +39,15 @@ def write_report(
     recordings: Callable[[str], Recording],
     skipped: Mapping[str, str],
     floors: NullFloors | None = None,
+    lost_arms: Mapping[str, str] | None = None,
 ) -> Path:
     """Write ``run_folder/report.html`` and return its path.
 
     ``recordings`` maps a trial id to its recording; it is called once for each trial shown in detail and the result
     is dropped before the next, so a long run needs the memory of one. A recording that raises RecordingError is
     named on the page, not fatal. ``skipped`` maps trial ids or file names to why they have no score.
-    ``floors``: null arms to be set beside the run; None: the page says that there are none.
+    ``floors``: null arms to be set beside the run; None: the page says that there are none. ``lost_arms`` maps those
+    that belong there to why they are not.
     Trials in which the harness failed are listed in a box of their own and are in no count, row or picture.
     Raises ConfigError if the scores mix protocols, policies or worlds.
     """
@@ -108,7 +110,14 @@ def write_report(
             causes=causes(ordered),
             anatomy=anatomy(ordered),
             failed=sum(not s.region_correct for s in ordered),
-            limits=cannot_say(everything, headers, steps, len(skipped), null_arms=floors is not None),
+            limits=cannot_say(
+                everything,
+                headers,
+                steps,
+                len(skipped),
+                null_arms=floors is not None,
+                lost_arms=sorted(lost_arms or {}),
+            ),
             provenance=provenance_rows(ordered or everything, headers),
             read=len(headers),
             skipped=[(name, _inside(run_folder, why)) for name, why in sorted(skipped.items())],

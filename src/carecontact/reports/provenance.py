@@ -45,9 +45,16 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
 
 
 def cannot_say(
-    scores: Sequence[TrialScore], headers: Sequence[Header], steps: Sequence[Step], skipped: int, *, null_arms: bool
+    scores: Sequence[TrialScore],
+    headers: Sequence[Header],
+    steps: Sequence[Step],
+    skipped: int,
+    *,
+    null_arms: bool,
+    lost_arms: Sequence[str] = (),
 ) -> list[tuple[str, str]]:
-    """Topic and sentence, each computed from this run. ``null_arms``: whether some are set beside it."""
+    """Topic and sentence, each computed from this run. ``null_arms``: whether some are set beside it; ``lost_arms``:
+    those that were and can be no more."""
     out: list[tuple[str, str]] = []
     if steps:
         last = steps[-1]
@@ -77,6 +84,9 @@ def cannot_say(
                 "replay with the same seeds and name them with carecontact report DIR --null RUN...",
             )
         )
+    if lost_arms:
+        text = f"{', '.join(lost_arms)} stood beside this run and could not be read or compared again."
+        out.append(("Missing null arms", text))
     if skipped:
         out.append(("Missing trials", f"{skipped} trial(s) could not be scored; every count above leaves them out."))
     out.append(
