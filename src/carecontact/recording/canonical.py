@@ -49,5 +49,6 @@ def canonical_digest(header: bytes, arrays: Mapping[str, npt.NDArray[Any]]) -> s
         add(path.encode())
         add(array.dtype.str.encode())
         add(repr(tuple(int(n) for n in array.shape)).encode())
-        add(array.tobytes())
+        digest.update(array.nbytes.to_bytes(8, "little"))
+        digest.update(array.reshape(-1).view(np.uint8).data)  # as add does, without copying
     return digest.hexdigest()

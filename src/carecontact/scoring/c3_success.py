@@ -37,10 +37,10 @@ class Measures:
     """Over the whole trial."""
 
 
-def measure(contact: Contact, *, episodes: bool = True) -> Measures:
-    """``episodes``: whether they are wanted; Scrub's gate alone asks for them."""
-    wrist, wrist_any = wrist_displacement(contact)
-    return Measures(episodes=measure_episodes(contact) if episodes else [], wrist_m=wrist, wrist_any_m=wrist_any)
+def measure(contact: Contact, *, episodes: bool = True, wrist: bool = True) -> Measures:
+    """``episodes``, ``wrist``: whether they are wanted; Scrub's gate alone asks for the ones, Push's for the other."""
+    moved, moved_any = wrist_displacement(contact) if wrist else (0.0, 0.0)
+    return Measures(episodes=measure_episodes(contact) if episodes else [], wrist_m=moved, wrist_any_m=moved_any)
 
 
 def judge(contact: Contact, measures: Measures | None = None) -> Gate:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
@@ -95,9 +96,10 @@ def find_contact(recording: Recording) -> Contact:
 
     normal = recording["scorer/normal_force"].astype(np.float64)
     filtered = np.zeros_like(normal)
-    felt = normal.any(axis=0)  # most segments are never touched, and the filter keeps their zeros
+    felt = (normal != 0).any(axis=0)  # most segments are never touched, and the filter keeps their zeros
     filtered[:, felt] = low_pass(normal[:, felt], cutoff_hz=definition.filter_hz, sample_hz=1.0 / dt, zero_phase=False)
-    pushed = force.any(axis=(0, 2))
+    # Truth first, rows second: a reduction over the short inner axis or over floats takes ten times as long.
+    pushed = (force != 0).any(axis=0).any(axis=1)
     norm = np.zeros_like(normal)
     norm[:, pushed] = np.linalg.norm(force[:, pushed].astype(np.float64), axis=-1)
     near = force[:, neighbourhood].astype(np.float64).sum(axis=1)
@@ -137,11 +139,20 @@ def with_floor(contact: Contact, *, on_n: float, off_n: float) -> Contact:
         contact,
         on=on,
         impulse_ns=impulse,
-        neighbourhood_on=np.logical_or.reduce(on[:, contact.neighbourhood], axis=1),
-        valid=int(on.any(axis=1).sum()) >= steps(definition.valid_total_s, contact.dt_s),
+        neighbourhood_on=any_column(on, contact.neighbourhood),
+        valid=int(any_column(on, np.flatnonzero(touched).tolist()).sum())
+        >= steps(definition.valid_total_s, contact.dt_s),
         reported=reported,
         window=on[:, reported] if reported is not None else np.zeros(len(on), np.bool_),
     )
+
+
+def any_column(on: Mask, columns: Iterable[int]) -> Mask:
+    """(T, S) -> (T,) where any of these columns is true."""
+    found = np.zeros(len(on), np.bool_)
+    for column in columns:
+        found |= on[:, column]
+    return found
 
 
 def hysteresis(signal: F64, *, on: float, off: float) -> Mask:

@@ -42,8 +42,12 @@ def sweep_gates(contact: Contact, measures: Measures, verdict: Verdict) -> dict[
 def _level_at(contact: Contact, measures: Measures, name: str, value: float) -> int:
     if name == "floor_n":
         definition = contact.protocol.contact
-        changed = with_floor(contact, on_n=value, off_n=value * definition.off_n / definition.on_n)
-        measures = measure(changed, episodes=contact.task.action == "scrub")
+        off_n = value * definition.off_n / definition.on_n
+        if (value, off_n) != (definition.on_n, definition.off_n):
+            contact = with_floor(contact, on_n=value, off_n=off_n)
+            action = contact.task.action
+            measures = measure(contact, episodes=action == "scrub", wrist=action == "push")
+        changed = contact
     else:
         gates = _changed(contact.protocol.gates, name, value)
         changed = replace(contact, protocol=contact.protocol.model_copy(update={"gates": gates}))

@@ -14,7 +14,7 @@ from carecontact.scoring.c2_joint_margin import joint_margin
 from carecontact.scoring.c3_success import judge, measure
 from carecontact.scoring.c4_motion_activity import motion_activity
 from carecontact.scoring.c5_force_stability import force_stability
-from carecontact.scoring.contact import Contact, find_contact
+from carecontact.scoring.contact import Contact, any_column, find_contact
 from carecontact.scoring.gate_sweep import sweep_gates
 from carecontact.scoring.impulse import total_impulse
 from carecontact.scoring.indentation import beyond_calibrated, deepest_indentation
@@ -82,7 +82,7 @@ def score_recording(recording: Recording, *, sha256: str | None = None) -> Trial
         c4_motion_activity=motion_activity(contact),
         c5_force_sd_n=force_stability(contact),
         region_share=contact.region_share,
-        contact_s=int(contact.on.any(axis=1).sum()) * contact.dt_s,
+        contact_s=int(any_column(contact.on, contact.touched).sum()) * contact.dt_s,
         longest_on_s=gate.longest_on_s,
         on_share=best.on_share if best else None,
         stroke_m=best.stroke_m if best else 0.0,

@@ -8,7 +8,7 @@ from carecontact.contract.geometry import matrix_from_quat
 from carecontact.recording import REGION_SEGMENT
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.metric import METRICS, Metric
-from carecontact.scoring.region import points_in_region, surface_normal
+from carecontact.scoring.region import surface_normal
 
 
 def shear_work(contact: Contact) -> float | None:
@@ -31,9 +31,11 @@ def shear_work(contact: Contact) -> float | None:
     both = np.flatnonzero(joined)
     step = np.flatnonzero(np.concatenate([joined, [False]]) | np.concatenate([[False], joined]))
     pose = recording["scorer/region_pose_in_world"][step, region].astype(np.float64)
-    point = points_in_region(recording["scorer/pose_tcp_in_world"][step, :3].astype(np.float64), pose)
+    to_region = matrix_from_quat(pose[:, 3:])
+    offset = recording["scorer/pose_tcp_in_world"][step, :3].astype(np.float64) - pose[:, :3]
+    point = np.einsum("nij,ni->nj", to_region, offset)
     force_in_world = recording["scorer/force_human_from_robot_in_world"][step, contact.reported].astype(np.float64)
-    force = np.einsum("nij,ni->nj", matrix_from_quat(pose[:, 3:]), force_in_world)
+    force = np.einsum("nij,ni->nj", to_region, force_in_world)
     normal = surface_normal(point, recording["scorer/region_size_m"][region])
     tangential = force - (force * normal).sum(axis=1, keepdims=True) * normal
 

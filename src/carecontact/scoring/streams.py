@@ -22,16 +22,16 @@ def check_streams(recording: Recording) -> None:
         array = recording.arrays[path]
         if not (path.startswith("scorer/") or path == "actions/time_s") or array.dtype.kind != "f":
             continue
-        wrong = ~np.isfinite(array)
-        if wrong.any():
-            first = tuple(int(i) for i in np.argwhere(wrong)[0])
+        finite = np.isfinite(array)
+        if not finite.all():
+            first = tuple(int(i) for i in np.argwhere(~finite)[0])
             raise RecordingError(f"{trial_id}: {path} holds {array[first]} at {first}; every value must be finite")
     _check_rates(recording, trial_id)
     if len(recording["scorer/time_s"]) == 0:
         return
     for path in ("scorer/pose_tcp_in_world", "scorer/region_pose_in_world"):
         quat = recording[path][..., 3:].astype(np.float64)
-        wrong = np.abs((quat * quat).sum(axis=-1) - 1.0) > QUAT_TOLERANCE
+        wrong = np.abs(np.einsum("...i,...i", quat, quat) - 1.0) > QUAT_TOLERANCE
         if wrong.any():
             first = tuple(int(i) for i in np.argwhere(wrong)[0])
             raise RecordingError(f"{trial_id}: {path} at {first} is no rotation: quat_wxyz must have length 1")
