@@ -2,6 +2,7 @@
 
     python tools/reachability.py --figure docs/figures/reachability.png [--write src/carecontact/protocols/NAME.toml]
     python tools/reachability.py --check    does the protocol's place serve every shipped body?
+    python tools/reachability.py --places ALONG_M ACROSS_M YAW_DEG    and the person wherever a seed may lay it?
 
 For every candidate base the tool must point down at nine points of the person (forearm, upper arm, abdomen; middle and
 +-60 mm along the axis), 80 mm above and 20 mm below the skin, for three comfort angles. A base is scored by its worst
@@ -12,7 +13,9 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import mujoco
@@ -24,7 +27,9 @@ from carecontact.contract.protocol import Protocol
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.body import body_names
+from carecontact.world.human.pose import RIGHT_SHOULDER_M
 from carecontact.world.human.skeleton import body_name
+from carecontact.world.place import Place
 from carecontact.world.scene import build_scene
 from panda_kinematics import Arm, pointing_down
 
@@ -262,35 +267,111 @@ def study_parked(arm: Arm, base: Array, yaw_deg: float, protocol: Protocol, targ
     return sorted(found, key=lambda p: -p.score)
 
 
-def check_place(arm: Arm, protocol: Protocol) -> bool:
-    """Print how the protocol's own base and parked posture serve every shipped body; True if they reach everything."""
+@dataclass(frozen=True, kw_only=True)
+class Served:
+    """How the protocol's own base and parked posture serve some targets."""
+
+    missed: tuple[str, ...]
+    """Targets without a posture, or lost on the straight path from the parked one."""
+    room_m: float
+    """Of the targets inside the workspace."""
+    text: str
+
+    @property
+    def all(self) -> bool:
+        return not self.missed and self.room_m > 0
+
+
+def serve(arm: Arm, protocol: Protocol, targets: Targets) -> Served:
     base, yaw_deg = np.array(protocol.scene.robot_base_m), protocol.scene.robot_yaw_deg
     half = np.deg2rad(yaw_deg) / 2
     turn = matrix_from_quat(np.array([np.cos(half), 0, 0, np.sin(half)]))
     box = np.array([protocol.impedance.workspace_low_m, protocol.impedance.workspace_high_m])
+    study = study_base(arm, base, yaw_deg, targets)
+    points = (targets.poses - base) @ turn
+    parked = np.tile(np.array(protocol.scene.parked_joint_rad), (len(points), 1))
+    tool = turn @ arm.links(parked[:1])[0, 8, :3, :3]
+    start = np.full(len(points), np.arctan2(tool[1, 0], tool[0, 0]))
+    path, error = follow(arm, parked, points, np.tile(limb_yaws(targets, start[0]), 2), start, turn)
+    margin = arm.margin(path.reshape(-1, 7)).reshape(path.shape[:2]).min(0)
+    room = float(np.minimum(points - box[0], box[1] - points).min())
+    heights = ("above", "below")
+    missed = tuple(f"{targets.label[k % len(targets.label)]} {heights[k // len(targets.label)]}"
+                   for k in np.flatnonzero(~study.reached | (error > 2e-3)))  # fmt: skip
+    worst = int(margin.argmin())
+    text = (f"{'misses ' + ', '.join(missed) if missed or room <= 0 else 'reaches all'}; "
+            f"margin {study.margin.min():.3f}, manipulability {study.manipulability.min():.3f}; along paths from "
+            f"parked margin {margin.min():.3f} ({targets.label[worst % len(targets.label)]}), error {error.max():.1e}; "
+            f"{room * 1000:.0f} mm inside the workspace")  # fmt: skip
+    return Served(missed=missed, room_m=room, text=text)
+
+
+def check_bodies(arm: Arm, protocol: Protocol) -> bool:
+    """Print how the protocol's place serves every shipped body; True if everything is reached."""
     good = True
     for name in body_names():
-        targets = person_targets(protocol.overridden({"person.body": name}))
-        study = study_base(arm, base, yaw_deg, targets)
-        points = (targets.poses - base) @ turn
-        parked = np.tile(np.array(protocol.scene.parked_joint_rad), (len(points), 1))
-        tool = turn @ arm.links(parked[:1])[0, 8, :3, :3]
-        start = np.full(len(points), np.arctan2(tool[1, 0], tool[0, 0]))
-        path, error = follow(arm, parked, points, np.tile(limb_yaws(targets, start[0]), 2), start, turn)
-        margin = arm.margin(path.reshape(-1, 7)).reshape(path.shape[:2]).min(0)
-        room = np.minimum(points - box[0], box[1] - points).min()
-        reached = bool(study.reached.all() and (error < 2e-3).all() and room > 0)
-        good &= reached
-        worst = int(margin.argmin())
-        heights = ("above", "below")
-        missed = [f"{targets.label[k % len(targets.label)]} {heights[k // len(targets.label)]}"
-                  for k in np.flatnonzero(~study.reached | (error > 2e-3))]  # fmt: skip
-        print(f"{name:18} {'reaches all' if reached else 'misses ' + ', '.join(missed)}; "
-              f"margin {study.margin.min():.3f}, manipulability {study.manipulability.min():.3f}; "
-              f"along paths from parked "
-              f"margin {margin.min():.3f} ({targets.label[worst % len(targets.label)]}), error {error.max():.1e}; "
-              f"{room * 1000:.0f} mm inside the workspace")  # fmt: skip
+        served = serve(arm, protocol, person_targets(protocol.overridden({"person.body": name})))
+        good &= served.all
+        print(f"{name:18} {served.text}")
     return good
+
+
+def check_places(arm: Arm, protocol: Protocol, most: Place) -> bool:
+    """Print what is out of reach with the protocol's body at every corner of a range; True if every region's middle can
+    be touched there: 20 mm below the skin, tool straight down, at every comfort angle. Otherwise also the largest share
+    of the range, in steps of 5 %, of which that is so.
+
+    Less than is asked of a base: the ends of a scrub and the place 80 mm above are shown and do not count.
+    """
+    here = person_targets(protocol)
+    base, yaw_deg, n = np.array(protocol.scene.robot_base_m), protocol.scene.robot_yaw_deg, len(here.label)
+
+    def out_of_reach(signs: tuple[int, ...], share: float) -> tuple[Place, list[int]]:
+        along_m, across_m, yaw = (share * np.array(signs) * (most.along_m, most.across_m, most.yaw_deg)).tolist()
+        place = Place(along_m=along_m, across_m=across_m, yaw_deg=yaw)
+        return place, np.flatnonzero(~study_base(arm, base, yaw_deg, moved(here, place)).reached).tolist()
+
+    def middles(missed: list[int]) -> int:
+        return sum(k >= n and k % 3 == 1 for k in missed)
+
+    lost: dict[tuple[int, ...], int] = {}
+    for signs in product((-1, 1), repeat=3):
+        place, missed = out_of_reach(signs, 1.0)
+        lost[signs], gap = middles(missed), board_gap(protocol, place)
+        told = Counter(f"{here.label[k % n]} {'below' if k >= n else 'above'}" for k in missed)
+        print(f"{place.along_m:+.3f} m {place.across_m:+.3f} m {place.yaw_deg:+5.1f} deg  "
+              f"out of reach: {', '.join(f'{k} {what}' for what, k in told.items()) or 'nothing'}; "
+              f"middles to touch of it: {lost[signs]}; board {gap * 1000:.0f} mm off the base", flush=True)  # fmt: skip
+    if not any(lost.values()):
+        return True
+    worst_first = sorted(lost, key=lambda signs: -lost[signs])
+    for share in np.arange(0.95, 0.0, -0.05):
+        if not any(middles(out_of_reach(signs, share)[1]) for signs in worst_first):
+            print(f"every middle can be touched at every corner of {share:.2f} of it")
+            break
+    return False
+
+
+def moved(targets: Targets, place: Place) -> Targets:
+    """As ``world.place`` lays the person; it settles there as here, to 3 mm (tests/sim/test_place.py)."""
+    shoulder, turn = np.array([*RIGHT_SHOULDER_M, 0.0]), np.deg2rad(place.yaw_deg)
+    rotation = matrix_from_quat(np.array([np.cos(turn / 2), 0, 0, np.sin(turn / 2)]))
+    shift = shoulder + [place.along_m, place.across_m, 0.0]
+    return replace(
+        targets,
+        skin=(targets.skin - shoulder) @ rotation.T + shift,
+        arms=(targets.arms - shoulder) @ rotation.T + shift,
+    )
+
+
+def board_gap(protocol: Protocol, place: Place) -> float:
+    """Horizontal distance of the moved arm board's edge from the base [m]; negative where they meet."""
+    low, high = np.array(protocol.scene.board_low_m), np.array(protocol.scene.board_high_m)
+    shoulder, turn = np.array(RIGHT_SHOULDER_M), np.deg2rad(place.yaw_deg)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    base = np.array(protocol.scene.robot_base_m[:2]) - [place.along_m, place.across_m] - shoulder
+    local = rotation.T @ base + shoulder
+    return float(np.linalg.norm(np.maximum(np.maximum(low - local, local - high), 0))) - BASE_RADIUS_M
 
 
 def workspace_box(
@@ -349,15 +430,21 @@ def write_scene(path: Path, base: Array, yaw_deg: float, parked: Parked, box: tu
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--protocol", default="bathing-v1-draft")
+    parser.add_argument("--protocol", default="bathing-v1")
     parser.add_argument("--figure", type=Path)
     parser.add_argument("--write", type=Path, help="protocol file to edit in place")
     parser.add_argument("--finalists", type=int, default=3, help="bases whose paths from a parked posture are studied")
     parser.add_argument("--check", action="store_true", help="only check the protocol's place, with every shipped body")
+    parser.add_argument("--places", type=float, nargs=3, metavar=("ALONG_M", "ACROSS_M", "YAW_DEG"),
+                        help="only check it with the person moved by so much either way")  # fmt: skip
     options = parser.parse_args()
     protocol, arm = load_protocol(options.protocol), Arm()
     if options.check:
-        raise SystemExit(0 if check_place(arm, protocol) else 1)
+        raise SystemExit(0 if check_bodies(arm, protocol) else 1)
+    if options.places:
+        along_m, across_m, yaw_deg = options.places
+        most = Place(along_m=along_m, across_m=across_m, yaw_deg=yaw_deg)
+        raise SystemExit(0 if check_places(arm, protocol, most) else 1)
     targets = person_targets(protocol)
     rows = [
         (base, base_yaw_deg(base, targets), study_base(arm, base, base_yaw_deg(base, targets), targets))

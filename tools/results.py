@@ -1,6 +1,6 @@
 """Tables of the evaluated methods beside the paper, from finished runs.
 
-    python tools/results.py runs/* [--protocol bathing-v1-draft] [--out docs/results]
+    python tools/results.py runs/* [--protocol bathing-v1] [--out docs/results]
 
 Runs are folders of recordings or results.json files: state-machine, voxposer, voxposer-phased and the null arms on the
 protocol, and state-machine and voxposer under every stiffness and tissue of the sweeps. Which is which is read from

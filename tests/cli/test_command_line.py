@@ -40,7 +40,7 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["run", "--policy", "hover", "--out", "r", "--seeds", "44"], "its seeds: 0-19"),
         (
             ["run", "--policy", "hover", "--out", "r", "--protocol", "p"],
-            "no protocol named 'p'; valid: bathing-moved-v1-draft, bathing-v1",
+            "no protocol named 'p'; valid: bathing-moved-v1, bathing-v1",
         ),
         (["run", "--policy", "hover", "--out", "r", "--jobs", "0"], "must be at least 1"),
         (["run", "--policy", "hover", "--out", "broken.py"], "this is a file"),
@@ -49,8 +49,8 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["run", "--policy", "hover"], "Missing from carecontact run: --out PATH; For full helptext"),
         (["run", "--polixy", "hover", "--out", "r"], "--policy STR; Unrecognized options: --polixy hover"),
         (["validate", "--body", "man-adult", "--body", "woman-old-light"], "--body is given twice"),
-        (["look", "--task", "T9"], "--task: 'T9' is no task of bathing-v1-draft; valid: T1, T2, T3, T4, T5, T6, T7"),
-        (["look", "--task", "T1", "--seed", "20"], "--seed: 20 is not in bathing-v1-draft; its seeds: 0-19"),
+        (["look", "--task", "T9"], "--task: 'T9' is no task of bathing-v1; valid: T1, T2, T3, T4, T5, T6, T7"),
+        (["look", "--task", "T1", "--seed", "20"], "--seed: 20 is not in bathing-v1; its seeds: 0-19"),
         (["look", "--task", "T1", "--out", "r"], "a picture ends in .png, .jpg, .pdf"),
         (["look", "--task", "T1", "--body", "nobody"], "no body named 'nobody'"),
         (["list", "foo"], "invalid choice 'foo'"),
@@ -84,7 +84,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     ("what", "expected"),
     [
         ("tasks", ["T1", "T2", "T3", "T4", "T5", "T6", "T7"]),
-        ("protocols", ["bathing-moved-v1-draft", "bathing-v1-draft"]),
+        ("protocols", ["bathing-moved-v1", "bathing-v1"]),
         ("metrics", sorted(METRICS)),
     ],
 )

@@ -1,25 +1,55 @@
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from carecontact.cli import main
+from carecontact.contract.protocol import Protocol, Variation
+from carecontact.protocols import load_protocol, shipped_protocols
+from carecontact.trials import freeze
 from tests.trials.test_freeze import frozen_file
+
+WORLD_SUMS = freeze.world_sums
+
+
+@pytest.fixture(autouse=True)
+def compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiled world hangs on neither name nor variation, and a verification compiles one a region."""
+    monkeypatch.setattr(freeze, "world_sums", lambda protocol, region: sums_of(region, world_of(protocol)))
+
+
+def world_of(protocol: Protocol) -> str:
+    same = {"id": "any", "description": "", "variation": Variation(), "phases": load_protocol().phases}
+    return protocol.model_copy(update=same).model_dump_json()
+
+
+@cache
+def sums_of(region: str, protocol: str) -> dict[str, float]:
+    return WORLD_SUMS(Protocol.model_validate_json(protocol), region)
 
 
 def test_list_and_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["protocol", "list"]) == 0
-    assert "bathing-v1-draft         draft" in capsys.readouterr().out
+    assert "bathing-v1               frozen" in capsys.readouterr().out
     assert main(["protocol", "show"]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("# bathing-v1-draft, sha256 ")
+    assert out.startswith("# bathing-v1, sha256 ")
+    assert "# frozen, bathing-v1.lock.json" in out
     assert "# paper-mapping, abdomen: " in out
     assert "[physics]" in out
 
 
-def test_a_draft_does_not_verify(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["protocol", "verify"]) == 1
+@pytest.mark.parametrize("name", shipped_protocols())
+def test_what_is_shipped_is_here_what_was_frozen(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Compiled worlds included."""
+    assert main(["protocol", "verify", name]) == 0
+    assert capsys.readouterr().out == f"{name}: is here what was frozen\n"
+
+
+def test_a_file_without_a_lock_does_not_verify(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["protocol", "verify", str(frozen_file(tmp_path))]) == 1
     assert "has no lock: a draft" in capsys.readouterr().out
 
 
@@ -41,7 +71,7 @@ def test_lock_verify_and_drift(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 @pytest.mark.parametrize(
     ("old", "new", "told"),
-    [("frozen = true", "frozen = false", "say frozen = true first"), ("mine-v1", "bathing-v1-draft", "own")],
+    [("frozen = true", "frozen = false", "say frozen = true first"), ("mine-v1", "bathing-v1", "own")],
 )
 def test_what_cannot_be_locked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, told: str
@@ -53,5 +83,5 @@ def test_what_cannot_be_locked(
 
 
 def test_a_shipped_protocol_is_not_locked_in_place(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["protocol", "lock", "bathing-v1-draft"]) == 2
+    assert main(["protocol", "lock", "bathing-v1"]) == 2
     assert "copy its file" in capsys.readouterr().err

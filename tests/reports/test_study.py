@@ -66,13 +66,13 @@ def whole() -> Study:
 
 def test_runs_are_known_by_their_trials_and_the_rest_is_named(whole: Study) -> None:
     assert sorted(h.title for h in whole.heads) == [
-        "bathing-v1-draft", "bathing-v1-draft", "bathing-v1-draft", "bathing-v1-draft with stiffness 1000 N/m",
-        "bathing-v1-draft with stiffness 1000 N/m", "bathing-v1-draft with tissue manikin-like",
+        "bathing-v1", "bathing-v1", "bathing-v1", "bathing-v1 with stiffness 1000 N/m",
+        "bathing-v1 with stiffness 1000 N/m", "bathing-v1 with tissue manikin-like",
     ]  # fmt: skip
     missing = "\n".join(whole.missing)
-    assert "--policy voxposer-phased --protocol bathing-v1-draft --out" in missing
-    assert "--policy state-machine --protocol bathing-v1-draft --stiffness 200 " in missing
-    assert "--policy state-machine --protocol bathing-v1-draft --tissue manikin-like " in missing
+    assert "--policy voxposer-phased --protocol bathing-v1 --out" in missing
+    assert "--policy state-machine --protocol bathing-v1 --stiffness 200 " in missing
+    assert "--policy state-machine --protocol bathing-v1 --tissue manikin-like " in missing
     assert len(whole.missing) == 1 + 3 + 2 + 1
     text = page(whole)
     assert all(command in text for command in whole.missing)
@@ -140,12 +140,12 @@ def test_a_missing_method_is_no_comparison() -> None:
 def test_what_does_not_belong_is_named_and_left_out() -> None:
     found = made(
         a=run("state-machine"), old=run("state-machine", body="woman-old-light"), mine=run("lift"),
-        other=run("voxposer", lambda t, s: {"protocol_id": "bathing-moved-v1-draft"}),
+        other=run("voxposer", lambda t, s: {"protocol_id": "bathing-moved-v1"}),
     )  # fmt: skip
     assert found.unused == {
-        "old": "state-machine on bathing-v1-draft with body woman-old-light is no part of this study",
-        "mine": "lift on bathing-v1-draft is no part of this study",
-        "other": "of bathing-moved-v1-draft",
+        "old": "state-machine on bathing-v1 with body woman-old-light is no part of this study",
+        "mine": "lift on bathing-v1 is no part of this study",
+        "other": "of bathing-moved-v1",
     }
     assert all(f"Not used: {name}: {why}." in page(found) for name, why in found.unused.items())
 
@@ -153,7 +153,7 @@ def test_what_does_not_belong_is_named_and_left_out() -> None:
 @pytest.mark.parametrize(
     ("runs", "told"),
     [
-        ({"a": run("state-machine"), "b": run("state-machine")}, "a and b are both state-machine on bathing-v1-draft"),
+        ({"a": run("state-machine"), "b": run("state-machine")}, "a and b are both state-machine on bathing-v1"),
         ({"a": run("state-machine", lambda t, s: {"protocol_sha256": "5" * 64})}, "a was made with another state of"),
         ({"a": run("lift")}, "none of 1 run"),
         (
@@ -175,7 +175,7 @@ def test_the_command_writes_the_same_bytes_twice(tmp_path: Path, capsys: pytest.
         (tmp_path / name).mkdir()
         write_scores(tmp_path / name, scores)
     arguments = [str(tmp_path / "a"), str(tmp_path / "b" / "results.json"), "--out", str(tmp_path / "out")]
-    files = [tmp_path / "out" / f"bathing-v1-draft{suffix}" for suffix in (".md", ".json")]
+    files = [tmp_path / "out" / f"bathing-v1{suffix}" for suffix in (".md", ".json")]
     assert main(arguments) == 0
     first = [file.read_bytes() for file in files]
     assert main(arguments) == 0

@@ -61,7 +61,7 @@ def make_recording(
 
     Targets are (time, TCP position in the task's region frame); regions lie still and unrotated.
     """
-    protocol = load_protocol("bathing-v1-draft")
+    protocol = load_protocol("bathing-v1")
     spec = TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy=policy)
     region = protocol.task(task_id).region
     t = seconds(duration)
@@ -134,7 +134,7 @@ def make_recording(
 
 
 def target_segment(task_id: str) -> str:
-    return REGION_SEGMENT[load_protocol("bathing-v1-draft").task(task_id).region]
+    return REGION_SEGMENT[load_protocol("bathing-v1").task(task_id).region]
 
 
 def touch(force: float = 5.0, **options: Any) -> Recording:

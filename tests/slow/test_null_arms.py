@@ -10,7 +10,7 @@ from carecontact.scoring import TrialScore, score_recording
 from carecontact.trials.trial import run_trial
 
 pytestmark = pytest.mark.slow
-MOVED = "bathing-moved-v1-draft"
+MOVED = "bathing-moved-v1"
 
 
 def run(protocol: str, policy: str, task_id: str, seed: int) -> TrialScore:
@@ -28,6 +28,6 @@ def test_arms_that_never_touch_pass_no_gate(policy: str, task_id: str) -> None:
 
 
 def test_a_moved_person_needs_eyes() -> None:
-    """Seed 1 lies 37 mm towards the head and 11 mm to the right."""
-    assert run(MOVED, "state-machine", "T4", 1).safety_gated
-    assert not run(MOVED, "replay", "T4", 1).c3_success
+    """Seed 10 lies 28 mm towards the head, 24 mm to the right and is turned by 4.2 degrees."""
+    assert run(MOVED, "state-machine", "T4", 10).safety_gated
+    assert not run(MOVED, "replay", "T4", 10).c3_success

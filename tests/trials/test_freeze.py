@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError
-from carecontact.protocols import load_protocol, protocol_file
+from carecontact.protocols import load_protocol, protocol_file, shipped_protocols
 from carecontact.protocols.lock import Lock, lock_path, read_lock, write_lock
 from carecontact.trials import freeze
 from carecontact.trials.freeze import check_frozen, drift, make_lock
@@ -20,8 +23,8 @@ def here() -> Lock:
 
 
 def frozen_file(folder: Path, *, extra: str = "") -> Path:
-    text = protocol_file("bathing-v1-draft").read_text()
-    text = text.replace('id = "bathing-v1-draft"', 'id = "mine-v1"').replace("frozen = false", "frozen = true")
+    text = protocol_file("bathing-v1").read_text()
+    text = text.replace('id = "bathing-v1"', 'id = "mine-v1"')
     path = folder / "mine.toml"
     path.write_text(text + extra)
     return path
@@ -51,6 +54,7 @@ def test_nothing_drifts_here_and_compiling_again_gives_the_same_sums(here: Lock)
         ({"metrics": ["C1@0"]}, "metric C1@0: locked, not here"),
         ({"versions": {"mujoco": "3.0.0", "mediapipe": "0.10.21"}}, "version of mujoco: locked 3.0.0"),
         ({"assets": {}}, "asset bodies/man-adult.npz: locked none"),
+        ({"fields": {}}, "physics: locked null"),
     ],
 )
 def test_each_difference_is_named(here: Lock, change: dict[str, object], told: str) -> None:
@@ -73,8 +77,11 @@ def test_a_new_metric_is_no_drift(here: Lock) -> None:
 def test_what_is_locked_runs_and_what_drifted_is_refused_or_says_so(locked: tuple[str, Protocol]) -> None:
     path, protocol = locked
     assert check_frozen(path, protocol, unfrozen=False) == protocol
-    drifted = protocol.model_copy(update={"description": "another"})
-    with pytest.raises(ConfigError, match=r"mine-v1 drifted from its lock .*protocol sha256.*--unfrozen"):
+    gates = protocol.gates.model_copy(update={"region_share": 0.7})
+    drifted = protocol.model_copy(update={"gates": gates})
+    with pytest.raises(
+        ConfigError, match=r"mine-v1 drifted .*protocol sha256.*gates.region_share: locked 0.8, here 0.7.*--unfrozen"
+    ):
         check_frozen(path, drifted, unfrozen=False)
     accepted = check_frozen(path, drifted, unfrozen=True)
     assert "drift from its lock (protocol sha256" in accepted.title
@@ -82,9 +89,9 @@ def test_what_is_locked_runs_and_what_drifted_is_refused_or_says_so(locked: tupl
 
 
 def test_a_draft_needs_no_lock_and_a_frozen_file_does(tmp_path: Path) -> None:
-    assert check_frozen("bathing-v1-draft", load_protocol(), unfrozen=False) == load_protocol()
-    assert read_lock("bathing-v1-draft") is None
     path = str(frozen_file(tmp_path))
+    draft = load_protocol(path).model_copy(update={"frozen": False})
+    assert check_frozen(path, draft, unfrozen=False) == draft
     with pytest.raises(ConfigError, match=r"says frozen = true but has no lock: mine\.lock\.json is missing"):
         check_frozen(path, load_protocol(path), unfrozen=True)
 
@@ -95,3 +102,49 @@ def test_a_damaged_lock_is_named(tmp_path: Path, text: str) -> None:
     lock_path(path).write_text(text)
     with pytest.raises(ConfigError, match=r"mine\.lock\.json: not a lock"):
         read_lock(path)
+
+
+# -- what is shipped -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=shipped_protocols())
+def shipped(request: pytest.FixtureRequest) -> Protocol:
+    return load_protocol(request.param)
+
+
+def test_shipped_protocols_are_frozen_and_run_here(shipped: Protocol) -> None:
+    assert shipped.frozen
+    assert check_frozen(shipped.id, shipped, unfrozen=False) == shipped
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda lock: {"versions": lock.versions | {"mujoco": "4.0.1"}}, "version of mujoco: locked 4.0.0, here 4.0.1"),
+        (lambda lock: {"assets": lock.assets | {"panda/panda.npz": "0" * 64}}, "here 000000000000"),
+        (lambda lock: {"assets": {}}, "asset bodies/man-adult.skin.png: locked"),
+        (lambda lock: {"metrics": []}, "metric C1@1: locked, not here"),
+    ],
+)  # fmt: skip
+def test_a_shipped_protocol_does_not_run_where_something_else_is_installed(
+    shipped: Protocol, monkeypatch: pytest.MonkeyPatch, change: Callable[[Lock], dict[str, Any]], told: str
+) -> None:
+    here = make_lock(shipped, worlds=False)
+    monkeypatch.setattr(freeze, "make_lock", lambda protocol, worlds: here.model_copy(update=change(here)))
+    with pytest.raises(ConfigError, match=f"{shipped.id} drifted from its lock .*{re.escape(told)}.*--unfrozen"):
+        check_frozen(shipped.id, shipped, unfrozen=False)
+    assert check_frozen(shipped.id, shipped, unfrozen=True).overrides.keys() == {"lock"}
+
+
+@pytest.mark.parametrize("frozen", ["frozen = true", "frozen = false"])
+def test_a_file_with_a_shipped_id_is_held_to_the_shipped_lock(tmp_path: Path, shipped: Protocol, frozen: str) -> None:
+    text = protocol_file(shipped.id).read_text()
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    assert check_frozen(str(path), load_protocol(str(path)), unfrozen=False) == shipped
+    path.write_text(
+        text.replace("frozen = true", frozen).replace("translational_n_m = 400.0", "translational_n_m = 500.0")
+    )
+    told = r"impedance\.translational_n_m: locked 400\.0, here 500\.0.*mine\.toml an id of its own"
+    with pytest.raises(ConfigError, match=told):
+        check_frozen(str(path), load_protocol(str(path)), unfrozen=False)

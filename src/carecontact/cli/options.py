@@ -42,7 +42,7 @@ class Run:
     """T1,T2 or T1-T7 or all."""
     seeds: str = "all"
     """3 or 0-19 or 0,4,7 or all."""
-    protocol: str = "bathing-v1-draft"
+    protocol: str = "bathing-v1"
     """Id of a shipped protocol, or a .toml file."""
     body: str | None = None
     """Another person than the protocol's: a name of `carecontact list bodies` or smplx:FILE.npz?sex=F (or M). Every
@@ -163,7 +163,8 @@ class Report:
 
     folder: Folder
     null: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")] = ()
-    """Runs of null arms on the same protocol, to be set beside this one as false-positive rates."""
+    """Runs of null arms on the same protocol, to be set beside this one as false-positive rates. They stay in the
+    report when it is written again; naming others replaces them."""
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
@@ -208,7 +209,7 @@ class Validate:
     """The short form of every check, for continuous integration; the full one takes many minutes a body."""
     checks: str = "all"
     """force-balance,energy or all."""
-    protocol: str = "bathing-v1-draft"
+    protocol: str = "bathing-v1"
     """Id of a shipped protocol, or a .toml file."""
     out: Path = Path("runs/validation")
     """Folder for validation.json and the figures."""
@@ -240,7 +241,7 @@ class Probe:
     """C1@1,C5@1 or all (C1@1, C2@1, C4@1, C5@1)."""
     body: str | None = None
     """Another person than the protocol's (see `carecontact list bodies`)."""
-    protocol: str = "bathing-v1-draft"
+    protocol: str = "bathing-v1"
     """Id of a shipped protocol, or a .toml file."""
     out: Path = Path("runs/probe")
     """Folder for probe.json and probe.png."""
@@ -264,7 +265,7 @@ class Calibrate:
     """Rows whose site begins with this; needed unless --verify is given."""
     body: str = "man-adult"
     """Whose surface is pressed (see `carecontact list bodies`)."""
-    protocol: str = "bathing-v1-draft"
+    protocol: str = "bathing-v1"
     """Whose mesh, mass and thickness the tissue keeps."""
     out: Path = Path("runs/calibration")
     """Folder for certificate.json, tissue.toml and calibration.png."""
@@ -296,7 +297,7 @@ class Look:
     """One of the protocol's."""
     body: str | None = None
     """Another person than the protocol's: a name of `carecontact list bodies` or smplx:FILE.npz?sex=F (or M)."""
-    protocol: str = "bathing-v1-draft"
+    protocol: str = "bathing-v1"
     """Id of a shipped protocol, or a .toml file."""
     segmenter: Segmenter | None = None
     """What finds the person for the masks, instead of the protocol's own (mediapipe): see docs/perception.md."""
@@ -331,7 +332,7 @@ class Audit:
     """One region and short trials, for continuous integration; the full form takes minutes."""
     body: str | None = None
     """Another person than the protocol's (see `carecontact list bodies`)."""
-    protocol: str = "bathing-v1-draft"
+    protocol: str = "bathing-v1"
     """Id of a shipped protocol, or a .toml file."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/audit")
     """Folder for audit.json."""
@@ -368,7 +369,7 @@ class List:
     what: Annotated[
         Literal["tasks", "policies", "protocols", "bodies", "tissue", "metrics", "all"], tyro.conf.Positional
     ] = "all"
-    protocol: str = "bathing-v1-draft"
+    protocol: str = "bathing-v1"
     """Whose tasks."""
 
     after_interrupt: ClassVar[str] = ""
@@ -384,7 +385,7 @@ class Protocols:
     """Protocols and their locks: list them, show one, verify that it is what was frozen, or lock a file of yours."""
 
     what: Annotated[Literal["list", "show", "verify", "lock"], tyro.conf.Positional]
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE.toml")] = "bathing-v1-draft"
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE.toml")] = "bathing-v1"
     """Id of a shipped protocol, or a .toml file."""
 
     after_interrupt: ClassVar[str] = ""

@@ -395,7 +395,7 @@ class Protocol(Section):
 
 
 def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:
-    """For people: the id and what was replaced, ``bathing-v1-draft with body woman-old-light``."""
+    """For people: the id and what was replaced, ``bathing-v1 with body woman-old-light``."""
     replaced = [OVERRIDABLE.get(field, f"{field} {{}}").format(value) for field, value in sorted(overrides.items())]
     return f"{protocol_id} with {' and '.join(replaced)}" if replaced else protocol_id
 

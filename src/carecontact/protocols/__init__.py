@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from carecontact.contract.protocol import Protocol, Vision
 from carecontact.errors import ConfigError, UnknownNameError
 
-DEFAULT_PROTOCOL = "bathing-v1-draft"
+DEFAULT_PROTOCOL = "bathing-v1"
 
 
 def shipped_protocols() -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -18,6 +19,8 @@ class Lock(Section):
     id: str
     protocol_sha256: str
     """Of the fields, tissue laws included: see ``Protocol.sha256``."""
+    fields: dict[str, Any]
+    """All of them as they were, defaults included, so that one that changed can be named."""
     embodiment: str
     metrics: list[str]
     """Ids with versions, sorted."""

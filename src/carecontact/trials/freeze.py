@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import json
+from collections.abc import Iterator, Mapping
 from importlib import resources
 
 import numpy as np
 
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError
+from carecontact.protocols import shipped_protocols
 from carecontact.protocols.lock import SUFFIX, Lock, lock_path, read_lock
 from carecontact.recording.schema import REGIONS
 from carecontact.scoring import METRICS
@@ -29,7 +32,8 @@ SAME = 1e-6
 def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
     """``worlds``: compile one world a region and sum over it; some seconds."""
     return Lock(
-        id=protocol.id, protocol_sha256=protocol.sha256, embodiment=EMBODIMENT, metrics=sorted(METRICS),
+        id=protocol.id, protocol_sha256=protocol.sha256, fields=protocol.model_dump(mode="json"),
+        embodiment=EMBODIMENT, metrics=sorted(METRICS),
         versions={name: version for name, version in package_versions().items() if name in PACKAGES},
         assets=asset_hashes(protocol),
         worlds={region: world_sums(protocol, region) for region in (REGIONS if worlds else ())},
@@ -69,6 +73,10 @@ def drift(lock: Lock, now: Lock) -> list[str]:
     ):  # fmt: skip
         if before != after:
             said.append(f"{what}: locked {before}, here {after}")
+    said += [
+        f"{name}: locked {_short(before)}, here {_short(after)}"
+        for name, before, after in _changed(lock.fields, now.fields)
+    ]
     said += [f"metric {metric}: locked, not here" for metric in sorted(set(lock.metrics) - set(now.metrics))]
     for what, before, after in (("version of ", lock.versions, now.versions), ("asset ", lock.assets, now.assets)):
         for name in sorted(before.keys() | after.keys()):
@@ -87,17 +95,36 @@ def drift(lock: Lock, now: Lock) -> list[str]:
     return said
 
 
+def _changed(before: object, after: object, place: str = "") -> Iterator[tuple[str, object, object]]:
+    if isinstance(before, Mapping) and isinstance(after, Mapping):
+        for name in (*before, *(name for name in after if name not in before)):
+            yield from _changed(before.get(name), after.get(name), f"{place}.{name}" if place else str(name))
+    elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
+        for number, (old, new) in enumerate(zip(before, after, strict=True)):
+            yield from _changed(old, new, f"{place}[{number}]")
+    elif before != after:
+        yield place, before, after
+
+
+def _short(value: object) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
 def check_frozen(name_or_path: str, protocol: Protocol, *, unfrozen: bool) -> Protocol:
     """The protocol, if it is a draft or is here what its lock says; quick, so the compiled worlds are left out.
+
+    A file with the id of a shipped protocol is held to the shipped lock: one id, one set of rules.
 
     Args:
         unfrozen: go on where it drifted; then the protocol's overrides, and so every output, say what differs.
 
     Raises ConfigError where a frozen protocol has no lock or drifted.
     """
-    if not protocol.frozen:
+    borrowed = protocol.id in shipped_protocols() and name_or_path != protocol.id
+    lock = read_lock(protocol.id if borrowed else name_or_path)
+    if not protocol.frozen and not (borrowed and lock):
         return protocol
-    lock = read_lock(name_or_path)
     if lock is None:
         raise ConfigError(
             f"protocol {protocol.id} says frozen = true but has no lock: {lock_path(name_or_path).name} is missing; "
@@ -107,8 +134,9 @@ def check_frozen(name_or_path: str, protocol: Protocol, *, unfrozen: bool) -> Pr
     if not differences:
         return protocol
     if not unfrozen:
+        remedy = f"Give {name_or_path} an id of its own" if borrowed else f"Install what {protocol.id}{SUFFIX} names"
         raise ConfigError(
             f"protocol {protocol.id} drifted from its lock ({'; '.join(differences)}): its results would not be "
-            f"comparable. Install what {protocol.id}{SUFFIX} names, or run with --unfrozen, which every output shows"
+            f"comparable. {remedy}, or run with --unfrozen, which every output shows"
         )
     return protocol.model_copy(update={"overrides": {**protocol.overrides, "lock": "; ".join(differences)}})

@@ -1,0 +1,36 @@
+"""Write the lock of every shipped frozen protocol, or verify them.
+
+    python tools/lock_protocols.py            beside each protocol file that has none yet
+    python tools/lock_protocols.py --check    exit status 1 if one is missing or anything differs from it
+
+A lock that is there is never written again: a change is a new id. ``carecontact protocol lock`` does the same for a
+user's own file.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from carecontact.cli.protocol import verify
+from carecontact.protocols import load_protocol, shipped_protocols
+from carecontact.protocols.lock import lock_path, read_lock, write_lock
+from carecontact.trials.freeze import make_lock
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing")
+    options = parser.parse_args()
+    frozen = [name for name in shipped_protocols() if load_protocol(name).frozen]
+    if options.check:
+        raise SystemExit(max([verify(name) for name in frozen], default=0))
+    for name in frozen:
+        if read_lock(name) is None:
+            write_lock(make_lock(load_protocol(name)), lock_path(name))
+            print(f"{lock_path(name)} written")
+        else:
+            print(f"{name} has its lock already: a change is a new id")
+
+
+if __name__ == "__main__":
+    main()
