@@ -62,7 +62,7 @@ def measures(bench: Bench, generator: ModuleType, region: str) -> np.ndarray:
     """(3,) secant stiffness, tangent over the deeper half [N/m] and loop work [J], means over places and speeds."""
     setup = generator.SETUPS[region]
     out = []
-    for _, (x, y), speed in generator.cells(setup):
+    for _, (x, y), speed in setup.cells("fine-mesh"):
         depth = setup.depth_mm / 1000
         press = bench.press(
             along_m=x / 1000, across_m=y / 1000, depth_m=depth, speed_m_s=speed / 1000, unload=True, sample_s=0.002
