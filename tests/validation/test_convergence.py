@@ -32,9 +32,9 @@ def sphere(ratio: float) -> float:
 
 def exponents(thickness_m: float) -> dict[str, float]:
     out = {}
-    for name, (_, middle, _) in TRENDS.items():
-        r = middle * np.array(RADIUS_FACTORS)
-        if name == "flat":
+    for name, size in TRENDS.items():
+        r = size.radius_m * np.array(RADIUS_FACTORS)
+        if size.shape == "flat":
             force = r * [flat_punch(float(one / thickness_m)) for one in r]
         else:
             force = np.sqrt(r) * sphere(np.sqrt(r * TREND_DEPTH_M) / thickness_m)
@@ -49,5 +49,7 @@ def test_both_layer_solutions_begin_alike() -> None:
 
 def test_known_exponents_are_those_of_layers_fifty_to_thirty_millimetres_thick() -> None:
     thick, thin = exponents(0.050), exponents(0.030)
-    for name, (_, _, known) in TRENDS.items():
+    layers = {name: size.layer for name, size in TRENDS.items() if size.layer is not None}
+    assert layers
+    for name, known in layers.items():
         assert (thick[name], thin[name]) == pytest.approx(known, abs=0.01), name

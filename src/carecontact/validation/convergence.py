@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,13 +38,26 @@ TOOL_DEPTHS_M = np.linspace(0.001, 0.008, 8)
 RECALIBRATIONS = 2
 RADIUS_FACTORS = (0.5, 1.0, 2.0)
 TREND_DEPTH_M = 0.004
-TRENDS: dict[str, tuple[Shape, float, tuple[float, float]]] = {
-    "sphere": ("hemisphere", 0.012, (0.59, 0.66)),
-    "flat": ("flat", 0.0107, (1.31, 1.52)),
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trend:
+    region: str
+    shape: Shape
+    radius_m: float
+    """The middle one"""
+    layer: tuple[float, float] | None = None
+    """Exponents of force over radius of an incompressible elastic layer bonded to bone, 50 to 30 mm thick, as a test
+    computes them (sphere: Dimitriadis et al. 2002, Biophys J 82:2798; flat: Hayes et al. 1972, J Biomech 5:541). A limb
+    is too narrow for one."""
+
+
+TRENDS = {
+    "forearm, flat": Trend(region="forearm", shape="flat", radius_m=0.0107),
+    "abdomen, sphere": Trend(region="abdomen", shape="hemisphere", radius_m=0.010, layer=(0.58, 0.65)),
+    "abdomen, flat": Trend(region="abdomen", shape="flat", radius_m=0.0107, layer=(1.31, 1.52)),
 }
-"""Indenter, middle radius [m], exponents of force over radius of an incompressible elastic layer bonded to bone, 50 to
-30 mm thick, as a test computes them (sphere: Dimitriadis et al. 2002, Biophys J 82:2798; flat: Hayes et al. 1972,
-J Biomech 5:541)."""
+"""Both calibration indenters, and a disc where the layer says what to expect of one."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -75,15 +89,14 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                 # The rest of the check still says something.
                 name = f"{reference.region}: mesh twice as fine, not measured: {error}"
                 measures.append(Measure(name=name, value=float("nan"), unit="%", limit=MESH_LIMIT_PERCENT))
-        for name, (shape, radius, known) in TRENDS.items():
-            forces = trend(subject, shape, radius)
-            sizes = np.log(radius * np.array(RADIUS_FACTORS))
+        for name, tool_size in TRENDS.items():
+            radii, forces = tool_size.radius_m * np.array(RADIUS_FACTORS), trend(subject, tool_size)
+            layer = "" if tool_size.layer is None else " (bonded layer: {} to {})".format(*tool_size.layer)
             measures += [
-                Measure(name=f"tool radius x 0.5, 1, 2, {name}: exponent of force "
-                             f"(bonded layer: {known[0]} to {known[1]})",
-                        value=float(np.polyfit(sizes, np.log(forces), 1)[0])),
+                Measure(name=f"tool radius x 0.5, 1, 2, {name}: exponent of force{layer}",
+                        value=float(np.polyfit(np.log(radii), np.log(forces), 1)[0])),
             ]  # fmt: skip
-            curves[f"trend/{name}"] = np.stack([1000 * radius * np.array(RADIUS_FACTORS), forces])
+            curves[f"trend/{name}"] = np.stack([1000 * radii, forces])
     curves["changes"] = np.array([[m.value, m.limit or 0.0] for m in measures if m.limit is not None])
     return CheckResult(check="convergence", title=TITLE, measures=tuple(measures), curves=curves)
 
@@ -186,10 +199,10 @@ def recalibrated(bench: Bench, depths: Array, wanted: Array) -> Tissue:
     return law(p)
 
 
-def trend(subject: Subject, shape: Shape, radius_m: float) -> Array:
-    """(3,) force [N] at TREND_DEPTH_M for RADIUS_FACTORS, on the belly: there the largest too meets only tissue."""
+def trend(subject: Subject, size: Trend) -> Array:
+    """(3,) force [N] at TREND_DEPTH_M for RADIUS_FACTORS."""
     return np.array([
-        declared_bench(subject, "abdomen", Indenter(shape=shape, size_m=radius_m * factor)).response(
+        declared_bench(subject, size.region, Indenter(shape=size.shape, size_m=size.radius_m * factor)).response(
             np.array([TREND_DEPTH_M])
         )[0]
         for factor in RADIUS_FACTORS
@@ -214,17 +227,17 @@ def draw(result: CheckResult, figure: Figure) -> None:
     if regions:
         axes[1].set_ylabel("force [N]")
         figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-        for name, (_, _, known) in TRENDS.items():
+        for name, size in TRENDS.items():
             radius, force = result.curves[f"trend/{name}"]
             (line,) = axes[-1].loglog(radius, force, "o-", ms=3, label=name)
-            for exponent in known:
+            for exponent in size.layer or ():
                 axes[-1].loglog(
                     radius, force[1] * (radius / radius[1]) ** exponent, ":", color=line.get_color(), lw=0.8
                 )
         axes[-1].set(xlabel="tool radius [mm]", ylabel="force [N]", title="tool size (dotted: layer)")
         axes[-1].minorticks_off()
         axes[-1].set_xticks([6, 12, 24], ["6", "12", "24"])
-        axes[-1].set_yticks([0.25, 0.5, 1, 2, 4], ["0.25", "0.5", "1", "2", "4"])
+        axes[-1].set_yticks([0.5, 1, 2, 4, 8], ["0.5", "1", "2", "4", "8"])
         axes[-1].legend()
 
 
