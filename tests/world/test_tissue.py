@@ -66,8 +66,8 @@ def test_core_lies_at_the_measured_depth(region: str) -> None:
 @pytest.mark.parametrize("name", body_names())
 @pytest.mark.parametrize("region", REGIONS)
 def test_core_of_every_body(name: str, region: str) -> None:
-    """Where a slim upper arm narrows, a wedge bridges its hollow: there the core comes a few millimetres soon, more than
-    24 mm deep."""
+    """Where a slim upper arm narrows a wedge bridges its hollow: there the core comes a few millimetres soon, more
+    than 24 mm deep."""
     tissue = PROTOCOL.person.tissue[region]
     depths, room = depths_of_core(bench(region, tissue, name))
     wanted = np.minimum(tissue.thickness_m, room)
