@@ -81,9 +81,10 @@ def test_a_time_step_of_ten_milliseconds_is_refused() -> None:
 
 
 def test_a_step_that_is_too_long_but_stable_fails_the_convergence() -> None:
-    """Without coupling the tissue is stable at 10 ms."""
+    """Without coupling and membrane the tissue is stable at 10 ms."""
     protocol = at_ten_milliseconds(load_protocol())
-    tissue = {name: row.model_copy(update={"coupling_length_m": 0.0}) for name, row in protocol.person.tissue.items()}
+    alone = {"coupling_length_m": 0.0, "membrane_n_m": 0.0}
+    tissue = {name: row.model_copy(update=alone) for name, row in protocol.person.tissue.items()}
     person = protocol.person.model_copy(update={"tissue": tissue})
     result = validate(protocol.model_copy(update={"person": person}), quick=True, checks=["convergence"]).results[0]
     assert result.error is None
