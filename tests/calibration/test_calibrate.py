@@ -11,6 +11,7 @@ import pytest
 
 from carecontact.calibration.calibrate import hardly_identified
 from carecontact.calibration.certificate import Content, Value, content_sha256, read_certificate
+from carecontact.calibration.fit import moved_back
 from carecontact.cli import main
 from carecontact.protocols import load_protocol
 from carecontact.protocols.tissue_sets import load_tissue_set
@@ -272,3 +273,10 @@ def test_shipped_examples_are_small_and_labelled(region: str) -> None:
     assert path.stat().st_size < 300_000
     assert text.startswith("# SYNTHETIC")
     assert all("synthetic" in line for line in text.splitlines()[2:])
+
+
+def test_a_share_that_a_resample_holds_at_zero_stays_there() -> None:
+    """Where the full step too ends at zero, taking it off would give back the optimum and hide the way down to zero."""
+    optimum = np.array([1.0, 0.0, 0.2, 0.5])
+    full, resampled = np.array([1.1, 0.0, 0.0, 0.5]), np.array([0.9, 0.0, 0.0, 0.6])
+    np.testing.assert_allclose(moved_back(resampled, full - optimum), [0.8, 0.0, 0.0, 0.6])

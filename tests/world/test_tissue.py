@@ -66,13 +66,13 @@ def test_core_lies_at_the_measured_depth(region: str) -> None:
 @pytest.mark.parametrize("name", body_names())
 @pytest.mark.parametrize("region", REGIONS)
 def test_core_of_every_body(name: str, region: str) -> None:
-    """Where a slim upper arm narrows a wedge bridges its hollow: there the core comes a few millimetres soon, more
-    than 24 mm deep."""
+    """Where an upper arm narrows a wedge bridges its hollow, and the core comes a few millimetres soon."""
     tissue = PROTOCOL.person.tissue[region]
     depths, room = depths_of_core(bench(region, tissue, name))
     wanted = np.minimum(tissue.thickness_m, room)
-    assert np.percentile(depths - wanted, 5) > -0.005
-    assert (depths > 0.8 * wanted).all()
+    assert np.percentile(depths - wanted, 5) > (-0.005 if region == "upper_arm" else -0.001)
+    assert (depths - wanted > -0.006).all()
+    assert region != "upper_arm" or (depths > 0.024).all()
     assert np.median(np.abs(depths - wanted)) < 0.001
 
 

@@ -203,9 +203,7 @@ class _Problem:
         weights = rng.multinomial(count, np.full(count, 1 / count), BOOTSTRAPS).astype(float)
         # The optimum is found to a tolerance; what is left of the way to it is no part of the spread.
         rest = self.step(p, np.ones(count)) - p
-        draws = np.array([self.step(p, weight) for weight in weights]) - rest
-        draws[:, 1:3] = np.maximum(draws[:, 1:3], 0.0)
-        return draws
+        return np.array([moved_back(self.step(p, weight), rest) for weight in weights])
 
     def held_out(self, p: Array, residual: Array, jacobian: Array) -> list[Agreement]:
         """Every trial once: the law comes from the other folds (one Gauss-Newton step), the press is simulated anew."""
@@ -217,8 +215,7 @@ class _Problem:
         rest = self.step(p, np.ones(len(self.curves))) - p
         for fold in np.unique(folds):
             gone = [int(k) for k in np.flatnonzero(folds == fold)]
-            law = self.step(p, (folds != fold).astype(float)) - rest
-            law[1:3] = np.maximum(law[1:3], 0.0)
+            law = moved_back(self.step(p, (folds != fold).astype(float)), rest)
             replayed = self.at(law, only=sorted({self.owner[k] for k in gone}))
             rows = agreements(self.curves, self.replay.groups, replayed)
             out |= {k: rows[n] for n, k in enumerate(self._seen(replayed)) if k in gone}
@@ -258,6 +255,13 @@ def _step_within(p: Array, normal: Array, gradient: Array) -> Array:
         gradient = gradient + normal[:, below] @ (-p[below])
         p = p.copy()
         p[below] = 0.0
+    return out
+
+
+def moved_back(stepped: Array, rest: Array) -> Array:
+    """``stepped`` less ``rest``; b and c that a step held at zero stay there, and none falls below."""
+    out = stepped - rest
+    out[1:3] = np.where(stepped[1:3] <= 0, 0.0, np.maximum(out[1:3], 0.0))
     return out
 
 

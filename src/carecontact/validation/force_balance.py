@@ -52,7 +52,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
             line("bed reaction against weight and press", gap["bed"].max(), 1.0),
             line("bed against weight before the press", abs(weight / wanted_weight - 1), 1.0),
             Measure(name=f"{region}: tool speed at the readings", value=1000 * float(rows["speed"].max()), unit="mm/s",
-                    limit=2.0, side="below"),
+                    limit=0.1, side="below"),
             Measure(name=f"{region}: readings out of range or on hard parts",
                     value=float(((deep < RANGE_M[0]) | (deep > RANGE_M[1]) | (rows["hard"] > 0)).sum()), limit=0.0),
             Measure(name=f"{region}: largest force", value=float(size.max()), unit="N"),

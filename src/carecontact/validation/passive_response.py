@@ -21,7 +21,9 @@ TITLE = "Passive response of the arm"
 PUSHES_N, QUICK_PUSHES_N = (10.0, -10.0, 20.0, -20.0), (20.0,)
 PUSH_S, RISE_S, RELEASE_S = 1.5, 0.4, 3.0
 RAMP_N_S, BREAKAWAY_M = 10.0, 0.002
-LOCK_NMS_RAD = 1e6
+LOCK_KGM2 = 1e5
+"""Added to each joint's inertia: 20 N turn it by less than 0.1 mrad. A damper of 1e6 N m s/rad instead let the whole
+person creep, by 1 mm on man-adult-heavy."""
 REST_M_S = 0.010
 STOP_TORQUE_NM = {"upper_arm": 8.0, "forearm_flexion": 5.0, "forearm_supination": 2.5, "hand": 1.5}
 """More than the passive joint resists anywhere in its range; it grows over STOP_RISE_S, as a hand would pull."""
@@ -116,10 +118,10 @@ def pushed_and_released(
 
 
 def lock_arm(simulation: Simulation) -> None:
-    """Hold every joint of the right arm where it is."""
+    """Hold every joint of the right arm, at rest, where it is."""
     for name in simulation.joint_names:
         if name.startswith("right_"):
-            simulation.model.dof_damping[simulation.model.joint(f"human_{name}").dofadr[0]] = LOCK_NMS_RAD
+            simulation.model.dof_armature[simulation.model.joint(f"human_{name}").dofadr[0]] = LOCK_KGM2
 
 
 def ramp(simulation: Simulation) -> tuple[Array, Array]:
