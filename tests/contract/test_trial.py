@@ -23,6 +23,13 @@ def test_header_round_trip_keeps_the_protocols_hash() -> None:
     assert back.protocol.sha256 == SPEC.protocol.sha256
 
 
+def test_an_empty_noise_salt_is_not_spelt_and_another_one_is() -> None:
+    """Recordings without sensor noise keep the hash that they had before there were salts."""
+    assert set(SPEC.model_dump(mode="json")) == {"protocol", "task_id", "seed", "policy"}
+    salted = SPEC.model_copy(update={"noise_salt": "ab"})
+    assert TrialSpec.model_validate_json(salted.model_dump_json()).noise_salt == "ab"
+
+
 def test_a_spec_is_frozen_and_closed() -> None:
     with pytest.raises(ValidationError):
         SPEC.seed = 8

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from carecontact.policies.conversation import BUDGET_S
 from carecontact.policies.process import PolicyProcess
 
 PREAMBLE = """
@@ -30,10 +31,16 @@ def launch(tmp_path: Path) -> Iterator[Launch]:
     """``launch(source)``: a process for class P of a module with that source; closed at the end of the test."""
     opened: list[PolicyProcess] = []
 
-    def start(source: str, *, first_deadline_s: float = 20.0, deadline_s: float = 20.0) -> PolicyProcess:
+    def start(
+        source: str, *, first_deadline_s: float = 20.0, deadline_s: float = 20.0, budget_s: float = BUDGET_S
+    ) -> PolicyProcess:
         (tmp_path / "under_test.py").write_text(PREAMBLE + textwrap.dedent(source))
         process = PolicyProcess(
-            "under_test:P", first_deadline_s=first_deadline_s, deadline_s=deadline_s, search_path=[str(tmp_path)]
+            "under_test:P",
+            first_deadline_s=first_deadline_s,
+            deadline_s=deadline_s,
+            budget_s=budget_s,
+            search_path=[str(tmp_path)],
         )
         opened.append(process)
         return process

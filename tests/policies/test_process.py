@@ -195,6 +195,42 @@ def test_a_policy_that_does_not_read_is_killed(launch: Launch) -> None:
     assert _children() == []
 
 
+def test_many_slow_calls_use_up_the_budget_of_a_trial(launch: Launch) -> None:
+    """Each is within its deadline; without a budget a trial would end by the supervisor's limit, for nobody."""
+    process = launch("class P(Base):\n    def act(self, o): time.sleep(0.5); return Action()", budget_s=5.0)
+    process.start()
+    process.reset("touch", SESSION)
+
+    def many() -> None:
+        for _ in range(12):
+            process.act(synthetic_observation())
+
+    with pytest.raises(PolicyError, match="failed at act: took more than 5 s of wall time in all its calls") as caught:
+        many()
+    assert caught.value.kind == "timeout"
+    assert _children() == []
+
+
+@pytest.mark.parametrize(
+    "environment", ["os.environ", "{}"], ids=["marked", "without its variables but with a living parent"]
+)
+def test_a_process_in_a_session_of_its_own_is_killed(launch: Launch, tmp_path: Path, environment: str) -> None:
+    process = launch(
+        f"""
+        import subprocess
+        class P(Base):
+            def act(self, observation):
+                sleeper = [sys.executable, "-c", "import time; time.sleep(60)"]
+                child = subprocess.Popen(sleeper, env=dict({environment}), start_new_session=True)
+                open(os.path.join(os.path.dirname(__file__), "pid"), "w").write(str(child.pid))
+                {"os._exit(3)" if environment == "os.environ" else "time.sleep(60)"}
+        """,
+        first_deadline_s=5.0,
+    )
+    assert _failure(process, at="act").kind in ("died", "timeout")
+    assert _soon(lambda: not _alive(int((tmp_path / "pid").read_text())))
+
+
 def test_a_hanging_import_is_killed(launch: Launch) -> None:
     error = _failure(launch("print('loading', flush=True)\ntime.sleep(60)", first_deadline_s=2.5), at="start")
     assert error.kind == "timeout"
@@ -261,12 +297,13 @@ def test_output_is_kept(launch: Launch) -> None:
     assert process.printed == "heard touch"
 
 
-def test_the_process_ends_with_its_parent(tmp_path: Path) -> None:
+@pytest.mark.parametrize("hangs", ["time.sleep(60)", "os.kill(os.getpid(), 19)"], ids=["sleeps", "stopped"])
+def test_the_process_ends_with_its_parent(tmp_path: Path, hangs: str) -> None:
     """The parent dies without a word while the policy hangs."""
     (tmp_path / "orphan.py").write_text(
         PREAMBLE
         + "class P(Base):\n    def reset(self, i):\n        print(os.getpid(), file=open('pid', 'w'))\n"
-        + "        os.rename('pid', 'born'); time.sleep(60)\n"
+        + f"        os.rename('pid', 'born'); {hangs}\n"
     )
     parent = subprocess.Popen(
         [
@@ -285,6 +322,8 @@ def test_the_process_ends_with_its_parent(tmp_path: Path) -> None:
     born = tmp_path / "born"
     assert _soon(born.exists)
     pid = int(born.read_text())
+    if hangs != "time.sleep(60)":
+        assert _soon(lambda: Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T")
     parent.kill()
     parent.wait()
     assert _soon(lambda: not _alive(pid))

@@ -55,7 +55,14 @@ def main() -> int:
         commands.write(f"{out} {sys.orig_argv}\n")
     note(f"{trial_id} {os.getpid()}")
     does = json.loads(os.environ["FAKE_PLAN"]).get(trial_id, "good")
-    if does == "kill":
+    if does in ("lost", "lost_once", "lost_after", "stopped"):
+        from carecontact.trials.worker import POLICY_GONE, POLICY_RUNS
+
+        os.write(asked["phase_fd"], POLICY_RUNS + (POLICY_GONE if does == "lost_after" else b""))
+        if does != "lost_once" or Path(os.environ["FAKE_LOG"]).read_text().count(trial_id) == 1:
+            os.kill(os.getpid(), signal.SIGSTOP if does == "stopped" else signal.SIGKILL)
+        write(spec, out, "good")
+    elif does == "kill":
         os.kill(os.getpid(), signal.SIGKILL)
     elif does == "exit":
         sys.stderr.write("evidence on stderr\n")
@@ -63,6 +70,14 @@ def main() -> int:
         os._exit(7)
     elif does == "garbage":
         Path(out).write_bytes(b"not a recording")
+    elif does == "leave":
+        from carecontact.policies.descendants import MARK, new_mark
+
+        # What a policy that started a process in a session of its own leaves when it killed its harness.
+        sleeper = [sys.executable, "-c", "import time; time.sleep(600)"]
+        child = subprocess.Popen(sleeper, env={**os.environ, MARK: new_mark()}, start_new_session=True)
+        note(f"child {child.pid}")
+        os.kill(os.getpid(), signal.SIGKILL)
     elif does == "hang":
         note(f"child {subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']).pid}")
         time.sleep(600)

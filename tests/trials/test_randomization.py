@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from carecontact.protocols import load_protocol
-from carecontact.trials.randomization import STREAMS, comfort_arm_deg, streams
+from carecontact.trials.randomization import STREAMS, comfort_arm_deg, sensor_noise, streams
 
 PROTOCOL = load_protocol("bathing-v1")
 SEEDS = PROTOCOL.randomization.seeds
@@ -72,6 +72,28 @@ def test_streams_are_the_documented_children_of_the_seed() -> None:
     for k, name in enumerate(STREAMS):
         child = np.random.SeedSequence([*words, 3], spawn_key=(k,))
         np.testing.assert_array_equal(made[name].random(4), np.random.default_rng(child).random(4))
+
+
+def test_salted_noise_does_not_tell_the_seed() -> None:
+    """The attack: try candidate seeds against one reading of the encoders of the robot that stands parked."""
+    noisy = PROTOCOL.model_copy(
+        update={"variation": PROTOCOL.variation.model_copy(update={"encoder_noise_rad": 0.003})}
+    )  # fmt: skip
+    parked, seed, candidates = np.array(PROTOCOL.scene.parked_joint_rad), 217, range(300)
+    sag = 1e-4 * np.random.default_rng(0).standard_normal(7)
+
+    def misses(salt: str) -> list[float]:
+        """[rad] of every candidate, as somebody who does not know the salt computes them."""
+        seen = sensor_noise(noisy, seed, salt=salt).joint_position(parked + sag, sim_time_s=0.0)
+        return [np.abs(sensor_noise(noisy, s).joint_position(parked, sim_time_s=0.0) - seen).max() for s in candidates]
+
+    assert int(np.argmin(misses(""))) == seed, "the attack works where there is no salt"
+    assert min(misses("0123abcd")) > 1e-3
+
+    same = [sensor_noise(noisy, seed, salt="0123abcd").joint_position(parked, sim_time_s=0.1) for _ in range(2)]
+    np.testing.assert_array_equal(*same)
+    other = sensor_noise(noisy, seed + 1, salt="0123abcd").joint_position(parked, sim_time_s=0.1)
+    assert np.abs(other - same[0]).max() > 1e-3
 
 
 def test_streams_are_independent() -> None:

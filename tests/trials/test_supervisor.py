@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, read_recording
+from carecontact.scoring import score_recording
 from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.plan import plan_trials
 from carecontact.trials.supervisor import RunSummary, TrialEvent, run_trials
@@ -161,6 +163,33 @@ def test_hanging_worker_is_killed_with_its_children(bench: Bench) -> None:
     assert not any(alive(pid) for pid in pids)
 
 
+def test_a_policy_whose_trial_dies_with_it_twice_has_failed(bench: Bench) -> None:
+    """A trial that the harness lost counts for nobody, so a policy that kills its worker would have n shrink."""
+    does = {"T1-s000": "lost", "T1-s001": "lost_once", "T1-s002": "stopped", "T1-s003": "lost_after"}
+    summary = bench.run(specs(4), does)
+    assert summary.ended == {
+        "T1-s000": "process_failure", "T1-s001": "done", "T1-s002": "process_failure", "T1-s003": "harness_error"
+    }  # fmt: skip
+    assert bench.ran() == [*["T1-s000"] * 2, *["T1-s001"] * 2, *["T1-s002"] * 2, "T1-s003"]
+    redone = [event.trial_id for event in bench.events if event.kind == "redo"]
+    assert sorted(redone) == ["T1-s000", "T1-s001", "T1-s002"]
+    for trial_id, told in (("T1-s000", r"died of signal 9 \(Killed\)"), ("T1-s002", "was stopped by a signal")):
+        recording = bench.recording(trial_id)
+        failure = recording.header.failure
+        assert failure is not None
+        assert failure.kind == "killed"
+        assert re.search(f"{told} while the policy was running, twice", failure.message)
+        score = score_recording(recording)
+        assert (score.is_judged, score.failure_mode, score.attribution) == (True, "process_failure", "process")
+
+
+def test_what_a_policy_left_behind_a_killed_worker_is_killed(bench: Bench) -> None:
+    bench.run(specs(1), {"T1-s000": "leave"})
+    left = [int(line.split()[1]) for line in bench.log.read_text().splitlines() if line.startswith("child")]
+    assert len(left) == 1
+    assert not alive(left[0])
+
+
 def test_resume_runs_only_what_is_missing_damaged_or_asked_for(bench: Bench) -> None:
     does = {"T1-s001": "policy", "T1-s002": "exit"}
     bench.run(specs(3), does)
@@ -184,6 +213,27 @@ def test_resume_runs_only_what_is_missing_damaged_or_asked_for(bench: Bench) -> 
     assert bench.ran() == ["T1-s001", "T1-s002"]
     assert not list(bench.out.glob("*.log"))
     assert bench.recording("T1-s002").header.ended == "done"
+
+
+def test_a_run_with_sensor_noise_draws_a_salt_of_its_own_and_keeps_it(bench: Bench, tmp_path: Path) -> None:
+    noise = PROTOCOL.variation.model_copy(update={"depth_noise": "structured-light-v1"})
+    noisy = PROTOCOL.model_copy(update={"variation": noise})
+    trials = [spec.model_copy(update={"protocol": noisy}) for spec in specs(2)]
+    bench.run(trials[:1])
+    bench.run(trials)
+    assert bench.ran() == ["T1-s001"]
+    first, second = (bench.recording(f"T1-s00{k}").header.spec.noise_salt for k in range(2))
+    assert len(first) == 32
+    assert first == second == json.loads((bench.out / "manifest.json").read_text())["noise_salt"]
+
+    another = Bench(tmp_path / "another")
+    another.folder.mkdir()
+    another.run(trials[:1])
+    assert another.recording("T1-s000").header.spec.noise_salt != first
+    quiet = Bench(tmp_path / "quiet")
+    quiet.folder.mkdir()
+    quiet.run(specs(1))
+    assert quiet.recording("T1-s000").header.spec.noise_salt == ""
 
 
 def test_misnamed_recording_is_run_again(bench: Bench) -> None:

@@ -79,7 +79,9 @@ def test_same_spec_in_fresh_processes_gives_the_same_recording(policies: Path, t
 
 
 def test_action_outside_the_workspace_is_the_policys_process_failure(policies: Path) -> None:
-    recording = run_trial(spec("my_policies:Outside"), search_path=[str(policies)])
+    told: list[bool] = []
+    recording = run_trial(spec("my_policies:Outside"), search_path=[str(policies)], on_policy=told.append)
+    assert told == [True, False]
     assert recording.header.ended == "process_failure"
     assert recording.header.failure is not None
     assert recording.header.failure.kind == "action"

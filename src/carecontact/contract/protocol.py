@@ -82,6 +82,11 @@ class Variation(Section):
     place_yaw_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
     """The same, turned about the vertical through the right shoulder (``world.place``)."""
 
+    @property
+    def sensor_noise(self) -> bool:
+        """Whether anything is drawn that a policy reads off its sensors."""
+        return self.depth_noise != "none" or self.encoder_noise_rad > 0
+
 
 class Vision(Section):
     """Which model says where the person is in an image; by default the key points' own."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
 
 from carecontact.contract.protocol import Protocol
 
@@ -17,6 +19,14 @@ class TrialSpec(BaseModel):
     seed: int
     policy: str
     """Registry name, ``module:Class`` or ``ws://HOST:PORT``."""
+    noise_salt: str = ""
+    """Drawn by a run whose protocol names sensor noise and never shown to the policy: noise that protocol and seed
+    alone decide would tell the seed to whoever tries the published ones against a single reading."""
+
+    @model_serializer(mode="wrap")
+    def _without_empty_salt(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A trial without a salt has the spelling, and so the hash, that it had before there were salts."""
+        return {name: value for name, value in serialize(self).items() if name != "noise_salt" or value}
 
     @property
     def trial_id(self) -> str:

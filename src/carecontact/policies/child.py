@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import json
 import os
+import signal
 import sys
 import threading
 import traceback
@@ -14,9 +16,13 @@ from carecontact.contract.policy import Policy
 from carecontact.policies.wall import raise_wall
 from carecontact.policies.wire.server import TRACEBACK_CHARS, serve_policy
 
+_PR_SET_PDEATHSIG = 1
+"""linux/prctl.h"""
+
 
 def main(target: str, search_path: list[str], *, report_fd: int, lifeline_fd: int) -> None:
     """Serve ``module:Class``. Writes one JSON line to ``report_fd``: ``{"port": n}`` or ``{"error": text}``."""
+    _die_with_parent()
     threading.Thread(target=_end_with_parent, args=(lifeline_fd,), daemon=True).start()
     with os.fdopen(report_fd, "w") as report:
         try:
@@ -47,6 +53,12 @@ def _load(target: str) -> Policy:
     if missing:
         raise TypeError(f"{target} has no method {' or '.join(missing)}; a policy has card, reset and act")
     return cast(Policy, policy)
+
+
+def _die_with_parent() -> None:
+    """SIGKILL from the kernel, which also ends a policy that has stopped itself and so hears no pipe."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
 
 
 def _end_with_parent(lifeline_fd: int) -> None:

@@ -18,6 +18,10 @@ from carecontact.policies.wire.client import ActReply, PolicyClient
 GRACE_S = 1.0
 """Between being asked to end and being cut off."""
 EVIDENCE_CHARS = 4000
+BUDGET_S = 3600.0
+"""Wall time that a policy may take in one trial, all calls together: 2.4 s for each of the 1,500 calls that 30 s at
+50 Hz can hold. In code and in no protocol: it only keeps a trial from ending by the supervisor's limit, which would be
+nobody's fault."""
 
 
 class PolicyConversation(ABC):
@@ -27,11 +31,12 @@ class PolicyConversation(ABC):
     where that is known) and leaves nothing open behind. After a failure the object is closed.
     """
 
-    def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float) -> None:
+    def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S) -> None:
         """``first_deadline_s`` holds for the start, each reset and the first act, when models load; ``deadline_s`` for
-        every later act."""
+        every later act; ``budget_s`` for all of them together."""
         self.policy = policy
         self._first_deadline_s, self._deadline_s = first_deadline_s, deadline_s
+        self._budget_s = self._left_s = budget_s
         self._acted = False
         self._client: PolicyClient | None = None
 
@@ -50,25 +55,25 @@ class PolicyConversation(ABC):
 
     def start(self) -> PolicyCard:
         """Connect; returns the policy's card."""
-        deadline = time.monotonic() + self._first_deadline_s
+        with self._evidence("start"), self._within(self._first_deadline_s) as allowed_s:
+            deadline = time.monotonic() + allowed_s
 
-        def left() -> float:
-            return max(deadline - time.monotonic(), 0.0)
+            def left() -> float:
+                return max(deadline - time.monotonic(), 0.0)
 
-        with self._evidence("start"):
             self._client = self._open(left)
             return self._client.card(deadline_s=left())
 
     def reset(self, instruction: str, session: Session) -> None:
-        with self._evidence("reset"):
-            self._connected().reset(instruction, session, deadline_s=self._first_deadline_s)
+        with self._evidence("reset"), self._within(self._first_deadline_s) as allowed_s:
+            self._connected().reset(instruction, session, deadline_s=allowed_s)
 
     def act(self, observation: Observation) -> ActReply:
         """One observation, one checked chunk. ObservationError and ContractError are the harness's own mistakes."""
         deadline_s = self._deadline_s if self._acted else self._first_deadline_s
         self._acted = True
-        with self._evidence("act"):
-            return self._connected().act(observation, deadline_s=deadline_s)
+        with self._evidence("act"), self._within(deadline_s) as allowed_s:
+            return self._connected().act(observation, deadline_s=allowed_s)
 
     def close(self) -> None:
         """End the conversation, gracefully if the policy still answers. Idempotent."""
@@ -98,6 +103,22 @@ class PolicyConversation(ABC):
                 f"{type(self).__name__}: start() comes first, and nothing comes after a failure or close()"
             )
         return self._client
+
+    @contextmanager
+    def _within(self, deadline_s: float) -> Generator[float, None, None]:
+        """Gives the seconds that a call may take, and takes those that it took off the budget."""
+        started, allowed_s = time.monotonic(), min(deadline_s, self._left_s)
+        try:
+            yield allowed_s
+        except PolicyError as error:
+            if error.kind == "timeout" and allowed_s < deadline_s:
+                raise PolicyError(
+                    "timeout", f"took more than {self._budget_s:g} s of wall time in all its calls of one trial",
+                    notes=error.notes,
+                ) from None  # fmt: skip
+            raise
+        finally:
+            self._left_s = max(self._left_s - (time.monotonic() - started), 0.0)
 
     @contextmanager
     def _evidence(self, doing: str) -> Generator[None, None, None]:

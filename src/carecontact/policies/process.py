@@ -17,7 +17,8 @@ from typing import Any
 
 import carecontact
 from carecontact.errors import PolicyError
-from carecontact.policies.conversation import GRACE_S, PolicyConversation
+from carecontact.policies.conversation import BUDGET_S, GRACE_S, PolicyConversation
+from carecontact.policies.descendants import MARK, kill_marked, new_mark
 from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
 from carecontact.policies.registry import resolve_policy
 from carecontact.policies.wire.client import PolicyClient
@@ -47,16 +48,23 @@ class PolicyProcess(PolicyConversation):
     """A conversation with a policy whose process it starts, and leaves no process behind."""
 
     def __init__(
-        self, policy: str, *, first_deadline_s: float, deadline_s: float, search_path: Sequence[str] = ()
+        self,
+        policy: str,
+        *,
+        first_deadline_s: float,
+        deadline_s: float,
+        budget_s: float = BUDGET_S,
+        search_path: Sequence[str] = (),
     ) -> None:
         """``policy``: a registered name or ``module:Class``, looked up in ``search_path`` first.
 
         Raises UnknownNameError or ConfigError.
         """
-        super().__init__(policy, first_deadline_s=first_deadline_s, deadline_s=deadline_s)
+        super().__init__(policy, first_deadline_s=first_deadline_s, deadline_s=deadline_s, budget_s=budget_s)
         self._target = resolve_policy(policy)
         self._search_path = [os.path.abspath(p) for p in search_path]
         self._child: subprocess.Popen[bytes] | None = None
+        self._mark = new_mark()
         self._lifeline: int | None = None
         self._output = b""
         self._reader: threading.Thread | None = None
@@ -102,7 +110,7 @@ class PolicyProcess(PolicyConversation):
             # set, and so a policy's answer, may differ from run to run.
             self._child = subprocess.Popen(
                 [sys.executable, "-s", "-P", "-u", "-c", _BOOTSTRAP, json.dumps(options)],
-                env=_environment(),
+                env=_environment() | {MARK: self._mark},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
@@ -149,10 +157,11 @@ class PolicyProcess(PolicyConversation):
         return f" (exit code {code})"
 
     def _kill(self) -> None:
-        """The whole process group, so that nothing that the policy started outlives it."""
+        """The process group at once, then whatever left it: nothing that the policy started outlives it."""
         if self._child is not None:
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._child.pid, signal.SIGKILL)
+            kill_marked(self._mark)
 
     def _drop(self) -> None:
         self._kill()

@@ -17,6 +17,7 @@ from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.errors import ContractError
+from carecontact.policies.descendants import MARK
 from carecontact.policies.wire import codec
 
 TASK, TOLD = "witness.json", "told.json"
@@ -68,7 +69,8 @@ def everything_here() -> dict[str, object]:
     headers = [] if request is None else sorted(request.headers.raw_items())
     return {
         "arguments": [_without_pipes(argument) for argument in sys.orig_argv],
-        "environment": dict(os.environ),
+        # The mark is a process id and chance.
+        "environment": {name: value for name, value in os.environ.items() if name != MARK},
         "folder": os.getcwd(),
         "open_files": _open_files(),
         "request": {

@@ -1,4 +1,4 @@
-"""The recording of a trial that the harness, not the policy, failed to bring to an end."""
+"""The recording of a trial of which nothing but its failure is left."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import re
 
 from carecontact.contract.trial import TrialSpec
-from carecontact.recording.schema import REGIONS, SEGMENTS, Failure, Header, Recording, empty_arrays
+from carecontact.recording.schema import REGIONS, SEGMENTS, EndReason, Failure, Header, Recording, empty_arrays
 from carecontact.trials.versions import package_versions
 
 EVIDENCE_CHARACTERS = 4000
@@ -18,11 +18,20 @@ _RAISED = re.compile(r"^[A-Za-z_][\w.]*(Error|Exception|Exit|Interrupt|Warning)\
 
 
 def harness_error_recording(spec: TrialSpec, *, kind: str, message: str) -> Recording:
-    """A zero-length recording with ``ended="harness_error"`` and the evidence in its failure."""
+    """A zero-length recording with ``ended="harness_error"`` and the evidence in its failure; judges nobody."""
+    return _without_data(spec, ended="harness_error", kind=kind, message=message)
+
+
+def killed_by_policy_recording(spec: TrialSpec, *, message: str) -> Recording:
+    """A zero-length recording with ``ended="process_failure"``: a trial whose process dies whenever its policy runs."""
+    return _without_data(spec, ended="process_failure", kind="killed", message=message)
+
+
+def _without_data(spec: TrialSpec, *, ended: EndReason, kind: str, message: str) -> Recording:
     half_yaw = math.radians(spec.protocol.scene.robot_yaw_deg) / 2
     header = Header(
         spec=spec,
-        ended="harness_error",
+        ended=ended,
         failure=Failure(kind=kind, message=message),
         card=None,
         embodiment="none",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,6 +43,8 @@ class Manifest(BaseModel):
     identity: Identity
     trials: list[str]
     """Ids of every trial that any command planned here."""
+    noise_salt: str = ""
+    """Of every trial here; empty where the protocol names no sensor noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,10 +106,22 @@ def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity,
         policy=specs[0].policy,
         protocol=ProtocolName(id=protocol.id, sha256=protocol.sha256, overrides=protocol.overrides),
         identity=identity,
+        noise_salt=specs[0].noise_salt,
         trials=sorted({*(earlier.trials if earlier else ()), *(spec.trial_id for spec in specs)}),
     )
-    text = json.dumps(manifest.model_dump(mode="json", by_alias=True), indent=2)
+    unsalted = set[str]() if manifest.noise_salt else {"noise_salt"}
+    text = json.dumps(manifest.model_dump(mode="json", by_alias=True, exclude=unsalted), indent=2)
     replace_file(out / MANIFEST, f"{text}\n".encode("ascii"))
+
+
+def salted(specs: Sequence[TrialSpec], *, out: Path) -> list[TrialSpec]:
+    """The trials with the noise salt of the run in ``out``, a fresh one for a new run; as they are where the protocol
+    names no sensor noise or they have a salt. Raises ConfigError as ``read_manifest``."""
+    if not specs[0].protocol.variation.sensor_noise or specs[0].noise_salt:
+        return list(specs)
+    earlier = read_manifest(out)
+    salt = (earlier.noise_salt if earlier else "") or secrets.token_hex(16)
+    return [spec.model_copy(update={"noise_salt": salt}) for spec in specs]
 
 
 def read_manifest(out: Path) -> Manifest | None:

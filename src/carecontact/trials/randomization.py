@@ -51,7 +51,11 @@ def lay(scene: Scene, seed: int) -> None:
         move_person(scene.model, draw_place(streams(scene.protocol, seed)["place"], variation))
 
 
-def sensor_noise(protocol: Protocol, seed: int) -> SensorNoise:
-    """Of one trial; passes everything through where the protocol names no noise."""
+def sensor_noise(protocol: Protocol, seed: int, *, salt: str = "") -> SensorNoise:
+    """Of one trial; passes everything through where the protocol names no noise. ``salt``: the trial's ``noise_salt``,
+    without which the noise tells the seed."""
     key = streams(protocol, seed)["sensor_noise"].integers(2**32, size=4).tolist()
+    if salt:
+        # One way: not even the whole noise of a trial gives salt or seed back.
+        key = np.frombuffer(hashlib.sha256(f"{salt} {key}".encode()).digest(), "<u4").tolist()
     return SensorNoise(protocol.variation, key=key, dt_s=protocol.physics.dt_s)

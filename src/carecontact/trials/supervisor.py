@@ -19,21 +19,23 @@ from typing import Literal
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, RecordingError
+from carecontact.policies.descendants import kill_marked, marks_of
 from carecontact.policies.language import LANGUAGE_VARIABLE
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.schema import EndReason, Recording
-from carecontact.trials.failed import harness_error_recording, reason, tail
+from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, reason, tail
 from carecontact.trials.identity import POLICY_PATH, identity_of
-from carecontact.trials.manifest import FAILED, Purpose, survey, write_manifest
-from carecontact.trials.worker import SINGLE_THREAD
+from carecontact.trials.manifest import FAILED, Purpose, salted, survey, write_manifest
+from carecontact.trials.worker import POLICY_RUNS, SINGLE_THREAD
 
 # -P: the folder a user happens to stand in must not shadow a module of the trial's process.
 WORKER_COMMAND = (sys.executable, "-P", "-X", "faulthandler", "-m", "carecontact.trials.worker")
 WORK_PREFIX = ".running-"
 LOCK = "lock"
 POLL_S = 0.05
-DEFAULT_TRIAL_LIMIT_S = 3600.0
-"""Wall clock. Only a harness that hangs gets near it: a policy's own calls have deadlines in the protocol."""
+DEFAULT_TRIAL_LIMIT_S = 14400.0
+"""Wall clock. Only a harness that hangs gets near it: a policy has an hour for all its calls (``BUDGET_S``), which
+leaves 7 s for each of the 1,500 observations that it can ask for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +65,8 @@ class _Running:
     process: subprocess.Popen[bytes]
     partial: Path
     output: Path
+    phase: int
+    """End of the pipe in which the worker tells when its policy runs."""
     started: float
 
 
@@ -74,41 +78,55 @@ class _Run:
     environment: Mapping[str, str]
     trial_limit_s: float
     running: list[_Running] = field(default_factory=list)
+    again: set[str] = field(default_factory=set[str])
+    """Trials whose process was lost once while their policy ran."""
 
     def start(self, spec: TrialSpec) -> None:
         # Neither a name nor a command line may tell the policy, which can read both, what it is tried on.
         folder = Path(tempfile.mkdtemp(dir=self.work))
         partial, output = folder / "trial.h5", folder / "output.txt"
-        with output.open("wb") as log:
-            process = subprocess.Popen(
-                self.command,
-                stdin=subprocess.PIPE,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env={**os.environ, **SINGLE_THREAD, "PYTHONHASHSEED": "0", **self.environment},
-                start_new_session=True,
-            )
+        phase, phase_fd = os.pipe()
+        os.set_blocking(phase, False)
+        try:
+            with output.open("wb") as log:
+                process = subprocess.Popen(
+                    self.command,
+                    stdin=subprocess.PIPE,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    env={**os.environ, **SINGLE_THREAD, "PYTHONHASHSEED": "0", **self.environment},
+                    pass_fds=(phase_fd,),
+                    start_new_session=True,
+                )
+        finally:
+            os.close(phase_fd)
         assert process.stdin is not None
         # A worker that is dead already is found so when it is polled.
         with suppress(BrokenPipeError), process.stdin as stdin:
-            stdin.write(json.dumps({"spec": spec.model_dump(mode="json"), "out": str(partial.resolve())}).encode())
+            asked = {"spec": spec.model_dump(mode="json"), "out": str(partial.resolve()), "phase_fd": phase_fd}
+            stdin.write(json.dumps(asked).encode())
         self.running.append(
-            _Running(spec=spec, process=process, partial=partial, output=output, started=time.monotonic())
+            _Running(spec=spec, process=process, partial=partial, output=output, phase=phase, started=time.monotonic())
         )
 
-    def finished(self) -> list[tuple[TrialSpec, Recording]]:
-        """Reap the workers that have ended or run out of time; their recordings are in ``out`` afterwards."""
-        done = []
+    def finished(self) -> list[tuple[TrialSpec, Recording | None]]:
+        """Reap the workers that have ended, were stopped or ran out of time; their recordings are then in ``out``.
+        None: the trial has to run once more."""
+        done: list[tuple[TrialSpec, Recording | None]] = []
         for worker in list(self.running):
+            stopped = _is_stopped(worker.process)
             timed_out = time.monotonic() - worker.started > self.trial_limit_s
-            if worker.process.poll() is None and not timed_out:
+            if worker.process.poll() is None and not timed_out and not stopped:
                 continue
             self.running.remove(worker)
-            kill_group(worker.process)
-            done.append((worker.spec, self._collect(worker, timed_out=timed_out)))
+            kill_tree(worker.process)
+            with os.fdopen(worker.phase, "rb") as pipe:
+                policy_ran = (pipe.read() or b"").endswith(POLICY_RUNS)
+            recording = self._collect(worker, timed_out=timed_out, stopped=stopped, policy_ran=policy_ran)
+            done.append((worker.spec, recording))
         return done
 
-    def _collect(self, worker: _Running, *, timed_out: bool) -> Recording:
+    def _collect(self, worker: _Running, *, timed_out: bool, stopped: bool, policy_ran: bool) -> Recording | None:
         trial_id = worker.spec.trial_id
         problem = None
         try:
@@ -120,11 +138,22 @@ class _Run:
             recording, problem = None, error
         if recording is None or problem is not None:
             output = worker.output.read_text(errors="replace")
-            kind, told = _death(worker.process.returncode, timed_out=timed_out, limit_s=self.trial_limit_s)
-            message = told if kind != "no_recording" else f"{told}: {problem}"
-            recording = harness_error_recording(
-                worker.spec, kind=kind, message=f"{message}\n\n{tail(output) or '(no output)'}"
+            kind, told = _death(
+                worker.process.returncode, timed_out=timed_out, stopped=stopped, limit_s=self.trial_limit_s
             )
+            evidence = f"\n\n{tail(output) or '(no output)'}"
+            message = told if kind != "no_recording" else f"{told}: {problem}"
+            if not policy_ran or timed_out:
+                recording = harness_error_recording(worker.spec, kind=kind, message=f"{message}{evidence}")
+            elif trial_id not in self.again:
+                # Chance, such as a machine out of memory, does not come twice at the same place; a policy that kills
+                # does, and must not be able to leave its bad trials out of the count.
+                self.again.add(trial_id)
+                return None
+            else:
+                recording = killed_by_policy_recording(
+                    worker.spec, message=f"{message} while the policy was running, twice{evidence}"
+                )
             write_recording(recording, worker.partial)
         os.replace(worker.partial, self.out / f"{trial_id}.h5")
         log = self.out / f"{trial_id}.log"
@@ -141,7 +170,8 @@ class _Run:
 
     def kill_all(self) -> None:
         for worker in self.running:
-            kill_group(worker.process)
+            kill_tree(worker.process)
+            os.close(worker.phase)
         self.running.clear()
 
 
@@ -173,6 +203,7 @@ def run_trials(
         specs[0], search_path=given.get(POLICY_PATH, "").split(os.pathsep), language=given.get(LANGUAGE_VARIABLE)
     )
     found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
+    specs = salted(specs, out=out)
     try:
         out.mkdir(parents=True, exist_ok=True)
         remove_abandoned(out)
@@ -202,6 +233,13 @@ def run_trials(
                     run.start(spec)
                     on_event(TrialEvent(kind="started", trial_id=spec.trial_id, done=len(ended), total=total))
                 for spec, recording in run.finished():
+                    if recording is None:
+                        waiting.insert(0, spec)
+                        why = "its process was lost while the policy was running"
+                        on_event(
+                            TrialEvent(kind="redo", trial_id=spec.trial_id, message=why, done=len(ended), total=total)
+                        )
+                        continue
                     header = recording.header
                     ended[spec.trial_id] = header.ended
                     on_event(
@@ -255,16 +293,25 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-def kill_group(process: subprocess.Popen[bytes]) -> None:
-    """The worker and the policy process it may have left behind; both share the worker's session."""
-    try:
+def kill_tree(process: subprocess.Popen[bytes]) -> None:
+    """The worker with its process group, and its policy, which has a session of its own, with all that it started."""
+    with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass
     process.wait()
+    kill_marked(marks_of(process.pid))
 
 
-def _death(returncode: int, *, timed_out: bool, limit_s: float) -> tuple[str, str]:
+def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
+    """Whether somebody sent it SIGSTOP: nothing in the harness does."""
+    try:
+        return os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT) is not None
+    except (AttributeError, ChildProcessError):
+        return False
+
+
+def _death(returncode: int, *, timed_out: bool, stopped: bool, limit_s: float) -> tuple[str, str]:
+    if stopped:
+        return "signal", "the trial's process was stopped by a signal"
     if timed_out:
         return "timeout", f"the trial's process ran longer than {limit_s:g} s and was killed"
     if returncode < 0:

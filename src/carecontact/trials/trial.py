@@ -23,6 +23,7 @@ from carecontact.observation.builder import ObservationBuilder, RawReadings
 from carecontact.observation.keypoints import MediaPipePose
 from carecontact.policies.conversation import PolicyConversation
 from carecontact.policies.opening import open_policy
+from carecontact.policies.remote import remote_address
 from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS, EndReason, Failure, Header, Recording
 from carecontact.sim.close_up import render_close_up
 from carecontact.sim.impedance import steps_of_period
@@ -74,6 +75,7 @@ def run_trial(
     search_path: Sequence[str] | None = None,
     prepare: Callable[[TrialSpec], tuple[Simulation, Settled, str]] | None = None,
     on_look: Callable[[Look], None] | None = None,
+    on_policy: Callable[[bool], None] | None = None,
 ) -> Recording:
     """A policy's failure is part of the recording; what is raised is the harness's own (SceneError and its kin).
 
@@ -81,6 +83,7 @@ def run_trial(
         search_path: where ``module:Class`` is looked for first.
         prepare: gives the world at t = 0, as ``settled_world`` does; the audit has its own.
         on_look: told after every answer what the policy was shown and what it was made of; nothing of it is kept here.
+        on_policy: told True when the process of a local policy is about to start, False when it is gone.
     """
     started = time.monotonic()
     protocol = spec.protocol
@@ -93,8 +96,11 @@ def run_trial(
     if search_path is None:
         search_path = [p for p in os.environ.get(POLICY_PATH, "").split(os.pathsep) if p]
     trial = _Trial(spec, simulation, settled, on_look)
+    tell = on_policy if on_policy is not None and remote_address(spec.policy) is None else _tell_nobody
     with SceneRenderer(scene.model, protocol=protocol) as renderer:
+        tell(True)
         card, ended = trial.run(renderer, list(search_path))
+        tell(False)
         if trial.perception is not None:
             trial.log.extra |= trial.perception.arrays()
         trial.add_report_frames(renderer)
@@ -115,6 +121,10 @@ def run_trial(
         + (["normal-force sensor full: normal sums are too small"] if simulation.normal_sum_truncated else []),
     )  # fmt: skip
     return Recording(header=header, arrays=trial.log.arrays())
+
+
+def _tell_nobody(running: bool) -> None:
+    pass
 
 
 class _Trial:
@@ -159,7 +169,7 @@ class _Trial:
 
     def _act_loop(self, process: PolicyConversation, card: PolicyCard, renderer: SceneRenderer) -> _Ended:
         simulation, impedance = self.simulation, self.protocol.impedance
-        noise = sensor_noise(self.protocol, self.spec.seed)
+        noise = sensor_noise(self.protocol, self.spec.seed, salt=self.spec.noise_salt)
         segmenter = person_segmenter(self.protocol) if "masks" in card.modalities else None
         builder = ObservationBuilder(
             renderer, card, self.protocol, MediaPipePose(), noise=noise, segmenter=segmenter

@@ -1,8 +1,9 @@
 """One trial in its own process: ``python -m carecontact.trials.worker`` with ``{"spec": ..., "out": PATH}`` on stdin.
 
-Not on the command line, where a policy could read which task and seed it is given. Exit status 0 means that PATH was
-written, whatever happened to the trial. A crash of the interpreter itself writes nothing; then the supervisor writes a
-recording.
+Not on the command line, where a policy could read which task and seed it is given. With ``"phase_fd": N`` it writes
+POLICY_RUNS to that file when the process of a local policy is about to start and POLICY_GONE when it is gone. Exit
+status 0 means that PATH was written, whatever happened to the trial. A crash of the interpreter itself writes nothing;
+then the supervisor writes a recording.
 """
 
 from __future__ import annotations
@@ -26,6 +27,9 @@ SINGLE_THREAD = {
 """A sum split over threads depends on how many there are; and the supervisor already uses every core."""
 
 
+POLICY_RUNS, POLICY_GONE = b"+", b"-"
+
+
 def main() -> int:
     os.environ.update(SINGLE_THREAD)
     from carecontact.contract.trial import TrialSpec
@@ -35,10 +39,16 @@ def main() -> int:
 
     asked = json.loads(sys.stdin.buffer.read())
     spec, out = TrialSpec.model_validate(asked["spec"]), Path(asked["out"])
+    phase_fd: int | None = asked.get("phase_fd")
+
+    def tell(running: bool) -> None:
+        if phase_fd is not None:
+            os.write(phase_fd, POLICY_RUNS if running else POLICY_GONE)
+
     try:
         from carecontact.trials.trial import run_trial
 
-        write_recording(run_trial(spec), out)
+        write_recording(run_trial(spec, on_policy=tell), out)
     except Exception as error:
         trace = traceback.format_exc()
         sys.stderr.write(trace)

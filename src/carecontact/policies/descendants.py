@@ -1,0 +1,60 @@
+"""Every process that a policy started, those that left its process group and session too. Linux only."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import signal
+import time
+from contextlib import suppress
+from pathlib import Path
+
+MARK = "CARECONTACT_POLICY_MARK"
+"""Variable in a policy's environment, which every process that it starts inherits."""
+PATIENCE_S = 2.0
+"""For processes that start others while they are being killed."""
+
+_PROC = Path("/proc")
+
+
+def new_mark() -> str:
+    """Of one policy of this process."""
+    return f"{marks_of(os.getpid())}{secrets.token_hex(8)}"
+
+
+def marks_of(harness_pid: int) -> str:
+    """How the marks of all policies of one process begin."""
+    return f"{harness_pid}."
+
+
+def kill_marked(beginning: str) -> None:
+    """SIGKILL for the processes whose mark begins so and for what they started, until there are none.
+
+    One that threw the variable away is found while the process that started it is alive, and no later.
+    """
+    until = time.monotonic() + PATIENCE_S
+    while found := _marked(f"{MARK}={beginning}".encode()):
+        for pid in found:
+            with suppress(ProcessLookupError, PermissionError):
+                os.kill(pid, signal.SIGKILL)
+        if time.monotonic() > until:
+            return
+        time.sleep(0.01)
+
+
+def _marked(entry: bytes) -> set[int]:
+    """Ids of the living processes with a variable that begins so, and of all that descend from them."""
+    parent_of: dict[int, int] = {}
+    found = set[int]()
+    for folder in _PROC.glob("[0-9]*"):
+        with suppress(OSError, ValueError, IndexError):
+            state, parent = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()[:2]
+            if state in "ZX":
+                continue
+            pid = int(folder.name)
+            parent_of[pid] = int(parent)
+            if any(variable.startswith(entry) for variable in (folder / "environ").read_bytes().split(b"\0")):
+                found.add(pid)
+    while more := {pid for pid, parent in parent_of.items() if parent in found and pid not in found}:
+        found |= more
+    return found - {os.getpid()}
