@@ -2,24 +2,29 @@
 
     python tools/perception_table.py [--seeds 6000-6039] [--docs docs/perception.md]
 
-Bodies in turn, comfort angle, skin tone, clothes, hair and light by seed. Each scene is seen three times from overhead:
-robot parked, robot parked with sensor noise, and with the tool 60 mm above each region in turn. Development used seeds
-below 1000; 5000-5039 were measured once before ``KEY_POINTS_AHEAD`` was there.
+Bodies in turn, comfort angle, skin tone, clothes, hair and light by seed. Each scene is seen three times from
+overhead: robot parked, robot parked with sensor noise, and with the tool 60 mm above each region in turn; and once from
+the wrist, robot parked. Development used seeds below 1000; 5000-5039 were measured once before ``KEY_POINTS_AHEAD`` was
+there. Scenes that were measured with other code, rules, body or packages are measured anew.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import inspect
 import json
 import sys
 import time
 from collections.abc import Callable
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
+import carecontact
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Protocol, Variation
@@ -32,7 +37,8 @@ from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Simulation
 from carecontact.trials.perception import PerceptionLog, true_target
-from carecontact.trials.randomization import comfort_arm_deg, dress, sensor_noise
+from carecontact.trials.randomization import comfort_arm_deg, dress, sensor_noise, streams
+from carecontact.world.human.appearance import SKIN_TONES, draw_appearance
 from carecontact.world.human.body import body_names
 from carecontact.world.scene import build_scene
 from panda_kinematics import Arm, pointing_down
@@ -40,12 +46,21 @@ from panda_kinematics import Arm, pointing_down
 Row = dict[str, Any]
 
 CARD = PolicyCard(name="table", modalities=("rgb", "depth", "points", "masks", "landmarks"))
+ON_WRIST = PolicyCard(name="table", modalities=CARD.modalities, cameras=("wrist",))
+SURE = 0.5
+"""Visibility from which a landmark counts as one that the estimator claims to see."""
 VARIED = Variation(appearance="varied-v1", light="varied-v1")
 NOISE = {"depth_noise": "structured-light-v1", "encoder_noise_rad": 0.003}
 OVER_M = 0.060
 LANDMARK_PX, IOU_MEAN, IOU_MIN, TARGET_MM, TARGET_P95_MM = 6.0, 0.95, 0.85, 15.0, 45.0
 """The lines that the parked robot's numbers are held against."""
 BEGIN, END = "<!-- tables: tools/perception_table.py -->", "<!-- end of tables -->"
+SOURCES = (
+    "contract", "observation", "recording/perception.py", "policies/state_machine", "sim", "trials/perception.py",
+    "trials/prepare.py", "trials/randomization.py", "world",
+)  # fmt: skip
+"""Of the package, what a row depends on."""
+PACKAGES = ("mediapipe", "mujoco", "numpy", "opencv-python-headless")
 CONDITIONS = {
     "parked": "Robot parked", "noise": "Robot parked, sensor noise", "over": "Tool 60 mm above the region"
 }  # fmt: skip
@@ -75,15 +90,16 @@ def scene_rows(protocol: Protocol, seed: int, keypoints: Remembering) -> list[Ro
     with SceneRenderer(model, protocol=protocol) as renderer:
         log = PerceptionLog(model, renderer)
 
-        def look(rules: Protocol, condition: str, region: str) -> None:
-            builder = ObservationBuilder(renderer, CARD, rules, keypoints, noise=sensor_noise(rules, seed))
+        def look(rules: Protocol, condition: str, region: str, card: PolicyCard = CARD) -> None:
+            builder = ObservationBuilder(renderer, card, rules, keypoints, noise=sensor_noise(rules, seed))
             seen = builder.build(data, instruction="", sim_time_s=0.0)
             log.add(data, seen)
             found = {path.partition("/")[2]: array[-1] for path, array in log.arrays().items()}
             rows.append(
                 {
-                    "seed": seed, "body": protocol.person.body, "condition": condition, "region": region,
-                    "somebody": somebody(seen), "error_px": found["landmark_error_px"].tolist(),
+                    "seed": seed, "body": protocol.person.body, "tone": skin_tone(protocol, seed),
+                    "condition": condition, "region": region, "somebody": somebody(seen, card.cameras[0]),
+                    "sure": sure_landmarks(seen, card.cameras[0]), "error_px": found["landmark_error_px"].tolist(),
                     "visible": found["joint_visible"].tolist(), "iou": float(found["human_iou"]),
                     "target_m": found["target_error_m"].tolist(),
                 }
@@ -93,6 +109,7 @@ def scene_rows(protocol: Protocol, seed: int, keypoints: Remembering) -> list[Ro
         joints, skin = log.joints_in_base(data), log.skin_in_base(data)
         look(protocol, "parked", "")
         look(noisy, "noise", "")
+        look(protocol, "wrist", "", ON_WRIST)
         for region in REGIONS:
             place, _ = true_target(region, joints, skin, model.skin_face)
             simulation.robot.set_joint_position(data, above(place, protocol))
@@ -101,9 +118,37 @@ def scene_rows(protocol: Protocol, seed: int, keypoints: Remembering) -> list[Ro
     return rows
 
 
-def somebody(observation: Observation) -> bool:
-    landmarks = observation.cameras["overhead"].landmarks
+def fingerprint(protocol: Protocol) -> str:
+    """Of everything but the seed that a scene's rows depend on: rules and body, code, packages."""
+    package = Path(carecontact.__file__).parent
+    digest = hashlib.sha256(protocol.sha256.encode())
+    for part in SOURCES:
+        place = package / part
+        for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+            digest.update(path.read_bytes())
+    baked = package / "assets"
+    for path in (baked / "bodies" / f"{protocol.person.body}.npz", baked / "panda" / "panda.npz"):
+        digest.update(path.read_bytes())
+    for function in (scene_rows, above, Arm, pointing_down):
+        digest.update(inspect.getsource(function).encode())
+    for name in PACKAGES:
+        digest.update(f"{name} {metadata.version(name)}".encode())
+    return digest.hexdigest()
+
+
+def somebody(observation: Observation, camera: str) -> bool:
+    landmarks = observation.cameras[camera].landmarks
     return landmarks is not None and bool(np.isfinite(landmarks).any())
+
+
+def sure_landmarks(observation: Observation, camera: str) -> int:
+    landmarks = observation.cameras[camera].landmarks
+    return 0 if landmarks is None else int((landmarks[:, 2] >= SURE).sum())
+
+
+def skin_tone(protocol: Protocol, seed: int) -> str:
+    skin = draw_appearance(streams(protocol, seed)["appearance"]).skin
+    return next(name for name, colour in SKIN_TONES.items() if colour == skin)
 
 
 def above(place: np.ndarray, protocol: Protocol) -> np.ndarray:
@@ -160,7 +205,51 @@ def tables(rows: list[Row]) -> str:
     out += ["", f"Landmark error by joint, robot parked, median [px] where visible: {', '.join(joints)}.", ""]
     missed = misses(rows)
     out.append("Missed lines: " + ("; ".join(missed) if missed else "none") + ".")
+    bodies, tones = sorted({r["body"] for r in parked}), [t for t in SKIN_TONES if any(r["tone"] == t for r in parked)]
+    out += ["", *grouped(rows, "body", bodies), "", *grouped(rows, "tone", tones), "", wrist(rows)]
     return "\n".join(out)
+
+
+def grouped(rows: list[Row], key: str, names: list[str]) -> list[str]:
+    """A table of the parked robot's scenes by body or skin tone, and a line that names the groups over a line."""
+    called = {"body": "body", "tone": "skin tone"}[key]
+    out = [
+        f"Robot parked, by {called}, medians:", "",
+        f"| {called} | scenes | landmarks [px] | human mask, mean IoU | forearm [mm] | upper arm | abdomen |",
+        "|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    over = []
+    for name in names:
+        mine = [r for r in rows if r["condition"] == "parked" and r[key] == name]
+        medians = {region: median_mm(mine, region) for region in REGIONS}
+        over += [f"{name} {r.replace('_', ' ')} {mm:.1f}" for r, mm in medians.items() if not mm <= TARGET_MM]
+        numbers = [f"{np.nanmedian(pixels(mine)):.1f}", f"{np.mean([r['iou'] for r in mine]):.3f}"]
+        out.append(
+            f"| {name} | {len(mine)} | " + " | ".join([*numbers, *(f"{m:.1f}" for m in medians.values())]) + " |"
+        )
+    return [*out, "", f"Over {TARGET_MM:g} mm by themselves: {', '.join(over) or 'none'}."]
+
+
+def median_mm(rows: list[Row], region: str) -> float:
+    """Median target error of the parked robot [mm]; one that was not found counts as infinitely far."""
+    error = targets(rows, "parked", region)
+    return float(np.median(np.linalg.norm(np.where(np.isfinite(error), error, np.inf), axis=1)))
+
+
+def wrist(rows: list[Row]) -> str:
+    seen = [r for r in rows if r["condition"] == "wrist"]
+    found = [r for r in seen if r["somebody"]]
+    if not found:
+        return f"From the wrist camera, robot parked: somebody in 0 of {len(seen)} scenes."
+    far = [r for r in found if np.isfinite(pixels([r])).any()]
+    error = [float(np.nanmedian(pixels([r]))) for r in far]
+    off = f" {min(error):.0f} to {max(error):.0f} px off (median of each {len(far)} scenes)" if far else ""
+    ious = [r["iou"] for r in found]
+    return (
+        f"From the wrist camera, robot parked: somebody in {len(found)} of {len(seen)} scenes, with "
+        f"{min(r['sure'] for r in found)} to {max(r['sure'] for r in found)} landmarks of visibility >= {SURE:g} and "
+        f"human masks of IoU {min(ious):.2f} to {max(ious):.2f}; in {len(far)} of them a true joint was in view,{off}."
+    )
 
 
 def misses(rows: list[Row]) -> list[str]:
@@ -173,7 +262,7 @@ def misses(rows: list[Row]) -> list[str]:
     for region in REGIONS:
         error = targets(rows, "parked", region)
         size = np.linalg.norm(np.where(np.isfinite(error), error, np.inf), axis=1)
-        measured.append((f"{region} target, median", float(np.median(size)), TARGET_MM, "mm", 1))
+        measured.append((f"{region} target, median", median_mm(rows, region), TARGET_MM, "mm", 1))
         measured.append((f"{region} target, p95", float(np.sort(size)[int(0.95 * len(size))]), TARGET_P95_MM, "mm", 1))
     return [
         f"{name} {got:.3g} {unit} (line {line:g})"
@@ -197,7 +286,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", default="6000-6039")
     parser.add_argument(
-        "--rows", type=Path, default=Path("runs/perception.jsonl"), help="measured rows; kept and continued"
+        "--rows",
+        type=Path,
+        default=Path("runs/perception.jsonl"),
+        help="measured rows; kept and continued, old ones are not read again",
     )
     parser.add_argument("--docs", type=Path, help="page whose tables are replaced")
     arguments = parser.parse_args()
@@ -207,17 +299,21 @@ def main() -> None:
     rows = [json.loads(line) for line in old]
     wanted = range(int(first), int(last or first) + 1)
     keypoints, names = Remembering(), body_names()
+    kept: list[Row] = []
     for seed in wanted:
-        if any(r["seed"] == seed for r in rows):
-            continue
         start = time.monotonic()
         protocol = adapted(load_protocol(), body=names[seed % len(names)]).model_copy(update={"variation": VARIED})
-        made = scene_rows(protocol, seed, keypoints)
-        rows += made
+        mark = fingerprint(protocol)
+        made = [r for r in rows if r["seed"] == seed and r.get("fingerprint") == mark]
+        kept += made
+        if made:
+            continue
+        made = [{**row, "fingerprint": mark} for row in scene_rows(protocol, seed, keypoints)]
+        kept += made
         with arguments.rows.open("a") as file:
             file.writelines(json.dumps(row) + "\n" for row in made)
         print(f"seed {seed} {protocol.person.body} {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
-    text = tables([row for row in rows if row["seed"] in wanted])
+    text = tables(kept)
     print(text)
     if arguments.docs:
         page = arguments.docs.read_text()

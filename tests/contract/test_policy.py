@@ -19,9 +19,11 @@ def test_a_card_may_ask_for_everything() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"name": ""}, "PolicyCard.name: expected text that is not empty, got ''"),
-        ({"name": 3}, "PolicyCard.name: expected text that is not empty, got 3"),
-        ({"language_backend": None}, "PolicyCard.language_backend: expected text that is not empty, got None"),
+        ({"name": ""}, "PolicyCard.name: expected 1 to 200 printable characters, got ''"),
+        ({"name": "n" * 201}, "PolicyCard.name: expected 1 to 200 printable characters, got 'nnn"),
+        ({"name": "a\x1b[2J"}, r"PolicyCard.name: expected 1 to 200 printable characters, got 'a\\x1b\[2J'"),
+        ({"name": 3}, "PolicyCard.name: expected 1 to 200 printable characters, got 3"),
+        ({"language_backend": None}, "PolicyCard.language_backend: expected 1 to 200 printable characters, got None"),
         ({"action_space": "joint_position"}, "action_space: expected one of cartesian_pose, got 'joint_position'"),
         ({"modalities": ("rgb", "force")}, "modalities: expected a tuple of names out of rgb, depth, .* got 'force'"),
         ({"modalities": "rgb"}, "PolicyCard.modalities: expected a tuple of names .* got 'rgb'"),

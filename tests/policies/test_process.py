@@ -92,6 +92,9 @@ def test_a_conversation(launch: Launch) -> None:
         ("os.kill(os.getpid(), 11)", "died", "killed by SIGSEGV"),
         ("raise ValueError('no plan ' + 'x' * 9)", "exception", "ValueError: no plan xxx"),
         ("raise ValueError(chr(0xD800))", "exception", "ValueError"),
+        ("raise ValueError('boom ' * 99999)", "exception", r"in act\n(?s:.*)\nValueError: boom boom .*\[\.\.\.\]$"),
+        ("raise ValueError('\\x1b[2J\\0red')", "exception", r"ValueError: \\x1b\[2J\\x00red$"),
+        ("os.write(1, b'\\x1b[31mred\\n'); os._exit(3)", "died", r"it printed last:\n\\x1b\[31mred$"),
         ("sys.exit('enough')", "exception", "SystemExit: enough"),
         ("return Action(pose_tcp_in_base=observation.pose_tcp_in_base * np.nan)", "action", "expected finite numbers"),
         ("server.pack = lambda m: b'\\xc1 not msgpack'", "garbage", "expected msgpack"),
@@ -225,7 +228,7 @@ def test_a_process_in_a_session_of_its_own_is_killed(launch: Launch, tmp_path: P
                 open(os.path.join(os.path.dirname(__file__), "pid"), "w").write(str(child.pid))
                 {"os._exit(3)" if environment == "os.environ" else "time.sleep(60)"}
         """,
-        first_deadline_s=5.0,
+        first_deadline_s=4.0,
     )
     assert _failure(process, at="act").kind in ("died", "timeout")
     assert _soon(lambda: not _alive(int((tmp_path / "pid").read_text())))

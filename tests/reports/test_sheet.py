@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from carecontact.contract.observation import CameraView, Observation
 from carecontact.errors import ConfigError
@@ -57,6 +58,39 @@ def test_every_modality_of_every_camera_is_there(view: CameraView) -> None:
             assert f"{camera}: {name}" in found
     assert len([t for t in found if t.startswith("points ")]) == 2
     assert "robot's encoders" in found
+
+
+def test_keys_stand_below_their_picture_and_cover_none_of_it(view: CameraView) -> None:
+    figure = draw_sheet(
+        observation(overhead=view, wrist=replace(view, landmarks=view.landmarks * [1, 1, 0.1])), title="t"
+    )
+    FigureCanvasAgg(figure).draw()
+    pictures = [axes for axes in figure.axes if ": " in axes.get_title(loc="left")]
+    keys = 0
+    for axes in pictures:
+        around = [*axes.texts, *axes.child_axes, *([legend] if (legend := axes.get_legend()) else [])]
+        for key in around:
+            keys += 1
+            box, picture = key.get_window_extent(), axes.get_window_extent()
+            assert box.y1 < picture.y0, (axes.get_title(loc="left"), key)
+            assert box.y0 > 0
+            others = [other.get_window_extent() for other in pictures if other is not axes]
+            assert not any(box.overlaps(other) for other in others)
+    assert keys == 2 * (3 + 1 + 3), "a bar with two numbers, a legend, left, right and what is unsure; two cameras"
+
+
+def test_a_cropped_cloud_says_so(view: CameraView) -> None:
+    assert view.points is not None
+    far = replace(
+        view,
+        points=np.concatenate([view.points, view.points[:5] + 9]),
+        point_colors=np.zeros((len(view.points) + 5, 3), np.uint8),
+    )
+    shown = {}
+    for name, one in {"far": replace(far, masks=None), "near": replace(view, masks=None)}.items():
+        sizes = [axes.get_title(loc="right") for axes in draw_sheet(observation(overhead=one), title="t").axes]
+        shown[name] = next(size for size in sizes if "1 camera" in size)
+    assert shown == {"far": "cropped to 1,160 of 1,165, 1 camera", "near": "1,160, 1 camera"}
 
 
 def test_what_is_not_in_the_observation_is_not_drawn(view: CameraView) -> None:

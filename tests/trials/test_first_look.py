@@ -39,8 +39,9 @@ def test_it_is_what_the_trial_shows_with_every_variation_on(tmp_path: Path) -> N
         for modality in ("rgb", "depth"):
             stored = recording[f"policy/frames/0000/{camera}/{modality}"]
             np.testing.assert_array_equal(getattr(view, modality), stored)
-    # What nobody asked for was neither rendered nor measured: 2 RGB and 1 for the report, 2 depth.
-    assert recording["wall/renders"].tolist() == [3, 2, 0, 0, 0]
+    # What nobody asked for was neither rendered nor measured: 2 RGB and 2 depth; and two pictures for the report.
+    assert recording["wall/renders"].tolist() == [2, 2, 0, 0, 0]
+    assert recording["wall/report_renders"].tolist() == [2]
     assert perception_errors(recording) is None
 
     plain = first_look(load_protocol(), task_id="T1", seed=2, card=card)

@@ -15,7 +15,7 @@ from carecontact.contract.observation import CameraView, Observation
 from carecontact.errors import PolicyError
 from carecontact.recording.schema import ARRAYS, REGIONS, SEGMENTS, dimensions
 from carecontact.sim.simulation import Samples, Settled, Simulation
-from carecontact.trials.log import MAX_LOSSLESS_FRAMES, MAX_NOTES_BYTES, TrialLog
+from carecontact.trials.log import MAX_LOSSLESS_FRAMES, MAX_NOTES, MAX_NOTES_BYTES, MAX_STEP_NOTES, TrialLog
 
 JOINTS = ["a", "b", "c"]
 PERIOD_S, STEPS = 0.02, 10
@@ -256,3 +256,17 @@ def test_notes_that_cannot_be_kept_are_the_policys_failure(log: TrialLog, notes:
     with pytest.raises(PolicyError) as caught:
         log.add_notes(notes)
     assert caught.value.kind == kind
+
+
+def test_too_many_notes_are_the_policys_failure_however_empty(log: TrialLog) -> None:
+    """4,090 empty arrays at each of five steps took 153 s to write."""
+    with pytest.raises(
+        PolicyError, match=f"at most {MAX_STEP_NOTES} entries a step, got {MAX_STEP_NOTES + 1}"
+    ) as caught:
+        log.add_notes({f"a{k:04d}": np.zeros(0) for k in range(MAX_STEP_NOTES + 1)})
+    assert caught.value.kind == "oversize"
+    for _ in range(MAX_NOTES // (MAX_STEP_NOTES + 1)):
+        log.add_notes({f"a{k:04d}": np.zeros(0) for k in range(MAX_STEP_NOTES)})
+    with pytest.raises(PolicyError, match=f"notes of more than {MAX_NOTES} arrays in one trial") as caught:
+        log.add_notes({f"a{k:04d}": np.zeros(0) for k in range(MAX_STEP_NOTES)})
+    assert caught.value.kind == "oversize"

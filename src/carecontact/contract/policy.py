@@ -11,6 +11,8 @@ from carecontact.contract.observation import MODALITIES, Observation
 from carecontact.errors import ContractError
 
 CAMERAS = ("overhead", "bedside", "exterior", "wrist")
+MAX_NAME = 200
+"""Characters of a card's name and language backend: they stand in headers, tables and file names."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,8 +35,9 @@ class PolicyCard:
         # Whatever its annotations say, a card is written by hand.
         fields = {name: cast(object, value) for name, value in vars(self).items()}
         for field in ("name", "language_backend"):
-            if not isinstance(fields[field], str) or not fields[field]:
-                _wrong(field, "text that is not empty", fields[field])
+            text = fields[field]
+            if not isinstance(text, str) or not text.isprintable() or not 0 < len(text) <= MAX_NAME:
+                _wrong(field, f"1 to {MAX_NAME} printable characters", text)
         if self.action_space not in ACTION_SPACES:
             _wrong("action_space", f"one of {', '.join(ACTION_SPACES)}", self.action_space)
         for field, valid in (("modalities", MODALITIES), ("cameras", CAMERAS)):

@@ -9,12 +9,11 @@ import os
 import signal
 import sys
 import threading
-import traceback
 from typing import cast
 
 from carecontact.contract.policy import Policy
 from carecontact.policies.wall import raise_wall
-from carecontact.policies.wire.server import TRACEBACK_CHARS, serve_policy
+from carecontact.policies.wire.server import serve_policy, told
 
 _PR_SET_PDEATHSIG = 1
 """linux/prctl.h"""
@@ -29,8 +28,8 @@ def main(target: str, search_path: list[str], *, report_fd: int, lifeline_fd: in
             raise_wall()
             sys.path[:0] = search_path
             policy = _load(target)
-        except (Exception, SystemExit):
-            report.write(json.dumps({"error": traceback.format_exc()[-TRACEBACK_CHARS:]}) + "\n")
+        except (Exception, SystemExit) as error:
+            report.write(json.dumps({"error": told(error)}) + "\n")
             return
 
         def tell(port: int) -> None:

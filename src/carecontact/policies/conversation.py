@@ -24,6 +24,12 @@ BUDGET_S = 3600.0
 nobody's fault."""
 
 
+def readable(text: str) -> str:
+    """What came from a policy, for a terminal, a log or a page: control characters, but for line ends and tabs, are
+    escaped."""
+    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text.replace("\r\n", "\n"))
+
+
 class PolicyConversation(ABC):
     """Context manager around the conversation with one policy, for one trial.
 
@@ -131,7 +137,7 @@ class PolicyConversation(ABC):
             message = f"policy {self.policy!r} failed at {doing}: {str(error)[:EVIDENCE_CHARS]}{ended}"
             if self.printed:
                 message += f"\nit printed last:\n{self.printed[-EVIDENCE_CHARS // 2 :]}"
-            raise PolicyError(error.kind, message, notes=error.notes) from None
+            raise PolicyError(error.kind, readable(message), notes=error.notes) from None
         except BaseException:
             self._drop()
             raise

@@ -17,7 +17,7 @@ from typing import Any
 
 import carecontact
 from carecontact.errors import PolicyError
-from carecontact.policies.conversation import BUDGET_S, GRACE_S, PolicyConversation
+from carecontact.policies.conversation import BUDGET_S, GRACE_S, PolicyConversation, readable
 from carecontact.policies.descendants import MARK, kill_marked, new_mark
 from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
 from carecontact.policies.registry import resolve_policy
@@ -71,7 +71,7 @@ class PolicyProcess(PolicyConversation):
 
     @property
     def printed(self) -> str:
-        return self._output.decode(errors="replace").strip()
+        return readable(self._output.decode(errors="replace")).strip()
 
     def launch(self) -> int:
         """The port of the loopback interface where the policy waits for whoever speaks to it instead of this object.
@@ -157,11 +157,12 @@ class PolicyProcess(PolicyConversation):
         return f" (exit code {code})"
 
     def _kill(self) -> None:
-        """The process group at once, then whatever left it: nothing that the policy started outlives it."""
+        """Nothing that the policy started outlives it."""
         if self._child is not None:
+            # First, while parents live by whom their children are known; the group is for systems without /proc.
+            kill_marked(self._mark)
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._child.pid, signal.SIGKILL)
-            kill_marked(self._mark)
 
     def _drop(self) -> None:
         self._kill()

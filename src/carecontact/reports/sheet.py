@@ -20,7 +20,7 @@ U8 = npt.NDArray[np.uint8]
 
 ENDINGS = (".png", ".jpg", ".pdf")
 DPI = 110
-WIDTH_IN, HEADER_IN, GAP_IN, CLOUD_IN = 16.0, 0.95, 0.52, 5.0
+WIDTH_IN, HEADER_IN, GAP_IN, FOOT_IN, CLOUD_IN = 16.0, 0.95, 0.46, 0.3, 5.0
 COLUMNS = ("rgb", "depth", "masks", "landmarks")
 INK, FAINT = "#1f2a36", "#6b7785"
 MASK_COLOURS = {"human": (236, 120, 48), "robot": (40, 120, 214), "bed": (64, 170, 150), "background": (120, 120, 128)}
@@ -67,7 +67,8 @@ def draw_sheet(observation: Observation, *, title: str) -> Figure:
     views = {name: view for name, view in observation.cameras.items() if _shape(view) is not None}
     columns = [c for c in COLUMNS if any(getattr(view, c) is not None for view in views.values())]
     cell = WIDTH_IN / max(len(columns), 1)
-    heights = [cell * 0.94 * shape[0] / shape[1] + GAP_IN for view in views.values() if (shape := _shape(view))]
+    around = GAP_IN + FOOT_IN
+    heights = [cell * 0.94 * shape[0] / shape[1] + around for view in views.values() if (shape := _shape(view))]
     total = HEADER_IN + sum(heights) + CLOUD_IN
     figure = Figure(figsize=(WIDTH_IN, total))
     figure.text(0.012, 1 - 0.36 / total, f"“{observation.instruction}”", size=21, weight="bold", color=INK, va="center")
@@ -77,7 +78,7 @@ def draw_sheet(observation: Observation, *, title: str) -> Figure:
     for (name, view), height in zip(views.items(), heights, strict=True):
         for column, modality in enumerate(columns):
             left, width = (column + 0.03) / len(columns), 0.94 / len(columns)
-            axes = figure.add_axes((left, (top - height) / total, width, (height - GAP_IN) / total))
+            axes = figure.add_axes((left, (top - height + FOOT_IN) / total, width, (height - around) / total))
             _bare(axes)
             if getattr(view, modality) is None:
                 axes.set_axis_off()
@@ -91,12 +92,14 @@ def draw_sheet(observation: Observation, *, title: str) -> Figure:
 
 def _draw_below(figure: Figure, observation: Observation, views: dict[str, CameraView], total: float) -> None:
     bottom, height = 0.5 / total, (CLOUD_IN - 1.05) / total
-    points, colors = _merged(views)
+    points, colors, count = _merged(views)
     if len(points):
         for k, (name, (azimuth, elevation)) in enumerate(VIEWS.items()):
             axes = figure.add_axes((0.04 + 0.385 * k, bottom, 0.355, height))
             _cloud_panel(axes, points, colors, azimuth, elevation)
-            _caption(axes, f"points {name}", f"{len(points):,} of {len(views)} camera{'s' * (len(views) > 1)}")
+            cameras = f"{len(views)} camera{'s' * (len(views) > 1)}"
+            cut = f"cropped to {len(points):,} of {count:,}" if len(points) < count else f"{count:,}"
+            _caption(axes, f"points {name}", f"{cut}, {cameras}")
     axes = figure.add_axes((0.795, bottom, 0.195, height))
     axes.set_axis_off()
     _caption(axes, "robot's encoders", "")
@@ -127,13 +130,10 @@ def _depth_panel(axes: Axes, view: CameraView) -> None:
     low, high = np.nanpercentile(view.depth, [0.5, 99.5]) if np.isfinite(view.depth).any() else (0.0, 1.0)
     image = axes.imshow(view.depth, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
     assert axes.figure is not None
-    inset = axes.inset_axes((0.06, 0.06, 0.38, 0.035))
-    bar = axes.figure.colorbar(image, cax=inset, orientation="horizontal")
-    bar.set_ticks([low, (low + high) / 2, high], labels=[f"{low:.2f}", f"{(low + high) / 2:.2f}", f"{high:.2f} m"])
-    inset.tick_params(labelsize=8.5, length=0, pad=2, labeltop=True, labelbottom=False)
-    for label in inset.get_xticklabels():
-        _halo(label, "black")
-        label.set_color("white")
+    y = _foot(axes)
+    axes.figure.colorbar(image, cax=axes.inset_axes((0.14, 1.3 * y, 0.4, -0.6 * y)), orientation="horizontal", ticks=[])
+    for x, text, side in ((0.13, f"{low:.2f}", "right"), (0.55, f"{high:.2f} m", "left")):
+        axes.text(x, y, text, transform=axes.transAxes, size=9, color=FAINT, ha=side, va="center")
 
 
 def _masks_panel(axes: Axes, view: CameraView) -> None:
@@ -149,8 +149,9 @@ def _masks_panel(axes: Axes, view: CameraView) -> None:
         image[mask] = (1 - share) * image[mask] + share * colour
         handles.append(Patch(color=tuple(colour / 255), label=f"{name} {100 * mask.mean():.0f} %"))
     axes.imshow(image.clip(0, 255).astype(np.uint8))
-    axes.legend(handles=handles, loc="lower left", ncols=4, fontsize=8, frameon=True, framealpha=0.88, borderpad=0.35,
-                handlelength=0.9, handletextpad=0.4, columnspacing=0.8, edgecolor="none")  # fmt: skip
+    axes.legend(handles=handles, loc="center left", bbox_to_anchor=(0, _foot(axes)), ncols=4, fontsize=8.5,
+                frameon=False, borderpad=0, borderaxespad=0, handlelength=0.9, handletextpad=0.4, columnspacing=0.9,
+                labelcolor=FAINT)  # fmt: skip
 
 
 def _landmarks_panel(axes: Axes, view: CameraView) -> None:
@@ -176,11 +177,10 @@ def _landmarks_panel(axes: Axes, view: CameraView) -> None:
     axes.set_xlim(-0.5, shape[1] - 0.5)
     axes.set_ylim(shape[0] - 0.5, -0.5)
     hidden = int((marks[:, 2] < SURE).sum())
-    for x, text, colour in ((0.03, "left", LEFT), (0.12, "right", RIGHT)):
-        _halo(axes.text(x, 0.05, text, transform=axes.transAxes, color=colour, size=10, weight="bold"), "black")
-    if hidden:
-        text = f"{hidden} with visibility < {SURE:g} (dashed)"
-        _halo(axes.text(0.24, 0.05, text, transform=axes.transAxes, color="white", size=9), "black")
+    told = f"{hidden} with visibility < {SURE:g} (dashed)" if hidden else ""
+    for x, text, colour in ((0.0, "left", LEFT), (0.09, "right", RIGHT), (0.21, told, FAINT)):
+        weight = "normal" if colour == FAINT else "bold"
+        axes.text(x, _foot(axes), text, transform=axes.transAxes, color=colour, size=9, weight=weight, va="center")
 
 
 def _cloud_panel(axes: Axes, points: F64, colors: U8, azimuth_deg: float, elevation_deg: float) -> None:
@@ -220,11 +220,12 @@ def splat(
     return image, (float(left), float(left + width * pixel_m), float(low), float(low + height * pixel_m))
 
 
-def _merged(views: dict[str, CameraView]) -> tuple[F64, U8]:
-    """All cameras' clouds, near the person where masks tell which points are the person's."""
+def _merged(views: dict[str, CameraView]) -> tuple[F64, U8, int]:
+    """Of all cameras' clouds what is near the person, or near the middle where no mask tells where that is; and how
+    many points there are in all."""
     points = [v.points for v in views.values() if v.points is not None and v.point_colors is not None]
     if not points:
-        return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+        return np.zeros((0, 3)), np.zeros((0, 3), np.uint8), 0
     colors = [v.point_colors for v in views.values() if v.points is not None and v.point_colors is not None]
     everything, tint = np.concatenate(points).astype(np.float64), np.concatenate(colors)
     anchors = [
@@ -238,7 +239,7 @@ def _merged(views: dict[str, CameraView]) -> tuple[F64, U8]:
     low, high = np.percentile(anchor, [1, 99], axis=0)
     low, high = low - [CLOUD_MARGIN_M, CLOUD_MARGIN_M, BELOW_M], high + [CLOUD_MARGIN_M, CLOUD_MARGIN_M, 1.0]
     inside = ((everything > low) & (everything < high)).all(1)
-    return everything[inside], tint[inside]
+    return everything[inside], tint[inside], len(everything)
 
 
 def _shape(view: CameraView) -> tuple[int, int] | None:
@@ -264,6 +265,12 @@ def _size_of(view: CameraView, modality: str) -> str:
 def _caption(axes: Axes, text: str, size: str) -> None:
     axes.set_title(text, loc="left", size=11.5, color=INK, pad=5, weight="bold")
     axes.set_title(size, loc="right", size=9, color=FAINT, pad=5)
+
+
+def _foot(axes: Axes) -> float:
+    """Middle of the strip below a picture, in heights of the picture: keys stand there and cover nothing of it."""
+    assert axes.figure is not None
+    return -0.5 * FOOT_IN * axes.figure.dpi / axes.bbox.height
 
 
 def _bare(axes: Axes) -> None:

@@ -17,6 +17,8 @@ from carecontact.sim.simulation import Samples, Settled, Simulation
 
 MAX_LOSSLESS_FRAMES = 64
 MAX_NOTES_BYTES = 32 << 20
+MAX_STEP_NOTES, MAX_NOTES = 64, 4096
+"""Entries of a step's notes, and datasets of all notes of a trial: each costs milliseconds to write, however empty."""
 STATE_PERIOD_S = 1.0
 
 _SCORER = {
@@ -42,7 +44,7 @@ class TrialLog:
         self._actions: list[tuple[float, npt.NDArray[np.float64], tuple[float, float], int]] = []
         self._states: list[tuple[float, npt.NDArray[np.float64]]] = []
         self._frames: dict[str, npt.NDArray[Any]] = {}
-        self._notes_bytes = 0
+        self._notes_bytes = self._notes_count = 0
         self.extra: dict[str, npt.NDArray[Any]] = {}
 
     def add_samples(self, samples: list[Samples]) -> None:
@@ -68,6 +70,8 @@ class TrialLog:
         """What the policy wants to be kept of its latest step. Raises PolicyError for what no JSON can hold."""
         if not notes:
             return
+        if len(notes) > MAX_STEP_NOTES:
+            raise PolicyError("oversize", f"notes: expected at most {MAX_STEP_NOTES} entries a step, got {len(notes)}")
         place = f"policy/notes/{max(len(self._observations) - 1, 0):04d}"
         arrays = {f"{place}/{key}": value for key, value in notes.items() if isinstance(value, np.ndarray)}
         try:
@@ -79,6 +83,9 @@ class TrialLog:
         self._notes_bytes += size
         if self._notes_bytes > MAX_NOTES_BYTES:
             raise PolicyError("oversize", f"notes of more than {MAX_NOTES_BYTES} bytes in one trial")
+        self._notes_count += len(arrays) + 1
+        if self._notes_count > MAX_NOTES:
+            raise PolicyError("oversize", f"notes of more than {MAX_NOTES} arrays in one trial, one for a step's JSON")
         self.extra |= {**arrays, f"{place}/json": np.frombuffer(text, "u1")}
 
     def add_action(self, action: Action, stiffness: tuple[float, float]) -> None:

@@ -103,11 +103,14 @@ def run_trial(
         tell(False)
         if trial.perception is not None:
             trial.log.extra |= trial.perception.arrays()
+        # Before the report's own pictures, so that a trial whose policy has no camera is seen to render nothing for it.
+        rendered = renderer.renders.copy()
         trial.add_report_frames(renderer)
         trial.log.extra["wall/seconds"] = np.array([settled_wall - started, time.monotonic() - settled_wall], "<f8")
         trial.log.extra["wall/renders"] = np.array(
-            [renderer.renders[k] for k in ("rgb", "depth", "robot_depth", "cell_depth", "truth")], "<f8"
+            [rendered[k] for k in ("rgb", "depth", "robot_depth", "cell_depth", "truth")], "<f8"
         )
+        trial.log.extra["wall/report_renders"] = np.array([(renderer.renders - rendered).total()], "<f8")
     header = Header(
         spec=spec, ended=ended.reason, failure=ended.failure,
         card=None if card is None else json.loads(json.dumps(asdict(card))),

@@ -106,6 +106,8 @@ def test_an_answer_that_is_no_action(meet: Meet, answer: object, says: str) -> N
         (pack({"type": "actions", "actions": []}), "action", "expected 1 to 2000 actions, got 0"),
         (pack({"type": "error", "kind": "exception", "message": "why"}), "exception", "^why$"),
         (pack({"type": "error", "kind": "invented", "message": "why"}), "exception", "^why$"),
+        (pack({"type": "error", "kind": "died", "message": "why"}), "exception", "^why$"),
+        (pack({"type": "error", "kind": "program", "message": "why"}), "program", "^why$"),
         (pack({"type": "error"}), "exception", "expected its reason as text, got None"),
         (pack({"type": "error", "kind": [], "message": " "}), "exception", "expected its reason as text, got ' '"),
     ],

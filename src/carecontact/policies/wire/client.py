@@ -165,7 +165,7 @@ class PolicyClient:
             said, reason = entries.get("kind"), entries.get("message")
             if not isinstance(reason, str) or not reason.strip():
                 reason = f"the policy's server reported an error, expected its reason as text, got {reason!r:.80}"
-            known = said if isinstance(said, str) and said in PolicyError.KINDS else "exception"
+            known = said if isinstance(said, str) and said in PolicyError.REPORTED else "exception"
             raise PolicyError(known, reason, notes=_notes(entries))
         keys = set(entries) - ({"notes"} if kind == "actions" else set[str]())
         if keys != {"type"} | ({field} if field else set()) or entries["type"] != kind:

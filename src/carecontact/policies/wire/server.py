@@ -18,7 +18,7 @@ from carecontact.policies.wire import codec
 from carecontact.policies.wire.packing import MAX_MESSAGE_BYTES, MAX_REPLY_BYTES, is_map, pack, unpack
 
 TRACEBACK_CHARS = 2000
-"""The end of a traceback says most; all of it could be the policy's whole input."""
+"""Of a traceback or message; all of it could be the policy's whole input."""
 
 
 def serve_policy(policy: Policy, *, on_port: Callable[[int], None], port: int = 0) -> None:
@@ -61,16 +61,28 @@ def _converse(policy: Policy, connection: ServerConnection) -> None:
     except (ActionError, LanguageError, ProgramError) as error:
         # No traceback: what went wrong is in the message, and none of the policy's lines is to blame.
         _report(connection, policy, _KINDS[type(error)], str(error))
-    except (Exception, SystemExit):
+    except (Exception, SystemExit) as error:
         # Whatever a policy raises is its process failure and must reach the harness; it is not this server's to handle.
-        _report(connection, policy, "exception", traceback.format_exc())
+        _report(connection, policy, "exception", told(error))
 
 
 _KINDS: dict[type[Exception], str] = {ActionError: "action", LanguageError: "language", ProgramError: "program"}
 
 
+def told(error: BaseException) -> str:
+    """Its traceback in TRACEBACK_CHARS: of the stack the end says most, of what the exception says the beginning."""
+    whole = "".join(traceback.format_exception(error))
+    if len(whole) <= TRACEBACK_CHARS:
+        return whole
+    said = "".join(traceback.format_exception_only(error))
+    stack, half = whole.removesuffix(said), TRACEBACK_CHARS // 2
+    if len(said) > half:
+        said = f"{said[: half - 6]} [...]"
+    return stack[-(TRACEBACK_CHARS - len(said)) :] + said
+
+
 def _report(connection: ServerConnection, policy: Policy, kind: str, message: str) -> None:
-    sayable = message[-TRACEBACK_CHARS:].encode(errors="replace").decode()
+    sayable = message[:TRACEBACK_CHARS].encode(errors="replace").decode()
     report: dict[str, object] = {"type": "error", "kind": kind, "message": sayable}
     # A policy that failed may fail at its notes too; the first failure is the one to tell.
     packed = pack(report)
