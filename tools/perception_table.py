@@ -243,12 +243,14 @@ def wrist(rows: list[Row]) -> str:
         return f"From the wrist camera, robot parked: somebody in 0 of {len(seen)} scenes."
     far = [r for r in found if np.isfinite(pixels([r])).any()]
     error = [float(np.nanmedian(pixels([r]))) for r in far]
-    off = f" {min(error):.0f} to {max(error):.0f} px off (median of each {len(far)} scenes)" if far else ""
+    off = (
+        f"; joints truly in view were {min(error):.0f} to {max(error):.0f} px off (each scene's median)" if far else ""
+    )
     ious = [r["iou"] for r in found]
     return (
         f"From the wrist camera, robot parked: somebody in {len(found)} of {len(seen)} scenes, with "
         f"{min(r['sure'] for r in found)} to {max(r['sure'] for r in found)} landmarks of visibility >= {SURE:g} and "
-        f"human masks of IoU {min(ious):.2f} to {max(ious):.2f}; in {len(far)} of them a true joint was in view,{off}."
+        f"human masks of IoU {min(ious):.2f} to {max(ious):.2f}{off}."
     )
 
 

@@ -98,8 +98,9 @@ def _draw_below(figure: Figure, observation: Observation, views: dict[str, Camer
             axes = figure.add_axes((0.04 + 0.385 * k, bottom, 0.355, height))
             _cloud_panel(axes, points, colors, azimuth, elevation)
             cameras = f"{len(views)} camera{'s' * (len(views) > 1)}"
-            cut = f"cropped to {len(points):,} of {count:,}" if len(points) < count else f"{count:,}"
-            _caption(axes, f"points {name}", f"{cut}, {cameras}")
+            cut = f"cropped to {len(points):,} of {count:,} points" if len(points) < count else f"{count:,} points"
+            axes.set_xlabel(f"across the picture [m]; {cut}", size=8.5, color=FAINT, labelpad=1)
+            _caption(axes, f"points {name}", cameras)
     axes = figure.add_axes((0.795, bottom, 0.195, height))
     axes.set_axis_off()
     _caption(axes, "robot's encoders", "")
@@ -188,7 +189,6 @@ def _cloud_panel(axes: Axes, points: F64, colors: U8, azimuth_deg: float, elevat
     axes.imshow(image, extent=extent, interpolation="nearest")
     axes.set_facecolor("white")
     axes.tick_params(labelsize=8, colors=FAINT, length=2)
-    axes.set_xlabel("across the picture [m]", size=8.5, color=FAINT, labelpad=1)
     axes.set_ylabel("up the picture [m]", size=8.5, color=FAINT, labelpad=1)
     axes.set_xticks(np.arange(np.ceil(extent[0] * 2) / 2, extent[1], 0.5))
     axes.set_yticks(np.arange(np.ceil(extent[2] * 2) / 2, extent[3], 0.5))
