@@ -12,10 +12,10 @@ import pytest
 
 from carecontact.audit.canary import CONTROL, audit_canary, other_hidden_values
 from carecontact.audit.derivation import audit_derivation
-from carecontact.audit.finding import Part
 from carecontact.audit.frozen import audit_frozen
-from carecontact.audit.handshake import audit_handshake
+from carecontact.audit.handshake import audit_handshake, audit_start
 from carecontact.audit.keyframe import CONTROL_HZ, Keyframe
+from carecontact.audit.run import _starts
 from carecontact.audit.schema import audit_schema
 from carecontact.audit.watched import Watched, press, watch
 from carecontact.contract.observation import Observation
@@ -27,14 +27,10 @@ from carecontact.policies.wire import client
 from carecontact.recording.perception import JOINTS
 from carecontact.sim.proprioception import Proprioception
 from carecontact.sim.rendering import SceneRenderer
-from carecontact.sim.simulation import Simulation
+from carecontact.sim.simulation import Settled, Simulation
 from carecontact.trials import trial
 from carecontact.trials.perception import PerceptionLog
-from tests.audit.conftest import BLIND, Press
-
-
-def places(part: Part) -> set[str]:
-    return {finding.place for finding in part.findings}
+from tests.audit.conftest import BLIND, Press, places
 
 
 def touched(data: mujoco.MjData) -> float:
@@ -61,7 +57,8 @@ def test_a_privileged_key_on_the_wire(monkeypatch: pytest.MonkeyPatch, keyframe:
     )
     part = audit_schema([seen])
     assert not part.passed
-    assert [(f.policy, "unknown key contact_force" in f.told) for f in part.findings] == [("zero-action", True)]
+    assert [(f.policy, f.place) for f in part.findings] == [("zero-action", "observation.contact_force")]
+    assert "unknown key contact_force" in part.findings[0].told
 
 
 def test_landmarks_of_the_simulator(
@@ -175,7 +172,9 @@ def leaky_pair(
         for one, prepare in ((spec, keyframe.near), (other_hidden_values(spec), keyframe.twin)):
             told = f"run {one.trial_id}"
             patch.setattr(process, "_environment", lambda told=told: {**environment(), "LANG": told})
-            pair.append(press(one, card=BLIND, poses=keyframe.poses, prepare=prepare, folder=folder))
+            pair.append(
+                press(one, card=BLIND, poses=keyframe.poses, prepare=prepare, actions_per_look=1, folder=folder)
+            )
     assert [watched.error for watched in pair] == [None, None]
     assert len(set(seeds)) == 2
     return pair[0], pair[1]
@@ -188,10 +187,37 @@ def test_the_seed_in_the_handshake(leaky_pair: tuple[Watched, Watched]) -> None:
     assert any("T1-s000" in finding.told for finding in part.findings)
 
 
+def test_the_person_s_arm_in_session_and_encoders(
+    monkeypatch: pytest.MonkeyPatch, keyframe: Keyframe, spec: TrialSpec, tmp_path: Path
+) -> None:
+    honest = _starts(spec, keyframe, folder=tmp_path)
+    part = audit_start(*honest)
+    assert part.passed, part
+    begin, session, speed = trial._Trial.__init__, trial._Trial._session, Proprioception.joint_velocity
+    settled_deg: list[float] = []
+
+    def leaky_begin(self: trial._Trial, spec: TrialSpec, simulation: Simulation, settled: Settled, *rest: Any) -> None:
+        begin(self, spec, simulation, settled, *rest)
+        settled_deg.append(settled.comfort_arm_deg)
+
+    def leaky_session(self: trial._Trial) -> Session:
+        told = session(self)
+        return dataclasses.replace(told, time_limit_s=told.time_limit_s + 1e-6 * self.simulation.comfort_arm_deg())
+
+    monkeypatch.setattr(trial._Trial, "__init__", leaky_begin)
+    monkeypatch.setattr(trial._Trial, "_session", leaky_session)
+    monkeypatch.setattr(Proprioception, "joint_velocity", lambda self, data: speed(self, data) + 1e-9 * settled_deg[-1])
+    part = audit_start(*_starts(spec, keyframe, folder=tmp_path))
+    assert places(part) == {"session.time_limit_s", "observation.joint_velocity"}
+    assert abs(settled_deg[0] - settled_deg[1]) > 2
+    # The same person twice would have shown nothing.
+    assert audit_start(honest[0], honest[0]).missing == ["starts with the arm at another angle"]
+
+
 def test_the_stiffness_in_a_field_that_needs_no_image(leaky_pair: tuple[Watched, Watched]) -> None:
     part = audit_canary(*leaky_pair)
     assert places(part) == {"observation.joint_velocity"}
-    assert part.counts["observations before contact"] >= 2
+    assert part.counts["observations before contact"] == 7
     assert part.counts["scorer samples that differ after contact"] > 50
 
 

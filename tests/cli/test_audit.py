@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from carecontact.cli import main
 from carecontact.policies.registry import POLICIES
+from carecontact.policies.wire import client
 
 
 def test_nothing_leaks_to_any_registered_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["audit", "--quick", "-o", str(tmp_path / "audit")]) == 0
     printed = capsys.readouterr().out
     rows = [line.split()[:2] for line in printed.splitlines() if line.startswith(("pass ", "FAIL "))]
-    assert rows == [["pass", name] for name in ("re-derivation", "frozen", "canary", "handshake", "schema")]
+    assert rows == [["pass", name] for name in ("re-derivation", "readings", "frozen", "canary", "handshake", "schema")]
     said = json.loads((tmp_path / "audit" / "audit.json").read_text())
     assert said["schema"] == "carecontact-audit-1"
     assert said["passed"] is True
@@ -23,9 +25,33 @@ def test_nothing_leaks_to_any_registered_policy(tmp_path: Path, capsys: pytest.C
     counts = {part["part"]: part["counts"] for part in said["parts"]}
     assert counts["schema"] == {"policies": len(POLICIES), "messages": len(POLICIES)}
     assert "1 card, " in printed
-    assert counts["re-derivation"]["observations in contact"] >= 3
+    # The press that is seen, at every third action, and the blind one at every action.
+    assert counts["re-derivation"]["observations in contact"] == 3 + 9
+    assert counts["readings"]["looks"] == counts["readings"]["looks timed"] == len(POLICIES) + 6 + 16
+    assert counts["readings"]["images drawn again"] > 30
     assert counts["canary"]["observations before contact"] >= 2
     assert counts["frozen frames"]["fields of the world scrambled"] > 100
+
+
+def test_a_leak_ends_with_status_1_and_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    honest = client.pack
+
+    def leaky(message: dict[str, Any]) -> bytes:
+        if message["type"] == "act":
+            message["observation"]["contact_force"] = 3.5
+        return honest(message)
+
+    monkeypatch.setattr(client, "pack", leaky)
+    assert main(["audit", "--quick", "--policy", "zero-action", "-o", str(tmp_path)]) == 1
+    printed = capsys.readouterr().out
+    assert printed.splitlines()[-1] == f"FAILED: {tmp_path / 'audit.json'}"
+    said = json.loads((tmp_path / "audit.json").read_text())
+    assert said["passed"] is False
+    named = {part["part"]: {f["place"] for f in part["findings"]} for part in said["parts"]}
+    assert named["schema"] == named["canary"] == {"observation.contact_force"}
+    assert "zero-action: observation.contact_force: failed" in printed
 
 
 @pytest.mark.parametrize(

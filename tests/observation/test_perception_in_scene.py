@@ -17,6 +17,7 @@ from carecontact.observation.keypoints import MediaPipePose
 from carecontact.policies.state_machine.geometry import LANDMARK, region_from_observation
 from carecontact.protocols import load_protocol
 from carecontact.recording.perception import ARRAYS, JOINTS
+from carecontact.sim.proprioception import ROBOT_JOINTS
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.trials.perception import PerceptionLog, iou, true_target
@@ -89,18 +90,23 @@ def test_calibration_knows_nothing_of_the_person(seen: tuple[Simulation, SceneRe
     simulation, _, observation = seen
     protocol, model, angles = simulation.protocol, simulation.model, observation.joint_position
     scrambled = copy.deepcopy(model)
-    person = [j for j in range(model.njnt) if not model.joint(j).name.startswith("robot_")]
+    person = np.setdiff1d(np.arange(model.nq), [model.joint(name).qposadr[0] for name in ROBOT_JOINTS])
     rng = np.random.default_rng(0)
     with SceneRenderer(model, protocol=protocol) as one, SceneRenderer(scrambled, protocol=protocol) as other:
         # Not even through the state that a fresh copy of the world begins with.
-        for j in person:
-            start = int(model.jnt_qposadr[j])
-            scrambled.qpos0[start : start + 1] += rng.uniform(-1, 1)
+        scrambled.qpos0[person] = rng.uniform(-1, 1, len(person))
+        known = other.at_encoders(angles)
+        # Hinges count from qpos0: only another angle than that one moves them.
+        known.qpos[person] = rng.uniform(-1, 1, len(person))
+        assert len(person) > 800
         for camera in ("overhead", "wrist"):
             np.testing.assert_array_equal(one.cell_depth(angles, camera), other.cell_depth(angles, camera))
             np.testing.assert_array_equal(one.robot_depth(angles, camera), other.robot_depth(angles, camera))
     shown = {model.body(int(b)).name for b in model.geom_bodyid[model.geom_group == FURNITURE_GROUP]}
     assert shown == {"world", SUPPORT}
+    # The control: what was scrambled moved all that a person is.
+    bodies = [b for b in range(model.nbody) if model.body(b).name.startswith("human_")]
+    assert (np.abs(known.xpos[bodies] - simulation.data.xpos[bodies]) > 0.01).any(1).all()
     assert model.body(SUPPORT).weldid == 0, "pillow and board stand where they were put, whatever the person does"
 
 

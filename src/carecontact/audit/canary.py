@@ -6,14 +6,18 @@ import numpy as np
 
 from carecontact.audit.differences import differences
 from carecontact.audit.finding import Finding, Part
+from carecontact.audit.schema import failed_at
 from carecontact.audit.watched import Watched
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
 from carecontact.policies.wire.packing import unpack
+from carecontact.trials.randomization import comfort_arm_deg
 
 NAME, TITLE = "canary", "worlds with other hidden values until contact"
 OTHER_SEED = 48_611
 """Added to the seed: no protocol has it."""
+OTHER_ANGLES = 8
+"""Seeds to choose another angle of the arm from."""
 CONTROL = "scorer/force_human_from_robot_in_world"
 
 
@@ -51,12 +55,21 @@ def other_hidden_values(spec: TrialSpec) -> TrialSpec:
     return spec.model_copy(update={"protocol": other, "task_id": "canary", "seed": spec.seed + OTHER_SEED})
 
 
+def other_arm_angle(spec: TrialSpec) -> TrialSpec:
+    """The same trial with a seed that lays the person's arm at an angle far from this one's."""
+    own = comfort_arm_deg(spec.protocol, spec.seed)
+    seeds = range(spec.seed + OTHER_SEED, spec.seed + OTHER_SEED + OTHER_ANGLES)
+    far = max(seeds, key=lambda seed: abs(comfort_arm_deg(spec.protocol, seed) - own))
+    return spec.model_copy(update={"seed": far})
+
+
 def audit_canary(one: Watched, twin: Watched) -> Part:
     """``one`` and ``twin``: the same press, recorded by ``watched.press``, their looks still there."""
     findings = [
-        Finding(policy=trial.policy, place="trial", told=f"could not be run in the {which} world: {trial.error}")
+        Finding(policy=trial.policy, place=place, told=f"could not be run in the {which} world: {trial.error}")
         for which, trial in (("first", one), ("other", twin))
         if trial.error
+        for place in failed_at(trial.error)
     ]
     counts = {"observations before contact": 0, "scorer samples that differ after contact": 0}
     if one.recording is not None and twin.recording is not None and not findings:

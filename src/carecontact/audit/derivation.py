@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
-import carecontact
 from carecontact.audit.finding import Finding, Part
+from carecontact.audit.fresh_process import said_by
 from carecontact.audit.rederive import BOOTSTRAP
 from carecontact.audit.watched import Watched
-from carecontact.errors import CarecontactError
 
 NAME, TITLE = "re-derivation", "made again without a simulator"
-LONGEST_S = 1800.0
 
 
 def audit_derivation(logs: Path, pressed: list[Watched]) -> Part:
@@ -22,14 +17,7 @@ def audit_derivation(logs: Path, pressed: list[Watched]) -> Part:
 
     Raises CarecontactError if the re-deriving process itself breaks.
     """
-    root = str(Path(carecontact.__file__).resolve().parents[1])
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", BOOTSTRAP, root, str(logs)],
-        stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", timeout=LONGEST_S, check=False,
-    )  # fmt: skip
-    if done.returncode != 0:
-        raise CarecontactError(f"the re-deriving process ended with status {done.returncode}: {done.stderr[-2000:]}")
-    said = json.loads(done.stdout.splitlines()[-1])
+    said = said_by(BOOTSTRAP, logs)
     findings = [
         Finding(policy=look["policy"], place=place, told=f"at {look['time_s']:.3f} s of {look['trial']}: {told}")
         for look in said["looks"]

@@ -6,28 +6,72 @@ from typing import Any
 
 from carecontact.audit.differences import differences
 from carecontact.audit.finding import Finding, Part
+from carecontact.audit.schema import failed_at
 from carecontact.audit.watched import Watched
+from carecontact.policies.wire.packing import unpack
 
 NAME, TITLE = "handshake", "start, handshake and reset of two different trials"
+ONLY = "in trials that differ only in"
 
 
 def audit_handshake(one: Watched, twin: Watched) -> Part:
     """``one`` and ``twin``: witnesses of trials with another seed, id, labels, thresholds and tissue."""
-    findings = [
-        Finding(policy=one.policy, place=place.removeprefix("told."), told=f"{what}, in trials that differ only in "
-                "seed, id, labels, thresholds and tissue")
-        for place, what in differences(one.told, twin.told, "told")
-    ]  # fmt: skip
-    ids = {t.recording.header.spec.trial_id for t in (one, twin) if t.recording is not None}
+    findings = _told_differently(one, twin, "seed, id, labels, thresholds and tissue")
+    leaves = len(_leaves(one.told, "")) if twin.told else 0
+    return Part(name=NAME, title=TITLE, counts={"facts that reached the process": leaves}, findings=tuple(findings))
+
+
+def audit_start(one: Watched, other: Watched) -> Part:
+    """``one`` and ``other``: blind witnesses of trials whose seeds lay the person's arm at different angles.
+
+    What they are told, and all of their first observation, at t = 0, must be the same.
+    """
+    what = "seed and the angle of the person's arm"
+    findings = _told_differently(one, other, what)
     findings += [
+        Finding(policy=one.policy, place=place, told=f"could not be started: {trial.error}")
+        for trial in (one, other)
+        if trial.error
+        for place in failed_at(trial.error)
+    ]
+    starts = False
+    if one.looks and other.looks:
+        starts = _another_angle(one, other)
+        first, second = one.looks[0].sent, other.looks[0].sent
+        if first != second:
+            told = differences(unpack(first), unpack(second), "message")
+            findings += [
+                Finding(policy=one.policy, place=place.removeprefix("message."), told=f"at t = 0: {how}, {ONLY} {what}")
+                for place, how in told or [("message", "other bytes for the same values")]
+            ]
+    return Part(
+        name=NAME, title=TITLE, counts={"starts with the arm at another angle": int(starts)}, findings=tuple(findings)
+    )
+
+
+def _another_angle(one: Watched, other: Watched) -> bool:
+    """Whether the arm did lie at another angle; a protocol that fixes the angle has none to hide."""
+    if one.recording is None or other.recording is None:
+        return False
+    low, high = one.recording.header.spec.protocol.randomization.comfort_arm_deg
+    return low == high or one.recording.header.comfort_arm_deg != other.recording.header.comfort_arm_deg
+
+
+def _told_differently(one: Watched, other: Watched, what: str) -> list[Finding]:
+    findings = [
+        Finding(
+            policy=one.policy, place=place.removeprefix("told."), told=f"{how}, in trials that differ only in {what}"
+        )
+        for place, how in differences(one.told, other.told, "told")
+    ]
+    ids = {t.recording.header.spec.trial_id for t in (one, other) if t.recording is not None}
+    return findings + [
         Finding(policy=one.policy, place=place, told=f"holds the trial's id {trial_id}")
-        for trial in (one, twin)
+        for trial in (one, other)
         for place, value in _leaves(trial.told, "")
         for trial_id in sorted(ids)
         if trial_id in str(value)
     ]
-    leaves = len(_leaves(one.told, "")) if twin.told else 0
-    return Part(name=NAME, title=TITLE, counts={"facts that reached the process": leaves}, findings=tuple(findings))
 
 
 def _leaves(value: Any, place: str) -> list[tuple[str, Any]]:

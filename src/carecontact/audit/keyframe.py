@@ -46,6 +46,8 @@ class Keyframe:
         self._laid_at_deg = comfort_arm_deg(protocol, seed)
         self.scene = simulation.scene
         self._parked = simulation.integration_state()
+        self.parked_pose = simulation.interpolator.pose
+        """(7,) of the TCP in base; as a goal it moves nothing."""
         self._near, self.poses = self._approach(simulation, region=protocol.task(task_id).region)
         """(n, 7) poses of the TCP in base at CONTROL_HZ that follow the later keyframe and end in contact."""
 

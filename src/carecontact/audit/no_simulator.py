@@ -28,7 +28,11 @@ def refuse_simulators() -> None:
 
 
 def within_reach() -> list[str]:
-    """What of CLOSED is loaded or could be."""
+    """What of CLOSED is loaded or could be.
+
+    Where ``refuse_simulators`` was called this asks that same hook: it shows a hook that was forgotten or came too
+    late, not one that fails. The tests look from outside, at the interpreter's log of imports.
+    """
     loaded = {name for name in sys.modules if _closed(name)}
     return sorted(loaded | {name for name in CLOSED if _importable(name)})
 

@@ -1,6 +1,8 @@
 """What an audited trial showed its policy and what that was made of, on disk, for a process that knows no simulator.
 
-A trial is a folder: ``trial.json`` and a ``look-NNN.npz`` for each observation. An ordinary trial writes none of it.
+A trial is a folder: ``trial.json``, ``spec.json`` and a ``look-NNNN.npz`` for each observation. An ordinary trial
+writes none of it. ``spec.json`` and ``LoggedLook.state`` are for the process that draws again; the one that re-derives
+without a simulator uses neither.
 """
 
 from __future__ import annotations
@@ -15,9 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.observation import Observation
+from carecontact.contract.trial import TrialSpec
 from carecontact.observation.builder import RawReadings, RawView
 
-META = "trial.json"
+META, SPEC = "trial.json", "spec.json"
 IMAGES = ("rgb", "depth", "robot_depth", "cell_depth")
 
 
@@ -35,15 +38,31 @@ class Meta:
 
 
 @dataclass(frozen=True, kw_only=True)
+class WorldState:
+    """What the simulator itself held at a look (``state.StateReader``)."""
+
+    steps: int
+    """Physics steps since t = 0."""
+    joint_position: npt.NDArray[np.float64]
+    """(7,) of the robot [rad]"""
+    joint_velocity: npt.NDArray[np.float64]
+    """(7,) of the robot [rad/s]"""
+    vector: npt.NDArray[np.float64]
+    """(n,) all that is drawn, as ``state.DRAWN`` orders it."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class LoggedLook:
     sim_time_s: float
     raw: RawReadings
     sent: bytes
+    state: WorldState
 
 
-def write_meta(folder: Path, meta: Meta) -> None:
+def write_meta(folder: Path, meta: Meta, spec: TrialSpec) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / META).write_text(json.dumps(asdict(meta)))
+    (folder / SPEC).write_text(spec.model_dump_json())
 
 
 def read_meta(folder: Path) -> Meta:
@@ -53,13 +72,23 @@ def read_meta(folder: Path) -> Meta:
     return Meta(**fields)
 
 
-def write_look(folder: Path, index: int, *, observation: Observation, raw: RawReadings, sent: bytes) -> None:
+def read_spec(folder: Path) -> TrialSpec:
+    return TrialSpec.model_validate_json((folder / SPEC).read_text())
+
+
+def write_look(
+    folder: Path, index: int, *, observation: Observation, raw: RawReadings, sent: bytes, state: WorldState
+) -> None:
     arrays: dict[str, npt.NDArray[Any]] = {
         "sent": np.frombuffer(sent, np.uint8),
         "sim_time_s": np.array(observation.sim_time_s),
         "joint_position": raw.joint_position,
         "joint_velocity": raw.joint_velocity,
         "pose_tcp_in_base": raw.pose_tcp_in_base,
+        "state.steps": np.array(state.steps),
+        "state.joint_position": state.joint_position,
+        "state.joint_velocity": state.joint_velocity,
+        "state.vector": state.vector,
     }
     for camera, view in raw.views.items():
         for name in ("intrinsics", "pose_camera_in_base", *IMAGES):
@@ -67,7 +96,7 @@ def write_look(folder: Path, index: int, *, observation: Observation, raw: RawRe
             if value is not None:
                 arrays[f"{camera}/{name}"] = value
     folder.mkdir(parents=True, exist_ok=True)
-    np.savez(folder / f"look-{index:03d}.npz", allow_pickle=False, **arrays)
+    np.savez(folder / f"look-{index:04d}.npz", allow_pickle=False, **arrays)
 
 
 def read_looks(folder: Path) -> Iterator[LoggedLook]:
@@ -88,4 +117,10 @@ def read_looks(folder: Path) -> Iterator[LoggedLook]:
                 views={camera: RawView(**images) for camera, images in views.items()},
             ),
             sent=arrays["sent"].tobytes(),
+            state=WorldState(
+                steps=int(arrays["state.steps"]),
+                joint_position=arrays["state.joint_position"],
+                joint_velocity=arrays["state.joint_velocity"],
+                vector=arrays["state.vector"],
+            ),
         )

@@ -1,4 +1,4 @@
-"""The whole audit: its trials, its five parts, and the file that it leaves."""
+"""The whole audit: its trials, its six parts, and the file that it leaves."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from carecontact.audit import canary, derivation, frozen, handshake, schema
+from carecontact.audit import canary, derivation, frozen, handshake, readings, schema
 from carecontact.audit.finding import Part
 from carecontact.audit.keyframe import CONTROL_HZ, Keyframe
 from carecontact.audit.watched import Watched, press, watch
@@ -19,14 +19,18 @@ from carecontact.contract.observation import MODALITIES
 from carecontact.contract.policy import CAMERAS, PolicyCard
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
-from carecontact.sim.simulation import Simulation
+from carecontact.sim.simulation import Settled, Simulation
+from carecontact.trials.prepare import settled_world
 from carecontact.trials.versions import package_versions
 
 SCHEMA = "carecontact-audit-1"
-PARTS = (derivation, frozen, canary, handshake, schema)
+PARTS = (derivation, readings, frozen, canary, handshake, schema)
 """Modules with a NAME and a TITLE, in the order of the table."""
 QUICK_TRIAL_S = 0.1
 """Of the real policies' trials in the quick form: one look, with the robot parked."""
+QUICK_ACTIONS_PER_LOOK = 3
+"""Of presses that are seen, in the quick form: a look every 0.15 s. All others look at every action."""
+BLIND = PolicyCard(name="every policy", control_hz=CONTROL_HZ)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,10 +79,12 @@ def audit(
         folder, real = Path(name), list[Watched]()
         for number, task_id in enumerate(tasks[:1] if quick else tasks):
             logs, pressed = folder / "logs", list[Watched]()
+            witness = folder / "witness"
             logs.mkdir()
             keyframe = Keyframe(protocol, task_id=task_id, seed=seed)
             region = protocol.task(task_id).region
             spec = TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy="")
+            quiet = spec.model_copy(update={"protocol": canary.without_noise(protocol)})
             if number == 0:
                 for index, policy in enumerate(policies):
                     on_event(f"a trial of {policy}")
@@ -92,18 +98,26 @@ def audit(
             cards = _cards(real, together=quick)
             for index, card in enumerate(cards):
                 on_event(f"two presses on the {region.replace('_', ' ')}, seen by {card.name}")
+                seldom, log = quick and bool(card.modalities), logs / f"press-{number}-{index:02d}"
                 one, twin = _pair(
-                    _without_noise(spec), card, keyframe, folder=folder,
-                    log=logs / f"press-{number}-{index:02d}",
+                    quiet, card, keyframe, actions_per_look=QUICK_ACTIONS_PER_LOOK if seldom else 1, folder=witness,
+                    log=log,
                 )  # fmt: skip
                 add(canary.audit_canary(one, twin))
                 add(handshake.audit_handshake(one, twin))
                 pressed.append(one)
+                if seldom:
+                    # Only images cost time: the rest is looked at as often as in the full form.
+                    pressed.append(_blind_press(quiet, keyframe, folder=witness, log=logs / f"blind-{log.name}"))
                 one.forget()
+            on_event("two starts, the arm at another angle")
+            add(handshake.audit_start(*_starts(quiet, keyframe, folder=witness)))
             on_event(f"the world scrambled in contact with the {region.replace('_', ' ')}")
             add(frozen.audit_frozen(_at_contact(keyframe, spec), cards, instruction=protocol.task(task_id).prompt))
             on_event("all of it made again without a simulator")
             add(derivation.audit_derivation(logs, pressed))
+            on_event("all that it was made of read and drawn again")
+            add(readings.audit_readings(logs, [*(real if number == 0 else ()), *pressed]))
             # Hundreds of megabytes a region.
             shutil.rmtree(logs)
     parts = tuple(_merged(part.NAME, part.TITLE, found.get(part.NAME, [])) for part in PARTS)
@@ -115,10 +129,6 @@ def write(result: Audit, folder: Path) -> Path:
     path = folder / "audit.json"
     path.write_text(json.dumps(result.as_json(), indent=2) + "\n")
     return path
-
-
-def _without_noise(spec: TrialSpec) -> TrialSpec:
-    return spec.model_copy(update={"protocol": canary.without_noise(spec.protocol)})
 
 
 def _shortened(spec: TrialSpec, policy: str, *, quick: bool) -> TrialSpec:
@@ -152,12 +162,36 @@ def _in_order(wanted: set[str], order: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in order if name in wanted)
 
 
-def _pair(spec: TrialSpec, card: PolicyCard, keyframe: Keyframe, *, folder: Path, log: Path) -> tuple[Watched, Watched]:
+def _pair(
+    spec: TrialSpec, card: PolicyCard, keyframe: Keyframe, *, actions_per_look: int, folder: Path, log: Path
+) -> tuple[Watched, Watched]:
     """The same press in two worlds that differ in what is hidden; the first one is logged."""
-    witness = folder / "witness"
-    one = press(spec, card=card, poses=keyframe.poses, prepare=keyframe.near, folder=witness, log=log)
+    poses = keyframe.poses
+    one = press(
+        spec, card=card, poses=poses, prepare=keyframe.near, actions_per_look=actions_per_look, folder=folder, log=log
+    )
     other = canary.other_hidden_values(spec)
-    return one, press(other, card=card, poses=keyframe.poses, prepare=keyframe.twin, folder=witness)
+    return one, press(
+        other, card=card, poses=poses, prepare=keyframe.twin, actions_per_look=actions_per_look, folder=folder
+    )
+
+
+def _blind_press(spec: TrialSpec, keyframe: Keyframe, *, folder: Path, log: Path) -> Watched:
+    return press(
+        spec, card=BLIND, poses=keyframe.poses, prepare=keyframe.near, actions_per_look=1, folder=folder, log=log
+    )
+
+
+def _starts(spec: TrialSpec, keyframe: Keyframe, *, folder: Path) -> tuple[Watched, Watched]:
+    """One step of two trials whose seeds lay the person's arm at different angles."""
+    poses = keyframe.parked_pose[None]
+    one = press(spec, card=BLIND, poses=poses, prepare=keyframe.parked, actions_per_look=1, folder=folder)
+    other = canary.other_arm_angle(spec)
+    return one, press(other, card=BLIND, poses=poses, prepare=_settled, actions_per_look=1, folder=folder)
+
+
+def _settled(spec: TrialSpec) -> tuple[Simulation, Settled, str]:
+    return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed)
 
 
 def _at_contact(keyframe: Keyframe, spec: TrialSpec) -> Simulation:

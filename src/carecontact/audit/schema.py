@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from carecontact.audit.finding import Finding, Part
@@ -29,6 +30,9 @@ PRIVILEGED = (
 )  # fmt: skip
 """No key of a message may contain one of these words, whatever the contract's classes say."""
 
+_REFUSED = re.compile(r"\b(observation(?:\.\w+)*): unknown key (\w+(?:, \w+)*)")
+"""In what the codec says at the policy's end; such a message comes back to nobody, so its keys are read from there."""
+
 
 def audit_schema(trials: list[Watched]) -> Part:
     """``trials``: real trials of the audited policies, their looks still there."""
@@ -36,7 +40,7 @@ def audit_schema(trials: list[Watched]) -> Part:
     for trial in trials:
         if trial.error:
             told = f"failed, so that not all it would be sent was looked at: {reason(trial.error)}"
-            findings.append(Finding(policy=trial.policy, place="trial", told=told))
+            findings += [Finding(policy=trial.policy, place=place, told=told) for place in failed_at(trial.error)]
         card = trial.card
         for look in trial.looks:
             findings += [
@@ -47,6 +51,12 @@ def audit_schema(trials: list[Watched]) -> Part:
         counts={"policies": len(trials), "messages": sum(len(trial.looks) for trial in trials)},
         findings=tuple(dict.fromkeys(findings)),
     )  # fmt: skip
+
+
+def failed_at(error: str) -> list[str]:
+    """Keys that the policy's end refused, if that is why its trial failed; else the trial."""
+    refused = _REFUSED.search(reason(error))
+    return ["trial"] if refused is None else [f"{refused[1]}.{key}" for key in refused[2].split(", ")]
 
 
 def check_message(sent: bytes, card: PolicyCard | None) -> list[tuple[str, str]]:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from carecontact.audit.keyframe import CONTROL_HZ
 from carecontact.audit.raw_log import Meta, write_look, write_meta
+from carecontact.audit.state import StateReader
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import CarecontactError
@@ -25,10 +26,9 @@ from carecontact.world.robot import TCP_Z_M
 
 Prepare = Callable[[TrialSpec], tuple[Simulation, Settled, str]]
 
-ACTIONS_PER_LOOK = 3
-"""At 20 Hz a look every 0.15 s: two before the press touches, four while it does."""
-MAX_LOOKS = 20
-"""Of one trial that are kept and logged: a policy that looks at every step would fill memory and disk."""
+MAX_KEPT_BYTES = 200_000_000
+"""Of one trial's messages that are kept and logged, some 20 looks of all modalities: a policy that looks at every step
+would fill memory and disk. Without images no trial comes near it."""
 WITNESS = "audit_witness:witness"
 _WITNESS_SOURCE = """
 from pathlib import Path
@@ -55,9 +55,11 @@ class Watched:
     error: str | None = None
     """Why the harness could not run it, or why the policy's process failed."""
     looks: list[Message] = field(default_factory=list["Message"])
-    """The first MAX_LOOKS, some 10 MB each: see ``forget``."""
+    """The first MAX_KEPT_BYTES: see ``forget``."""
+    look_steps: list[int] = field(default_factory=list[int])
+    """Physics steps before each of all looks, counted by the simulator's own clock."""
     look_times_s: list[float] = field(default_factory=list[float])
-    """Of all looks."""
+    """Of all looks, as sent."""
     told: dict[str, Any] = field(default_factory=dict[str, Any])
     """Of a witness: what reached its process by its reset."""
 
@@ -78,9 +80,8 @@ class Watched:
         """How many looks came right after a step with a force in it."""
         if self.recording is None:
             return 0
-        force_n, dt_s = self.force_n, self.recording.header.spec.protocol.physics.dt_s
-        steps = [round(time_s / dt_s) - 1 for time_s in self.look_times_s]
-        return sum(0 <= step < len(force_n) and bool(force_n[step]) for step in steps)
+        force_n = self.force_n
+        return sum(0 < steps <= len(force_n) and bool(force_n[steps - 1]) for steps in self.look_steps)
 
     def forget(self) -> None:
         """Give the looks' memory back; when they were stays known."""
@@ -92,18 +93,28 @@ def watch(
 ) -> Watched:
     """Run one trial and keep what it showed; with ``log`` also on disk. What fails is told, never raised."""
     watched = Watched(policy=policy)
+    readers: list[StateReader] = []
+    kept = 0
+
+    def prepared(spec: TrialSpec) -> tuple[Simulation, Settled, str]:
+        world = prepare(spec)
+        readers.append(StateReader(world[0]))
+        return world
 
     def on_look(look: Look) -> None:
-        time_s, number = look.observation.sim_time_s, len(watched.look_times_s)
+        nonlocal kept
+        state, time_s, number = readers[-1].read(), look.observation.sim_time_s, len(watched.look_times_s)
         watched.look_times_s.append(time_s)
-        if number >= MAX_LOOKS:
+        watched.look_steps.append(state.steps)
+        kept += len(look.sent)
+        if kept > MAX_KEPT_BYTES:
             return
         watched.looks.append(Message(time_s=time_s, sent=look.sent))
         if log is not None:
-            write_look(log, number, observation=look.observation, raw=look.raw, sent=look.sent)
+            write_look(log, number, observation=look.observation, raw=look.raw, sent=look.sent, state=state)
 
     try:
-        recording = watched.recording = run_trial(spec, search_path=search_path, prepare=prepare, on_look=on_look)
+        recording = watched.recording = run_trial(spec, search_path=search_path, prepare=prepared, on_look=on_look)
     except CarecontactError as error:
         watched.error = str(error)
         return watched
@@ -124,6 +135,7 @@ def watch(
                     "cameras": {name: camera.model_dump() for name, camera in protocol.cameras.items()},
                 },
             ),
+            spec,
         )  # fmt: skip
     return watched
 
@@ -134,10 +146,11 @@ def press(
     card: PolicyCard,
     poses: npt.NDArray[np.float64],
     prepare: Prepare,
+    actions_per_look: int,
     folder: Path,
     log: Path | None = None,
 ) -> Watched:
-    """A trial of the witness: the card's modalities while the poses (n, 7) are played.
+    """A trial of the witness: the card's modalities while the poses (n, 7) are played at CONTROL_HZ.
 
     ``folder``: where the witness's process looks for its task and writes what it was told; the same for trials that are
     to be compared, since its path reaches the policy.
@@ -146,7 +159,7 @@ def press(
     (folder / f"{WITNESS.partition(':')[0]}.py").write_text(_WITNESS_SOURCE)
     task = {
         "card": codec.encode_card(card), "control_hz": CONTROL_HZ, "poses": poses.tolist(),
-        "actions_per_look": ACTIONS_PER_LOOK,
+        "actions_per_look": actions_per_look,
     }  # fmt: skip
     (folder / TASK).write_text(json.dumps(task))
     told = folder / TOLD

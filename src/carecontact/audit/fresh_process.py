@@ -1,0 +1,34 @@
+"""Parts of the audit that run where nothing of the audited process is left: neither its memory nor what was patched."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import carecontact
+from carecontact.errors import CarecontactError
+
+LONGEST_S = 1800.0
+
+
+def said_by(code: str, logs: Path, *, environment: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """The JSON object that ``code`` prints last, run by ``python -c`` with the folder of the package and ``logs``.
+
+    Raises CarecontactError if the process breaks or takes more than LONGEST_S.
+    """
+    root = str(Path(carecontact.__file__).resolve().parents[1])
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", code, root, str(logs)], env={**os.environ, **(environment or {})},
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", timeout=LONGEST_S, check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        raise CarecontactError(f"a process of the audit did not end within {LONGEST_S:g} s") from None
+    if done.returncode != 0:
+        raise CarecontactError(f"a process of the audit ended with status {done.returncode}: {done.stderr[-2000:]}")
+    return json.loads(done.stdout.splitlines()[-1])

@@ -1,0 +1,147 @@
+"""The readings part's process: time, encoders, poses and pictures of every look, made anew from the recorded state."""
+
+from __future__ import annotations
+
+import json
+import sys
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.audit.canary import without_noise
+from carecontact.audit.cell_geometry import intrinsics
+from carecontact.audit.differences import differences
+from carecontact.audit.pictures import Pictures, cell_model
+from carecontact.audit.raw_log import IMAGES, SPEC, LoggedLook, WorldState, read_looks, read_meta, read_spec
+from carecontact.audit.state import DRAWN, robot_addresses
+from carecontact.contract.trial import TrialSpec
+from carecontact.observation.sensor_noise import SensorNoise
+from carecontact.trials.randomization import dress, lay, sensor_noise
+from carecontact.world.furniture import FURNITURE_GROUP
+from carecontact.world.robot import VISUAL_GROUP
+from carecontact.world.scene import build_scene
+
+F64 = npt.NDArray[np.float64]
+CV_FROM_GL = np.diag([1.0, -1.0, -1.0])
+
+BOOTSTRAP = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from carecontact.audit.redraw import main
+main(sys.argv[2])
+"""
+"""For ``python -c``, with the folder of the package and that of the trial logs (``raw_log``)."""
+
+
+def main(folder: str) -> None:
+    """Write one JSON object: ``looks`` of every trial, as ``rederive.main``, and ``images``, how many were drawn."""
+    worlds: dict[str, _World] = {}
+    looks: list[dict[str, Any]] = []
+    for trial in sorted(path for path in Path(folder).iterdir() if (path / SPEC).is_file()):
+        spec = read_spec(trial)
+        key = _key(spec)
+        world = worlds[key] = worlds.get(key) or _World(spec)
+        policy = read_meta(trial).policy
+        noise, dt_s = sensor_noise(spec.protocol, spec.seed), spec.protocol.physics.dt_s
+        looks += [
+            {
+                "trial": trial.name,
+                "policy": policy,
+                "time_s": look.state.steps * dt_s,
+                "differences": world.differences(look, noise),
+            }
+            for look in read_looks(trial)
+        ]
+    sys.stdout.write(json.dumps({"looks": looks, "images": sum(w.images for w in worlds.values())}) + "\n")
+
+
+def _key(spec: TrialSpec) -> str:
+    """Equal for trials of one and the same world: how long a trial lasts and what its sensors add is not drawn."""
+    protocol = without_noise(spec.protocol).model_dump(mode="json", exclude={"phases"})
+    return json.dumps([protocol, spec.task_id, spec.seed], sort_keys=True)
+
+
+class _World:
+    """Built here and now, as the protocol and the seed say; never the audited process's own."""
+
+    def __init__(self, spec: TrialSpec) -> None:
+        self._spec, self.images = spec, 0
+        self._cameras = {str(name): camera for name, camera in spec.protocol.cameras.items()}
+        self._cell = cell_model(spec.protocol)
+
+    def differences(self, look: LoggedLook, noise: SensorNoise) -> list[tuple[str, str]]:
+        """(place, what differs) of all readings behind one message, to the last bit."""
+        state, raw = look.state, look.raw
+        now_s = state.steps * self._spec.protocol.physics.dt_s
+        angles = noise.joint_position(state.joint_position, sim_time_s=now_s)
+        data = _at(self._cell, angles)
+        rows: list[tuple[str, Any, Any]] = [
+            ("sim_time_s", now_s, look.sim_time_s),
+            ("joint_position", angles, raw.joint_position),
+            ("joint_velocity", state.joint_velocity, raw.joint_velocity),
+            ("pose_tcp_in_base", _in_base(data, data.site("tcp").xpos, data.site("tcp").xmat), raw.pose_tcp_in_base),
+        ]
+        for name, view in raw.views.items():
+            camera, optics = data.cam(name), intrinsics(self._cameras[name].model_dump())
+            pose = _in_base(data, camera.xpos, camera.xmat.reshape(3, 3) @ CV_FROM_GL)
+            rows.append((f"cameras.{name}.intrinsics", optics, view.intrinsics))
+            rows.append((f"cameras.{name}.pose_camera_in_base", pose, view.pose_camera_in_base))
+            for image in IMAGES:
+                shown = getattr(view, image)
+                if shown is None:
+                    continue
+                again = self._image(image, name, state, angles)
+                if image == "depth":
+                    again = noise.depth(again, optics, camera=name, sim_time_s=now_s)
+                rows.append((f"cameras.{name}.{image}", again, shown))
+        return [
+            (where, f"is not what the recorded state gives: {what}")
+            for place, expected, got in rows
+            for where, what in differences(expected, got, f"observation.{place}")
+        ]
+
+    def _image(self, image: str, camera: str, state: WorldState, angles: F64) -> npt.NDArray[Any]:
+        self.images += 1
+        if image == "robot_depth":
+            return self._empty.depth(_at(self._empty.model, angles), camera, group=VISUAL_GROUP)
+        if image == "cell_depth":
+            return self._empty.depth(_at(self._empty.model, angles), camera, group=FURNITURE_GROUP)
+        model = self._whole.model
+        data = mujoco.MjData(model)
+        mujoco.mj_setState(model, data, state.vector, DRAWN)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        return self._whole.rgb(data, camera) if image == "rgb" else self._whole.depth(data, camera)
+
+    @cached_property
+    def _whole(self) -> Pictures:
+        spec = self._spec
+        scene = build_scene(spec.protocol, target=spec.protocol.task(spec.task_id).region)
+        dress(scene, spec.seed)
+        lay(scene, spec.seed)
+        return Pictures(scene.model, self._cameras)
+
+    @cached_property
+    def _empty(self) -> Pictures:
+        return Pictures(cell_model(self._spec.protocol, like=self._whole.model), self._cameras)
+
+
+def _at(model: mujoco.MjModel, angles: F64) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    data.qpos[robot_addresses(model)[0]] = angles
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_camlight(model, data)
+    return data
+
+
+def _in_base(data: mujoco.MjData, position: F64, rotation: F64) -> F64:
+    """World position (3,) and matrix (3, 3) or (9,) -> (4, 4) pose in the robot's base."""
+    base, pose = data.body("robot_base"), np.eye(4)
+    to_base = base.xmat.reshape(3, 3).T
+    pose[:3, :3] = to_base @ rotation.reshape(3, 3)
+    pose[:3, 3] = to_base @ (position - base.xpos)
+    return pose

@@ -1,0 +1,41 @@
+"""What the simulator holds at a look, read by MuJoCo's own interface: past all code that makes observations."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from carecontact.audit.raw_log import WorldState
+from carecontact.sim.simulation import Simulation
+
+DRAWN = int(
+    mujoco.mjtState.mjSTATE_TIME | mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
+    | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
+)  # fmt: skip
+"""Parts of the integration state from which every picture follows; sensor history, a hundred times as long, is none."""
+JOINTS = tuple(f"robot_joint{i}" for i in range(1, 8))
+
+
+class StateReader:
+    """Reads one simulation; made at its t = 0, from which it counts steps."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._model, self._data = simulation.model, simulation.data
+        self._begin_s = float(self._data.time)
+        self._qpos, self._dof = robot_addresses(self._model)
+
+    def read(self) -> WorldState:
+        vector = np.zeros(mujoco.mj_stateSize(self._model, DRAWN))
+        mujoco.mj_getState(self._model, self._data, vector, DRAWN)
+        return WorldState(
+            # MuJoCo's clock adds up rounding errors, far less than a step in any trial.
+            steps=round((float(self._data.time) - self._begin_s) / self._model.opt.timestep),
+            joint_position=self._data.qpos[self._qpos].copy(), joint_velocity=self._data.qvel[self._dof].copy(),
+            vector=vector,
+        )  # fmt: skip
+
+
+def robot_addresses(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
+    """Of the seven joints in qpos and qvel."""
+    joints = [model.joint(name) for name in JOINTS]
+    return [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]
