@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carecontact.audit.schema import FIELDS_OF, check_message
+from carecontact.audit.schema import FIELDS_OF, check_message, failed_at
 from carecontact.contract.observation import MODALITIES, CameraView
 from carecontact.contract.policy import PolicyCard
 from carecontact.observation.builder import ALLOWED_IN_VIEW
@@ -51,3 +51,17 @@ def test_a_message_with_all_that_was_asked_for_is_fine() -> None:
 def test_what_is_wrong_is_named(sent: object, card: PolicyCard | None, place: str, told: str) -> None:
     found = check_message(pack(sent), card)
     assert any(where == place and told in what for where, what in found), found
+
+
+@pytest.mark.parametrize(
+    ("error", "named"),
+    [
+        ("observation: unknown key contact_force; valid: cameras", ["observation.contact_force"]),
+        ("observation: unknown key force, seed; valid: cameras", ["observation.force", "observation.seed"]),
+        ("observation.cameras.wrist: unknown key truth; valid: rgb", ["observation.cameras.wrist.truth"]),
+        ("observation.joint_position: expected float64 (7)", ["trial"]),
+    ],
+)
+def test_a_key_that_was_refused_is_named(error: str, named: list[str]) -> None:
+    trace = f"policy 'p' failed at act: Traceback (most recent call last):\n  File\ncarecontact.errors.Some: {error}"
+    assert failed_at(trace) == named
