@@ -74,6 +74,7 @@ def test_keys_stand_below_their_picture_and_cover_none_of_it(view: CameraView) -
             box, picture = key.get_window_extent(), axes.get_window_extent()
             assert box.y1 < picture.y0, (axes.get_title(loc="left"), key)
             assert box.y0 > 0
+            assert box.x1 <= picture.x1 + 1
             others = [other.get_window_extent() for other in pictures if other is not axes]
             assert not any(box.overlaps(other) for other in others)
     assert keys == 2 * (3 + 1 + 3), "a bar with two numbers, a legend, left, right and what is unsure; two cameras"

@@ -150,8 +150,8 @@ def _masks_panel(axes: Axes, view: CameraView) -> None:
         image[mask] = (1 - share) * image[mask] + share * colour
         handles.append(Patch(color=tuple(colour / 255), label=f"{name} {100 * mask.mean():.0f} %"))
     axes.imshow(image.clip(0, 255).astype(np.uint8))
-    axes.legend(handles=handles, loc="center left", bbox_to_anchor=(0, _foot(axes)), ncols=4, fontsize=8.5,
-                frameon=False, borderpad=0, borderaxespad=0, handlelength=0.9, handletextpad=0.4, columnspacing=0.9,
+    axes.legend(handles=handles, loc="center left", bbox_to_anchor=(0, _foot(axes)), ncols=4, fontsize=7.5,
+                frameon=False, borderpad=0, borderaxespad=0, handlelength=0.9, handletextpad=0.4, columnspacing=0.7,
                 labelcolor=FAINT)  # fmt: skip
 
 
