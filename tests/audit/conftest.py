@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +12,24 @@ from carecontact.audit.keyframe import Keyframe
 from carecontact.audit.watched import Watched, press
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
+from carecontact.policies.wire import client
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Samples, Simulation
 
 Press = Callable[..., Watched]
 BLIND = PolicyCard(name="blind")
+
+
+def send_a_privileged_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With every observation from now on."""
+    honest = client.pack
+
+    def leaky(message: dict[str, Any]) -> bytes:
+        if message["type"] == "act":
+            message["observation"]["contact_force"] = 3.5
+        return honest(message)
+
+    monkeypatch.setattr(client, "pack", leaky)
 
 
 @pytest.fixture(scope="session")

@@ -23,14 +23,13 @@ from carecontact.contract.policy import PolicyCard, Session
 from carecontact.contract.trial import TrialSpec
 from carecontact.observation.builder import ObservationBuilder
 from carecontact.policies import process
-from carecontact.policies.wire import client
 from carecontact.recording.perception import JOINTS
 from carecontact.sim.proprioception import Proprioception
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.trials import trial
 from carecontact.trials.perception import PerceptionLog
-from tests.audit.conftest import BLIND, Press, places
+from tests.audit.conftest import BLIND, Press, places, send_a_privileged_key
 
 
 def touched(data: mujoco.MjData) -> float:
@@ -44,14 +43,7 @@ def short(spec: TrialSpec) -> TrialSpec:
 
 
 def test_a_privileged_key_on_the_wire(monkeypatch: pytest.MonkeyPatch, keyframe: Keyframe, spec: TrialSpec) -> None:
-    honest = client.pack
-
-    def leaky(message: dict[str, Any]) -> bytes:
-        if message["type"] == "act":
-            message["observation"]["contact_force"] = 3.5
-        return honest(message)
-
-    monkeypatch.setattr(client, "pack", leaky)
+    send_a_privileged_key(monkeypatch)
     seen = watch(
         short(spec).model_copy(update={"policy": "zero-action"}), policy="zero-action", prepare=keyframe.parked
     )

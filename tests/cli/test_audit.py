@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from carecontact.cli import main
 from carecontact.policies.registry import POLICIES
-from carecontact.policies.wire import client
+from tests.audit.conftest import send_a_privileged_key
 
 
 def test_nothing_leaks_to_any_registered_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -36,14 +35,7 @@ def test_nothing_leaks_to_any_registered_policy(tmp_path: Path, capsys: pytest.C
 def test_a_leak_ends_with_status_1_and_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    honest = client.pack
-
-    def leaky(message: dict[str, Any]) -> bytes:
-        if message["type"] == "act":
-            message["observation"]["contact_force"] = 3.5
-        return honest(message)
-
-    monkeypatch.setattr(client, "pack", leaky)
+    send_a_privileged_key(monkeypatch)
     assert main(["audit", "--quick", "--policy", "zero-action", "-o", str(tmp_path)]) == 1
     printed = capsys.readouterr().out
     assert printed.splitlines()[-1] == f"FAILED: {tmp_path / 'audit.json'}"

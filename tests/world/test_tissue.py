@@ -62,17 +62,25 @@ def test_core_lies_at_the_measured_depth(region: str) -> None:
     assert np.percentile(np.abs(depths - wanted), 95) < 0.001
 
 
+BRIDGED = pytest.mark.xfail(
+    strict=True, reason="a wedge of the core bridges the hollow where this upper arm narrows: 3.3 and 4.1 mm too high"
+)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", body_names())
-@pytest.mark.parametrize("region", REGIONS)
-def test_core_of_every_body(name: str, region: str) -> None:
-    """Where an upper arm narrows a wedge bridges its hollow, and the core comes a few millimetres soon."""
+@pytest.mark.parametrize(
+    ("region", "name"),
+    [
+        pytest.param(region, name, marks=BRIDGED if region == "upper_arm" and name.endswith("old-light") else ())
+        for region in REGIONS
+        for name in body_names()
+    ],
+)
+def test_core_of_every_body(region: str, name: str) -> None:
     tissue = PROTOCOL.person.tissue[region]
     depths, room = depths_of_core(bench(region, tissue, name))
     wanted = np.minimum(tissue.thickness_m, room)
-    assert np.percentile(depths - wanted, 5) > (-0.005 if region == "upper_arm" else -0.001)
-    assert (depths - wanted > -0.006).all()
-    assert region != "upper_arm" or (depths > 0.024).all()
+    assert np.percentile(depths - wanted, 5) > (-0.003 if region == "upper_arm" else -0.001)
     assert np.median(np.abs(depths - wanted)) < 0.001
 
 
