@@ -234,11 +234,13 @@ def draw(result: CheckResult, figure: Figure) -> None:
                 axes[-1].loglog(
                     radius, force[1] * (radius / radius[1]) ** exponent, ":", color=line.get_color(), lw=0.8
                 )
+        highest = max(result.curves[f"trend/{name}"][1].max() for name in TRENDS)
         axes[-1].set(xlabel="tool radius [mm]", ylabel="force [N]", title="tool size (dotted: layer)")
+        axes[-1].set_ylim(None, 20 * highest)
         axes[-1].minorticks_off()
-        axes[-1].set_xticks([6, 12, 24], ["6", "12", "24"])
+        axes[-1].set_xticks([5, 10, 20], ["5", "10", "20"])
         axes[-1].set_yticks([0.5, 1, 2, 4, 8], ["0.5", "1", "2", "4", "8"])
-        axes[-1].legend()
+        axes[-1].legend(loc="upper left")
 
 
 def _draw_step(measures: Sequence[Measure], axes: Axes) -> None:
@@ -253,9 +255,12 @@ def _draw_step(measures: Sequence[Measure], axes: Axes) -> None:
             (dots,) = axes.plot([m.value for m in mine[:half]], at[:half], "o", ms=4, label=region.replace("_", " "))
             axes.plot([m.value for m in mine[half:]], at[half:], "x", ms=4, color=dots.get_color())
     limits = {m.name.partition(", ")[2]: m.limit or 0.0 for m in rows}
-    axes.plot([limits[label] for label in labels], range(len(labels)), "|", color="0.3", ms=12, label="limit")
+    axes.plot([limits[label] for label in labels], range(len(labels)), "|", color="0.3", ms=12)
     axes.set_yticks(range(len(labels)), labels)
     both = len(rows) > len(labels) * len({m.name.partition(":")[0] for m in rows})
-    axes.set(xlabel="change [%]", title="half (o), twice (x) the step" if both else "half the step", xlim=(0, None))
+    title = "half (o), twice (x) the step" if both else "half the step"
+    # Room on the right, where no change is, for the names.
+    farthest = max(m.value for m in rows) if rows else 0.0
+    axes.set(xlabel="change [%] and its limit (|)", title=title, xlim=(0, 2.2 * max(farthest, *limits.values(), 1.0)))
     axes.invert_yaxis()
     axes.legend(loc="upper right")
