@@ -68,6 +68,32 @@ def without_joint_limits(protocol: Protocol, *, target: str | None, skin: bool) 
     return scene
 
 
+def without_cores(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    scene = build_scene(protocol, target=target, skin=skin)
+    for g in range(scene.model.ngeom):
+        if scene.model.geom(g).name.startswith("human_core_"):
+            scene.model.geom_contype[g] = scene.model.geom_conaffinity[g] = 0
+    return scene
+
+
+def light_arm(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    """Half of a forearm's bone is in the pelvis: the person weighs what it should."""
+    scene = build_scene(protocol, target=target, skin=skin)
+    arm, pelvis = (scene.model.body(f"human_{name}").id for name in ("right_forearm", "pelvis"))
+    scene.model.body_mass[pelvis] += 0.5 * scene.model.body_mass[arm]
+    scene.model.body_mass[arm] *= 0.5
+    return scene
+
+
+def stiff_joints(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    scene = build_scene(protocol, target=target, skin=skin)
+    for hinge in scene.hinges:
+        joint = scene.model.joint(f"human_{hinge.name}").id
+        scene.model.jnt_stiffness[joint] *= 2.0
+        scene.model.dof_damping[scene.model.jnt_dofadr[joint]] *= 2.0
+    return scene
+
+
 def at_ten_milliseconds(protocol: Protocol) -> Protocol:
     return protocol.model_copy(update={"physics": protocol.physics.model_copy(update={"dt_s": 0.010})})
 

@@ -23,11 +23,11 @@ CHECKS = {
     name: name.replace("-", "_")
     for name in (
         "force-balance", "energy", "convergence", "passive-response", "calibration-residual", "determinism",
-        "sensitivity", "stability", "uniformity", "smoothness",
+        "sensitivity", "stability", "uniformity", "smoothness", "declared",
     )
 }  # fmt: skip
 """Name -> module in this package, which has TITLE, run(subject, quick=...) and draw(result, figure). The first eight
-are those of the design, in its order; the last two are acceptance measurements."""
+are those of the design, in its order; the others came with what they measure."""
 SCHEMA = "carecontact-validation-1"
 
 

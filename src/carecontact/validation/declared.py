@@ -1,0 +1,148 @@
+"""The compiled world has the masses, joints and bone cores that the tables declare.
+
+Read from what the engine does with the model, not from the code that wrote it: masses and centres from its kinematics,
+springs and dampers from the torques it gives, cores from rays.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from carecontact.recording.schema import REGIONS
+from carecontact.validation.result import Array, CheckResult, Measure
+from carecontact.validation.subject import Subject
+from carecontact.world.human.anthropometry import segment_inertias
+from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
+from carecontact.world.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TITLE = "Masses, joints and bone cores as declared"
+TURN_RAD, SPEED_RAD_S = 0.05, 1.0
+"""How far and how fast each hinge is turned to read its spring and its damper; the laws are linear."""
+LONGEST_RAY_M = 0.15
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    scene = subject.scene("forearm")
+    masses, centres = segment_masses(scene)
+    springs, dampers, ranges = joint_constants(scene)
+    curves = {"mass": masses, "spring": springs, "damper": dampers}
+    measures = [
+        Measure(name="mass of the person", value=float(masses[:, 0].sum()), unit="kg"),
+        _off("person's mass off the declared", [masses.sum(0)]),
+        _off("mass of a segment with its shell, largest difference", masses),
+        Measure(name="centre of mass of a segment with its shell, largest distance", value=1000 * float(centres.max()),
+                unit="mm", limit=1.0),
+        _off("spring of a joint, largest difference", springs),
+        _off("damper of a joint, largest difference", dampers),
+        Measure(name="end stop of a joint, largest difference", value=float(ranges.max()), unit="deg", limit=0.1),
+    ]  # fmt: skip
+    for region in REGIONS[:1] if quick else REGIONS:
+        depth = core_depths(subject.scene(region), region)
+        curves[f"core/{region}"] = depth[np.isfinite(depth)]
+        measures.append(
+            Measure(name=f"{region}: skin with bone under it that the tool can meet",
+                    value=100 * float(np.isfinite(depth).mean()), unit="%", limit=95.0, side="at least")
+        )  # fmt: skip
+        if np.isfinite(depth).any():
+            middle = 1000 * float(np.nanmedian(np.where(np.isfinite(depth), depth, np.nan)))
+            measures.append(Measure(name=f"{region}: depth of that bone, median", value=middle, unit="mm"))
+    return CheckResult(check="declared", title=TITLE, measures=tuple(measures), curves=curves)
+
+
+def _off(name: str, rows: Array | list[Array]) -> Measure:
+    """``rows`` (n, 2): as it is, as declared. A joint declared without a spring has to have none."""
+    rows = np.asarray(rows)
+    scale = np.where(rows[:, 1] == 0, 1e-9, rows[:, 1])
+    return Measure(name=name, value=100 * float(np.abs((rows[:, 0] - rows[:, 1]) / scale).max()), unit="%", limit=1.0)
+
+
+def segment_masses(scene: Scene) -> tuple[Array, Array]:
+    """(S, 2) mass of every segment with its shell and as declared [kg]; (S,) distance of the centres of mass [m]."""
+    model, body = scene.model, scene.body
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    ids = {model.body(body_name(segment)).id: segment for segment in body.segments}
+    owner = np.full(model.nbody, -1)
+    for i in range(model.nbody):
+        # Shell vertices and their cells hang on the segment; bodies come after their parents.
+        owner[i] = i if i in ids else owner[model.body_parentid[i]]
+    declared = segment_inertias(body)
+    masses, distances = [], []
+    for i, segment in ids.items():
+        mass = model.body_mass[owner == i]
+        centre = mass @ data.xipos[owner == i] / mass.sum()
+        here = data.xmat[i].reshape(3, 3).T @ (centre - data.xpos[i])
+        row = declared[segment]
+        masses.append([mass.sum(), row.mass_kg])
+        distances.append(np.linalg.norm(here - (row.centre_m - body.joint_centre[segment])))
+    return np.array(masses), np.array(distances)
+
+
+def joint_constants(scene: Scene) -> tuple[Array, Array, Array]:
+    """(J, 2) springs [N m/rad] and dampers [N m s/rad] as they answer and as declared; (J,) end stops' error [deg]."""
+    model = copy.copy(scene.model)
+    data = mujoco.MjData(model)
+    springs, dampers, ranges = [], [], []
+
+    def torque(dof: int, *, turn: float = 0.0, speed: float = 0.0) -> float:
+        mujoco.mj_resetData(model, data)
+        data.qpos[joint.qposadr[0]] += turn
+        data.qvel[dof] = speed
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        return float(data.qfrc_spring[dof] + data.qfrc_damper[dof])
+
+    for hinge in scene.hinges:
+        joint = model.joint(f"human_{hinge.name}")
+        dof = int(joint.dofadr[0])
+        rest = torque(dof)
+        springs.append([(rest - torque(dof, turn=TURN_RAD)) / TURN_RAD, hinge.stiffness_nm_rad])
+        dampers.append([(rest - torque(dof, speed=SPEED_RAD_S)) / SPEED_RAD_S, hinge.damping_nms_rad])
+        stops = np.degrees(joint.range) if joint.limited[0] else np.array([-np.inf, np.inf])
+        ranges.append(np.abs(stops - hinge.range_deg).max())
+    return np.array(springs), np.array(dampers), np.array(ranges)
+
+
+def core_depths(scene: Scene, region: str) -> Array:
+    """(n,) how deep under every free vertex of the shell a ray to the region's axis meets bone that the tool collides
+    with [m]; infinite where it meets none. Not along the anchor: slim arms have bones so thin that it leans past."""
+    model = scene.model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    shell = scene.regions[region].shell
+    bone = model.body(body_name(SOFT_SEGMENTS[region])).id
+    to_world = data.xmat[bone].reshape(3, 3)
+    origin = scene.body.joint_centre[SOFT_SEGMENTS[region]]
+    tool = model.geom("robot_tool_cap")
+    cores = [
+        g for g in range(model.ngeom)
+        if model.geom(g).name.startswith(f"human_core_{region}_")
+        and (model.geom_contype[g] & tool.conaffinity[0] or model.geom_conaffinity[g] & tool.contype[0])
+    ]  # fmt: skip
+    depths = []
+    for k in np.flatnonzero(~shell.pinned):
+        start = data.xpos[bone] + to_world @ (shell.vertices[k] - origin)
+        along = to_world @ (shell.axis_points[k] - shell.vertices[k])
+        along /= np.linalg.norm(along)
+        hits = (mujoco.mj_rayMesh(model, data, g, start, along, None) for g in cores)
+        depths.append(min((d for d in hits if 0 <= d < LONGEST_RAY_M), default=np.inf))
+    return np.array(depths)
+
+
+def draw(result: CheckResult, figure: Figure) -> None:
+    figure.set_size_inches(7.2, 2.6)
+    axes = figure.subplots(1, 3)
+    for ax, name, unit in zip(axes, ("mass", "spring", "damper"), ("kg", "N m/rad", "N m s/rad"), strict=True):
+        made, declared = result.curves[name].T
+        low, high = 0.7 * declared[declared > 0].min(), 1.4 * declared.max()
+        ax.plot([low, high], [low, high], color="0.6", lw=0.8)
+        ax.loglog(declared, made, "o", mfc="none")
+        ax.set(xlabel=f"declared {name} [{unit}]", ylabel=f"compiled [{unit}]")
