@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -69,3 +71,18 @@ def test_nobody() -> None:
     assert np.isnan(found.landmarks).all()
     assert not found.person.any()
     assert nobody(4, 5).person.shape == (4, 5)
+
+
+def test_pyplot_is_not_imported_for_an_estimate_and_can_be_afterwards() -> None:
+    program = """
+import sys
+import numpy as np
+from carecontact.observation.keypoints import MediaPipePose
+found = MediaPipePose().estimate(np.zeros((64, 64, 3), np.uint8))
+assert np.isnan(found.landmarks).all()
+assert "mediapipe" in sys.modules and not any(name.startswith("matplotlib") for name in sys.modules)
+from matplotlib import pyplot
+pyplot.figure()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -6,14 +6,15 @@ from collections import Counter
 
 import numpy as np
 import pytest
+import scipy.ndimage
 from hypothesis import given
 from hypothesis import strategies as st
 
 from carecontact.errors import SceneError
 from carecontact.world.human.surface_mesh import (
+    Triangles,
     bridged,
     distance_outside,
-    first_hits,
     graded,
     graded_from_middle,
     normals_and_areas,
@@ -79,16 +80,16 @@ def test_rays_hit_the_nearer_of_two_walls() -> None:
     rng = np.random.default_rng(1)
     origins = np.stack([np.zeros(20), rng.uniform(-0.2, 0.2, 20), rng.uniform(-0.2, 0.2, 20)], 1)
     ahead = np.tile([1.0, 0, 0], (20, 1))
-    np.testing.assert_allclose(first_hits(walls, origins, ahead), 2.0)
-    np.testing.assert_allclose(first_hits(walls, origins[0], ahead[:1]), 2.0)
+    np.testing.assert_allclose(Triangles(walls).first_hits(origins, ahead), 2.0)
+    np.testing.assert_allclose(Triangles(walls).first_hits(origins[0], ahead[:1]), 2.0)
     slanted = np.array([[np.cos(0.05), np.sin(0.05), 0.0]])
-    np.testing.assert_allclose(first_hits(walls, np.zeros(3), slanted), 2.0 / np.cos(0.05))
+    np.testing.assert_allclose(Triangles(walls).first_hits(np.zeros(3), slanted), 2.0 / np.cos(0.05))
 
 
 def test_a_ray_that_misses_is_named() -> None:
     wall = np.array([[[1.0, -1, -1], [1, 1, -1], [1, 0, 2]]])
     with pytest.raises(SceneError, match=r"a ray from \[0.0, 0.0, 0.0\] misses"):
-        first_hits(wall, np.zeros(3), np.array([[1.0, 0, 0], [-1.0, 0, 0]]))
+        Triangles(wall).first_hits(np.zeros(3), np.array([[1.0, 0, 0], [-1.0, 0, 0]]))
 
 
 @pytest.mark.parametrize("wrap", [False, True])
@@ -119,3 +120,15 @@ def test_a_ball_spans_a_narrow_dip_and_leaves_domes_slopes_and_wide_valleys() ->
     assert spanned.min() == pytest.approx(-(0.012**2) / (2 * 0.06), abs=7e-4)
     np.testing.assert_allclose(spanned[r2 > 0.02**2], 0.0, atol=1e-12)
     assert (spanned >= pit).all()
+
+
+def test_bridging_is_scipys_grey_closing_bit_for_bit() -> None:
+    u, v = np.linspace(0.0, 0.1, 23), np.linspace(0.0, 0.1, 31)
+    heights, radius = np.random.default_rng(3).normal(0.0, 0.01, (23, 31)), 0.02
+    n, m = (int(0.9 * radius / (axis[1] - axis[0])) for axis in (u, v))
+    x, y = np.meshgrid(np.arange(-n, n + 1) * (u[1] - u[0]), np.arange(-m, m + 1) * (v[1] - v[0]), indexing="ij")
+    ball = np.sqrt(np.maximum(radius**2 - x**2 - y**2, 0.0)) - radius
+    wide = np.pad(heights, [(2 * n, 2 * n), (2 * m, 2 * m)], mode="reflect", reflect_type="odd")
+    closed = scipy.ndimage.grey_closing(wide, footprint=x**2 + y**2 < (0.9 * radius) ** 2, structure=ball)
+    expected = np.maximum(heights, closed[2 * n : -2 * n, 2 * m : -2 * m])
+    np.testing.assert_array_equal(bridged(u, v, heights, radius), expected)

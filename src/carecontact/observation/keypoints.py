@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 from typing import Protocol as TypingProtocol
 
@@ -75,6 +76,20 @@ def unrotate(uv: npt.NDArray[np.float64], quarter_turns: int, height: int, width
     return np.stack(pair, -1)
 
 
+@contextmanager
+def _without_pyplot() -> Iterator[None]:
+    """MediaPipe imports pyplot for drawings that nobody makes here; that would take a second of every trial."""
+    names = [name for name in ("matplotlib", "matplotlib.pyplot") if name not in sys.modules]
+    stand_ins = {name: ModuleType(name) for name in names}
+    sys.modules.update(stand_ins)
+    try:
+        yield
+    finally:
+        for name, stand_in in stand_ins.items():
+            if sys.modules.get(name) is stand_in:
+                del sys.modules[name]
+
+
 class MediaPipePose:
     """MediaPipe Pose 0.10.21, the model its wheel carries: median over three rotations, then again on a crop.
 
@@ -131,7 +146,7 @@ class MediaPipePose:
             return self._graph.process(rgb)
         os.environ.setdefault("GLOG_minloglevel", "3")
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-        with _quiet_stderr():
+        with _quiet_stderr(), _without_pyplot():
             from mediapipe.python.solutions.pose import Pose
 
             self._graph = Pose(

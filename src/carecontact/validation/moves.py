@@ -10,7 +10,7 @@ import numpy as np
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.validation.result import Array
-from carecontact.world.human.surface_mesh import first_hits
+from carecontact.world.human.surface_mesh import Triangles
 
 DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 """quat_wxyz in the robot's base of a tool whose z points to the floor."""
@@ -41,7 +41,7 @@ def surface_point(simulation: Simulation, region: str, offset: tuple[float, floa
     middle = simulation.data.site(f"region_{region}").xpos
     above = middle + (PLACE_M[region] + offset[0]) * along + offset[1] * across + [0, 0, ABOVE_M]
     down = np.array([0.0, 0.0, -1.0])
-    return above + float(first_hits(corners, above[None], down[None])[0]) * down
+    return above + float(Triangles(corners).first_hits(above[None], down[None])[0]) * down
 
 
 def axes(simulation: Simulation, region: str) -> tuple[Array, Array]:

@@ -12,9 +12,9 @@ from carecontact.contract.protocol import Tissue
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.surface_mesh import (
     GROWTH,
+    Triangles,
     bridged,
     distance_outside,
-    first_hits,
     graded,
     graded_from_middle,
     normals_and_areas,
@@ -131,10 +131,11 @@ def limb_shell(body: Body, segment: str, outward: Array, tissue: Tissue) -> Shel
     t = graded(low, high, lambda u: ROW_RATIO * spacing(away(u, np.zeros(len(u)), 1.0)))
     # The joint line runs off centre: measure round the sections' own centres.
     sections = np.linspace(low, high, LIMB_SAMPLES[0])
-    line = _centre_line(triangles, start, x, y, z, sections)
+    surface = Triangles(triangles)
+    line = _centre_line(surface, start, x, y, z, sections)
     turns = np.linspace(-np.pi, np.pi, LIMB_SAMPLES[1])
     directions = _directions(y, z, turns)
-    measured = np.array([first_hits(triangles, centre, directions) for centre in line(sections)])
+    measured = np.array([surface.first_hits(centre, directions) for centre in line(sections)])
     radius = float(np.median(measured[len(sections) // 2]))
     radius_at = smooth_field(
         sections, turns, measured, sigma=(SMOOTHING_M / np.ptp(sections), SMOOTHING_M / (2 * np.pi * radius)), wrap=True
@@ -193,9 +194,8 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
 
     heights = np.linspace(low, high, BELLY_SAMPLES)
     breadths = np.linspace(-half_width, half_width, BELLY_SAMPLES)
-    measured = np.array(
-        [first_hits(triangles, foot(h, breadths), np.repeat(z[None], BELLY_SAMPLES, 0)) for h in heights]
-    )
+    surface, ahead = Triangles(triangles), np.repeat(z[None], BELLY_SAMPLES, 0)
+    measured = np.array([surface.first_hits(foot(h, breadths), ahead) for h in heights])
     measured = bridged(heights, breadths, measured, NAVEL_BALL_M)
     sigma = SMOOTHING_M / (high - low), SMOOTHING_M / (2 * half_width)
     depth_at = smooth_field(heights, breadths, measured, sigma=sigma, wrap=False)
@@ -244,7 +244,7 @@ def belly_half_width(body: Body) -> float:
     faces = body.vertices[body.faces_of("pelvis", "abdomen", "thorax", "left_thigh", "right_thigh")]
     heights = np.linspace(low, high, 15)
     middle = np.stack([np.zeros(15), np.full(15, body.joint_centre["thorax"][1]), heights], 1)
-    breadth = first_hits(faces, middle, np.tile([1.0, 0.0, 0.0], (15, 1)))
+    breadth = Triangles(faces).first_hits(middle, np.tile([1.0, 0.0, 0.0], (15, 1)))
     return BELLY_WIDTH_SHARE * float(breadth.min())
 
 
@@ -257,13 +257,13 @@ def _directions(y: Array, z: Array, theta: Array) -> Array:
     return np.cos(theta)[:, None] * z + np.sin(theta)[:, None] * y
 
 
-def _centre_line(triangles: Array, start: Array, x: Array, y: Array, z: Array, t: Array) -> Callable[[Array], Array]:
+def _centre_line(surface: Triangles, start: Array, x: Array, y: Array, z: Array, t: Array) -> Callable[[Array], Array]:
     """The line through the sections' centres (midpoints of opposite surface points), as a cubic along the limb."""
     directions = _directions(y, z, np.linspace(0, 2 * np.pi, 12, endpoint=False))
     off = np.zeros((len(t), 3))
     for _ in range(2):
         for i, at in enumerate(t):
-            off[i] += first_hits(triangles, start + at * x + off[i], directions) @ directions / 6
+            off[i] += surface.first_hits(start + at * x + off[i], directions) @ directions / 6
     fit = np.polynomial.Polynomial.fit
     across = [fit(t, off @ axis, 3) for axis in (y, z)]
     return lambda u: start + u[:, None] * x + across[0](u)[:, None] * y + across[1](u)[:, None] * z
