@@ -133,15 +133,15 @@ def bridged(u: Array, v: Array, heights: Array, radius_m: float) -> Array:
     ball = np.sqrt(np.maximum(radius_m**2 - apart, 0.0)) - radius_m
     margin = [min(2 * n, size - 1) for n, size in zip(reach, heights.shape, strict=True)]
     wide = np.pad(heights, [(n, n) for n in margin], mode="reflect", reflect_type="odd")
-    shifts = [tuple(at) for at in np.argwhere(apart < (0.9 * radius_m) ** 2)]
+    shifts = [(int(i), int(j)) for i, j in np.argwhere(apart < (0.9 * radius_m) ** 2)]
     # As scipy.ndimage.grey_closing, bit for bit, in a tenth of its time.
-    raised = _reduced(np.maximum, wide, {at: ball[at] for at in shifts})
-    closed = _reduced(np.minimum, raised, {at: -ball[at] for at in shifts})
+    raised = _reduced(np.maximum, wide, {at: float(ball[at]) for at in shifts})
+    closed = _reduced(np.minimum, raised, {at: -float(ball[at]) for at in shifts})
     # A closing never lies below; rounding may.
     return np.maximum(heights, closed[margin[0] : -margin[0] or None, margin[1] : -margin[1] or None])
 
 
-def _reduced(ufunc: np.ufunc, image: Array, added: dict[tuple[int, ...], float]) -> Array:
+def _reduced(ufunc: np.ufunc, image: Array, added: dict[tuple[int, int], float]) -> Array:
     """Largest or smallest of the image's shifts, each with its number added; mirrored at the borders.
 
     Args:
