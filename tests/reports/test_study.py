@@ -14,7 +14,7 @@ from carecontact.errors import ConfigError
 from carecontact.protocols import adapted, load_protocol
 from carecontact.reports.paper import read_paper
 from carecontact.reports.study import STIFFNESS, TISSUE, Study, study, study_json
-from carecontact.reports.study_page import study_page
+from carecontact.reports.study_page import SWEEP_TITLE, escaped, study_page
 from carecontact.scoring import RunScores
 from carecontact.scoring.run import write_scores
 from tests.reports.synthetic_run import FAILED, make_score
@@ -125,8 +125,30 @@ def test_a_sweep_ranks_each_level_against_the_protocols_own(whole: Study) -> Non
 def test_null_arms_stand_under_the_methods(whole: Study) -> None:
     text = page(whole)
     assert "| zero-action | 42 | 0.0 (0.0, 8.4) |" in text
-    assert "| state-machine | zero-action | 42 | +100.0 [" in text
+    assert "| state-machine (rules-v1) | zero-action | 42 | +100.0 [" in text
     assert "No null arm was run" in page(made(a=run("state-machine")))
+
+
+def test_every_table_says_what_stands_in_for_the_language_model(whole: Study) -> None:
+    sections = {part.split("\n")[0]: part for part in page(whole).split("\n## ")}
+    names = ("voxposer (authored)", "state-machine (rules-v1)")
+    for title in (
+        "Beside the paper",
+        "state-machine against voxposer",
+        "Task by task",
+        "Null arms",
+        *SWEEP_TITLE.values(),
+    ):
+        assert [name for name in names if name not in sections[title]] == []
+    assert "voxposer.md" in sections["Beside the paper"]
+    assert "rules" in sections["Beside the paper"]
+
+
+def test_what_others_wrote_stays_text() -> None:
+    assert escaped("a <b>[x](http://y)</b> `c` *d* \\") == r"a \<b\>\[x\](http://y)\</b\> \`c\` \*d\* \\"
+    found = made(a=run("state-machine", heavy), odd=run("<script>alert(1)</script>", light))
+    assert "<script>" not in page(found)
+    assert r"\<script\>" in page(found)
 
 
 def test_a_missing_method_is_no_comparison() -> None:

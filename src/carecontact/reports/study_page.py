@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 
 from carecontact.reports.outcomes import RATES, SCORES, Outcome, plain_text
@@ -24,6 +25,14 @@ from carecontact.reports.verdicts import ALPHA, POWER
 from carecontact.stats import Proportion
 
 AUTHORED = ":authored"
+NOTES = {
+    "state-machine": "`state-machine`: the paper's language model stands behind `rules-v1` only in so far as the same "
+    "prompt and options are given to written rules. Its depths and speeds were chosen on this scene, before the first "
+    "full run ([state-machine](../state-machine.md)).",
+    "voxposer": "`voxposer`: how long the end of a path is held is a number of ours and not of the method, and touches "
+    "hang on it ([voxposer](../voxposer.md)).",
+}
+"""What a reader of the rates has to know of a method; numbers stand where they were measured."""
 SWEEP_TITLE = {STIFFNESS: "Stiffness of the arm", TISSUE: "Tissue"}
 
 
@@ -45,9 +54,20 @@ def study_page(found: Study, paper: Paper, *, command: str, json_name: str) -> s
         _tasks(found),
         _floors(found),
         _gates(found),
-        *(_sweep(sweep) for sweep in found.sweeps),
+        *(_sweep(found, sweep) for sweep in found.sweeps),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def escaped(text: str) -> str:
+    """Text that a policy, a language model or a folder's name supplied, as plain text of Markdown."""
+    return re.sub(r"([\\`*_\[\]<>])", r"\\\1", text)
+
+
+def label(method: Method) -> str:
+    """Name with what stands in for the language model: every table says it."""
+    short = {"authored" if AUTHORED in backend else backend for backend in method.head.language_backend}
+    return f"{method.head.policy} ({', '.join(sorted(short))})" if short else method.head.policy
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> str:
@@ -58,7 +78,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1
 
 def _runs(found: Study) -> str:
     rows = [
-        (h.policy, h.title, ", ".join(h.language_backend), f"{h.n} of {h.n_planned}", str(h.n_harness_errors),
+        (h.policy, h.title, escaped(", ".join(h.language_backend)), f"{h.n} of {h.n_planned}", str(h.n_harness_errors),
          str(len(h.skipped)))
         for h in sorted(found.heads, key=lambda h: (h.title, h.policy))
     ]  # fmt: skip
@@ -78,7 +98,7 @@ def _runs(found: Study) -> str:
     if found.missing:
         parts.append("**Missing**, and left out of every table; these commands make them:")
         parts.append("\n".join(f"    {command}" for command in found.missing))
-    parts += [f"Not used: {name}: {why}." for name, why in found.unused.items()]
+    parts += [f"Not used: {escaped(name)}: {escaped(why)}." for name, why in found.unused.items()]
     return "\n\n".join(parts)
 
 
@@ -94,7 +114,7 @@ def _beside_paper(found: Study, paper: Paper) -> str:
         if theirs is not None:
             rows.append((theirs.title, "paper", str(paper.runs_per_method), *_paper_cells(theirs)))
         if ours is not None:
-            rows.append((name, "here", str(ours.head.n), *_cells(ours)))
+            rows.append((escaped(label(ours)), "here", str(ours.head.n), *_cells(ours)))
         else:
             rows.append((name, "here: not run", *[""] * (len(header) - 2)))
     return "\n\n".join(
@@ -104,6 +124,7 @@ def _beside_paper(found: Study, paper: Paper) -> str:
             "person, robot cell, perception and programs are not these: rows stand beside each other, they are not "
             "tested against each other. Paper: tables `tab:wilson_rates`, `tab:policy_results`.",
             table(header, rows, left=2),
+            *(note for name, note in NOTES.items() if name in found.methods),
         ]
     )
 
@@ -141,8 +162,9 @@ def _pair(found: Study) -> str:
     if found.comparison is None:
         return f"{head}\n\nNot compared: a run of {a} or {b} is missing."
     pairing = found.comparison.pairing
-    header = ("", a, b, "difference [95 %]", "pairs", "p", "p Holm", "detectable", "paper", "p (paper)", "unpaired p",
-              "the difference is")  # fmt: skip
+    labels = [escaped(label(found.methods[name])) for name in PAIR]
+    header = ("", *labels, "difference [95 %]", "pairs", "p", "p Holm", "detectable", "paper", "p (paper)",
+              "unpaired p", "the difference is")  # fmt: skip
     family = len(found.comparison.overall)
     parts = [
         head,
@@ -198,15 +220,15 @@ def _failures(found: Study, paper: Paper) -> str:
     parts = ["## Why trials failed"]
     for name, method in found.methods.items():
         theirs = paper.methods.get(name)
-        parts.append(f"### {name} ({', '.join(method.head.language_backend)})")
+        parts.append(f"### {escaped(label(method))}")
         rows = [(m["mode"], m["attribution"], m["meaning"], str(m["count"])) for m in method.modes]
         failed = sum(int(m["count"]) for m in method.modes)
         parts.append(f"{failed} of {method.head.n} trials are not region-correct." + _paper_failures(theirs))
         if rows:
             parts.append(table(("mode", "attributed to", "meaning", "trials"), rows, left=3))
         parts += [
-            f"{cause.name.capitalize()} ({cause.count}). "
-            + " ".join(f"{trial}: {_sentence(text)}" for trial, text in cause.examples)
+            f"{escaped(cause.name.capitalize())} ({cause.count}). "
+            + " ".join(f"{trial}: {escaped(_sentence(text))}" for trial, text in cause.examples)
             for cause in method.causes
         ]
         parts.append(_anatomy(method, theirs))
@@ -235,8 +257,8 @@ def _anatomy(method: Method, theirs: PaperMethod | None) -> str:
 
 def _tasks(found: Study) -> str:
     parts = ["## Task by task"]
-    for name, method in found.methods.items():
-        parts += [f"### {name}", table(COLUMNS, (row.cells() for row in method.summary), left=2)]
+    for method in found.methods.values():
+        parts += [f"### {escaped(label(method))}", table(COLUMNS, (row.cells() for row in method.summary), left=2)]
     return "\n\n".join(parts)
 
 
@@ -246,7 +268,7 @@ def _floors(found: Study) -> str:
     any_of = next(iter(found.floors.values()))
     arms = [(f.policy, str(f.n), *(_proportion(f.rates[r.id]) for r in RATES)) for f in any_of.nulls]
     above = [
-        (name, f.policy, str(f.n_pairs), *(_above(f.above, r.id) for r in RATES))
+        (escaped(label(found.methods[name])), f.policy, str(f.n_pairs), *(_above(f.above, r.id) for r in RATES))
         for name, floors in found.floors.items()
         for f in floors.nulls
     ]
@@ -284,8 +306,8 @@ def _gates(found: Study) -> str:
     )
 
 
-def _sweep(sweep: Sweep) -> str:
-    a, b = PAIR
+def _sweep(found: Study, sweep: Sweep) -> str:
+    a, b = (escaped(label(found.methods[name])) if name in found.methods else name for name in PAIR)
     outcomes = [o for o in (*RATES, *SCORES) if o.id in PRIMARY]
     rows = []
     for level in sweep.levels:
