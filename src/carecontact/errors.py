@@ -70,6 +70,11 @@ class ActionError(ContractError):
 class LanguageError(CarecontactError):
     """Inside a policy it is that policy's process failure."""
 
+    def __init__(self, message: str, *, endpoint: str | None = None) -> None:
+        """``endpoint``: host that was asked and gave no completion."""
+        self.endpoint = endpoint
+        super().__init__(message)
+
 
 class ProgramError(CarecontactError):
     """Inside a policy it is that policy's process failure."""

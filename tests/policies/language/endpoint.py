@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import threading
 import time
@@ -79,16 +80,52 @@ def silence(seconds: float) -> Answer:
     return lambda handler, asked: time.sleep(seconds)
 
 
-def trickle(pause_s: float) -> Answer:
+def trickle(pause_s: float, *, status: int = 200) -> Answer:
     """A byte at a time, each well within any timeout between two bytes."""
 
     def answer(handler: BaseHTTPRequestHandler, asked: dict[str, Any]) -> None:
         content = json.dumps(completion("x" * 1000)).encode()
-        _head(handler, len(content), 200)
+        _head(handler, len(content), status)
         for k in range(len(content)):
             handler.wfile.write(content[k : k + 1])
             handler.wfile.flush()
             time.sleep(pause_s)
+
+    return answer
+
+
+def slow_headers(pause_s: float) -> Answer:
+    """The first line, then a header that never ends, a byte at a time."""
+
+    def answer(handler: BaseHTTPRequestHandler, asked: dict[str, Any]) -> None:
+        handler.wfile.write(b"HTTP/1.1 200 OK\r\nx-padding: ")
+        while True:
+            handler.wfile.write(b"a")
+            handler.wfile.flush()
+            time.sleep(pause_s)
+
+    return answer
+
+
+def echo(status: int, *, spelled: Callable[[str], str] = str) -> Answer:
+    """Repeats the Authorization header, as endpoints do that say which key they do not know."""
+
+    def answer(handler: BaseHTTPRequestHandler, asked: dict[str, Any]) -> None:
+        key = spelled(handler.headers["authorization"])
+        error(status, f"Incorrect API key provided: {key}.")(handler, asked)
+
+    return answer
+
+
+def refuses(parameter: str, *, then: Answer, named: bool = True) -> Answer:
+    """HTTP 400 as long as ``parameter`` is sent; ``named``: in the error's own field too."""
+
+    def answer(handler: BaseHTTPRequestHandler, asked: dict[str, Any]) -> None:
+        if parameter not in asked:
+            then(handler, asked)
+            return
+        entry = {"message": f"Unsupported: '{parameter}' with this model.", "param": parameter if named else None}
+        body(json.dumps({"error": entry}).encode(), status=400)(handler, asked)
 
     return answer
 
@@ -106,11 +143,35 @@ def drop(after: int) -> Answer:
     return answer
 
 
-def flood() -> Answer:
+def flood(*, status: int = 200) -> Answer:
     def answer(handler: BaseHTTPRequestHandler, asked: dict[str, Any]) -> None:
-        _head(handler, 1 << 40, 200)
+        _head(handler, 1 << 40, status)
         while True:
             handler.wfile.write(b"a" * 65536)
+
+    return answer
+
+
+def bomb(size: int, *, status: int) -> Answer:
+    """``size`` bytes of body, packed a thousandfold."""
+    packed = gzip.compress(b"a" * size)
+
+    def answer(handler: BaseHTTPRequestHandler, asked: dict[str, Any]) -> None:
+        handler.send_response(status)
+        handler.send_header("content-encoding", "gzip")
+        handler.send_header("content-length", str(len(packed)))
+        handler.end_headers()
+        handler.wfile.write(packed)
+
+    return answer
+
+
+def redirect(to: str) -> Answer:
+    def answer(handler: BaseHTTPRequestHandler, asked: dict[str, Any]) -> None:
+        handler.send_response(307)
+        handler.send_header("location", to)
+        handler.send_header("content-length", "0")
+        handler.end_headers()
 
     return answer
 

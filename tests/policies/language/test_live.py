@@ -1,25 +1,36 @@
 from __future__ import annotations
 
+import base64
+import json
 import socket
 import sys
 import time
+import tracemalloc
+from collections.abc import Callable
+from urllib.parse import quote
 
 import pytest
 
-from carecontact.errors import DependencyError, LanguageError
+from carecontact.errors import ConfigError, DependencyError, LanguageError
 from carecontact.policies.language import live
 from carecontact.policies.language.completion import CompletionRequest, Message
 from carecontact.policies.language.live import Live
+from carecontact.policies.language.untrusted import REMOVED
 from tests.policies.language.endpoint import (
     Answer,
     body,
+    bomb,
     completion,
     drop,
+    echo,
     endpoint,
     error,
     flood,
+    redirect,
+    refuses,
     says,
     silence,
+    slow_headers,
     trickle,
 )
 
@@ -93,7 +104,6 @@ def test_what_may_pass_is_tried_once_more(monkeypatch: pytest.MonkeyPatch, passi
         (body(b"\xff\xfe"), "no chat completion", 1),
         (drop(0), "Connection error", 2),
         (drop(30), "broke off", 2),
-        (flood(), "more than 1048576 bytes", 1),
     ],
     ids=lambda value: value if isinstance(value, str) else None,
 )
@@ -103,12 +113,177 @@ def test_what_is_no_completion_is_told(monkeypatch: pytest.MonkeyPatch, bad: Ans
     assert len(server.asked) == asked
 
 
-@pytest.mark.parametrize("slow", [silence(3), trickle(0.02)], ids=["silent", "trickling"])
+@pytest.mark.parametrize(
+    "slow",
+    [silence(3), slow_headers(0.02), trickle(0.02), trickle(0.02, status=500), trickle(0.02, status=400)],
+    ids=["silent", "headers", "body", "500", "400"],
+)
 def test_a_slow_endpoint_is_given_up(monkeypatch: pytest.MonkeyPatch, slow: Answer) -> None:
+    with endpoint(slow, says("now")) as server:
+        source = at(monkeypatch, server.url, deadline_s=0.3)
+        began = time.monotonic()
+        with pytest.raises(LanguageError, match=r"no whole reply within 0\.3 s"):
+            source.complete(REQUEST)
+        assert time.monotonic() - began < 1
+        assert source.complete(REQUEST).text == "now"
+
+
+def test_a_host_whose_name_is_not_found_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: time.sleep(3))
+    source = at(monkeypatch, "http://slow.invalid/v1", deadline_s=0.3)
     began = time.monotonic()
-    with endpoint(slow) as server, pytest.raises(LanguageError, match=r"no whole reply within 0\.3 s"):
-        at(monkeypatch, server.url, deadline_s=0.3).complete(REQUEST)
-    assert time.monotonic() - began < 2
+    with pytest.raises(LanguageError, match=r"no whole reply within 0\.3 s \(endpoint slow\.invalid\)"):
+        source.complete(REQUEST)
+    assert time.monotonic() - began < 1
+
+
+@pytest.mark.parametrize(
+    ("large", "told"),
+    [
+        (flood(), "more than 1048576 bytes"),
+        (flood(status=400), "HTTP 400: a{400}"),
+        (flood(status=307), "HTTP 307: a{400}"),
+        (bomb(1 << 28, status=200), "more than 1048576 bytes"),
+        (bomb(1 << 28, status=400), "HTTP 400: a{400}"),
+    ],
+    ids=["200", "400", "307", "packed-200", "packed-400"],
+)
+def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch, large: Answer, told: str) -> None:
+    with endpoint(large) as server:
+        source = at(monkeypatch, server.url)
+        tracemalloc.start()
+        try:
+            with pytest.raises(LanguageError, match=told):
+                source.complete(REQUEST)
+            assert tracemalloc.get_traced_memory()[1] < 16 << 20
+        finally:
+            tracemalloc.stop()
+
+
+def test_a_redirect_is_not_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    with endpoint(says("from elsewhere")) as other, endpoint(redirect(f"{other.url}/chat/completions")) as server:
+        with pytest.raises(LanguageError, match="HTTP 307"):
+            at(monkeypatch, server.url).complete(REQUEST)
+        assert not other.asked
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_parameters_that_are_refused_are_left_out_from_then_on(monkeypatch: pytest.MonkeyPatch, named: bool) -> None:
+    picky = refuses("max_tokens", then=refuses("temperature", then=says("good day"), named=named), named=named)
+    with endpoint(picky) as server:
+        source = at(monkeypatch, server.url)
+        assert source.complete(REQUEST).sent == {"max_completion_tokens": 50}
+        assert source.complete(REQUEST).sent == {"max_completion_tokens": 50}
+    told = [{"temperature", "max_tokens", "max_completion_tokens"} & asked.keys() for asked in server.asked]
+    assert told == [
+        {"temperature", "max_tokens"}, {"temperature", "max_completion_tokens"},
+        {"max_completion_tokens"}, {"max_completion_tokens"},
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("status", "message", "asked"),
+    [(400, "temperature: no", 2), (400, "max_tokens is too large", 2), (400, "no model of that name", 1),
+     (400, "max_completion_tokens: no", 1), (422, "temperature: no", 1)],
+)  # fmt: skip
+def test_an_endpoint_that_goes_on_refusing(
+    monkeypatch: pytest.MonkeyPatch, status: int, message: str, asked: int
+) -> None:
+    with endpoint(error(status, message)) as server:
+        source = at(monkeypatch, server.url)
+        for times in (1, 2):
+            with pytest.raises(LanguageError, match=f"HTTP {status}: {message}"):
+                source.complete(REQUEST)
+            assert len(server.asked) == asked * times
+
+
+def test_where_an_answer_comes_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    with endpoint(says("x")) as server:
+        host = server.url.split("/")[2]
+        said = at(monkeypatch, server.url.replace("//", "//someone:opensesame@")).complete(REQUEST)
+    assert (said.endpoint, said.sent) == (host, {"temperature": 0.0, "max_tokens": 50})
+    assert said.model_dump()["endpoint"] == host
+    assert "endpoint" not in said.model_copy(update={"endpoint": None}).model_dump()
+
+
+def _b64(text: str) -> str:
+    return base64.b64encode(text.encode()).decode()
+
+
+@pytest.mark.parametrize(
+    "spelled",
+    [str, quote, _b64, lambda text: _b64("x" + text), lambda text: _b64("xy" + text), str.upper, json.dumps],
+    ids=["plain", "url", "base64", "base64+1", "base64+2", "upper", "json"],
+)
+@pytest.mark.parametrize("place", ["401", "500", "200", "text", "refusal", "model", "finish_reason"])
+def test_the_key_is_in_nothing_that_an_echo_says(
+    monkeypatch: pytest.MonkeyPatch, place: str, spelled: Callable[[str], str]
+) -> None:
+    key = "sk-test/0123+456789=Secret"
+    monkeypatch.setenv("OPENAI_API_KEY", key)
+    echoed = spelled(f"Bearer {key}")
+    said: dict[str, Answer] = {
+        "200": body(f"who is {echoed}?".encode()), "text": says(echoed), "model": says("", model=echoed),
+        "refusal": says(None, refusal=echoed), "finish_reason": says("", finish_reason=echoed),
+    }  # fmt: skip
+    with endpoint(said.get(place) or echo(int(place), spelled=spelled)) as server:
+        try:
+            kept = repr(at(monkeypatch, server.url).complete(REQUEST))
+        except LanguageError as raised:
+            kept = str(raised)
+    assert server.asked[0]["key"] == f"Bearer {key}"
+    assert REMOVED in kept
+    # Of base64 the bits that the key shares with its neighbours stay.
+    longest = echoed if spelled is str else echoed[-12:-4]
+    assert longest not in kept
+    assert key not in kept
+
+
+def test_a_password_in_the_address_is_a_secret_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENAI_API_KEY", "sk-0123456789")
+    with endpoint(echo(401), says("me and opensesame")) as server:
+        source = at(monkeypatch, server.url.replace("//", "//me:opensesame@"))
+        with pytest.raises(LanguageError) as raised:
+            source.complete(REQUEST)
+        said = source.complete(REQUEST)
+    # It is sent in the place of the key.
+    assert server.asked[0]["key"] == f"Basic {_b64('me:opensesame')}"
+    assert f"provided: Basic {REMOVED}" in str(raised.value)
+    assert "opensesame" not in str(raised.value)
+    assert said.text == f"me and {REMOVED}"
+
+
+def test_an_echo_of_a_key_that_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    key = "sk-" + "k" * 60
+    monkeypatch.setenv("OPENAI_API_KEY", key)
+    with endpoint(body(b"x" * 470 + key.encode(), status=400)) as server:
+        with pytest.raises(LanguageError) as raised:
+            at(monkeypatch, server.url).complete(REQUEST)
+    assert "sk-" not in str(raised.value)
+
+
+def test_text_is_bounded_and_printable(monkeypatch: pytest.MonkeyPatch) -> None:
+    wild = "a\x1b[31m\x00\n\u202e"
+    with endpoint(says(f"{wild}\tb", model="m" * 500_000), says(None, refusal=wild * 5000)) as server:
+        source = at(monkeypatch, server.url)
+        first, second = source.complete(REQUEST), source.complete(REQUEST)
+    assert first.text == "a\ufffd[31m\ufffd\n\u202e\tb"
+    assert len(first.model) == 200
+    assert first.model.endswith("m [...]")
+    assert second.refusal is not None
+    assert second.refusal.isprintable()
+    assert second.refusal.startswith(r"a\x1b[31m\x00 \u202ea")
+    assert len(second.refusal) == 2000
+    with endpoint(says("x" * 16385)) as server:
+        with pytest.raises(LanguageError, match="an answer of 16385 characters; at most 16384"):
+            at(monkeypatch, server.url).complete(REQUEST)
+
+
+def test_half_a_character_is_no_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    content = json.dumps(completion("?")).replace("?", "\\ud800").encode()
+    with endpoint(body(content)) as server:
+        with pytest.raises(LanguageError, match="no chat completion"):
+            at(monkeypatch, server.url).complete(REQUEST)
 
 
 def test_an_endpoint_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,3 +308,10 @@ def test_without_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "openai", None)
     with pytest.raises(DependencyError, match=r"carecontact\[live\]"):
         Live("m-1")
+
+
+def test_a_proxy_that_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HTTP_PROXY", "ftp://me:opensesame@proxy")
+    with pytest.raises(ConfigError, match=r"^live:m-1: no HTTP client with .*_PROXY") as raised:
+        Live("m-1")
+    assert "opensesame" not in str(raised.value)

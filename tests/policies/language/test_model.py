@@ -119,3 +119,35 @@ def test_a_text_that_was_cut_is_no_text() -> None:
     with pytest.raises(LanguageError, match=r"not whole \(finish reason length\)"):
         transcript.text([], purpose="a program", prompt_version="p")
     assert transcript.text([], purpose="a program", prompt_version="p") == "whole"
+
+
+def test_who_was_asked_is_accounted_for() -> None:
+    given = {"endpoint": "models.example", "sent": {"max_tokens": 1024}}
+    backend, source = model(Completion(text=json.dumps(READ), model="m-1-exact", **given))
+    backend.parse("x")
+    source.complete = fails = Fails()
+    with pytest.raises(LanguageError):
+        backend.parse("y")
+    first, second = backend.take_calls()
+    assert {k: first[k] for k in ("model", *given)} == {"model": "m-1-exact", **given}
+    assert (second["endpoint"], second["completion_sha256"]) == ("models.example", None)
+    fails.endpoint = None
+    with pytest.raises(LanguageError):
+        backend.parse("y")
+    assert backend.take_calls() == []
+
+
+class Fails:
+    endpoint: str | None = "models.example"
+
+    def __call__(self, request: CompletionRequest) -> Completion:
+        raise LanguageError("no", endpoint=self.endpoint)
+
+
+def test_what_an_answer_calls_its_fields_is_cut() -> None:
+    wrong = json.dumps({"number": 1, "reason": "", "x\x1b" * 2000: 1})
+    backend, source = model(wrong, wrong)
+    with pytest.raises(LanguageError, match=r"after 1 repair: x\\x1bx") as raised:
+        backend.choose(INTENT, OPTIONS)
+    assert len(str(raised.value)) < 300
+    assert len(source.asked[1].messages[-1].content) < 300

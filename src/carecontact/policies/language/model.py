@@ -14,6 +14,7 @@ from carecontact.policies.language.backend import ActionVerb, Intent, Manner, Op
 from carecontact.policies.language.completion import Message
 from carecontact.policies.language.rules import SIDED
 from carecontact.policies.language.transcript import Transcript
+from carecontact.policies.language.untrusted import one_line
 
 PROMPT_VERSION = "state-machine-v1"
 
@@ -55,7 +56,8 @@ class LanguageModel:
         messages = [Message(role="system", content=PARSE), Message(role="user", content=instruction)]
         said = self._transcript.answer(messages, Reading, purpose="parse", prompt_version=PROMPT_VERSION)
         if said.unclear.strip():
-            raise ContractError(f"instruction {instruction!r}: {self.name} finds it unclear: {said.unclear:.300}")
+            unclear = one_line(said.unclear, limit=300)
+            raise ContractError(f"instruction {instruction!r}: {self.name} finds it unclear: {unclear}")
         if (said.region in SIDED) != (said.side != "none"):
             raise ContractError(f"instruction {instruction!r}: {self.name} reads side {said.side} of {said.region}")
         return Intent(action=said.action, region=said.region, side=said.side, manner=said.manner)

@@ -13,11 +13,13 @@ from pydantic import BaseModel, ValidationError
 from carecontact.errors import LanguageError
 from carecontact.policies.language.completion import Completion, CompletionRequest, CompletionSource, Message
 from carecontact.policies.language.replay import RecordedCompletion
+from carecontact.policies.language.untrusted import one_line
 
 Answer = TypeVar("Answer", bound=BaseModel)
 
 MAX_TOKENS = 1024
 REPAIRS = 1
+PLACE_CHARS = 100
 
 
 class Transcript:
@@ -47,7 +49,8 @@ class Transcript:
                 return schema.model_validate_json(completion.text)
             except ValidationError as error:
                 first = error.errors()[0]
-                place = ".".join(map(str, first["loc"])) or "the answer"
+                # The name of a field that the answer made up is in it.
+                place = one_line(".".join(map(str, first["loc"])), limit=PLACE_CHARS) or "the answer"
                 wrong = f"{place}: {first['msg']}"
             messages += [
                 Message(role="assistant", content=completion.text),
@@ -71,13 +74,19 @@ class Transcript:
             model=self._source.model, messages=tuple(messages), json_schema=json_schema, max_tokens=MAX_TOKENS,
             prompt_version=prompt_version,
         )  # fmt: skip
-        completion = self._source.complete(request)
-        self._calls.append(
-            {
-                "purpose": purpose, "backend": self.name, "model": completion.model, "prompt_version": prompt_version,
-                "request_sha256": request.sha256, "completion_sha256": completion.sha256,
-            }
-        )  # fmt: skip
+        call: dict[str, object] = {
+            "purpose": purpose, "backend": self.name, "prompt_version": prompt_version,
+            "request_sha256": request.sha256, "completion_sha256": None,
+        }  # fmt: skip
+        try:
+            completion = self._source.complete(request)
+        except LanguageError as error:
+            if error.endpoint is not None:
+                self._calls.append(call | {"endpoint": error.endpoint})
+            raise
+        call |= {"model": completion.model, "completion_sha256": completion.sha256}
+        given = {"endpoint": completion.endpoint, "sent": completion.sent}
+        self._calls.append(call | {k: v for k, v in given.items() if v is not None})
         if self._record is not None:
             append_completion(self._record, request, completion)
         if completion.refusal is not None:
