@@ -54,7 +54,17 @@ def test_rules_and_live(tmp_path: Path) -> None:
         ("state-machine", "oracle:x", None, "takes rules-v1, replay, live"),
         ("my_module:Mine", "oracle", None, "expected rules-v1, replay:FILE.jsonl or live:MODEL"),
         ("state-machine", "live:", None, "expected rules-v1"),
+        ("state-machine", "live:x y;rm", None, "language 'live:x y;rm': expected as MODEL 1 to 128 letters"),
+        ("state-machine", "live:-rf", None, "expected as MODEL"),
+        ("state-machine", "live:" + "m" * 129, None, "expected as MODEL"),
+        ("state-machine", "live:m\n", None, "expected as MODEL"),
         ("state-machine", "replay:none.jsonl", None, "No such file"),
+        ("state-machine", "replay:", None, "--language replay:: expected a file after it"),
+        ("state-machine", "replay", None, "--language replay: expected a file after it"),
+        ("state-machine", "replay:/dev/zero", None, "/dev/zero: expected a regular file"),
+        ("state-machine", "replay:" + "a" * 5000, None, "File name too long"),
+        ("state-machine", "live:m", "/dev/zero", "--record /dev/zero: expected a new or regular file"),
+        ("state-machine", "live:m", "/", "--record /: expected a new or regular file"),
         ("state-machine", "rules-v1", "r", "only the answers of --language live:MODEL"),
         ("state-machine", None, "r", "only the answers of --language live:MODEL"),
         ("state-machine", "live:m", "nowhere/r", "there is no folder nowhere"),
@@ -63,6 +73,20 @@ def test_rules_and_live(tmp_path: Path) -> None:
 def test_what_cannot_be_is_told(policy: str, language: str | None, record: str | None, told: str) -> None:
     with pytest.raises(ConfigError, match=told):
         language_environment(policy, language=language, record=Path(record) if record else None)
+
+
+@pytest.mark.parametrize(
+    "name", ["gpt-4o-2024-08-06", "meta-llama/Llama-3.1-8B", "llama3.1:8b", "@cf/x", "ft:gpt:a::b"]
+)
+def test_names_that_models_have(name: str) -> None:
+    assert language_name(f"live:{name}") == f"live:{name}"
+
+
+def test_an_address_that_is_none_is_told_before_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENAI_BASE_URL", "me:opensesame@models.example")
+    with pytest.raises(ConfigError, match="OPENAI_BASE_URL: expected http") as raised:
+        language_environment("state-machine", language="live:m", record=None)
+    assert "opensesame" not in str(raised.value)
 
 
 def test_every_language_of_the_registry_is_one() -> None:

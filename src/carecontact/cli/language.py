@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from carecontact.errors import ConfigError
@@ -16,8 +17,8 @@ def language_environment(policy: str, *, language: str | None, record: Path | No
     """
     if record is not None and not (language or "").startswith("live:"):
         raise ConfigError("--record: only the answers of --language live:MODEL can be recorded")
-    if record is not None and not record.resolve().parent.is_dir():
-        raise ConfigError(f"--record {record}: there is no folder {record.parent}")
+    if record is not None:
+        _check_record(record)
     if language is None:
         return {LANGUAGE_VARIABLE: "", RECORD_VARIABLE: ""}
     from carecontact.policies.language.selection import language_name
@@ -33,6 +34,15 @@ def language_environment(policy: str, *, language: str | None, record: Path | No
             takes = f"takes {', '.join(kinds)}" if kinds else "uses no language backend that can be chosen"
             raise ConfigError(f"--language {language}: policy {policy} {takes}")
     kind, colon, place = language.partition(":")
-    spelled = f"replay:{Path(place).resolve()}" if kind == "replay" and colon else language
+    if kind == "replay" and not place:
+        raise ConfigError(f"--language {language}: expected a file after it, as in replay:said.jsonl")
+    spelled = f"replay:{os.path.abspath(place)}" if kind == "replay" and colon else language
     language_name(spelled)
-    return {LANGUAGE_VARIABLE: spelled, RECORD_VARIABLE: str(record.resolve()) if record else ""}
+    return {LANGUAGE_VARIABLE: spelled, RECORD_VARIABLE: os.path.abspath(record) if record else ""}
+
+
+def _check_record(record: Path) -> None:
+    if not os.path.isdir(os.path.dirname(os.path.abspath(record))):
+        raise ConfigError(f"--record {record}: there is no folder {record.parent}")
+    if os.path.exists(record) and not os.path.isfile(record):
+        raise ConfigError(f"--record {record}: expected a new or regular file, got a folder, pipe or device")

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import os
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -8,6 +10,7 @@ import pytest
 from carecontact.errors import ConfigError, LanguageError
 from carecontact.policies.language import replay
 from carecontact.policies.language.completion import Completion, CompletionRequest, Message
+from carecontact.policies.language.deadline import call_within
 from carecontact.policies.language.replay import Replay
 from carecontact.policies.language.transcript import append_completion
 
@@ -81,6 +84,12 @@ def line(text: str, answer: str, *, model: str = "m-1", key: str | None = None) 
         (line("a", "A") + '\n{"key": "k"}', r"line 2: request: Field required"),
         (line("a", "A", key="0" * 64), "line 1: its request has key .*, not 0000"),
         (line("a", "A") + "\n" + line("b", "B", model="m-2"), "line 2: model m-2, but m-1 before"),
+        (line("a", "A", model="x y;rm"), r"line 1: request\.model: expected 1 to 128 letters.*got 'x y;rm'"),
+        (
+            line("a", "A").replace('"A"', json.dumps("A" * 16385)),
+            r"line 1: completion\.text: String should have at most 16384",
+        ),
+        (line("a", "A")[:-1] + ', "' + "k" * 5000 + '": 1}', r"line 1: k{94} \[\.\.\.\]: Extra inputs"),
         (line("a", "A") + "\n" + line("a", "B"), "line 2: another answer to the same request"),
     ],
 )
@@ -101,3 +110,29 @@ def test_a_file_that_is_not_there_or_too_large(recorded: Path, monkeypatch: pyte
 def test_a_record_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(LanguageError, match=r"cannot be recorded in .*: Is a directory"):
         append_completion(tmp_path, request(), Completion(text="", model="m"))
+
+
+def test_what_is_no_file_is_told_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
+        with pytest.raises(ConfigError, match=rf"replay file {path}: expected a regular file"):
+            call_within(10, partial(Replay, path))
+
+
+def test_a_file_that_grows_while_it_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What says that it is empty, and is not."""
+    monkeypatch.setattr(replay, "MAX_BYTES", 10)
+    assert Path("/proc/self/status").stat().st_size == 0
+    with pytest.raises(ConfigError, match="more than"):
+        Replay("/proc/self/status")
+
+
+def test_where_an_answer_came_from_is_replayed(tmp_path: Path) -> None:
+    given = Completion(text="A", model="m", endpoint="models.example", sent={"max_completion_tokens": 5})
+    append_completion(tmp_path / "said.jsonl", request(), given)
+    assert Replay(tmp_path / "said.jsonl").complete(request()) == given
+
+
+def test_an_answer_without_an_endpoint_is_written_as_ever(recorded: Path) -> None:
+    rows = [json.loads(row) for row in recorded.read_text().splitlines()]
+    assert [set(row["completion"]) for row in rows] == [{"text", "refusal", "finish_reason", "model"}] * 2

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+import stat
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from carecontact.errors import ConfigError, LanguageError
-from carecontact.policies.language.completion import Completion, CompletionRequest
+from carecontact.policies.language.completion import (
+    MODEL_NAME,
+    MODEL_NAME_WANTED,
+    Completion,
+    CompletionRequest,
+)
+from carecontact.policies.language.untrusted import one_line
 
 AUTHORED = "authored"
 """Model name of completions that a person wrote: rows made with them are references of the harness, and say so."""
@@ -58,12 +65,16 @@ class Replay:
             row = RecordedCompletion.model_validate_json(line)
         except ValidationError as error:
             first = error.errors()[0]
-            where = ".".join(map(str, first["loc"])) or "the line"
+            where = one_line(".".join(map(str, first["loc"])), limit=100) or "the line"
             raise ConfigError(f"replay file {place}: {where}: {first['msg']}") from None
         if row.key != row.request.sha256:
             raise ConfigError(f"replay file {place}: its request has key {row.request.sha256[:12]}, not {row.key[:12]}")
         if self.model not in ("", row.request.model):
             raise ConfigError(f"replay file {place}: model {row.request.model}, but {self.model} before")
+        if not MODEL_NAME.fullmatch(row.request.model):
+            raise ConfigError(
+                f"replay file {place}: request.model: expected {MODEL_NAME_WANTED}, got {row.request.model!r:.80}"
+            )
         # A model that is asked twice may answer twice; which one counts must not depend on the order of lines.
         if self._completions.get(row.key, row.completion) != row.completion:
             raise ConfigError(f"replay file {place}: another answer to the same request came before")
@@ -76,10 +87,15 @@ def replay_name(content: bytes, *, model: str) -> str:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Raises ConfigError for a file that cannot be read or is larger than MAX_BYTES."""
+    """Raises ConfigError for what is no regular file, cannot be read or is larger than MAX_BYTES."""
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ConfigError(f"replay file {path}: more than {MAX_BYTES >> 20} MiB")
-        return path.read_bytes()
+        # A pipe or device may have no end, or wait for ever.
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise ConfigError(f"replay file {path}: expected a regular file, got a folder, pipe or device")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise ConfigError(f"replay file {path}: {error.strerror}") from None
+    if len(content) > MAX_BYTES:
+        raise ConfigError(f"replay file {path}: more than {MAX_BYTES >> 20} MiB")
+    return content

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from carecontact.errors import ConfigError
 from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
+from carecontact.policies.language.completion import MODEL_NAME, MODEL_NAME_WANTED
 from carecontact.policies.language.live import Live
 from carecontact.policies.language.replay import Replay
 from carecontact.policies.language.rules import Rules
@@ -35,5 +36,7 @@ def _source(spelled: str) -> Replay | Live:
     if kind == "replay" and rest:
         return Replay(rest)
     if kind == "live" and rest:
+        if not MODEL_NAME.fullmatch(rest):
+            raise ConfigError(f"language {spelled!r:.200}: expected as MODEL {MODEL_NAME_WANTED}")
         return Live(rest)
-    raise ConfigError(f"language {spelled!r}: expected {SPELLINGS}")
+    raise ConfigError(f"language {spelled!r:.200}: expected {SPELLINGS}")
