@@ -10,7 +10,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
 from carecontact.protocols import load_protocol
 from carecontact.recording import read_recording, write_recording
-from carecontact.recording.notes import language_sha256, read_notes
+from carecontact.recording.notes import language_use, read_notes
 from carecontact.recording.schema import Recording
 from carecontact.scoring import score_recording
 from carecontact.trials.failed import harness_error_recording
@@ -37,15 +37,32 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
 
 def test_the_row_tells_what_was_asked_and_answered() -> None:
     asked = recording({"0000/json": {"language": CALLS[:1]}, "0002/json": {"language": CALLS[1:]}})
-    digest = language_sha256(asked)
+    digest = language_use(asked).sha256
     assert digest is not None
     assert (
         score_recording(asked).language_sha256
         == digest
-        == language_sha256(recording({"0000/json": {"language": CALLS}}))
+        == language_use(recording({"0000/json": {"language": CALLS}})).sha256
     )
-    assert digest != language_sha256(recording({"0000/json": {"language": CALLS[::-1]}}))
+    assert digest != language_use(recording({"0000/json": {"language": CALLS[::-1]}})).sha256
     assert score_recording(recording({"0000/json": {"chosen": 1}})).language_sha256 is None
+
+
+def test_the_row_tells_who_answered() -> None:
+    given = {"endpoint": "models.example", "model": "m-2", "sent": {"temperature": 0.0, "max_tokens": 9}}
+    calls = [CALLS[0] | given, CALLS[1] | given | {"model": "m-1"}, {"endpoint": "models.example:1"}, CALLS[0]]
+    score = score_recording(recording({"0000/json": {"language": calls}}))
+    assert score.language_endpoint == "models.example, models.example:1"
+    assert (score.language_served, score.language_sent) == ("m-1, m-2", "max_tokens=9 temperature=0.0")
+    replayed = score_recording(recording({"0000/json": {"language": [CALLS[0] | {"model": "authored"}]}}))
+    assert (replayed.language_endpoint, replayed.language_served, replayed.language_sent) == (None, None, None)
+
+
+def test_a_policy_can_note_anything() -> None:
+    odd = [{"endpoint": 1, "model": ["x"], "sent": "x"}, {"endpoint": "a\x1b"}, {"endpoint": "x" * 9999}, 1]
+    use = language_use(recording({"0000/json": {"language": odd}}))
+    assert (use.endpoint, use.served, use.sent) == ("x" * 500, None, None)
+    assert language_use(recording({"0000/json": {"language": "x"}})).endpoint is None
 
 
 @pytest.mark.parametrize("notes", [{"0000/json": [1]}, {"x/json": {}}, {"0000/map": {}}])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -14,6 +15,7 @@ from carecontact.errors import RecordingError
 from carecontact.recording.schema import Recording
 
 PREFIX = "policy/notes/"
+MAX_JOINED_CHARS = 500
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,16 +35,47 @@ def read_notes(recording: Recording) -> list[Note]:
     return [_note(recording, index, arrays) for index, arrays in sorted(grouped.items())]
 
 
-def language_sha256(recording: Recording) -> str | None:
-    """Hash (hex) over the requests and completions of all language calls, in order; None if there was none."""
-    pairs: list[list[object]] = []
+@dataclass(frozen=True, kw_only=True)
+class LanguageUse:
+    """What language models were asked and answered in one trial, as its policy noted it."""
+
+    sha256: str | None = None
+    """Hash (hex) over the requests and completions of all calls, in order; None if there was none."""
+    endpoint: str | None = None
+    """Hosts that were asked, distinct and joined by commas, as the two below; None where none is noted."""
+    served: str | None = None
+    """Models that those hosts say they answered with."""
+    sent: str | None = None
+    """Sampling parameters that they accepted."""
+
+
+def language_use(recording: Recording) -> LanguageUse:
+    """From the notes. Raises RecordingError for notes that are no JSON."""
+    calls: list[dict[str, Any]] = []
     for note in read_notes(recording):
-        calls = note.content.get("language", [])
-        for call in cast("list[Any]", calls) if isinstance(calls, list) else []:
-            if isinstance(call, dict):
-                entry = cast("dict[str, Any]", call)
-                pairs.append([entry.get("request_sha256"), entry.get("completion_sha256")])
-    return hashlib.sha256(json.dumps(pairs).encode()).hexdigest() if pairs else None
+        entries = note.content.get("language", [])
+        for call in cast("list[Any]", entries) if isinstance(entries, list) else []:
+            calls += [cast("dict[str, Any]", call)] if isinstance(call, dict) else []
+    pairs = [[call.get("request_sha256"), call.get("completion_sha256")] for call in calls]
+    live = [call for call in calls if "endpoint" in call]
+    return LanguageUse(
+        sha256=hashlib.sha256(json.dumps(pairs).encode()).hexdigest() if pairs else None,
+        endpoint=_joined(call["endpoint"] for call in live),
+        served=_joined(call.get("model") for call in live),
+        sent=_joined(_parameters(call.get("sent")) for call in live),
+    )
+
+
+def _parameters(sent: object) -> str | None:
+    if not isinstance(sent, dict):
+        return None
+    return " ".join(sorted(f"{k}={v}" for k, v in cast("dict[Any, Any]", sent).items()))
+
+
+def _joined(values: Iterable[object]) -> str | None:
+    """A policy can note anything: text alone, in what a table can hold."""
+    texts = sorted({v for v in values if isinstance(v, str) and v.isprintable()})
+    return ", ".join(texts)[:MAX_JOINED_CHARS] or None
 
 
 def _note(recording: Recording, index: str, arrays: dict[str, npt.NDArray[Any]]) -> Note:

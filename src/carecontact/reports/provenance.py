@@ -23,6 +23,7 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
         ("Protocol state", _distinct("frozen" if p.frozen else "draft" for p in protocols)),
         ("Policy", _distinct(s.policy for s in scores)),
         ("Language backend", _distinct(s.language_backend for s in scores)),
+        *_language(scores),
         ("Embodiment", _distinct(h.embodiment for h in headers)),
         ("Body", _distinct(p.person.body for p in protocols)),
         ("Tissue set", _distinct(p.person.tissue_set for p in protocols)),
@@ -42,6 +43,16 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
     warnings = sum(bool(h.solver_warnings) for h in headers)
     rows.append(("Solver warnings", f"in {warnings} of {len(headers)} recordings read" if warnings else "none"))
     return rows
+
+
+def _language(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
+    """Only where an endpoint was asked."""
+    rows = (
+        ("Language endpoint", [s.language_endpoint for s in scores]),
+        ("Language model served", [s.language_served for s in scores]),
+        ("Sampling accepted", [s.language_sent for s in scores]),
+    )
+    return [(name, _distinct(v for v in values if v)) for name, values in rows if any(values)]
 
 
 def cannot_say(

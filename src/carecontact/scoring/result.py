@@ -36,6 +36,12 @@ class TrialScore(BaseModel):
     language_backend: str
     language_sha256: str | None = None
     """Over everything that language models were asked and answered in this trial; None: nothing was asked."""
+    language_endpoint: str | None = None
+    """Hosts that live completions came from or were asked of, also when they are replayed; None: nobody."""
+    language_served: str | None = None
+    """Models that those hosts say they answered with."""
+    language_sent: str | None = None
+    """Sampling parameters that they accepted."""
     protocol_id: str
     protocol_sha256: str
     overrides: dict[str, str] = {}

@@ -6,7 +6,7 @@ from math import isfinite
 
 from carecontact.errors import RecordingError
 from carecontact.recording import Recording, canonical_hash, check_recording
-from carecontact.recording.notes import language_sha256
+from carecontact.recording.notes import language_use
 from carecontact.scoring import exposure, force_predicted, force_rate, shear_work, utilisation
 from carecontact.scoring.attribution import attribute
 from carecontact.scoring.c1_peak_force import peak_force, peak_of_segments
@@ -46,7 +46,7 @@ def score_recording(recording: Recording, *, sha256: str | None = None) -> Trial
     verdict = reach_verdict(contact, gate)
     attribution, evidence = attribute(contact, gate, verdict.failure_mode) if verdict.failure_mode else (None, None)
     c1, c2, best = peak_force(contact), joint_margin(contact), gate.best
-    protocol = contact.protocol
+    protocol, spoken = contact.protocol, language_use(recording)
     score = TrialScore(
         trial_id=header.spec.trial_id,
         task_id=contact.task.id,
@@ -55,7 +55,10 @@ def score_recording(recording: Recording, *, sha256: str | None = None) -> Trial
         seed=header.spec.seed,
         policy=header.spec.policy,
         language_backend=str(header.card.get("language_backend", "none")) if header.card else "none",
-        language_sha256=language_sha256(recording),
+        language_sha256=spoken.sha256,
+        language_endpoint=spoken.endpoint,
+        language_served=spoken.served,
+        language_sent=spoken.sent,
         protocol_id=protocol.id,
         protocol_sha256=protocol.sha256,
         overrides=protocol.overrides,
