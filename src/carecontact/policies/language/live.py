@@ -135,7 +135,7 @@ class Live:
             if not retries:
                 raise self._failure(wrong)
             retries -= 1
-            time.sleep(RETRY_PAUSE_S)
+            time.sleep(min(RETRY_PAUSE_S, max(until - time.monotonic(), 0.0)))
 
     def _once(self, client: OpenAI, request: CompletionRequest, sampling: Sampling, until: float) -> Completion:
         sent = sampling.parameters(request)
