@@ -57,7 +57,8 @@ def long_trial(task: str, duration_s: float, seed: int) -> Recording:
     )
     for name in NOISY:
         clean = recording[f"scorer/{name}"]
-        recording.arrays[f"scorer/{name}"] = clean + rng.normal(scale=NOISE, size=clean.shape).astype(clean.dtype)
+        noisy = clean + rng.normal(scale=NOISE, size=clean.shape).astype(clean.dtype)
+        recording.arrays[f"scorer/{name}"] = np.abs(noisy) if name.endswith("speed") else noisy
     pushed = recording["scorer/centroid_in_world"][:, SEGMENTS.index(target_segment(task))]
     pushed += rng.normal(scale=NOISE, size=pushed.shape).astype(pushed.dtype)
     return recording

@@ -7,7 +7,7 @@ import pytest
 
 from carecontact.cli import main
 from carecontact.contract.protocol import Protocol, Variation
-from carecontact.protocols import load_protocol, shipped_protocols
+from carecontact.protocols import load_protocol, protocol_file, shipped_protocols
 from carecontact.trials import freeze
 from tests.trials.test_freeze import frozen_file
 
@@ -48,9 +48,37 @@ def test_what_is_shipped_is_here_what_was_frozen(name: str, capsys: pytest.Captu
     assert capsys.readouterr().out == f"{name}: is here what was frozen\n"
 
 
-def test_a_file_without_a_lock_does_not_verify(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["protocol", "verify", str(frozen_file(tmp_path))]) == 1
-    assert "has no lock: a draft" in capsys.readouterr().out
+@pytest.mark.parametrize(
+    ("frozen", "told"),
+    [
+        ("true", "mine-v1 says frozen = true but has no lock: mine.lock.json is missing; it cannot be verified\n"),
+        ("false", "mine-v1 has no lock: a draft, which may change with every release\n"),
+    ],
+)
+def test_a_file_without_a_lock_does_not_verify(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], frozen: str, told: str
+) -> None:
+    path = frozen_file(tmp_path)
+    path.write_text(path.read_text().replace("frozen = true", f"frozen = {frozen}"))
+    assert main(["protocol", "verify", str(path)]) == 1
+    assert capsys.readouterr().out == told
+
+
+@pytest.mark.parametrize("frozen", ["true", "false"])
+def test_a_file_with_a_shipped_id_is_verified_by_the_shipped_lock(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], frozen: str
+) -> None:
+    path = tmp_path / "drift.toml"
+    text = protocol_file("bathing-v1").read_text(encoding="utf-8")
+    path.write_text(text.replace("on_n = 0.5", "on_n = 0.4").replace("frozen = true", f"frozen = {frozen}"))
+    assert main(["protocol", "verify", str(path)]) == 1
+    out = capsys.readouterr().out
+    assert out.startswith(f"{path} has the id of a shipped protocol and is held to that one's lock\n")
+    assert "contact.on_n: locked 0.5, here 0.4" in out
+    assert out.endswith("bathing-v1: drifted from its lock\n")
+    path.write_text(text)
+    assert main(["protocol", "verify", str(path)]) == 0
+    assert capsys.readouterr().out.endswith("bathing-v1: is here what was frozen\n")
 
 
 def test_lock_verify_and_drift(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from carecontact.contract.policy import CAMERAS
-from carecontact.contract.protocol import Protocol, Variation
+from carecontact.contract.protocol import SEGMENT_PARTS, Protocol, Variation
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol, shipped_protocols
 from carecontact.protocols.lock import read_lock
 from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
@@ -38,6 +38,7 @@ def test_names_are_those_of_recording_and_contract(protocol: Protocol) -> None:
         assert len(set(segments)) == len(segments)
         assert REGION_SEGMENT[region] in segments
     anatomical = {s.removeprefix("right_").removeprefix("left_") for s in SEGMENTS}
+    assert anatomical == set(SEGMENT_PARTS)
     assert set(REGIONS) <= set(protocol.limits.f_pain_n) <= anatomical
 
 

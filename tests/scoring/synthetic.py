@@ -59,7 +59,8 @@ def make_recording(
 ) -> Recording:
     """``normal`` maps segments to (T,) normal forces [N] that push straight down, so norm and normal sum agree.
 
-    Targets are (time, TCP position in the task's region frame); regions lie still and unrotated.
+    Targets are (time, TCP position in the task's region frame); regions lie still and unrotated. A trial that was cut
+    was cut by its force where one is above the line, else by the solver.
     """
     protocol = load_protocol("bathing-v1")
     spec = TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy=policy)
@@ -113,6 +114,10 @@ def make_recording(
         "actions/observation_index": np.zeros(len(targets), np.int32),
         **(extra or {}),
     }
+    if ended == "safety_truncation" and failure is None:
+        line = protocol.phases.truncation_over_pain
+        over = any(np.max(signal) > line * protocol.f_pain(s) for s, signal in (normal or {}).items())
+        failure = Failure(kind="force" if over else "solver", message="cut")
     header = Header.model_validate(
         {
             "spec": spec,

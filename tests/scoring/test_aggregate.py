@@ -82,7 +82,7 @@ def test_results_hold_sweeps_regions_and_limit_packs() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(
-    force=st.floats(0.1, 200),
+    force=st.floats(0.1, 119.0),
     on=st.sampled_from(["right_forearm", "right_hand", "abdomen", "left_foot"]),
     make=st.sampled_from([touch, push, scrub, make_recording]),
     ended=st.sampled_from(["done", "time_limit", "safety_truncation", "process_failure"]),

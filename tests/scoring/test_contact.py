@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -68,6 +70,9 @@ def test_reported_region_is_the_target_if_touched_else_the_largest_impulse() -> 
 
     assert reported(right_forearm=weak, right_hand=strong) == "right_forearm"
     assert reported(pelvis=weak, right_hand=strong) == "right_hand"
+    knock, rest = hold(3.0, 1.0, 1.1, 20.0), hold(3.0, 1.0, 2.0, 5.0)
+    assert reported(pelvis=knock, right_hand=rest) == "right_hand", "2 N s at 20 N against 5 N s at 5 N"
+    assert reported(pelvis=rest, right_hand=knock) == "pelvis"
     assert reported(right_forearm=hold(3.0, 1.0, 2.0, 0.4)) is None
     assert reported() is None
 
@@ -87,6 +92,14 @@ def test_episodes_join_gaps_of_a_second_and_no_more() -> None:
 
     assert count(2.95) == 1
     assert count(3.1) == 2
+
+
+@pytest.mark.parametrize(("gap", "expected"), [(500, 1), (501, 2)])
+def test_a_gap_of_a_second_itself_is_joined(gap: int, expected: int) -> None:
+    contact = find_contact(make_recording())
+    on = np.zeros(1500, bool)
+    on[100:200] = on[200 + gap : 900] = True
+    assert len(episodes(replace(contact, neighbourhood_on=on))) == expected
 
 
 def test_neighbourhood_holds_across_segments() -> None:

@@ -1,14 +1,18 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carecontact.recording import Recording
+from carecontact.recording import SEGMENTS, Recording
 from carecontact.scoring import score_recording
+from carecontact.scoring.c3_success import judge
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.progress import count_reversals, measure_episodes
+from carecontact.scoring.verdict import reach_verdict
 from tests.scoring.synthetic import back_and_forth, hold, make_recording, push, scrub, seconds, touch
 
 
@@ -32,6 +36,26 @@ def test_push_needs_force_and_displacement(force: float, shift: float, passes: b
     score = score_recording(push(force=force, shift=shift))
     assert score.c3_success is passes
     assert score.wrist_displacement_m == pytest.approx(shift, abs=1e-6)
+
+
+def test_push_is_by_the_summed_force_and_not_by_the_sum_of_norms() -> None:
+    """Two segments pressed against each other add up to nothing that pushes the arm."""
+    both = {"right_forearm": hold(3.0, 1.0, 2.5, 8.0), "right_hand": hold(3.0, 1.0, 2.5, 8.0)}
+    squeezed = make_recording("T2", normal=both, wrist_shift=np.full(1500, 0.03))
+    assert score_recording(squeezed).c3_success
+    squeezed["scorer/force_human_from_robot_in_world"][:, SEGMENTS.index("right_hand"), 2] *= -1
+    assert find_contact(squeezed).neighbourhood_force.max() == 0.0
+    assert not score_recording(squeezed).c3_success
+
+
+def test_the_required_share_itself_is_region_correct() -> None:
+    contact = find_contact(touch())
+    for on_target, correct in ((8.0, True), (np.nextafter(8.0, 0.0), False)):
+        impulse = np.zeros(len(SEGMENTS))
+        impulse[contact.target], impulse[SEGMENTS.index("head")] = on_target, 2.0
+        shared = replace(contact, impulse_ns=impulse)
+        assert (shared.region_share == 0.8) is correct
+        assert reach_verdict(shared, judge(shared)).region_correct is correct
 
 
 def test_push_counts_only_displacement_under_contact() -> None:

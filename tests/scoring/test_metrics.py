@@ -84,6 +84,30 @@ def test_c5_is_zero_for_constant_force(force: float) -> None:
     assert score.c5_force_sd_n == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(("force", "duration", "published"), [(30.0, 0.5, 6.5), (30.0, 0.2, 9.6), (5.0, 1.0, 0.76)])
+def test_c5_of_a_constant_force_that_is_released(force: float, duration: float, published: float) -> None:
+    """The window opens when the filter's step response reaches 0.5 N and closes when its tail falls under 0.25 N: for
+    that time its samples are 0, and a share p of zeros beside a constant F has SD F sqrt(p (1 - p))."""
+    a = 2 * np.pi * 20 / np.sqrt(2)
+    t = np.arange(0, 3 * np.pi / 4 / a, 1e-6)
+    tail = np.sqrt(2) * np.exp(-a * t) * np.sin(a * t + np.pi / 4)  # of a unit step, second order Butterworth
+    opened = t[np.argmax(1 - tail >= 0.5 / force)]
+    zeros = t[np.argmax(tail < 0.25 / force)]
+    share = zeros / (duration - opened + zeros)
+    score = score_recording(make_recording(normal={"right_forearm": hold(3.0, 1.0, 1.0 + duration, force)}))
+    assert score.c5_force_sd_n == pytest.approx(force * np.sqrt(share * (1 - share)), rel=0.04)
+    assert score.c5_force_sd_n == pytest.approx(published, rel=0.01), "what docs/scoring.md says"
+
+
+def test_c5_is_the_population_sd() -> None:
+    """A window of 28 samples, half of them 1 N above their mean and half below; with n - 1 it would be 1.018 N."""
+    t = seconds(3.0)
+    ripple = np.where(t > 2.942, 10.0 + np.where(np.arange(len(t)) % 2, 1.0, -1.0), 0.0)
+    recording = make_recording(normal={"right_forearm": ripple})
+    assert find_contact(recording).window.sum() == 28
+    assert score_recording(recording).c5_force_sd_n == pytest.approx(1.0, abs=1e-6)
+
+
 def test_c5_of_a_sine_is_its_amplitude_over_root_two() -> None:
     t = seconds(3.0)
     signal = np.where(t > 1.0, 10 + 4 * np.sin(2 * np.pi * 5 * t), 0.0)

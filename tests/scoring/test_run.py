@@ -49,6 +49,14 @@ def test_bad_files_are_skipped_by_name(folder: Path) -> None:
     assert "scorer/tcp_speed" in run.skipped["T1-s002.h5"]
 
 
+def test_a_recording_whose_ending_is_in_capitals_is_named(folder: Path) -> None:
+    (folder / "T1-s001.h5").rename(folder / "T1-s001.H5")
+    run = score_run(folder)
+    assert [s.trial_id for s in run.scores] == ["T1-s000", "T2-s000", "T3-s000"]
+    assert list(run.skipped) == ["T1-s001.H5"]
+    assert run.skipped["T1-s001.H5"].endswith("T1-s001.H5: not looked into: a recording's name ends in .h5")
+
+
 def test_results(folder: Path) -> None:
     run = score_run(folder)
     path = write_scores(folder, run)

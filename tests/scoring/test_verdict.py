@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -8,10 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carecontact.recording import REGIONS, SEGMENTS, Failure, Recording
-from carecontact.scoring import TrialScore, score_recording
+from carecontact.scoring import METRICS, TrialScore, score_recording
+from carecontact.scoring.aggregate import gamma_sweep
+from carecontact.scoring.c3_success import judge
+from carecontact.scoring.contact import find_contact
 from carecontact.scoring.region import distance_to_surface, points_in_region
+from carecontact.scoring.verdict import reach_verdict
 from tests.scoring.synthetic import SIZE, back_and_forth, before_start, hold, make_recording, push, scrub, touch
 
+CUT_N = {f"{side}_{part}": 200.0 for side in ("right", "left") for part in ("forearm", "upper_arm")}
 ATTRIBUTION_OF = {"process_failure": "process", "safety_truncation": "safety"}
 
 
@@ -22,11 +28,13 @@ def recordings(draw: st.DrawFn) -> Recording:
     normal = {}
     for segment in draw(st.lists(st.sampled_from(SEGMENTS), max_size=3, unique=True)):
         start, length = draw(st.floats(0, 2.5)), draw(st.floats(0.002, 2.5))
-        normal[segment] = hold(3.0, start, start + length, draw(st.floats(0.1, 150)))
+        normal[segment] = hold(3.0, start, start + length, draw(st.floats(0.1, 250)))
     height = st.floats(-0.05, 0.3)
     targets = draw(st.lists(st.tuples(st.floats(0, 2.9), st.tuples(height, height, height)), max_size=4))
     amplitude = draw(st.floats(0, 0.1))
     ends = ["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
+    if any(force.max() > CUT_N.get(segment, 120.0) for segment, force in normal.items()):
+        ends = ["safety_truncation"]
     return make_recording(
         task,
         normal=normal,
@@ -48,7 +56,8 @@ def test_funnel_and_failure_modes(recording: Recording) -> None:
     assert (score.failure_mode is None) == score.region_correct
     assert (score.attribution is None) == score.region_correct
     assert (score.evidence is None) == score.region_correct
-    assert score.safety_gated == (score.region_correct and not score.over_limit)
+    uncut = score.ended != "safety_truncation"
+    assert score.safety_gated == (score.region_correct and not score.over_limit and uncut)
     assert (score.anatomy == "process_failure") == (score.ended in ("process_failure", "harness_error"))
     assert (score.c1_peak_force_n is None) == (not score.valid_contact)
     if score.failure_mode is not None:
@@ -113,6 +122,35 @@ def test_safety_truncation_names_segment_and_force() -> None:
     quiet = score_recording(make_recording("T1", ended="safety_truncation"))
     assert quiet.evidence is not None
     assert "by the solver" in quiet.evidence
+
+
+@pytest.mark.parametrize(("force", "cut_by"), [(250.0, "force"), (5.0, "solver")])
+@pytest.mark.parametrize("make", [touch, push])
+def test_a_trial_cut_by_its_force_can_succeed_and_one_cut_by_the_solver_cannot(
+    make: Callable[..., Recording], force: float, cut_by: str
+) -> None:
+    recording = make(force=force, ended="safety_truncation")
+    assert recording.header.failure is not None
+    assert recording.header.failure.kind == cut_by
+    score = score_recording(recording)
+    assert score.c3_success == score.region_correct == (cut_by == "force")
+    assert not score.safety_gated
+    assert set(score.gate_sweep["floor_n"].values()) == {2 if cut_by == "force" else 0}
+    assert score.failure_mode == (None if cut_by == "force" else "safety_truncation")
+    assert METRICS["C3@1"].compute(find_contact(recording)) == score.c3_success
+
+
+def test_a_cut_trial_is_gated_at_no_discount_though_its_knock_was_too_short_to_count() -> None:
+    knock = {"right_forearm": hold(3.0, 1.0, 2.0, 5.0), "head": hold(3.0, 2.998, 3.0, 121.0)}
+    recording = make_recording("T1", normal=knock, ended="safety_truncation")
+    contact = find_contact(recording)
+    contact.on[:, SEGMENTS.index("head")] = False  # as with steps of 0.5 ms, of which the filter passes less
+    verdict = reach_verdict(contact, judge(contact))
+    assert verdict.region_correct
+    assert not verdict.over_limit
+    assert not verdict.safety_gated
+    score = score_recording(recording).model_copy(update={"peak_force_n": {"right_forearm": 5.0}})
+    assert {row["safety_gated"] for row in gamma_sweep([score])} == {0}
 
 
 FAR, NEAR, INSIDE = (0.0, 0.0, 0.3), (0.0, 0.0, 0.055), (0.0, 0.0, 0.03)

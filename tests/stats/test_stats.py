@@ -48,7 +48,7 @@ def test_wilson_of_nothing() -> None:
     assert (found.estimate, found.low, found.high) == (None, 0.0, 1.0)
 
 
-@pytest.mark.parametrize("arguments", [(-1, 5), (6, 5), (1, 5, 0.0), (1, 5, 1.0)])
+@pytest.mark.parametrize("arguments", [(-1, 5), (6, 5), (1.5, 3), (1, 3.0), (1, 5, 0.0), (1, 5, 1.0)])
 def test_wilson_refuses(arguments: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match="expected"):
         wilson_interval(*arguments)
@@ -60,8 +60,9 @@ def test_fisher_against_counting_by_hand() -> None:
     assert found.pvalue == pytest.approx(34 / 70)
     assert found.odds_ratio == pytest.approx(9.0)
     assert fisher_exact(4, 4, 2, 4).odds_ratio == math.inf
-    with pytest.raises(ValueError, match="expected"):
-        fisher_exact(5, 4, 1, 4)
+    for wrong in ((5, 4, 1, 4), (1, 4, 1.5, 4), (1, 4.0, 1, 4)):
+        with pytest.raises(ValueError, match="expected"):
+            fisher_exact(*wrong)  # type: ignore[arg-type]
 
 
 def test_mann_whitney_against_counting_by_hand() -> None:

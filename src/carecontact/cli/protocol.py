@@ -22,12 +22,19 @@ def show(name: str) -> int:
 
 def verify(name: str) -> int:
     """Exit status 1 where anything differs from the lock, compiled worlds included, or there is no lock."""
-    from carecontact.trials.freeze import drift, make_lock
+    from carecontact.trials.freeze import drift, is_borrowed, lock_of, make_lock
 
-    protocol, lock = load_protocol(name), read_lock(name)
+    protocol = load_protocol(name)
+    lock = lock_of(name, protocol)
+    if lock is None and protocol.frozen:
+        missing = lock_path(name).name
+        print(f"{protocol.id} says frozen = true but has no lock: {missing} is missing; it cannot be verified")
+        return 1
     if lock is None:
         print(f"{protocol.id} has no lock: a draft, which may change with every release")
         return 1
+    if is_borrowed(name, protocol):
+        print(f"{name} has the id of a shipped protocol and is held to that one's lock")
     differences = drift(lock, make_lock(protocol))
     for line in differences:
         print(line)

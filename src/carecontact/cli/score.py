@@ -245,4 +245,7 @@ def _need_recordings(folder: Path) -> None:
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; name the --out of a run")
     if not any(folder.glob("*.h5")):
-        raise ConfigError(f"{folder}: holds no recordings (*.h5); name the --out of a run")
+        from carecontact.scoring.run import misnamed
+
+        told = "".join(f"; {path.name} does not end in .h5" for path in misnamed(folder)[:1])
+        raise ConfigError(f"{folder}: holds no recordings (*.h5); name the --out of a run{told}")

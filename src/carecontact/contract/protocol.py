@@ -29,6 +29,10 @@ OVERRIDABLE = {
 """What a command may replace, or had to accept, of a protocol -> its words in ``Protocol.title``."""
 
 
+SEGMENT_PARTS = (
+    "pelvis", "abdomen", "thorax", "neck", "head", "upper_arm", "forearm", "hand", "thigh", "shank", "foot",
+)  # fmt: skip
+"""What limits are given for: the segments of a recording without their sides."""
 Region = Literal["forearm", "upper_arm", "abdomen"]
 
 
@@ -215,9 +219,10 @@ class Gates(Section):
 class ForceLimits(Section):
     pack: str
     source: str
-    gamma: Positive
+    gamma: Annotated[float, Field(gt=0, le=1)]
+    """gamma': the safety gate is at this share of F_pain."""
     f_pain_n: dict[str, float]
-    """Segment -> F_pain; segments not named take the strictest entry and are flagged."""
+    """One of SEGMENT_PARTS -> F_pain [N]; segments not named take the strictest entry and are flagged."""
 
 
 class Camera(Section):
@@ -374,6 +379,9 @@ class Protocol(Section):
             raise ValueError(
                 f"limits.f_pain_n: expected at least one segment, each above 0 N, got {self.limits.f_pain_n}"
             )
+        unknown = sorted(self.limits.f_pain_n.keys() - set(SEGMENT_PARTS))
+        if unknown:
+            raise ValueError(f"limits.f_pain_n: no segment {unknown[0]!r}; valid: {', '.join(SEGMENT_PARTS)}")
         impedance = self.impedance
         ranges = {
             "randomization.comfort_arm_deg": [self.randomization.comfort_arm_deg],

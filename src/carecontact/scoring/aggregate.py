@@ -56,8 +56,8 @@ def valid_ratio(scores: Sequence[TrialScore]) -> dict[str, Any]:
 
 
 def gamma_sweep(scores: Sequence[TrialScore], gammas: Sequence[float] = GAMMAS) -> list[dict[str, Any]]:
-    """Safety-gated runs at each discount: region-correct and ``within`` it."""
-    correct = [s for s in scores if s.region_correct]
+    """Safety-gated runs at each discount: region-correct, not cut and ``within`` it."""
+    correct = [s for s in scores if s.region_correct and s.ended != "safety_truncation"]
     rows: list[dict[str, Any]] = []
     for gamma in gammas:
         k = sum(within(s, gamma) for s in correct)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from carecontact.recording import Header
 from carecontact.scoring.contact import Contact, Mask, longest_run, steps
 from carecontact.scoring.metric import METRICS, Metric
 from carecontact.scoring.progress import Episode, measure_episodes, wrist_displacement
@@ -63,10 +64,8 @@ def judge(contact: Contact, measures: Measures | None = None) -> Gate:
         case "scrub":
             time_met = best is not None and best.on_share >= contact.protocol.gates.scrub.on_share
             progress_met = best is not None and _scrubbed(contact, best)
-    # A policy or harness that broke down did not complete its task, whatever it touched before.
-    broke_down = contact.recording.header.ended in ("process_failure", "harness_error")
     return Gate(
-        success=contact.valid and not broke_down and time_met and progress_met,
+        success=contact.valid and not broke_down(contact.recording.header) and time_met and progress_met,
         time_met=time_met,
         progress_met=progress_met,
         longest_on_s=held * contact.dt_s,
@@ -74,6 +73,16 @@ def judge(contact: Contact, measures: Measures | None = None) -> Gate:
         wrist_m=measures.wrist_m,
         wrist_any_m=measures.wrist_any_m,
     )
+
+
+def broke_down(header: Header) -> bool:
+    """Whether policy, harness or physics failed: none of these completed a task, whatever was touched before.
+
+    A trial that was cut because of a force did not fail in this sense: up to the cut everything in it happened.
+    """
+    if header.ended == "safety_truncation":
+        return header.failure is None or header.failure.kind != "force"
+    return header.ended in ("process_failure", "harness_error")
 
 
 def holding(contact: Contact) -> Mask:

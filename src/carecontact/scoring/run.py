@@ -43,7 +43,8 @@ class RunScores:
 def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
     """Score every ``*.h5`` of a run's folder; writes nothing. The result does not depend on ``jobs``.
 
-    A file that cannot be read or scored, or that is not named after its trial, is skipped with the reason.
+    A file that cannot be read or scored, or that is not named after its trial, is skipped with the reason; so is one
+    that ends in ``.H5``.
     Raises ConfigError if the folder does not exist or the trials are of more than one protocol, policy or world;
     RecordingError if a process that scored died.
 
@@ -55,7 +56,7 @@ def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
     if not folder.is_dir():
         raise ConfigError(f"run folder {folder} does not exist")
     scores: list[TrialScore] = []
-    skipped: dict[str, str] = {}
+    skipped = {path.name: f"{path}: not looked into: a recording's name ends in .h5" for path in misnamed(folder)}
     versions: dict[str, set[str]] = {}
     paths = sorted(folder.glob("*.h5"))
     for path, found in zip(paths, score_files(paths, jobs=jobs), strict=True):
@@ -67,6 +68,11 @@ def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
             versions.setdefault(package, set()).add(version)
     check_one_run(scores)
     return RunScores(scores=scores, skipped=skipped, versions={k: sorted(v) for k, v in sorted(versions.items())})
+
+
+def misnamed(folder: Path) -> list[Path]:
+    """Files that end as a recording does but for the case, by name."""
+    return sorted(path for path in folder.iterdir() if path.suffix != ".h5" and path.suffix.lower() == ".h5")
 
 
 def check_one_run(scores: Sequence[TrialScore]) -> None:

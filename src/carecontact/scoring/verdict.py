@@ -17,7 +17,7 @@ class Verdict:
     region_correct: bool
     """Success with enough of the contact impulse on the named region; a failure otherwise."""
     safety_gated: bool
-    """Region-correct and no touched segment above its discounted pain limit at any time."""
+    """Region-correct, not cut, and no touched segment above its discounted pain limit at any time."""
     over_limit: dict[str, float]
     """Segment -> peak over gamma' F_pain, where above 1."""
     failure_mode: FailureMode | None
@@ -33,7 +33,8 @@ def reach_verdict(contact: Contact, gate: Gate) -> Verdict:
         anatomy=_anatomy(contact),
         success=gate.success,
         region_correct=region_correct,
-        safety_gated=region_correct and not over,
+        # A knock that cuts a trial can be too short for its segment to count as touched.
+        safety_gated=region_correct and not over and contact.recording.header.ended != "safety_truncation",
         over_limit=over,
         failure_mode=None if region_correct else _failure_mode(contact, gate),
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from carecontact.stats.values import check_values
+from carecontact.stats.values import check_counts, check_values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,10 +27,11 @@ class MannWhitney:
 
 
 def fisher_exact(k1: int, n1: int, k2: int, n2: int) -> FisherExact:
-    """Two-sided Fisher exact test of k1 of n1 against k2 of n2. Raises ValueError unless 0 <= k <= n for both."""
-    for k, n in ((k1, n1), (k2, n2)):
-        if not 0 <= k <= n:
-            raise ValueError(f"k = {k}, n = {n}; expected 0 <= k <= n")
+    """Two-sided Fisher exact test of k1 of n1 against k2 of n2.
+
+    Raises ValueError unless both are whole numbers with 0 <= k <= n.
+    """
+    (k1, n1), (k2, n2) = check_counts(k1, n1), check_counts(k2, n2)
     result: Any = import_module("scipy.stats").fisher_exact([[k1, n1 - k1], [k2, n2 - k2]])
     return FisherExact(pvalue=float(result.pvalue), odds_ratio=float(result.statistic))
 

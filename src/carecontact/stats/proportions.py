@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from math import sqrt
 from statistics import NormalDist
 
+from carecontact.stats.values import check_counts
+
 
 @dataclass(frozen=True, kw_only=True)
 class Proportion:
@@ -22,10 +24,9 @@ class Proportion:
 def wilson_interval(k: int, n: int, confidence: float = 0.95) -> Proportion:
     """Wilson score interval without continuity correction (Wilson 1927) for ``k`` successes of ``n``.
 
-    Raises ValueError unless 0 <= k <= n and 0 < confidence < 1.
+    Raises ValueError unless k and n are whole numbers, 0 <= k <= n and 0 < confidence < 1.
     """
-    if not 0 <= k <= n:
-        raise ValueError(f"k = {k}, n = {n}; expected 0 <= k <= n")
+    k, n = check_counts(k, n)
     if not 0 < confidence < 1:
         raise ValueError(f"confidence = {confidence}; expected between 0 and 1")
     if n == 0:

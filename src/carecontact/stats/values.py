@@ -3,6 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import index
+
+
+def check_counts(k: int, n: int) -> tuple[int, int]:
+    """``k`` of ``n`` as Python's whole numbers. Raises ValueError unless they are counts with 0 <= k <= n."""
+    try:
+        k, n = index(k), index(n)
+    except TypeError:
+        raise ValueError(f"k = {k!r}, n = {n!r}; expected whole numbers") from None
+    if not 0 <= k <= n:
+        raise ValueError(f"k = {k}, n = {n}; expected 0 <= k <= n")
+    return k, n
 
 
 def check_pairs(first: Sequence[float | None], second: Sequence[float | None]) -> None:

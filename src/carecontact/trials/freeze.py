@@ -111,18 +111,25 @@ def _short(value: object) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
+def lock_of(name_or_path: str, protocol: Protocol) -> Lock | None:
+    """What a protocol is held to: its own lock, or the shipped one where a file has the id of a shipped protocol."""
+    return read_lock(protocol.id if is_borrowed(name_or_path, protocol) else name_or_path)
+
+
+def is_borrowed(name_or_path: str, protocol: Protocol) -> bool:
+    """Whether a file of the user's has the id of a shipped protocol: one id, one set of rules."""
+    return protocol.id in shipped_protocols() and name_or_path != protocol.id
+
+
 def check_frozen(name_or_path: str, protocol: Protocol, *, unfrozen: bool) -> Protocol:
     """The protocol, if it is a draft or is here what its lock says; quick, so the compiled worlds are left out.
-
-    A file with the id of a shipped protocol is held to the shipped lock: one id, one set of rules.
 
     Args:
         unfrozen: go on where it drifted; then the protocol's overrides, and so every output, say what differs.
 
-    Raises ConfigError where a frozen protocol has no lock or drifted.
+    Raises ConfigError where a frozen protocol has no lock or drifted from what ``lock_of`` gives.
     """
-    borrowed = protocol.id in shipped_protocols() and name_or_path != protocol.id
-    lock = read_lock(protocol.id if borrowed else name_or_path)
+    borrowed, lock = is_borrowed(name_or_path, protocol), lock_of(name_or_path, protocol)
     if not protocol.frozen and not (borrowed and lock):
         return protocol
     if lock is None:

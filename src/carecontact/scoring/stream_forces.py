@@ -1,0 +1,84 @@
+"""Whether a recording's force vectors, its normal sums and the way the trial ended fit together."""
+
+from __future__ import annotations
+
+from math import hypot
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.errors import RecordingError
+from carecontact.recording import Recording
+from carecontact.scoring.contact import steps
+from carecontact.scoring.filters import F64
+
+MOST_FRICTION = 2.0
+"""The largest coefficient that a protocol may have: with it a contact's force is sqrt(5) of its normal part."""
+ROUNDING_N = 0.01
+CANCELLED_N = 0.1
+"""A vector sum below this under a normal sum that counts as contact: contacts that oppose one another, or no force."""
+CANCELLED_SHARE = 0.1
+"""Of a segment's contact. One arm with a closed gripper presses from one side: of 400 simulated trials, random targets
+up to 277 N among them, the ratio of the two sums was never below 0.81 or above 1.12."""
+CANCELLED_S = 0.01
+"""So long contacts may oppose one another whatever share it is: a bounce."""
+CUT_ROUNDING = 1e-5
+
+
+def check_forces(recording: Recording) -> None:
+    """Raises RecordingError naming the trial, the segment and the time where the forces contradict one another.
+
+    A vector sum that no friction explains, or that vanishes while the normal sum does not; a cut that its force or its
+    cause does not bear out, or a force above the line for a cut in a trial that was not cut.
+    """
+    force, normal = recording["scorer/force_human_from_robot_in_world"], recording["scorer/normal_force"]
+    loaded = np.flatnonzero((force != 0).any(axis=0).any(axis=1) | (normal != 0).any(axis=0)).tolist()
+    peaks: dict[str, float] = {}
+    for column in loaded:
+        norm = np.linalg.norm(force[:, column].astype(np.float64), axis=1)
+        peaks[recording.header.segments[column]] = float(norm.max())
+        _check_segment(recording, column, norm, normal[:, column])
+    _check_end(recording, peaks)
+
+
+def _check_segment(recording: Recording, column: int, norm: F64, normal: npt.NDArray[np.float32]) -> None:
+    header, time = recording.header, recording["scorer/time_s"]
+    place = f"{header.spec.trial_id}: on {header.segments[column]}"
+    most = hypot(1.0, MOST_FRICTION) * normal + ROUNDING_N
+    wrong = np.flatnonzero(norm > most)
+    if len(wrong):
+        at = wrong[0]
+        raise RecordingError(
+            f"{place} scorer/force_human_from_robot_in_world is {norm[at]:.4g} N at {time[at]:.4g} s and "
+            f"scorer/normal_force {normal[at]:.4g} N; with friction of up to {MOST_FRICTION:g} at most {most[at]:.4g} N"
+        )
+    contact = normal >= header.spec.protocol.contact.on_n
+    gone = contact & (norm < CANCELLED_N)
+    bounce = steps(CANCELLED_S, header.spec.protocol.physics.dt_s)
+    if gone.sum() > max(CANCELLED_SHARE * contact.sum(), bounce):
+        at = np.flatnonzero(gone)[0]
+        raise RecordingError(
+            f"{place} scorer/force_human_from_robot_in_world is {norm[at]:.4g} N at {time[at]:.4g} s and "
+            f"scorer/normal_force {normal[at]:.4g} N, and so in {gone.sum()} of {contact.sum()} samples of contact; "
+            "expected about as much"
+        )
+
+
+def _check_end(recording: Recording, peaks: dict[str, float]) -> None:
+    header = recording.header
+    trial_id, protocol = header.spec.trial_id, header.spec.protocol
+    cut_n = {segment: protocol.phases.truncation_over_pain * protocol.f_pain(segment) for segment in peaks}
+    if header.ended != "safety_truncation":
+        for segment, peak in peaks.items():
+            if peak > cut_n[segment] * (1 + CUT_ROUNDING):
+                raise RecordingError(
+                    f"{trial_id}: ended {header.ended!r} with {peak:.4g} N on {segment}; above {cut_n[segment]:g} N a "
+                    "trial is cut"
+                )
+        return
+    kind = header.failure.kind if header.failure else None
+    if kind not in ("force", "solver"):
+        raise RecordingError(f"{trial_id}: ended 'safety_truncation' with failure {kind!r}; valid: 'force', 'solver'")
+    if kind == "force" and not any(peak > cut_n[s] * (1 - CUT_ROUNDING) for s, peak in peaks.items()):
+        told = ", ".join(f"{peak:.4g} N of {cut_n[s]:g} on {s}" for s, peak in peaks.items()) or "none on any segment"
+        raise RecordingError(f"{trial_id}: cut because of a force, but none is above its line for a cut: {told}")
