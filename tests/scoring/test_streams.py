@@ -157,7 +157,7 @@ def test_a_trial_may_not_outlast_its_limit() -> None:
         score_recording(Recording(header=recording.header.model_copy(update={"spec": spec}), arrays=recording.arrays))
 
 
-@pytest.mark.parametrize("ended", ["done", "time_limit", "safety_truncation"])
+@pytest.mark.parametrize("ended", ["done", "time_limit"])
 def test_only_a_failure_leaves_no_samples(ended: str) -> None:
     with pytest.raises(RecordingError, match=f"ended '{ended}' without a sample in scorer/time_s; only a trial whose"):
         score_recording(before_start(ended))
@@ -215,3 +215,15 @@ def test_what_can_happen_is_scored() -> None:
     recording[FORCE][:, FOREARM, 0] = 1.9 * recording[NORMAL][:, FOREARM]
     recording["actions/pose_tcp_in_base"][0] = np.nan
     assert score_recording(recording).region_correct
+
+
+def test_diverged_physics_is_a_failed_trial_and_not_a_lost_one() -> None:
+    recording = touch()
+    recording["scorer/tcp_speed"][-5:] = 500.0
+    with pytest.raises(RecordingError, match="tcp_speed"):
+        score_recording(recording)
+    diverged = touch(ended="safety_truncation")
+    diverged["scorer/tcp_speed"][-5:] = 500.0
+    assert diverged.header.failure == Failure(kind="solver", message="cut")
+    scored = score_recording(diverged)
+    assert (scored.c3_success, scored.region_correct, scored.safety_gated) == (False, False, False)

@@ -12,11 +12,13 @@ import pytest
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.protocols import load_protocol
-from carecontact.recording import canonical_hash, read_recording
+from carecontact.recording import Failure, canonical_hash, read_recording
 from carecontact.recording.perception import perception_errors
 from carecontact.scoring import score_recording
 from carecontact.sim.rendering import SceneRenderer
+from carecontact.sim.simulation import Settled, Simulation
 from carecontact.trials.identity import POLICY_PATH
+from carecontact.trials.prepare import settled_world
 from carecontact.trials.trial import run_trial
 
 POLICIES = '''
@@ -89,6 +91,26 @@ def test_action_outside_the_workspace_is_the_policys_process_failure(policies: P
     assert recording["scorer/time_s"][-1] == pytest.approx(0.498, abs=0.003), "what ran before is kept"
     score = score_recording(recording)
     assert (score.failure_mode, score.attribution, score.c3_success) == ("process_failure", "process", False)
+
+
+@pytest.mark.parametrize("periods", [1, 4])
+def test_diverging_physics_end_in_a_failed_trial(periods: int) -> None:
+    """Also in the very first period: a policy whose commands break the physics must not lose the trial."""
+
+    def diverging(asked: TrialSpec) -> tuple[Simulation, Settled, str]:
+        simulation, settled, sha256 = settled_world(asked.protocol, task_id=asked.task_id, seed=asked.seed)
+        asked_of = iter([[]] * (periods - 1) + [["BADQACC"]] * 100)
+        simulation.solver_warnings = lambda: next(asked_of)
+        return simulation, settled, sha256
+
+    recording = run_trial(spec("zero-action"), prepare=diverging)
+    assert (recording.header.ended, recording.header.failure) == (
+        "safety_truncation", Failure(kind="solver", message="MuJoCo warning BADQACC"),
+    )  # fmt: skip
+    assert len(recording["scorer/period_time_s"]) == periods - 1
+    score = score_recording(recording)
+    assert score.c3_success is False
+    assert score.failure_mode is not None
 
 
 def test_blank_pictures_end_as_a_perception_failure_and_touch_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from carecontact.errors import RecordingError
 from carecontact.recording import Recording
+from carecontact.scoring.c3_success import broke_down
 from carecontact.scoring.filters import F64, rate_faults
 
 TIME_TOLERANCE_S = 1e-6
@@ -37,10 +38,10 @@ def check_times(recording: Recording) -> None:
     if len(time):
         _check_extent(trial_id, time, dt=dt, limit_s=protocol.phases.time_limit_s)
         _check_periods(recording, time, dt=dt, period_s=protocol.physics.target_period_s)
-    elif recording.header.ended not in ("process_failure", "harness_error"):
+    elif not broke_down(recording.header):
         raise RecordingError(
             f"{trial_id}: ended {recording.header.ended!r} without a sample in scorer/time_s; only a trial whose "
-            "policy or harness failed has none"
+            "policy, harness or solver failed has none"
         )
     end = float(time[-1]) if len(time) else 0.0
     for path, late in (("actions/time_s", LATE_ACTION_S), ("policy/observation_time_s", dt)):

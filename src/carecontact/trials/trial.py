@@ -215,15 +215,16 @@ class _Trial:
         while steps > 0:
             count = min(steps, period)
             samples = self.simulation.advance(count)
-            self.log.add_samples(samples)
             steps -= count
-            force = np.concatenate([np.linalg.norm(s.force, axis=2) for s in samples])
-            self._keep_peak(samples, force)
             warnings = self.simulation.solver_warnings()
             if warnings:
+                # What the period that diverged left in the sensors is no measurement, and may not be finite.
                 return _Ended(
                     "safety_truncation", Failure(kind="solver", message=f"MuJoCo warning {', '.join(warnings)}")
                 )
+            self.log.add_samples(samples)
+            force = np.concatenate([np.linalg.norm(s.force, axis=2) for s in samples])
+            self._keep_peak(samples, force)
             over = force > self._cut_n
             if over.any():
                 step, segment = np.argwhere(over)[0]
