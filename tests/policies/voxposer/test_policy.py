@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import time
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
@@ -105,7 +106,35 @@ BAD = {
     ),
     "takes one map for another": (
         {("composer", "there"): 'execute(parse_query_obj("gripper"), velocity_map=get_affordance_map("x"))'},
-        "velocity_map expects a map of its kind",
+        "velocity_map expects what get_velocity_map returns, or None; got affordance map",
+    ),
+    "moves a text": ({("composer", "there"): 'execute("gripper")'}, "only the gripper moves by itself, not str"),
+    "gives a map twice": (
+        {("composer", "there"): 'execute(parse_query_obj("gripper"), get_affordance_map("x"), affordance_map=None)'},
+        r"^execute: multiple values for argument 'affordance_map'; it is execute\(movable, affordance_map=None, ",
+    ),
+    "gives one map too many": (
+        {("composer", "there"): 'execute(parse_query_obj("gripper"), None, None, None, None, None, None)'},
+        "^execute: too many positional arguments; it is execute",
+    ),
+    "gives nothing under an unknown name": (
+        {("composer", "there"): 'execute(parse_query_obj("gripper"), force_map=None)'},
+        r"unexpected keyword argument 'force_map'; .* velocity_map=None, gripper_map=None\)$",
+    ),
+    "moves nothing": (
+        {("composer", "there"): "x = 1"},
+        "^program composer: there moves nothing: it calls neither execute nor reset_to_default_pose$",
+    ),
+    "goes home to somewhere": (
+        {("composer", "there"): "reset_to_default_pose(1)"},
+        r"TypeError: too many positional arguments; it is reset_to_default_pose\(\) \(line 1",
+    ),
+    "writes a map into a part": (
+        {("get_affordance_map", "x"): 'set_voxel_by_radius(parse_query_obj("gripper"), (1, 2, 3))'},
+        "expected a map from get_empty_..._map first, got gripper",
+    ),
+    "finds a part and a number": (
+        {("parse_query_obj", "gripper"): 'ret_val = [detect("gripper"), 3]'}, "leaves no part .* nor a list of parts"
     ),
     "asks for what is not known": ({("parse_query_obj", "gripper"): 'ret_val = detect("left foot")'}, "not known"),
     "finds a number": ({("parse_query_obj", "gripper"): "ret_val = 3"}, "leaves no part"),
@@ -128,6 +157,64 @@ def test_a_wrong_program_is_told_before_anything_moves(
     changed, told = BAD[name]
     with pytest.raises(ProgramError, match=told):
         started(session(), BENIGN | changed).act(observation)
+
+
+def test_maps_may_be_given_in_the_releases_order_and_left_out(observation: Observation, session: MakeSession) -> None:
+    programs = BENIGN | {
+        ("get_velocity_map", "v"): "ret_val = set_voxel_by_radius(get_empty_velocity_map(), (50, 50, 50), 200, 0.5)",
+        ("get_rotation_map", "r"): "ret_val = set_voxel(get_empty_rotation_map(), (50, 50, 50), (1, 0, 0, 0))",
+    }
+    calls = [
+        'execute(hand, get_affordance_map("x"), None, get_rotation_map("r"), get_velocity_map("v"))',
+        'execute(hand, affordance_map=get_affordance_map("x"), avoidance_map=None, rotation_map=get_rotation_map("r"), '
+        'velocity_map=get_velocity_map("v"), gripper_map=None)',
+    ]
+    ways = []
+    for call in calls:
+        policy = started(session(), programs | {("composer", "there"): f'hand = parse_query_obj("gripper")\n{call}'})
+        ways.append([a.pose_tcp_in_base for a in policy.act(observation)])
+        assert policy.take_notes()["maps"] == {"affordance": "x", "rotation": "r", "velocity": "v"}
+    np.testing.assert_array_equal(ways[0], ways[1])
+    slow = np.linalg.norm(np.diff([pose[:3] for pose in ways[0]], axis=0), axis=1).max() * fixed.CONTROL_HZ
+    assert slow <= 0.5 * fixed.FULL_SPEED_M_S + 1e-6
+
+
+def test_what_the_releases_programs_leave_out_has_the_releases_values(
+    observation: Observation, session: MakeSession
+) -> None:
+    code = """
+both = parse_query_obj("both")
+assert [part.name for part in both] == ["right wrist", "right elbow"]
+assert both[0].aabb == (both[0].low, both[0].high)
+assert get_ee_pos() == parse_query_obj("gripper").position
+assert abs(index2cm(3) - (index2cm(1, "x") + index2cm(1, "y") + index2cm(1, "z"))) < 1e-9
+ret_val = set_voxel_by_radius(get_empty_affordance_map(), (50, 50, 50))
+"""
+    programs = BENIGN | {
+        ("get_affordance_map", "x"): code,
+        ("parse_query_obj", "both"): 'ret_val = [detect("right wrist"), detect("right elbow")]',
+    }
+    policy = started(session(), programs)
+    policy.act(observation)
+    assert policy.take_notes()["target_voxels"] == [[50, 50, 50]]
+
+
+def test_programs_that_call_each_other_for_too_long_are_told_and_kept(
+    observation: Observation, session: MakeSession
+) -> None:
+    programs = BENIGN | {
+        ("get_affordance_map", "x"): 'for _ in range(1900):\n    parse_query_obj("gripper")\nret_val = 1',
+        ("parse_query_obj", "gripper"): 'x = 0\nfor k in range(100000):\n    x += k\nret_val = detect("gripper")',
+    }
+    policy = started(session(), programs)
+    assert policy._sandbox is not None
+    policy._sandbox.time.limit_s = 0.4
+    began = time.monotonic()
+    with pytest.raises(ProgramError, match=r"was stopped: .*(took more than 0.4 s together|TimeoutError)"):
+        policy.act(observation)
+    assert time.monotonic() - began < 4
+    codes = [row["code"] for row in policy.take_notes()["programs"]]
+    assert programs["get_affordance_map", "x"] in codes
 
 
 def test_an_empty_map_has_nowhere_to_go(observation: Observation, session: MakeSession) -> None:

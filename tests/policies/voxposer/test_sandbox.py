@@ -8,6 +8,7 @@ from pydantic_monty import ClassInstance
 
 from carecontact.errors import LanguageError, ProgramError
 from carecontact.policies.voxposer import sandbox as module
+from carecontact.policies.voxposer.program_time import ProgramTime
 from carecontact.policies.voxposer.sandbox import Sandbox
 
 
@@ -43,7 +44,8 @@ HOSTILE = {
     "computes a huge number": ("x = 10 ** 10 ** 9", "MemoryError"),
     "calls itself for ever": ("def f():\n    return f()\nf()", "RecursionError"),
     "prints for ever": ("while True:\n    print('a' * 1000)", "MemoryError|TimeoutError"),
-    "calls us for ever": ("while True:\n    add(1, 2)", "RuntimeError|TimeoutError"),
+    "calls us for ever": ("while True:\n    add(1, 2)", "RuntimeError: more than 2000 calls|TimeoutError"),
+    "calls us wrongly": ("add(1)", r"TypeError: missing a required argument: 'b'; it is add\(a, b\) \(line 1: add"),
     "is no program": ("move the arm, please", "SyntaxError"),
     "fails": ("1 / 0", "ZeroDivisionError"),
 }  # fmt: skip
@@ -68,6 +70,41 @@ def test_an_endless_loop_is_stopped(sandbox: Sandbox, monkeypatch: pytest.Monkey
     with pytest.raises(ProgramError, match="TimeoutError"):
         sandbox.value("p", "try:\n    while True:\n        pass\nexcept BaseException:\n    pass\nret_val = 1", {})
     assert time.monotonic() - began < 2
+
+
+def test_programs_inside_programs_share_their_time(sandbox: Sandbox, monkeypatch: pytest.MonkeyPatch) -> None:
+    shared = ProgramTime(0.3)
+    monkeypatch.setattr(sandbox, "time", shared)
+    work = "x = 0\nfor k in range(20000):\n    x += k\nret_val = x"
+    table = {"inner": lambda: sandbox.value("inner", work, {})}
+    assert sandbox.value("outer", "ret_val = inner()", table) == sum(range(20000))
+    left = shared.left_s
+    assert 0 < left < 0.3
+    began = time.monotonic()
+    with pytest.raises(
+        ProgramError, match=r"program (inner|outer) was stopped: (the programs of one step|TimeoutError)"
+    ):
+        sandbox.value(
+            "outer", "try:\n    while True:\n        inner()\nexcept BaseException:\n    pass\nret_val = 1", table
+        )
+    assert time.monotonic() - began < 2
+    with pytest.raises(ProgramError, match=r"program q was stopped: the programs of one step took more than 0\.3 s"):
+        sandbox.value("q", "ret_val = 1", {})
+    shared.start_over()
+    assert sandbox.value("q", "ret_val = 1", {}) == 1
+
+
+def test_waiting_for_a_language_model_is_not_a_programs_time(sandbox: Sandbox, monkeypatch: pytest.MonkeyPatch) -> None:
+    shared = ProgramTime(0.3)
+    monkeypatch.setattr(sandbox, "time", shared)
+
+    def ask() -> int:
+        with shared.not_counted():
+            time.sleep(0.5)
+        return 1
+
+    assert sandbox.value("p", "ret_val = ask() + ask()", {"ask": ask}) == 2
+    assert shared.left_s > 0.05
 
 
 def test_waiting_and_chance_are_none(sandbox: Sandbox) -> None:

@@ -32,6 +32,20 @@ class PartHandle:
     high: Voxel
     normal: tuple[float, float, float]
 
+    @property
+    def aabb(self) -> tuple[Voxel, Voxel]:
+        """(low, high), as the release names it (interfaces.py 70)"""
+        return self.low, self.high
+
+    @property
+    def told(self) -> str:
+        return self.name
+
+
+def offered(part: PartHandle) -> ClassInstance:
+    """As it is put into the hands of a program."""
+    return ClassInstance(part, eager_attrs=("name", "position", "low", "high", "aabb", "normal"))
+
 
 class MapFunctions:
     """For the programs that compose maps and find parts; they change nothing but the maps that they make."""
@@ -47,6 +61,7 @@ class MapFunctions:
         return makers | {
             "detect": self.detect, "set_voxel": self.set_voxel, "set_voxel_by_radius": self.set_voxel_by_radius,
             "cm2index": self.cm2index, "index2cm": self.index2cm, "vec2quat": self.vec2quat,
+            "get_ee_pos": self.get_ee_pos,
         }  # fmt: skip
 
     def detect(self, name: object) -> object:
@@ -54,18 +69,25 @@ class MapFunctions:
             raise ValueError(f"detect: {name!r:.80} is not known; there is {', '.join(NAMES)}")
         return handle(self._scene.find(name), self._grid)
 
-    def set_voxel(self, value_map: object, voxel: object, value: object) -> None:
-        self.set_voxel_by_radius(value_map, voxel, 0, value)
+    def get_ee_pos(self) -> Voxel:
+        return self._grid.voxel(self._scene.pose_tcp[:3])
 
-    def set_voxel_by_radius(self, value_map: object, voxel: object, radius_cm: object, value: object) -> None:
-        if not isinstance(value_map, ValueMap):
-            raise TypeError(f"expected a map first, got {type(value_map).__name__}")
-        centre = numbers(voxel, 3, "voxel")
+    def set_voxel(self, voxel_map: object, voxel_xyz: object, value: object = 1) -> object:
+        return self.set_voxel_by_radius(voxel_map, voxel_xyz, 0, value)
+
+    def set_voxel_by_radius(
+        self, voxel_map: object, voxel_xyz: object, radius_cm: object = 0, value: object = 1
+    ) -> object:
+        """The same map. Names and defaults are the release's (interfaces.py 251)."""
+        if not isinstance(voxel_map, ValueMap):
+            raise TypeError(f"expected a map from get_empty_..._map first, got {told(voxel_map)}")
+        centre = numbers(voxel_xyz, 3, "voxel_xyz")
         radius = number(radius_cm, "radius_cm")
         if not 0 <= radius <= fixed.RADIUS_LIMIT_CM:
             raise ValueError(f"radius_cm {radius:g} is outside 0 to {fixed.RADIUS_LIMIT_CM:g}")
         x, y, z = (round(min(max(c, 0.0), fixed.MAP_SIZE - 1.0)) for c in centre)
-        value_map.add((x, y, z), _value(value_map.kind, value), radius_cm=radius)
+        voxel_map.add((x, y, z), _value(voxel_map.kind, value), radius_cm=radius)
+        return ClassInstance(voxel_map)
 
     def cm2index(self, cm: object, direction: object) -> object:
         """Whole voxels along an axis, or (x, y, z) of them along a vector; what is over is cut off."""
@@ -76,8 +98,11 @@ class MapFunctions:
         vector = _unit(numbers(direction, 3, "direction"))
         return tuple(self._grid.whole_voxels(length * vector).tolist())
 
-    def index2cm(self, count: object, direction: object) -> float:
-        return number(count, "count") * float(self._grid.resolution_m @ _axis(direction)) * 100
+    def index2cm(self, index: object, direction: object = None) -> float:
+        """Without a direction by the mean of the three axes, as in the release (interfaces.py 231-234)."""
+        resolution = self._grid.resolution_m
+        edge = float(resolution.mean()) if direction is None else float(resolution @ _axis(direction))
+        return number(index, "index") * edge * 100
 
     def vec2quat(self, vector: object) -> tuple[float, ...]:
         """The tool along the vector, turned about it as little as possible from where it is."""
@@ -93,13 +118,23 @@ def handle(part: Part, grid: Grid) -> ClassInstance:
     seen = PartHandle(
         name=part.name, position=grid.voxel(part.position_m), low=low, high=high, normal=(nx, ny, nz)
     )  # fmt: skip
-    return ClassInstance(seen, eager_attrs=("name", "position", "low", "high", "normal"))
+    return offered(seen)
+
+
+def told(value: object) -> str:
+    """What a program gave, in its own terms."""
+    return str(getattr(value, "told", type(value).__name__))
+
+
+def shown(value: object) -> str:
+    """A value as a program would write it, if it is one of Python's."""
+    return told(value) if hasattr(value, "told") else f"{value!r:.80}"
 
 
 def number(value: object, what: str) -> float:
     """Raises TypeError or ValueError for what is no finite number of a workable size."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{what}: expected a number, got {type(value).__name__}")
+        raise TypeError(f"{what}: expected a number, got {told(value)}")
     if not abs(value) < 1e6:
         raise ValueError(f"{what}: {value!r:.40} is no workable number")
     return float(value)
@@ -107,7 +142,7 @@ def number(value: object, what: str) -> float:
 
 def numbers(value: object, count: int, what: str) -> F64:
     if not isinstance(value, list | tuple) or len(cast("Sequence[object]", value)) != count:
-        raise TypeError(f"{what}: expected {count} numbers, got {value!r:.80}")
+        raise TypeError(f"{what}: expected {count} numbers, got {shown(cast('object', value))}")
     return np.array([number(v, what) for v in cast("Sequence[object]", value)])
 
 
@@ -127,7 +162,7 @@ def _value(kind: MapKind, value: object) -> tuple[float, ...]:
 
 def _axis(direction: object) -> F64:
     if not isinstance(direction, str) or direction not in AXES:
-        raise ValueError(f"direction: {direction!r:.40}; valid: x, y, z or a vector")
+        raise ValueError(f"direction: {shown(direction)}; valid: x, y, z or, for cm2index, a vector")
     return np.array(AXES[direction])
 
 

@@ -14,7 +14,8 @@ from carecontact.policies.voxposer.grid import I64, Grid, Voxel
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 MapKind = Literal["affordance", "avoidance", "velocity", "rotation", "gripper"]
-KINDS: tuple[MapKind, ...] = ("affordance", "avoidance", "velocity", "rotation", "gripper")
+KINDS: tuple[MapKind, ...] = ("affordance", "avoidance", "rotation", "velocity", "gripper")
+"""In the order in which ``execute`` takes them (release: interfaces.py 78-79)."""
 VALUE_RANGE: dict[str, tuple[float, float]] = {
     "affordance": (0.0, 1.0), "avoidance": (-1.0, 1.0), "velocity": (0.0, 2.0), "gripper": (0.0, 1.0)
 }  # fmt: skip
@@ -36,6 +37,10 @@ class ValueMap:
 
     kind: MapKind
     entries: list[Entry] = field(default_factory=list[Entry])
+
+    @property
+    def told(self) -> str:
+        return f"{self.kind} map"
 
     def add(self, centre: Voxel, value: tuple[float, ...], *, radius_cm: float = 0.0) -> None:
         """Raises ValueError when there are too many."""

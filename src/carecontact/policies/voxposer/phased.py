@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from inspect import Parameter
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from carecontact.contract.observation import Observation
 from carecontact.errors import ProgramError
 from carecontact.policies.state_machine.geometry import person_points
 from carecontact.policies.voxposer.executor import Motion
-from carecontact.policies.voxposer.policy import CAMERA, Execution, VoxPoser, text_of
+from carecontact.policies.voxposer.functions import told
+from carecontact.policies.voxposer.policy import CAMERA, EXECUTE, Execution, VoxPoser, text_of
 from carecontact.policies.voxposer.progress import Objective, Pursuit, objective_functions, touches
 from carecontact.policies.voxposer.prompts import VOXPOSER_PHASED, PromptSet
 
@@ -26,6 +28,7 @@ ROLE = "get_progress"
 @dataclass(frozen=True)
 class ProgressQuery:
     query: str
+    told = "objective"
 
 
 @dataclass(kw_only=True)
@@ -44,6 +47,9 @@ class VoxPoserPhased(VoxPoser):
     name = "voxposer-phased"
     prompts: PromptSet = VOXPOSER_PHASED
     authored = "authored-phased.jsonl"
+    execute = EXECUTE.replace(
+        parameters=[*EXECUTE.parameters.values(), Parameter("progress", Parameter.KEYWORD_ONLY, default=None)]
+    )
 
     def reset(self, instruction: str) -> None:
         super().reset(instruction)
@@ -61,10 +67,9 @@ class VoxPoserPhased(VoxPoser):
         return super()._composer_functions() | {ROLE: progress}
 
     def _execution(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> PhasedExecution:
-        kwargs = dict(kwargs)
-        progress = kwargs.pop("progress", None)
+        progress = self._given(args, kwargs).get("progress")
         if progress is not None and not isinstance(progress, ProgressQuery):
-            raise ProgramError(f"execute: progress expects what {ROLE} returns, got {type(progress).__name__}")
+            raise ProgramError(f"execute: progress expects what {ROLE} returns, got {told(progress)}")
         return PhasedExecution(maps=super()._execution(args, kwargs).maps, progress=progress)
 
     def _try(self, execution: Execution) -> None:
@@ -95,7 +100,7 @@ class VoxPoserPhased(VoxPoser):
     def _objective(self, query: ProgressQuery) -> Objective:
         assert self._grid is not None
         functions = {**self._map_functions(), **objective_functions(self._grid)}
-        made = self._box.value(f"{ROLE}: {query.query}", self._programs.program(ROLE, query.query), functions)
+        made = self._box.value(f"{ROLE}: {query.query}", self._program(ROLE, query.query), functions)
         if not isinstance(made, Objective):
             raise ProgramError(f"program {ROLE}: {query.query} leaves no objective in ret_val")
         return made

@@ -6,7 +6,8 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any
+from inspect import Parameter, Signature
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,19 +23,24 @@ from carecontact.policies.language.transcript import Transcript
 from carecontact.policies.state_machine.geometry import PerceptionFailure
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.executor import Motion, forward_only, motion
-from carecontact.policies.voxposer.functions import MapFunctions, PartHandle
+from carecontact.policies.voxposer.functions import MapFunctions, PartHandle, offered, told
 from carecontact.policies.voxposer.grid import Grid
 from carecontact.policies.voxposer.lmp import Programs
 from carecontact.policies.voxposer.maps import KINDS, MapKind, ValueMap
 from carecontact.policies.voxposer.planner import Plan, goals, plan
 from carecontact.policies.voxposer.prompts import VOXPOSER, PromptSet
-from carecontact.policies.voxposer.sandbox import Functions, PausedProgram, Sandbox
+from carecontact.policies.voxposer.sandbox import Functions, PausedProgram, Sandbox, bound
 from carecontact.policies.voxposer.scene import GRIPPER, Scene
 
 F64 = npt.NDArray[np.float64]
 CAMERA = "overhead"
 MOVES = ("execute", "reset_to_default_pose")
 """Calls at which a program waits for the robot."""
+_MAPS: dict[str, MapKind] = {f"{kind}_map": kind for kind in KINDS}
+EXECUTE = Signature(
+    [Parameter("movable", Parameter.POSITIONAL_OR_KEYWORD)]
+    + [Parameter(name, Parameter.POSITIONAL_OR_KEYWORD, default=None) for name in _MAPS]
+)
 logger = logging.getLogger(__name__)
 
 
@@ -44,6 +50,10 @@ class MapQuery:
 
     kind: MapKind
     query: str
+
+    @property
+    def told(self) -> str:
+        return f"{self.kind} map"
 
 
 @dataclass(kw_only=True)
@@ -67,6 +77,8 @@ class VoxPoser:
     name = "voxposer"
     prompts: PromptSet = VOXPOSER
     authored = "authored.jsonl"
+    execute = EXECUTE
+    """How a program calls ``execute``: the release's order, None for what is not given."""
 
     def __init__(self, *, transcript: Transcript | None = None) -> None:
         """``transcript``: default as the run's --language says, the shipped authored completions if it says nothing."""
@@ -93,6 +105,7 @@ class VoxPoser:
         self._scene = Scene(CAMERA, self._grid)
         self._functions = MapFunctions(self._scene, self._grid)
         self._sandbox = self._sandbox or Sandbox()
+        self._sandbox.time.start_over()
         self._notes: dict[str, object] = {"method": self.name, "camera": CAMERA}
         self._home: F64 | None = None
         self._running: PausedProgram | None = None
@@ -104,6 +117,7 @@ class VoxPoser:
         """What is moved until the next look, at most HORIZON_S and SETTLE_S long."""
         if self._sandbox is None:
             raise ContractError("act() before reset()")
+        self._sandbox.time.start_over()
         self._scene.look(observation)
         try:
             if self._home is None:
@@ -132,7 +146,7 @@ class VoxPoser:
             found.append(query)
 
         name = f"planner: {instruction}"
-        self._box.run(name, self._programs.program("planner", instruction), {"composer": composer})
+        self._box.run(name, self._program("planner", instruction), {"composer": composer})
         if not found:
             raise ProgramError(f"program {name} composes nothing")
         self._notes["subtasks"] = list(found)
@@ -142,12 +156,25 @@ class VoxPoser:
         """Every program once on the first look, without moving: what is wrong is found, and what has to be asked is
         asked, before the robot is near anybody and while the first call's long deadline holds."""
         for subtask in self._waiting:
+            self._rehearse_one(subtask)
 
-            def tried(*args: object, **kwargs: object) -> None:
-                self._try(self._execution(args, kwargs))
+    def _rehearse_one(self, subtask: str) -> None:
+        moves = 0
 
-            functions = self._composer_functions() | {"execute": tried, "reset_to_default_pose": lambda: None}
-            self._box.run(f"composer: {subtask}", self._programs.program("composer", subtask), functions)
+        def execute(*args: object, **kwargs: object) -> None:
+            nonlocal moves
+            moves += 1
+            self._try(self._execution(args, kwargs))
+
+        def reset_to_default_pose() -> None:
+            nonlocal moves
+            moves += 1
+
+        name = f"composer: {subtask}"
+        moving: Functions = {"execute": execute, "reset_to_default_pose": reset_to_default_pose}
+        self._box.run(name, self._program("composer", subtask), {**self._composer_functions(), **moving})
+        if not moves:
+            raise ProgramError(f"program {name} moves nothing: it calls neither {' nor '.join(MOVES)}")
 
     def _try(self, execution: Execution) -> None:
         for query in execution.maps.values():
@@ -174,7 +201,7 @@ class VoxPoser:
             self._subtask = self._waiting.pop(0)
             # Their bodies are never run: the program waits there.
             functions = self._composer_functions() | dict.fromkeys(MOVES, _unreachable)
-            code = self._programs.program("composer", self._subtask)
+            code = self._program("composer", self._subtask)
             self._running = self._box.started(f"composer: {self._subtask}", code, functions, pause_at=MOVES)
         pause = self._running.pause
         home = pause.function == "reset_to_default_pose"
@@ -224,18 +251,27 @@ class VoxPoser:
 
     def _execution(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Execution:
         """Raises ProgramError for what ``execute`` cannot be given."""
-        named: dict[str, MapKind] = {f"{kind}_map": kind for kind in KINDS}
-        movable = args[0] if args else kwargs.pop("movable", None)
+        given = self._given(args, kwargs)
+        movable = given["movable"]
         if not isinstance(movable, PartHandle) or movable.name != GRIPPER:
-            what = movable.name if isinstance(movable, PartHandle) else type(movable).__name__
-            raise ProgramError(f"execute: only the {GRIPPER} moves by itself, not {what}")
-        given = dict(zip(named, args[1:], strict=False)) | {k: v for k, v in kwargs.items() if v is not None}
+            raise ProgramError(f"execute: only the {GRIPPER} moves by itself, not {told(movable)}")
         maps: dict[MapKind, MapQuery] = {}
         for name, query in given.items():
-            if name not in named or not isinstance(query, MapQuery) or query.kind != named[name]:
-                raise ProgramError(f"execute: {name} expects a map of its kind; it takes {', '.join(named)}")
-            maps[named[name]] = query
+            if name not in _MAPS or query is None:
+                continue
+            if not isinstance(query, MapQuery) or query.kind != _MAPS[name]:
+                raise ProgramError(f"execute: {name} expects what get_{name} returns, or None; got {told(query)}")
+            maps[_MAPS[name]] = query
         return Execution(maps=maps)
+
+    def _given(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
+        """By name, in the order of the call: maps that are asked for first are in the recording first."""
+        try:
+            named = bound("execute", self.execute, args, kwargs).arguments
+        except TypeError as error:
+            raise ProgramError(f"execute: {error}") from None
+        order = [name for name in named if name not in kwargs] + list(kwargs)
+        return {name: named[name] for name in order}
 
     def _composer_functions(self) -> dict[str, Callable[..., object]]:
         def ask_for(kind: MapKind) -> Callable[..., object]:
@@ -248,7 +284,7 @@ class VoxPoser:
 
     def _composed(self, query: MapQuery) -> ValueMap:
         role = f"get_{query.kind}_map"
-        code = self._programs.program(role, query.query)
+        code = self._program(role, query.query)
         made = self._box.value(f"{role}: {query.query}", code, self._map_functions())
         if not isinstance(made, ValueMap) or made.kind != query.kind:
             raise ProgramError(f"program {role}: {query.query} leaves no {query.kind} map in ret_val")
@@ -259,11 +295,19 @@ class VoxPoser:
 
     def _parsed(self, query: object) -> object:
         text = text_of(query)
-        code = self._programs.program("parse_query_obj", text)
-        part = self._box.value(f"parse_query_obj: {text}", code, self._functions.table())
-        if not isinstance(part, PartHandle):
-            raise ProgramError(f"program parse_query_obj: {text} leaves no part in ret_val")
-        return ClassInstance(part, eager_attrs=("name", "position", "low", "high", "normal"))
+        code = self._program("parse_query_obj", text)
+        found = self._box.value(f"parse_query_obj: {text}", code, self._functions.table())
+        if isinstance(found, list):
+            parts = [offered(part) for part in cast("list[object]", found) if isinstance(part, PartHandle)]
+            if parts and len(parts) == len(cast("list[object]", found)):
+                return parts
+        if not isinstance(found, PartHandle):
+            raise ProgramError(f"program parse_query_obj: {text} leaves no part in ret_val, nor a list of parts")
+        return offered(found)
+
+    def _program(self, role: str, query: str) -> str:
+        with self._box.time.not_counted():
+            return self._programs.program(role, query)
 
     def _note_plan(self, current: Execution, made: Plan, target: npt.NDArray[np.float32], waypoints: F64) -> None:
         assert self._grid is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import inspect
 from collections.abc import Callable, Collection, Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -23,9 +24,16 @@ from pydantic_monty import (
 )
 
 from carecontact.errors import CarecontactError, ProgramError
+from carecontact.policies.voxposer.program_time import ProgramTime
 
-LIMITS = ResourceLimits(max_feed_duration_secs=2.0, max_memory=64 << 20, max_recursion_depth=200, max_suspensions=2000)
-"""Programs of this kind take milliseconds and kilobytes; most of their calls are answered here."""
+MAX_CALLS = 2000
+LIMITS = ResourceLimits(
+    max_feed_duration_secs=2.0, max_memory=64 << 20, max_recursion_depth=200, max_suspensions=MAX_CALLS
+)
+"""Of one program. They take milliseconds and kilobytes; most of their calls are answered here."""
+STEP_S = 10.0
+"""For all programs of one step together, those that programs call included: a third of the shortest deadline of a call
+in bathing-v1."""
 REQUEST_S = 10.0
 """A worker that does not come back for so long is killed."""
 PRINTED_BYTES = 65536
@@ -58,14 +66,18 @@ class Sandbox:
     def __init__(self) -> None:
         self._stack = ExitStack()
         self._pool = self._stack.enter_context(Monty(max_processes=3, request_timeout=REQUEST_S))
+        self.time = ProgramTime(STEP_S)
 
     def close(self) -> None:
         self._stack.close()
 
     def value(self, name: str, code: str, functions: Functions) -> object:
         """What the program leaves in ``ret_val``."""
-        code, ours = _checked(name, code), _Ours(functions)
-        with ours.errors_of(name), self._session() as session:
+        self.time.check(name)
+        code, ours = _checked(name, code), _Ours(name, functions, self.time)
+        shortest = min(LIMITS.get("max_feed_duration_secs") or STEP_S, self.time.left_s)
+        limits: ResourceLimits = {**LIMITS, "max_feed_duration_secs": shortest}
+        with self.time.running(), ours.errors_of(name), self._session(limits) as session:
             return session.feed_run(
                 f"{code}\n{RESULT}", external_lookup=ours.table, print_callback=CollectString(PRINTED_BYTES)
             )
@@ -76,19 +88,19 @@ class Sandbox:
 
     def started(self, name: str, code: str, functions: Functions, *, pause_at: Collection[str]) -> PausedProgram:
         """The program, up to its first call of one of ``pause_at``, which are names in ``functions``."""
-        return PausedProgram(self._session(), name, _checked(name, code), functions, pause_at)
+        self.time.check(name)
+        ours = _Ours(name, functions, self.time)
+        return PausedProgram(self._session(LIMITS), name, _checked(name, code), ours, pause_at)
 
-    def _session(self) -> MontySession:
-        return self._pool.checkout(limits=LIMITS, os_policy=OS_POLICY)
+    def _session(self, limits: ResourceLimits) -> MontySession:
+        return self._pool.checkout(limits=limits, os_policy=OS_POLICY)
 
 
 class PausedProgram:
     """A program between two calls that the robot carries out meanwhile."""
 
-    def __init__(
-        self, session: MontySession, name: str, code: str, functions: Functions, pause_at: Collection[str]
-    ) -> None:
-        self._name, self._pause_at, self._ours = name, pause_at, _Ours(functions)
+    def __init__(self, session: MontySession, name: str, code: str, ours: _Ours, pause_at: Collection[str]) -> None:
+        self._name, self._pause_at, self._ours = name, pause_at, ours
         self._stack = ExitStack()
         self.pause: Pause | None = None
         """None: the program has ended."""
@@ -110,7 +122,7 @@ class PausedProgram:
 
     def _go_on(self, begin: Callable[[], object]) -> None:
         try:
-            with self._ours.errors_of(self._name):
+            with self._ours.time.running(), self._ours.errors_of(self._name):
                 self._to_the_next_pause(begin())
         except BaseException:
             self.close()
@@ -130,9 +142,10 @@ class PausedProgram:
 class _Ours:
     """Functions of ours whose own errors pass through a program unchanged, whatever it does with exceptions."""
 
-    def __init__(self, functions: Functions) -> None:
+    def __init__(self, program: str, functions: Functions, time: ProgramTime) -> None:
+        self.time, self._program = time, program
         self._error: CarecontactError | None = None
-        self.table: dict[str, Any] = {name: self._watched(function) for name, function in functions.items()}
+        self.table: dict[str, Any] = {name: self._watched(name, function) for name, function in functions.items()}
 
     @contextmanager
     def errors_of(self, name: str) -> Generator[None, None, None]:
@@ -143,17 +156,32 @@ class _Ours:
         if self._error is not None:
             raise self._error
 
-    def _watched(self, function: Callable[..., object]) -> Callable[..., object]:
+    def _watched(self, name: str, function: Callable[..., object]) -> Callable[..., object]:
+        signature = inspect.signature(function)
+
         def watched(*args: object, **kwargs: object) -> object:
             if self._error is not None:
                 raise RuntimeError("this program is being stopped")
+            bound(name, signature, args, kwargs)
             try:
+                self.time.check(self._program)
                 return function(*args, **kwargs)
             except CarecontactError as error:
                 self._error = error
                 raise RuntimeError(str(error)) from None
 
         return watched
+
+
+def bound(
+    name: str, signature: inspect.Signature, args: tuple[object, ...], kwargs: Mapping[str, object]
+) -> inspect.BoundArguments:
+    """The arguments of a call in a program. Raises TypeError that tells how ``name`` is called."""
+    try:
+        return signature.bind(*args, **kwargs)
+    except TypeError as error:
+        bare = [p.replace(annotation=inspect.Parameter.empty) for p in signature.parameters.values()]
+        raise TypeError(f"{error}; it is {name}{inspect.Signature(bare)}") from None
 
 
 def _checked(name: str, code: str) -> str:
@@ -165,7 +193,9 @@ def _checked(name: str, code: str) -> str:
 def _stopped(name: str, error: MontyError) -> ProgramError:
     line = ""
     if isinstance(error, MontyRuntimeError | MontySyntaxError):
-        said = error.display("type-msg")
+        said = error.display("type-msg").replace(
+            f"suspension limit {MAX_CALLS} exceeded", f"more than {MAX_CALLS} calls"
+        )
         frames = error.traceback()
         if frames:
             line = f" (line {frames[-1].line}: {(frames[-1].source_line or '').strip():.120})"
