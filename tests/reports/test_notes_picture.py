@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
 
 from carecontact.cli import main
 from carecontact.contract.trial import TrialSpec
@@ -13,14 +15,20 @@ from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol
 from carecontact.recording import write_recording
 from carecontact.recording.schema import Recording
+from carecontact.reports.notes_drawing import CHOSEN
 from carecontact.reports.notes_picture import draw_notes
+from carecontact.reports.value_maps_picture import OBJECTIVE, pieces
 from carecontact.trials.failed import harness_error_recording
 
 OPTION = {"primitive": "touch", "approach": "above", "key_point": 0.5, "depth_m": 0.012, "speed_m_s": 0.03}
 OPTIONS = {
     "method": "state-machine", "camera": "overhead", "chosen": 1,
     "intent": {"action": "touch", "region": "forearm", "side": "right", "manner": "gentle"},
-    "options": [{**OPTION, "corners_px": [[20.0, 30.0]]}, {**OPTION, "corners_px": [[40.0, 30.0], [40.0, 35.0]]}],
+    "options": [
+        {**OPTION, "corners_px": [[20.0, 30.0]]}, {**OPTION, "depth_m": 0.018, "corners_px": [[20.2, 30.0]]},
+        {**OPTION, "primitive": "push", "approach": "near_side", "depth_m": 0.06, "speed_m_s": 0.05,
+         "corners_px": [[40.0, 30.0], [40.0, 35.0]]},
+    ],
 }  # fmt: skip
 CAMERA = [[60.0, 0.0, 40.0], [0.0, 60.0, 30.0], [0.0, 0.0, 1.0]]
 LOOKING_DOWN = [[0, -1, 0, 0.5], [-1, 0, 0, 0.0], [0, 0, -1, 2.0], [0, 0, 0, 1]]
@@ -33,9 +41,9 @@ MAPS = {
 }  # fmt: skip
 
 
-def recording(content: dict[str, Any], **arrays: np.ndarray) -> Recording:
+def recording(content: dict[str, Any], *, failure: str = "x", **arrays: np.ndarray) -> Recording:
     spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="x")
-    base = harness_error_recording(spec, kind="x", message="x")
+    base = harness_error_recording(spec, kind="x", message=failure)
     place = "policy/notes/0000"
     kept = {f"{place}/{name}": array for name, array in arrays.items()}
     kept[f"{place}/json"] = np.frombuffer(json.dumps(content).encode(), "u1")
@@ -50,13 +58,39 @@ def slices() -> dict[str, np.ndarray]:
     }
 
 
-def test_options_are_drawn_with_the_chosen_one_bold() -> None:
+def texts(figure: Figure) -> list[str]:
+    axes = [text.get_text() for axes in figure.axes for text in [*axes.texts, axes.title, axes._left_title]]
+    return [text.get_text() for text in figure.texts] + axes
+
+
+def test_every_option_has_a_cell_with_its_number_and_the_chosen_one_is_red() -> None:
     figure = draw_notes(recording(OPTIONS))
-    lines = figure.axes[0].get_lines()
-    assert len(lines) == 2
-    assert [line.get_linewidth() > 2 for line in lines] == [False, True]
-    assert any("chosen    1 of 0-1" in text.get_text() for text in figure.texts)
-    assert any("“gently touch the right forearm”" in text.get_text() for text in figure.texts)
+    cells = {t.get_text().strip(): t for t in figure.axes[1].texts if t.get_bbox_patch() is not None}
+    assert sorted(cells) == ["0", "1", "2"]
+    red = to_rgba(CHOSEN)
+    assert {k: cell.get_bbox_patch().get_facecolor() == red for k, cell in cells.items()} == {
+        "0": False, "1": True, "2": False
+    }  # fmt: skip
+    said = texts(figure)
+    assert {"12 mm\n3 cm/s", "18 mm\n3 cm/s", "60 mm\n5 cm/s", "touch", "push"} <= set(said)
+    assert {"above, 0.5 along the region", "near side, 0.5 along the region", "A", "B"} <= set(said)
+    assert "“gently touch the right forearm”" in said
+    assert any("chosen: 1" in text for text in said)
+    # Two depths at one place are one place: its letter stands once in the picture and once in the table.
+    assert said.count("A") == 2
+
+
+def test_letters_do_not_hide_one_another() -> None:
+    options = [
+        {**OPTION, "key_point": k / 20, "corners_px": [[30.0 + k / 10, 30.0]], "primitive": primitive}
+        for primitive in ("touch", "scrub") for k in range(6)
+    ]  # fmt: skip
+    figure = draw_notes(recording({**OPTIONS, "options": options}))
+    letters = np.array([t.get_position() for t in figure.axes[0].texts])
+    assert len(letters) == 12
+    apart = np.linalg.norm(letters[:, None] - letters, axis=2)[~np.eye(12, dtype=bool)]
+    low, high = figure.axes[0].get_ylim()
+    assert apart.min() > abs(high - low) / 20
 
 
 def test_a_level_slice_lies_where_the_camera_sees_it() -> None:
@@ -67,7 +101,72 @@ def test_a_level_slice_lies_where_the_camera_sees_it() -> None:
     assert values[30, 40] == pytest.approx(0.5, abs=0.02)
     assert values[20, 40] > values[30, 40] > values[40, 40]
     assert np.isnan(values[0, 0])
-    assert any("replay:0123:authored" in text.get_text() for text in figure.texts)
+    said = texts(figure)
+    assert any("replay:0123:authored" in text for text in said)
+    assert said.count("not in this recording") == 3, "recordings from before these were noted can still be drawn"
+
+
+def test_a_path_is_dotted_where_it_leaves_the_slice() -> None:
+    path = np.array([[0, 0.0, 0.5], [0, 0.0, 0.4], [0, 0.3, 0.3], [0, 0.4, 0.2], [0, 0.0, 0.1], [0, 0.0, 0.0]])
+    runs = [(piece[:, 2].tolist(), whole) for piece, whole in pieces(path, path[:, 1] < 0.1)]
+    assert runs == [([0.5, 0.4], True), ([0.4, 0.3, 0.2, 0.1], False), ([0.1, 0.0], True)]
+    figure = draw_notes(recording({**MAPS, "path_m": path.tolist()}, **slices()))
+    upright = next(axes for axes in figure.axes if axes._left_title.get_text().startswith("cost, upright at y = 0.01"))
+    assert [line.get_linestyle() for line in upright.get_lines()] == ["-", ":", "-"]
+
+
+MANNER = {
+    "path_speed_m_s": [0.25, 0.0625], "path_quat": [None, [0.0, 1.0, 0.0, 0.0]], "path_gripper": [None, None],
+    "maps": {"affordance": "there", "velocity": "slowly"}, "path_m": [[0.2, 0, 0.5], [0.4, 0, 0.3], [0.5, 0, 0.1]],
+    "path_px": [[40.0, 42.0]] * 3, "written": {"velocity": [[50, 50, 13, 10.0, 0.25], [50, 50, 50, 200.0, 1.0]]},
+}  # fmt: skip
+
+
+def test_what_the_other_maps_ask_for_is_drawn() -> None:
+    figure = draw_notes(recording(MAPS | MANNER, **slices()))
+    by_label = {axes.get_ylabel(): axes for axes in figure.axes}
+    np.testing.assert_allclose(by_label["speed [m/s]"].get_lines()[0].get_ydata(), [0.25, 0.0625])
+    np.testing.assert_allclose(by_label["off straight\ndown [deg]"].get_lines()[0].get_ydata(), [np.nan, 0.0])
+    assert [t.get_text() for t in by_label["gripper"].texts] == ["as it is"]
+    said = texts(figure)
+    assert "affordance: there     velocity: slowly" in said
+    assert "velocity 0.25" in said
+    assert "velocity 1" not in said, "a box that fills the workspace has no edge to draw"
+
+
+def test_the_phase_of_the_objective_is_drawn_where_the_tool_was_sent() -> None:
+    whole = recording(MAPS | MANNER, **slices())
+    looks = [
+        {"progress": "slide", "progress_m": done, "progress_of_m": 0.2, "subtask": "move there", "pursuing": done < 0.2,
+         "method": "voxposer-phased", "camera": "overhead"}
+        for done in (0.0, 0.12, 0.21)
+    ]  # fmt: skip
+    extra = {
+        f"policy/notes/{k:04d}/json": np.frombuffer(json.dumps(look).encode(), "u1") for k, look in enumerate(looks, 1)
+    }
+    sent = np.array([[0.5, y, 0.1, 0, 1, 0, 0] for y in (0.0, 0.02, 0.05, -0.05, 0.3)])
+    extra |= {"actions/observation_index": np.array([1, 1, 2, 2, 3]), "actions/pose_tcp_in_base": sent}
+    figure = draw_notes(Recording(header=whole.header, arrays=whole.arrays | extra))
+    orange = [line for line in figure.axes[0].get_lines() if line.get_color() == OBJECTIVE]
+    assert [len(line.get_xdata()) for line in orange] == [2, 2], "not the way home of the look that found it met"
+    done = next(axes for axes in figure.axes if axes.get_xlabel() == "look since the touch")
+    assert done.get_lines()[0].get_ydata().tolist() == [0.0, 0.12, 0.21]
+    assert any("then “slide”: 0.21 of 0.20 m" in text for text in texts(figure))
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "sent while the objective led" in legend
+
+
+def test_a_program_that_stopped_everything_is_shown_with_its_line() -> None:
+    programs = [{"role": "planner", "query": "go", "code": "x = 1\nopen('/etc/passwd')"},
+                {"role": "composer", "query": "there", "code": "execute()"}]  # fmt: skip
+    said = "program planner: go was stopped: PermissionError: no (line 2: open('/etc/passwd'))"
+    content = {"method": "voxposer", "camera": "overhead", "programs": programs, "language": MAPS["language"]}
+    figure = draw_notes(recording(content, failure=said))
+    lines = [text for text in figure.texts if "open(" in text.get_text()]
+    assert [line.get_text() for line in lines] == [said, ">   2  open('/etc/passwd')"]
+    assert all(line.get_color() == CHOSEN for line in lines)
+    assert any("composer: there" in text for text in texts(figure))
+    assert any("replay:0123:authored" in text for text in texts(figure))
 
 
 def test_a_recording_without_such_notes_says_so() -> None:

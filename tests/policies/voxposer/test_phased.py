@@ -106,6 +106,7 @@ def test_the_objective_takes_over_where_the_maps_have_arrived(
     told = [n["progress_m"] for n in notes if "progress" in n]
     assert told[0] == 0
     assert told[-1] >= 0.2
+    assert [n["pursuing"] for n in notes if "progress" in n] == [True] * (len(told) - 1) + [False]
     plans = [k for k, n in enumerate(notes) if "plan" in n]
     assert max(plans) < min(k for k, n in enumerate(notes) if "progress" in n)
     near = way[person.clearance(way) < 0.0]

@@ -81,9 +81,7 @@ def test_programs_inside_programs_share_their_time(sandbox: Sandbox, monkeypatch
     left = shared.left_s
     assert 0 < left < 0.3
     began = time.monotonic()
-    with pytest.raises(
-        ProgramError, match=r"program (inner|outer) was stopped: (the programs of one step|TimeoutError)"
-    ):
+    with pytest.raises(ProgramError, match=r"program (inner|outer) was stopped: the programs of one step"):
         sandbox.value(
             "outer", "try:\n    while True:\n        inner()\nexcept BaseException:\n    pass\nret_val = 1", table
         )

@@ -39,6 +39,29 @@ def forward_only(waypoints_m: F64, tool_m: F64) -> F64:
     return np.array([*kept, last])
 
 
+@dataclass(frozen=True, kw_only=True)
+class Manner:
+    """How the tool goes to a waypoint."""
+
+    speed_m_s: float
+    quat: tuple[float, ...] | None
+    """wxyz; None: as it is"""
+    gripper: float | None
+
+
+def manner(
+    grid: Grid, place_m: F64, *, velocity: ValueMap | None, rotation: ValueMap | None, gripper: ValueMap | None
+) -> Manner:
+    """What the maps say for the voxel of a place (3,)."""
+    factor = (velocity.at(grid, place_m) if velocity else None) or (1.0,)
+    opening = gripper.at(grid, place_m) if gripper else None
+    return Manner(
+        speed_m_s=fixed.FULL_SPEED_M_S * float(np.clip(factor[0], fixed.MIN_VELOCITY, 1.0)),
+        quat=rotation.at(grid, place_m) if rotation else None,
+        gripper=None if opening is None else opening[0],
+    )
+
+
 def motion(
     waypoints_m: F64,
     pose_tcp: F64,
@@ -55,13 +78,10 @@ def motion(
     actions: list[Action] = []
     began_s = 0.0
     for goal in waypoints_m:
-        wanted = rotation.at(grid, goal) if rotation else None
-        turn = quat if wanted is None else np.array(wanted)
-        factor = (velocity.at(grid, goal) if velocity else None) or (1.0,)
-        speed = fixed.FULL_SPEED_M_S * float(np.clip(factor[0], fixed.MIN_VELOCITY, 1.0))
-        opening = gripper.at(grid, goal) if gripper else None
+        said = manner(grid, goal, velocity=velocity, rotation=rotation, gripper=gripper)
+        turn = quat if said.quat is None else np.array(said.quat)
         angle = 2 * float(np.arccos(np.clip(abs(float(quat @ turn)), 0.0, 1.0)))
-        seconds = max(float(np.linalg.norm(goal - position)) / speed, angle / fixed.ROTATION_SPEED_RAD_S)
+        seconds = max(float(np.linalg.norm(goal - position)) / said.speed_m_s, angle / fixed.ROTATION_SPEED_RAD_S)
         while (since_s := (len(actions) + 1) / fixed.CONTROL_HZ - began_s) <= seconds + ROUNDING_S:
             if len(actions) == budget:
                 return Motion(actions=actions, whole=False)
@@ -69,7 +89,7 @@ def motion(
             # The tool may have been pushed out of the workspace; no target may lie there.
             place = np.clip(position + share * (goal - position), grid.low_m, grid.high_m)
             pose = np.concatenate([place, slerp(quat, turn, share)])
-            actions.append(Action(pose_tcp_in_base=pose, gripper=None if opening is None else opening[0]))
+            actions.append(Action(pose_tcp_in_base=pose, gripper=said.gripper))
         began_s += seconds
         position, quat = goal, turn
     if len(actions) == budget and began_s > horizon_s + ROUNDING_S:

@@ -48,6 +48,10 @@ class ValueMap:
             raise ValueError(f"more than {fixed.MAX_MAP_ENTRIES} entries in one map; use a radius")
         self.entries.append(Entry(centre, radius_cm, value))
 
+    def rows(self) -> list[list[float]]:
+        """For notes: x, y, z of the voxel, radius [cm], then the value."""
+        return [[*entry.centre, entry.radius_cm, *entry.value] for entry in self.entries]
+
     def dense(self, grid: Grid) -> F32:
         """(MAP_SIZE,) * 3, 0 where nothing was written. Not for rotations."""
         out = np.zeros(grid.shape, np.float32)

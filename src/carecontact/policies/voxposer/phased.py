@@ -93,7 +93,7 @@ class VoxPoserPhased(VoxPoser):
         moved = pursuit.next_motion(tool, self._grid)
         self._notes |= {
             "subtask": self._subtask, "progress": current.progress.query, "progress_m": round(pursuit.done_m, 4),
-            "progress_of_m": pursuit.objective.distance_m,
+            "progress_of_m": pursuit.objective.distance_m, "pursuing": moved is not None,
         }  # fmt: skip
         return moved
 

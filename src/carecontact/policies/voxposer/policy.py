@@ -22,7 +22,7 @@ from carecontact.policies.language.selection import chosen_transcript
 from carecontact.policies.language.transcript import Transcript
 from carecontact.policies.state_machine.geometry import PerceptionFailure
 from carecontact.policies.voxposer import fixed_values as fixed
-from carecontact.policies.voxposer.executor import Motion, forward_only, motion
+from carecontact.policies.voxposer.executor import Motion, forward_only, manner, motion
 from carecontact.policies.voxposer.functions import MapFunctions, PartHandle, offered, told
 from carecontact.policies.voxposer.grid import Grid
 from carecontact.policies.voxposer.lmp import Programs
@@ -36,6 +36,8 @@ F64 = npt.NDArray[np.float64]
 CAMERA = "overhead"
 MOVES = ("execute", "reset_to_default_pose")
 """Calls at which a program waits for the robot."""
+NOTED_ROWS = 50
+"""Of a map, in the notes."""
 _MAPS: dict[str, MapKind] = {f"{kind}_map": kind for kind in KINDS}
 EXECUTE = Signature(
     [Parameter("movable", Parameter.POSITIONAL_OR_KEYWORD)]
@@ -216,7 +218,7 @@ class VoxPoser:
             return None if current.whole else self._homewards(grid)
         if current.plans >= fixed.MAX_PLANS:
             return None
-        maps = {kind: self._composed(query) for kind, query in current.maps.items()}
+        maps: dict[MapKind, ValueMap] = {kind: self._composed(query) for kind, query in current.maps.items()}
         target = self._target(maps.get("affordance"))
         avoidance = maps.get("avoidance", ValueMap(kind="avoidance")).dense(grid)
         made = plan(grid.voxel(tool[:3]), target, avoidance, self._scene.occupied())
@@ -224,7 +226,7 @@ class VoxPoser:
             return None
         waypoints = grid.points(made.waypoints)
         current.plans += 1
-        self._note_plan(current, made, target, waypoints)
+        self._note_plan(current, made, target, waypoints, maps)
         return motion(
             forward_only(waypoints, tool[:3]), tool, grid=grid, velocity=maps.get("velocity"),
             rotation=maps.get("rotation"), gripper=maps.get("gripper"),
@@ -309,7 +311,14 @@ class VoxPoser:
         with self._box.time.not_counted():
             return self._programs.program(role, query)
 
-    def _note_plan(self, current: Execution, made: Plan, target: npt.NDArray[np.float32], waypoints: F64) -> None:
+    def _note_plan(
+        self,
+        current: Execution,
+        made: Plan,
+        target: npt.NDArray[np.float32],
+        waypoints: F64,
+        maps: dict[MapKind, ValueMap],
+    ) -> None:
         assert self._grid is not None
         view, grid, tool = self._scene.view, self._grid, self._scene.pose_tcp[:3]
         targets = goals(target)
@@ -322,12 +331,21 @@ class VoxPoser:
         }  # fmt: skip
         if current.plans > 1:
             return
+        way = [
+            manner(
+                grid, place, velocity=maps.get("velocity"), rotation=maps.get("rotation"), gripper=maps.get("gripper")
+            )
+            for place in waypoints
+        ]
         _, y, z = np.rint(goal).astype(int).tolist()
         self._notes |= {
             "grid": {"low_m": grid.low_m.tolist(), "high_m": grid.high_m.tolist(), "level": z, "upright": y},
             "intrinsics": view.intrinsics.tolist(), "pose_camera_in_base": view.pose_camera_in_base.tolist(),
             "maps": {kind: query.query for kind, query in current.maps.items()},
-            "target_voxels": targets[:50].tolist(),
+            "written": {kind: value_map.rows()[:NOTED_ROWS] for kind, value_map in maps.items()},
+            "target_voxels": targets[:NOTED_ROWS].tolist(),
+            "path_speed_m_s": [said.speed_m_s for said in way], "path_quat": [said.quat for said in way],
+            "path_gripper": [said.gripper for said in way],
             "cost_level": made.cost[:, :, z].astype(np.float16), "cost_upright": made.cost[:, y, :].astype(np.float16),
             "distance_level": made.distance[:, :, z].astype(np.float16),
             "avoidance_level": made.avoidance[:, :, z].astype(np.float16),

@@ -152,6 +152,9 @@ class _Ours:
         try:
             yield
         except MontyError as error:
+            if self._error is None:
+                # Its own limit was what the step had left: then that is what stopped it.
+                self.time.check(name)
             raise self._error or _stopped(name, error) from None
         if self._error is not None:
             raise self._error
