@@ -31,6 +31,14 @@ def test_goes_through_the_waypoints_at_full_speed_and_settles(grid: Grid) -> Non
     assert np.abs(way - [0.5, 0, 0.2]).sum(axis=1).min() < 1e-9
 
 
+def test_the_end_of_a_path_is_held_for_as_long_as_is_asked(grid: Grid) -> None:
+    goal = np.array([[0.5, 0.0, 0.28]])
+    given = {"grid": grid, "velocity": None, "rotation": None, "gripper": None}
+    short, long = (motion(goal, TOOL, settle_s=s, **given) for s in (0.4, 1.0))
+    assert len(long.actions) - len(short.actions) == round(0.6 * fixed.CONTROL_HZ)
+    assert len(motion(goal, TOOL, **given).actions) == len(short.actions)
+
+
 def test_stops_at_the_horizon(grid: Grid) -> None:
     moved = run(grid, (0.5, 0.5, 0.3), (0.5, 0.55, 0.3))
     assert not moved.whole

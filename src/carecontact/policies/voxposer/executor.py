@@ -71,8 +71,12 @@ def motion(
     rotation: ValueMap | None,
     gripper: ValueMap | None,
     horizon_s: float = fixed.HORIZON_S,
+    settle_s: float = fixed.SETTLE_S,
 ) -> Motion:
-    """Straight lines from the tool (7,) through all waypoints (n, 3), at each one's speed, up to the horizon."""
+    """Straight lines from the tool (7,) through all waypoints (n, 3), at each one's speed, up to the horizon.
+
+    A path that ends before it is held at its end for ``settle_s``.
+    """
     position, quat = pose_tcp[:3], pose_tcp[3:]
     budget = round(horizon_s * fixed.CONTROL_HZ)
     actions: list[Action] = []
@@ -96,5 +100,5 @@ def motion(
         return Motion(actions=actions, whole=False)
     last = np.concatenate([np.clip(position, grid.low_m, grid.high_m), quat])
     arriving = int(len(actions) / fixed.CONTROL_HZ < began_s - ROUNDING_S)
-    actions += [Action(pose_tcp_in_base=last)] * (arriving + round(fixed.SETTLE_S * fixed.CONTROL_HZ))
+    actions += [Action(pose_tcp_in_base=last)] * (arriving + round(settle_s * fixed.CONTROL_HZ))
     return Motion(actions=actions, whole=True)

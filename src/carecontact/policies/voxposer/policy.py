@@ -81,6 +81,8 @@ class VoxPoser:
     authored = "authored.jsonl"
     execute = EXECUTE
     """How a program calls ``execute``: the release's order, None for what is not given."""
+    horizon_s = fixed.HORIZON_S
+    settle_s = fixed.SETTLE_S
 
     def __init__(self, *, transcript: Transcript | None = None) -> None:
         """``transcript``: default as the run's --language says, the shipped authored completions if it says nothing."""
@@ -116,7 +118,7 @@ class VoxPoser:
         self._waiting = self._subtasks(instruction)
 
     def act(self, observation: Observation) -> Sequence[Action]:
-        """What is moved until the next look, at most HORIZON_S and SETTLE_S long."""
+        """What is moved until the next look, at most ``horizon_s`` and ``settle_s`` long."""
         if self._sandbox is None:
             raise ContractError("act() before reset()")
         self._sandbox.time.start_over()
@@ -230,6 +232,7 @@ class VoxPoser:
         return motion(
             forward_only(waypoints, tool[:3]), tool, grid=grid, velocity=maps.get("velocity"),
             rotation=maps.get("rotation"), gripper=maps.get("gripper"),
+            horizon_s=self.horizon_s, settle_s=self.settle_s,
         )  # fmt: skip
 
     def _homewards(self, grid: Grid) -> Motion:
@@ -238,7 +241,7 @@ class VoxPoser:
         turn.add(grid.voxel(self._home[:3]), tuple(self._home[3:].tolist()), radius_cm=fixed.RADIUS_LIMIT_CM)
         return motion(
             np.clip(self._home[None, :3], grid.low_m, grid.high_m), self._scene.pose_tcp, grid=grid, velocity=None,
-            rotation=turn, gripper=None, horizon_s=fixed.HOME_LIMIT_S,
+            rotation=turn, gripper=None, horizon_s=fixed.HOME_LIMIT_S, settle_s=self.settle_s,
         )  # fmt: skip
 
     def _target(self, affordance: ValueMap | None) -> npt.NDArray[np.float32]:
