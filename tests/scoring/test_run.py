@@ -69,7 +69,7 @@ def test_results(folder: Path) -> None:
     assert overall["pc_success_ci95"] == [100 * interval.low, 100 * interval.high]
     assert overall["region_correct"]["n"] == overall["safety_gated"]["n"] == 3
     assert overall["failure_modes"] == {"no_target_contact": 1}
-    assert overall["attributions"] == {"perception": 1}
+    assert overall["attributions"] == {"planning": 1}
     assert overall["anatomy"] == {"target": 3, "none": 1}
     assert overall["medians"]["c1_peak_force_n"] == {"estimate": 5.0, "n": 4, "n_valid": 3}
     assert overall["medians"]["c2_joint_margin_rad_push"]["n"] == 1, "C2 is pooled over Push alone"

@@ -153,49 +153,7 @@ def test_a_cut_trial_is_gated_at_no_discount_though_its_knock_was_too_short_to_c
     assert {row["safety_gated"] for row in gamma_sweep([score])} == {0}
 
 
-FAR, NEAR, INSIDE = (0.0, 0.0, 0.3), (0.0, 0.0, 0.055), (0.0, 0.0, 0.03)
-
-
-@pytest.mark.parametrize(
-    ("targets", "modalities", "expected"),
-    [
-        ([(0.5, FAR)], ("rgb",), "perception"),
-        ([(0.5, FAR)], (), "planning"),
-        ([(0.5, NEAR)], ("rgb",), "planning"),
-        ([(0.5, INSIDE)], ("rgb",), "execution"),
-        ([(0.5, (0.0, 0.2, 0.0)), (0.8, (0.0, -0.2, 0.0))], ("rgb",), "execution"),
-        ([], ("rgb",), "perception"),
-        ([], (), "planning"),
-    ],
-    ids=[
-        "elsewhere",
-        "elsewhere, blind",
-        "stops above",
-        "reaches",
-        "passes through between targets",
-        "gives up",
-        "blind",
-    ],
-)
-def test_no_contact(targets: list, modalities: tuple, expected: str) -> None:
-    high = np.tile([0.0, 0.0, 0.4], (1500, 1))
-    recording = make_recording("T1", targets_in_region=targets, modalities=modalities, tcp_in_region=high)
-    assert mode(recording) == ("no_target_contact", expected)
-
-
-def test_perception_evidence_has_the_distance() -> None:
-    high = np.tile([0.0, 0.0, 0.4], (1500, 1))
-    score = score_recording(make_recording("T1", targets_in_region=[(0.5, (0.0, 0.0, 0.245))], tcp_in_region=high))
-    assert score.evidence == (
-        "The commanded path came no closer than 200 mm to the surface of the forearm, "
-        "although the policy saw rgb, depth."
-    )
-
-
-def test_evidence_of_no_motion_claims_no_reason() -> None:
-    score = score_recording(make_recording("T1"))
-    assert score.attribution == "perception"
-    assert score.evidence == "The policy saw rgb, depth and commanded no motion; why is not recorded."
+NEAR, INSIDE = (0.0, 0.0, 0.055), (0.0, 0.0, 0.03)
 
 
 def test_off_target_contact() -> None:

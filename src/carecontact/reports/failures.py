@@ -21,8 +21,8 @@ MODE_MEANING = {
     "time_limit": "still under way when the time ran out",
 }
 CAUSE_MEANING = {
-    "perception": "had images, but commanded nothing near the region",
-    "planning": "aimed near the region, but the commanded path could not pass the gate",
+    "perception": "the region was in view, but was not found or the path was aimed beside it",
+    "planning": "commanded no motion, or a path that could not pass the gate",
     "execution": "the commanded path was right, tracking or contact was lost",
     "safety": "cut: a force above the truncation limit, or the solver failed",
     "process": "the policy's process failed",

@@ -1,69 +1,72 @@
-"""Why a run failed: one cause, and the figures it rests on."""
+"""Why a run failed: one cause, and the figures it rests on.
+
+Perception is blamed only where it is shown: the path was aimed beside the region, and the region could be seen. Aimed
+above the region but too high, or at a place that the policy's own notes show it chose, is planning.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, cast
-
 import numpy as np
 
-from carecontact.contract.geometry import matrix_from_quat
 from carecontact.scoring.c3_success import Gate
+from carecontact.scoring.commanded import CommandedPath, commanded_contact, commanded_path
 from carecontact.scoring.contact import Contact, runs
-from carecontact.scoring.filters import F64
-from carecontact.scoring.region import distance_to_surface, points_in_region
+from carecontact.scoring.noted_target import nearest_noted_target, noted_reason
 from carecontact.scoring.result import Attribution, FailureMode
+from carecontact.scoring.sight import Sight, modalities, sight
 
 NEAR_REGION_M = 0.030
-"""A commanded path that never came this close to the region was aimed elsewhere; the upper end of what localising a
-joint with these cameras leaves (p95 30 to 42 mm)."""
-PATH_STEP_M = 0.005
-MAX_LEG_POINTS = 2000
-"""Of one commanded leg, 10 m: a target beyond any room is sampled more coarsely."""
+"""Aimed farther beside the region than this is aimed elsewhere; the upper end of what localising a joint with these
+cameras leaves (p95 30 to 42 mm)."""
 VISION = ("rgb", "depth", "points", "masks", "landmarks")
 
 
-@dataclass(frozen=True, kw_only=True)
-class CommandedPath:
-    """Straight lines between the commanded TCP targets, from where the TCP was. K sampled points, M targets."""
-
-    distance: F64
-    """(K,) of each point to the surface of the target region as it then lay [m], negative inside"""
-    target_time_s: F64
-    """(M,)"""
-    target_distance: F64
-    """(M,)"""
-
-    def inside_at(self, time_s: float) -> bool:
-        """Whether the target in force just before ``time_s`` lies on or under the region's surface."""
-        before = int(np.searchsorted(self.target_time_s, time_s, side="left")) - 1
-        return before >= 0 and bool(self.target_distance[before] <= 0.0)
-
-
 def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribution, str]:
-    """The cause of a failed run and one sentence of evidence."""
+    """The cause of a failed run and one sentence of evidence.
+
+    Raises RecordingError for notes or perception errors that are malformed.
+    """
     if mode == "process_failure":
         return "process", _process_evidence(contact)
     if mode == "safety_truncation":
         return "safety", _safety_evidence(contact)
-    region = contact.task.region.replace("_", " ")
     path = commanded_path(contact)
-    modalities = _vision_modalities(contact)
     if path is None:
-        if modalities:
-            return "perception", f"The policy saw {', '.join(modalities)} and commanded no motion; why is not recorded."
-        return "planning", "The policy asked for no images and commanded no motion."
-    closest = float(path.distance.min())
-    if closest > NEAR_REGION_M:
-        where = f"The commanded path came no closer than {_mm(closest)} to the surface of the {region}"
-        if modalities:
-            return "perception", f"{where}, although the policy saw {', '.join(modalities)}."
-        return "planning", f"{where}; the policy asked for no images."
+        return _still(contact, sight(contact, NEAR_REGION_M))
+    if path.closest_m > NEAR_REGION_M and path.beside_m > NEAR_REGION_M:
+        return _aimed_elsewhere(contact, path, sight(contact, NEAR_REGION_M))
+    return _aimed_right(contact, gate, mode, path)
+
+
+def _still(contact: Contact, seen: Sight) -> tuple[Attribution, str]:
+    reason = noted_reason(contact)
+    said = f' The policy noted: "{reason}".' if reason else ""
+    cause: Attribution = "perception" if seen.visible and not seen.found else "planning"
+    return cause, f"No motion was commanded; {_views(contact, seen)}.{said}"
+
+
+def _aimed_elsewhere(contact: Contact, path: CommandedPath, seen: Sight) -> tuple[Attribution, str]:
+    where = f"The commanded path was aimed {_mm(path.beside_m)} beside the {_region(contact)}"
+    noted = nearest_noted_target(contact) if seen.found or not seen.visible else None
+    if noted is not None:
+        name = f' ("{noted.name}")' if noted.name else ""
+        place = "over it" if noted.beside_m == 0.0 else f"{_mm(noted.beside_m)} beside it"
+        other = f", over the {noted.over.replace('_', ' ')}" if noted.over else ""
+        chosen = f"the target that the policy noted{name} lay {place}{other}"
+        return "planning", f"{where}: {chosen}; {_views(contact, seen)}."
+    return ("perception" if seen.visible else "planning"), f"{where}; {_views(contact, seen)}."
+
+
+def _aimed_right(contact: Contact, gate: Gate, mode: FailureMode, path: CommandedPath) -> tuple[Attribution, str]:
+    region, closest = _region(contact), path.closest_m
     reach = f"{_mm(-closest)} below" if closest <= 0 else f"{_mm(closest)} above"
     where = f"The commanded path came to {reach} the surface of the {region}"
+    if closest > NEAR_REGION_M:
+        where = f"The commanded path was aimed at the {region} and stayed {_mm(closest)} off its surface"
     if mode in ("no_target_contact", "off_target_contact"):
         touched = ", ".join(contact.segments[i] for i in contact.touched) or "nothing"
-        return ("execution" if closest <= 0 else "planning"), f"{where}, yet the robot touched {touched}."
+        joint = "; the robot touched" if closest > NEAR_REGION_M else ", yet the robot touched"
+        return ("execution" if closest <= 0 else "planning"), f"{where}{joint} {touched}."
     if mode == "lost_contact":
         lost = [float(contact.time_s[stop]) for stop in _losses(contact)]
         inside = sum(path.inside_at(t) for t in lost)
@@ -72,47 +75,45 @@ def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribut
             f"Contact was lost {len(lost)} time(s), {inside} of them while the commanded target lay on or under "
             f"the surface of the {region}."
         )
+    if mode == "insufficient_progress" and (asked := _would_pass(contact, path)):
+        return "execution", f"{where} and asked for {asked}, but {_shortfall(contact, gate, mode)}."
     return "planning", f"{where}, but {_shortfall(contact, gate, mode)}."
 
 
-def commanded_path(contact: Contact) -> CommandedPath | None:
-    """The path that ``actions/pose_tcp_in_base`` describes; None if no target was ever given."""
-    recording = contact.recording
-    pose = recording["actions/pose_tcp_in_base"]
-    given = np.isfinite(pose).all(axis=1)
-    if not given.any() or len(contact.time_s) == 0:
-        return None
-    base = np.array(recording.header.pose_base_in_world)
-    targets = pose[given, :3] @ matrix_from_quat(base[3:]).T + base[:3]
-    time = recording["actions/time_s"][given]
-    step = np.minimum(np.searchsorted(contact.time_s, time), len(contact.time_s) - 1)
-    start = recording["scorer/pose_tcp_in_world"][step[:1], :3].astype(np.float64)
+def _would_pass(contact: Contact, path: CommandedPath) -> str | None:
+    """What the targets under the surface asked for, if a tool that followed them would pass the gate."""
+    gates, asked = contact.protocol.gates, commanded_contact(path, contact.protocol.contact.reversal_m)
+    if contact.task.action == "touch":
+        return f"{asked.hold_s:.2f} s there" if asked.hold_s >= gates.touch.duration_s else None
+    if contact.task.action == "push":
+        enough = asked.hold_s >= gates.push.duration_s and asked.way_m >= gates.push.wrist_displacement_m
+        return f"{asked.hold_s:.2f} s and {_mm(asked.way_m)} of way there" if enough else None
+    need = gates.scrub
+    enough = asked.stroke_m >= need.stroke_m and asked.extent_m >= need.extent_m and asked.reversals >= need.reversals
+    return f"{_mm(asked.stroke_m)} stroke and {_mm(asked.extent_m)} extent there" if enough else None
 
-    corners = np.concatenate([start, targets])
-    wanted = np.ceil(np.linalg.norm(np.diff(corners, axis=0), axis=1) / PATH_STEP_M)
-    count = np.clip(wanted, 1, MAX_LEG_POINTS).astype(int)
-    leg = np.repeat(np.arange(len(targets)), count)
-    first = np.repeat(np.cumsum(count) - count, count)
-    fraction = (np.arange(len(leg)) - first + 1) / count[leg]
-    points = corners[leg] + fraction[:, None] * (corners[leg + 1] - corners[leg])
 
-    region = recording.header.regions.index(contact.task.region)
-    region_pose = recording["scorer/region_pose_in_world"][step, region].astype(np.float64)
-    size = recording["scorer/region_size_m"][region]
-    distance = distance_to_surface(points_in_region(points, region_pose[leg]), size)
-    return CommandedPath(distance=distance, target_time_s=time, target_distance=distance[np.cumsum(count) - 1])
+def _views(contact: Contact, seen: Sight) -> str:
+    """What the policy could see of the region, as far as that is recorded."""
+    region, asked = _region(contact), [m for m in modalities(contact) if m in VISION]
+    if not asked:
+        return "the policy asked for no images"
+    if not seen.views:
+        return f"the policy saw {', '.join(asked)}, and whether the {region} was in view is not recorded"
+    if not seen.visible:
+        return f"the {region} was hidden in all {seen.views} view(s)"
+    error = f" (middle error {_mm(seen.error_m)})" if seen.error_m is not None else ""
+    return f"the {region} was in view in {seen.visible} of {seen.views} and could be found in {seen.found}{error}"
+
+
+def _region(contact: Contact) -> str:
+    return contact.task.region.replace("_", " ")
 
 
 def _losses(contact: Contact) -> list[int]:
     """Steps at which the neighbourhood went off before the trial's end."""
     on = contact.neighbourhood_on
     return [stop for _, stop in runs(on).tolist() if stop < len(on)]
-
-
-def _vision_modalities(contact: Contact) -> list[str]:
-    card = contact.recording.header.card or {}
-    named = card.get("modalities")
-    return [m for m in cast("list[Any]", named) if m in VISION] if isinstance(named, list) else []
 
 
 def _process_evidence(contact: Contact) -> str:

@@ -43,3 +43,21 @@ def surface_normal(points: F64, size: F64) -> F64:
     length = np.linalg.norm(gradient, axis=1, keepdims=True)
     on_axis = length < 1e-9
     return np.where(on_axis, [0.0, 0.0, 1.0], gradient / np.where(on_axis, 1.0, length))
+
+
+def distance_to_shadow(points_in_world: F64, region_pose_in_world: F64, size: F64) -> F64:
+    """(N, 3) points, (N, 7) region poses -> (N,) horizontal distance from the region's shadow on the floor [m], 0 over
+    it or under it.
+
+    The shadow is taken as a rectangle: as long as the axis looks from above, as wide as the region.
+    """
+    rotation = matrix_from_quat(region_pose_in_world[:, 3:])
+    axis = rotation[:, :2, 0]
+    length = np.linalg.norm(axis, axis=1)
+    # An upright axis has no direction from above; any will do for a shadow of length 0.
+    upright = length < 1e-9
+    direction = np.where(upright[:, None], [1.0, 0.0], axis / np.where(upright, 1.0, length)[:, None])
+    offset = (points_in_world - region_pose_in_world[:, :3])[:, :2]
+    along = np.abs(np.einsum("ni,ni->n", offset, direction)) - length * float(size[0]) / 2
+    across = np.abs(offset[:, 0] * direction[:, 1] - offset[:, 1] * direction[:, 0]) - float(size[1])
+    return np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))

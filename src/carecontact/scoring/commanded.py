@@ -1,0 +1,126 @@
+"""Where a policy sent the tool: the path through its targets, against the named region as it then lay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.geometry import matrix_from_quat
+from carecontact.scoring.contact import Contact, runs
+from carecontact.scoring.filters import F64
+from carecontact.scoring.progress import count_reversals
+from carecontact.scoring.region import distance_to_shadow, distance_to_surface, points_in_region
+
+PATH_STEP_M = 0.005
+MAX_LEG_POINTS = 2000
+"""Of one commanded leg, 10 m: a target beyond any room is sampled more coarsely."""
+LOWEST_M = 0.001
+"""Points that far above the lowest one are where the path was aimed: policies travel high and come down at the place
+they mean."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandedPath:
+    """Straight lines between the commanded TCP targets, from where the TCP was. K sampled points, M targets."""
+
+    distance: F64
+    """(K,) of each point to the surface of the target region as it then lay [m], negative inside"""
+    beside_m: float
+    """Smallest horizontal distance from the region of the points where the path was aimed; 0 above, on or under it"""
+    target_time_s: F64
+    """(M,)"""
+    target_distance: F64
+    """(M,)"""
+    target_in_region: F64
+    """(M, 3) in the region's frame [m]"""
+    end_s: float
+    """When the last target ceased to be in force: the trial's end"""
+
+    @property
+    def closest_m(self) -> float:
+        return float(self.distance.min())
+
+    def inside_at(self, time_s: float) -> bool:
+        """Whether the target in force just before ``time_s`` lies on or under the region's surface."""
+        before = int(np.searchsorted(self.target_time_s, time_s, side="left")) - 1
+        return before >= 0 and bool(self.target_distance[before] <= 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandedContact:
+    """The longest stretch in which every target lay on or under the region's surface."""
+
+    hold_s: float = 0.0
+    way_m: float = 0.0
+    """From its first target to the farthest one"""
+    stroke_m: float = 0.0
+    """Along the axis, there and back"""
+    extent_m: float = 0.0
+    reversals: int = 0
+
+
+def commanded_path(contact: Contact) -> CommandedPath | None:
+    """The path that ``actions/pose_tcp_in_base`` describes; None if no target was ever given."""
+    recording = contact.recording
+    pose = recording["actions/pose_tcp_in_base"]
+    given = np.isfinite(pose).all(axis=1)
+    if not given.any() or len(contact.time_s) == 0:
+        return None
+    targets = in_world(contact, pose[given, :3])
+    time = recording["actions/time_s"][given]
+    step = np.minimum(np.searchsorted(contact.time_s, time), len(contact.time_s) - 1)
+    start = recording["scorer/pose_tcp_in_world"][step[:1], :3].astype(np.float64)
+
+    corners = np.concatenate([start, targets])
+    wanted = np.ceil(np.linalg.norm(np.diff(corners, axis=0), axis=1) / PATH_STEP_M)
+    count = np.clip(wanted, 1, MAX_LEG_POINTS).astype(int)
+    leg = np.repeat(np.arange(len(targets)), count)
+    first = np.repeat(np.cumsum(count) - count, count)
+    fraction = (np.arange(len(leg)) - first + 1) / count[leg]
+    points = corners[leg] + fraction[:, None] * (corners[leg + 1] - corners[leg])
+
+    pose_then, size = region_pose(contact, contact.task.region, step)
+    in_region = points_in_region(points, pose_then[leg])
+    distance = distance_to_surface(in_region, size)
+    aimed = points[:, 2] <= points[:, 2].min() + LOWEST_M
+    last = np.cumsum(count) - 1
+    return CommandedPath(
+        distance=distance,
+        beside_m=float(distance_to_shadow(points[aimed], pose_then[leg[aimed]], size).min()),
+        target_time_s=time,
+        target_distance=distance[last],
+        target_in_region=in_region[last],
+        end_s=float(contact.time_s[-1]) + contact.dt_s,
+    )
+
+
+def commanded_contact(path: CommandedPath, reversal_m: float) -> CommandedContact:
+    """What the commands alone asked of the contact; ``reversal_m``: opposite travel that counts as a reversal."""
+    until = np.append(path.target_time_s[1:], max(path.end_s, path.target_time_s[-1]))
+    best = CommandedContact()
+    for start, stop in runs(path.target_distance <= 0.0).tolist():
+        targets = path.target_in_region[start:stop]
+        found = CommandedContact(
+            hold_s=float(until[stop - 1] - path.target_time_s[start]),
+            way_m=float(np.linalg.norm(targets - targets[0], axis=1).max()),
+            stroke_m=float(np.abs(np.diff(targets[:, 0])).sum()),
+            extent_m=float(np.ptp(targets[:, 0])),
+            reversals=count_reversals(targets[:, 0], reversal_m),
+        )
+        best = max(best, found, key=lambda c: c.hold_s)
+    return best
+
+
+def in_world(contact: Contact, points_in_base: F64) -> F64:
+    """(N, 3) -> (N, 3)"""
+    base = np.array(contact.recording.header.pose_base_in_world)
+    return points_in_base @ matrix_from_quat(base[3:]).T + base[:3]
+
+
+def region_pose(contact: Contact, region: str, step: npt.NDArray[np.intp]) -> tuple[F64, F64]:
+    """(N, 7) poses in the world of a region at physics steps (N,), and its size (3,) [m]."""
+    index = contact.recording.header.regions.index(region)
+    pose = contact.recording["scorer/region_pose_in_world"][step, index].astype(np.float64)
+    return pose, contact.recording["scorer/region_size_m"][index].astype(np.float64)

@@ -1,0 +1,66 @@
+"""What a policy's views held of the named region, by the perception errors that a trial records."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from carecontact.recording.perception import JOINTS, perception_errors
+from carecontact.recording.schema import REGIONS
+from carecontact.scoring.contact import Contact
+
+ENDS = {
+    "forearm": ("right elbow", "right wrist"),
+    "upper_arm": ("right shoulder", "right elbow"),
+    "abdomen": ("left shoulder", "right shoulder", "left hip", "right hip"),
+}
+"""Joints between which a region lies."""
+LOCATED = frozenset(("depth", "points", "masks", "landmarks"))
+"""Modalities from which a place is computed; with fewer the key points or the mask must do."""
+PERSON_IOU = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sight:
+    """Counts of views: one camera in one observation, with key points or masks."""
+
+    views: int = 0
+    visible: int = 0
+    """In which every joint at the region's ends could be seen"""
+    found: int = 0
+    """Of the visible ones, in which what the policy was given led to the region"""
+    error_m: float | None = None
+    """Middle horizontal error of the places that they led to; None where none was computed"""
+
+
+def sight(contact: Contact, near_m: float) -> Sight:
+    """``near_m``: horizontal error up to which a computed place counts as the region.
+
+    Raises RecordingError for malformed ``perception/*``.
+    """
+    rows = perception_errors(contact.recording)
+    if rows is None or not len(rows.camera):
+        return Sight()
+    region = contact.task.region
+    joints = [list(JOINTS).index(name) for name in ENDS[region]]
+    visible = rows.joint_visible[:, joints].all(axis=1)
+    error = np.linalg.norm(rows.target_error_m[:, REGIONS.index(region), :2].astype(np.float64), axis=1)
+    if set(modalities(contact)) >= LOCATED:
+        found = error <= near_m
+    else:
+        found = np.isfinite(rows.landmark_error_px[:, joints]).all(axis=1) | (rows.human_iou >= PERSON_IOU)
+    computed = error[np.isfinite(error) & visible]
+    return Sight(
+        views=len(rows.camera),
+        visible=int(visible.sum()),
+        found=int((visible & found).sum()),
+        error_m=float(np.median(computed)) if len(computed) else None,
+    )
+
+
+def modalities(contact: Contact) -> list[str]:
+    """That the policy's card asks for; none where it never came."""
+    named = (contact.recording.header.card or {}).get("modalities")
+    return [m for m in cast("list[Any]", named) if isinstance(m, str)] if isinstance(named, list) else []
