@@ -1,0 +1,190 @@
+"""The scripted trials of the probes: each level changes one thing, and what it came to is measured past the scorer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import radians
+
+import numpy as np
+
+from carecontact.contract.geometry import matrix_from_quat, quat_from_matrix
+from carecontact.recording.schema import Recording
+from carecontact.sim.simulation import Samples, Simulation
+from carecontact.validation.force_paths import AnchorForce
+from carecontact.validation.moves import DOWN, axes, in_base, surface_point
+from carecontact.validation.result import Array
+from carecontact.validation.scores import recording_of
+from carecontact.world.human.skeleton import body_name
+
+BENT = "left_hand_deviation"
+"""The joint that is turned: a little torque takes it past either end, and it moves nothing into the robot's way."""
+HOVER_M = 0.020
+"""Height over the skin at which trials begin and end."""
+TOUCHED_N = 0.5
+"""Force from which the tissue counts as touched."""
+PRESS_M, REST_S, TOP_S, RISE_S = 0.008, 1.0, 0.3, 0.3
+"""A press: how deep the target rests before and after its deepest point, and for how long at each."""
+TORQUE_RISE_S, TORQUE_HOLD_S, TOUCH_M, TOUCH_S = 0.8, 0.3, 0.012, 2.0
+CYCLE_S, WAY_M, TURN_RAD = 1.8, 0.05, 0.3
+SWING_M, SWING_HZ, SWING_S = 0.022, 1.0, 5.0
+QUICK_S, AWAY_S = 0.1, 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    recording: Recording
+    known: float
+    """What the score must be, in its unit, measured along another path than the recording's or by other arithmetic."""
+    held: Mapping[str, float]
+    """What the sweep keeps the same, by name."""
+
+
+Script = Callable[[Simulation, str, float], Trial]
+
+
+class _Motion:
+    """Sends the tool, pointing down, from target to target over the region; calls ``each`` after every physics step."""
+
+    def __init__(self, simulation: Simulation, region: str, each: Callable[[], None] | None = None) -> None:
+        self.simulation, self.each = simulation, each
+        self.period_s = simulation.protocol.physics.target_period_s
+        self.top = surface_point(simulation, region)
+        self.along = axes(simulation, region)[0]
+        self.samples: list[Samples] = []
+
+    def go(self, depth_m: float, seconds: float, *, along_m: float = 0.0, turn_rad: float = 0.0) -> None:
+        """``depth_m`` under the skin, negative above it; ``turn_rad`` about the tool's own axis."""
+        spin = np.array([np.cos(turn_rad / 2), 0.0, 0.0, np.sin(turn_rad / 2)])
+        quat = quat_from_matrix(matrix_from_quat(DOWN) @ matrix_from_quat(spin))
+        place = in_base(self.simulation, self.top + along_m * self.along - [0.0, 0.0, depth_m])
+        self.simulation.set_goal(np.r_[place, quat], seconds)
+        self.wait(seconds)
+
+    def wait(self, seconds: float) -> None:
+        steps = round(seconds / self.simulation.model.opt.timestep)
+        if self.each is None:
+            self.samples += self.simulation.advance(steps)
+            return
+        for _ in range(steps):
+            self.samples += self.simulation.advance(1)
+            self.each()
+
+
+class _Force:
+    """The force that the region's springs and dampers hand to the bone, without contact sensors [N]."""
+
+    def __init__(self, simulation: Simulation, region: str) -> None:
+        self._read = AnchorForce(simulation, region)
+        self._before = self._read()
+        self.norms: list[float] = []
+
+    def __call__(self) -> None:
+        self.norms.append(float(np.linalg.norm(self._read() - self._before)))
+
+    @property
+    def touching(self) -> Array:
+        norms = np.array(self.norms)
+        return norms[norms >= TOUCHED_N]
+
+
+def deeper_push(simulation: Simulation, region: str, depth_mm: float) -> Trial:
+    """A rest on the skin, one short push to ``depth_mm``, the same rest again. Rest and duration stay the same, so that
+    the push alone decides the peak and hardly anything the middle of the force."""
+    force = _Force(simulation, region)
+    motion = _Motion(simulation, region, force)
+    motion.go(PRESS_M, RISE_S)
+    motion.wait(REST_S)
+    motion.go(depth_mm / 1000, RISE_S)
+    motion.wait(TOP_S)
+    motion.go(PRESS_M, RISE_S)
+    motion.wait(REST_S)
+    motion.go(-HOVER_M, AWAY_S)
+    return Trial(
+        recording=recording_of(simulation, region, motion.samples), known=max(force.norms),
+        held={"median force [N]": float(np.median(force.touching)), "duration [s]": simulation.time_s},
+    )  # fmt: skip
+
+
+def joint_turned(simulation: Simulation, region: str, torque_nm: float) -> Trial:
+    """The same touch each time, while a torque turns a joint far away toward its end stop, above zero to the upper one,
+    and lets it go again."""
+    turned: list[float] = []
+    force = _Force(simulation, region)
+    dof = simulation.model.joint(f"human_{BENT}").dofadr[0]
+    length = 2 * TORQUE_RISE_S + TORQUE_HOLD_S
+
+    def each() -> None:
+        turned.append(hand_margin(simulation))
+        force()
+        gone = simulation.time_s
+        share = min(gone, length - gone, TORQUE_RISE_S) / TORQUE_RISE_S
+        simulation.data.qfrc_applied[dof] = torque_nm * max(0.0, share)
+
+    motion = _Motion(simulation, region, each)
+    motion.go(TOUCH_M, RISE_S)
+    motion.wait(TOUCH_S - RISE_S)
+    motion.go(-HOVER_M, AWAY_S)
+    return Trial(
+        recording=recording_of(simulation, region, motion.samples), known=min(turned),
+        held={"peak force [N]": max(force.norms), "duration [s]": simulation.time_s},
+    )  # fmt: skip
+
+
+def hand_margin(simulation: Simulation) -> float:
+    """Of the left wrist's deviation to the declared ends of its range [rad], from how the bones lie and not from a
+    joint's coordinate: the axis of flexion, seen from the hand, turns about that of deviation."""
+    flexion, deviation = (
+        next(h for h in simulation.scene.hinges if h.name == name) for name in ("left_hand_flexion", BENT)
+    )
+    arm, hand = (simulation.data.body(body_name(s)).xmat.reshape(3, 3) for s in ("left_forearm", "left_hand"))
+    axis = deviation.axis
+    seen, bound = (v - (v @ axis) * axis for v in (hand.T @ arm @ flexion.axis, flexion.axis))
+    angle = radians(deviation.bind_deg) + float(np.arctan2(np.cross(seen, bound) @ axis, seen @ bound))
+    low, high = (radians(degrees) for degrees in deviation.range_deg)
+    return min(angle - low, high - angle)
+
+
+def stop_and_go(simulation: Simulation, region: str, pause_s: float) -> Trial:
+    """Ways and turns in the air, a pause after each. The pauses are taken from the time of the motion before them, so
+    that trials are equally long and go equally far: soft skin, dragged along, would creep on while the tool pauses."""
+    motion = _Motion(simulation, region)
+    for along_m, turn_rad in ((WAY_M, 0.0), (WAY_M, TURN_RAD), (0.0, TURN_RAD), (0.0, 0.0)):
+        motion.go(-HOVER_M, CYCLE_S - pause_s, along_m=along_m, turn_rad=turn_rad)
+        motion.wait(pause_s)
+    dt, limits = simulation.model.opt.timestep, simulation.protocol.contact
+    speed, rotation = differentiated(np.concatenate([s.tcp_pose for s in motion.samples]), dt)
+    active = (speed > limits.active_speed_m_s) | (rotation > limits.active_rotation_rad_s)
+    return Trial(
+        recording=recording_of(simulation, region, motion.samples),
+        known=float(active.mean()),
+        held={"way [m]": float(speed.sum() * dt), "duration [s]": simulation.time_s},
+    )
+
+
+def differentiated(pose: Array, dt_s: float) -> tuple[Array, Array]:
+    """(T, 7) poses -> (T - 1,) speed [m/s] and (T - 1,) rotation [rad/s] from each to the next."""
+    before, after = pose[:-1, 3:], pose[1:, 3:]
+    # A quaternion and its negative are the same rotation.
+    after = after * np.where(np.einsum("ti,ti->t", before, after) < 0, -1.0, 1.0)[:, None]
+    apart, along = np.linalg.norm(after - before, axis=1), np.linalg.norm(after + before, axis=1)
+    return np.linalg.norm(np.diff(pose[:, :3], axis=0), axis=1) / dt_s, 4.0 * np.arctan2(apart, along) / dt_s
+
+
+def swinging_force(simulation: Simulation, region: str, amplitude_mm: float) -> Trial:
+    """A press whose target goes up and down about one depth; set down and lifted fast, so that the swing and not the
+    press and release decides how much the force fluctuates."""
+    force = _Force(simulation, region)
+    motion = _Motion(simulation, region, force)
+    motion.go(SWING_M, QUICK_S)
+    motion.wait(0.2)
+    steps = round(SWING_S / motion.period_s)
+    for k in range(steps):
+        phase = 2 * np.pi * SWING_HZ * SWING_S * (k + 1) / steps
+        motion.go(SWING_M + amplitude_mm / 1000 * np.sin(phase), motion.period_s)
+    motion.go(-HOVER_M, QUICK_S)
+    motion.wait(AWAY_S)
+    return Trial(
+        recording=recording_of(simulation, region, motion.samples), known=float(force.touching.std()),
+        held={"mean force [N]": float(force.touching.mean()), "duration [s]": simulation.time_s},
+    )  # fmt: skip
