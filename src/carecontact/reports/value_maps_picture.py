@@ -23,7 +23,7 @@ MAX_MOTIONS = 4
 """Rows of a picture; later motions are left out, and it says so."""
 NEAR_VOXELS = 2.0
 """A path is drawn whole within this of the upright slice, dotted farther away."""
-WIDTH_IN, ROW_IN, TOP_IN, FOOT_IN = 20.0, 4.15, 1.0, 0.75
+WIDTH_IN, ROW_IN, TOP_IN, FOOT_IN = 20.0, 4.3, 1.0, 0.75
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +108,7 @@ def draw_value_maps(recording: Recording, notes: list[Note], *, ended: str = "")
         top = height - TOP_IN - ROW_IN * row
         _name(figure, motion, top / height, height)
 
-        def panel(left: float, width: float, bottom: float = 0.30, tall: float = 3.05, top: float = top) -> Axes:
+        def panel(left: float, width: float, bottom: float = 0.45, tall: float = 3.05, top: float = top) -> Axes:
             return figure.add_axes((left / WIDTH_IN, (top - ROW_IN + bottom) / height, width / WIDTH_IN, tall / height))
 
         picture = frame_of(recording, motion.first)
@@ -118,7 +118,7 @@ def draw_value_maps(recording: Recording, notes: list[Note], *, ended: str = "")
         bands = [(lambda axes, m=motion: _draw_speed(axes, m)), (lambda axes, m=motion: _draw_tilt(axes, m)),
                  (lambda axes, m=motion: _draw_last(axes, m))]  # fmt: skip
         for k, draw in enumerate(bands):
-            band = panel(17.15, 2.7, bottom=0.30 + 1.08 * (2 - k), tall=0.76)
+            band = panel(17.15, 2.7, bottom=0.45 + 1.08 * (2 - k), tall=0.76)
             draw(band)
             if k < len(bands) - 1:
                 band.set_xticklabels([])
@@ -167,7 +167,7 @@ def _draw_level(axes: Axes, motion: Motion, name: str, picture: U8, *, feet: boo
         _line(axes, motion.in_pixels(path), first=first)
     for way in motion.objective_m:
         place = motion.in_pixels(way)
-        axes.plot(place[:, 0], place[:, 1], color=OBJECTIVE, lw=1.8)
+        axes.plot(place[:, 0], place[:, 1], color=OBJECTIVE, lw=2.2, zorder=4)
     goal = motion.in_pixels(np.array([motion.first.content["target_m"]]))
     axes.scatter(goal[:, 0], goal[:, 1], marker="x", s=60, color=TARGET, zorder=5)
     axes.set_title(f"{LEVELS[name]}, z = {motion.level_m:.2f} m", loc="left", size=9.5, color=INK)
@@ -206,7 +206,7 @@ def _draw_upright(axes: Axes, motion: Motion) -> None:
             _line(axes, piece[:, [0, 2]], first=first, style="-" if inside else ":")
     for way in motion.objective_m:
         for piece, inside in pieces(way, np.abs(way[:, 1] - motion.upright_m) <= near):
-            axes.plot(piece[:, 0], piece[:, 2], "-" if inside else ":", color=OBJECTIVE, lw=1.8)
+            axes.plot(piece[:, 0], piece[:, 2], "-" if inside else ":", color=OBJECTIVE, lw=2.2, zorder=4)
     for kind, style in (("velocity", "--"), ("avoidance", "-.")):
         for box in motion.first.content.get("written", {}).get(kind, []):
             _draw_box(axes, motion, box, kind, style)
@@ -277,6 +277,7 @@ def _draw_last(axes: Axes, motion: Motion) -> None:
     axes.axhline(done[0]["progress_of_m"], color=FAINT, lw=0.9, ls="--")
     axes.set_title("objective: done, and wanted (dashed)", loc="left", size=9.5, color=INK)
     axes.set_xlabel("look since the touch", size=8, labelpad=1)
+    axes.set_xticks(range(len(done)))
     axes.set_ylabel("[m]", size=8)
     axes.tick_params(labelsize=7)
 

@@ -63,7 +63,7 @@ def test_a_hostile_program_is_stopped_and_a_benign_one_runs_after_it(sandbox: Sa
 def test_an_endless_loop_is_stopped(sandbox: Sandbox, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LIMITS", {**module.LIMITS, "max_feed_duration_secs": 0.2})
     began = time.monotonic()
-    with pytest.raises(ProgramError, match=r"TimeoutError: .*\(line 2: pass\)|TimeoutError"):
+    with pytest.raises(ProgramError, match="TimeoutError: time limit exceeded"):
         sandbox.value("p", "while True:\n    pass", {})
     assert time.monotonic() - began < 2
     began = time.monotonic()
@@ -73,36 +73,36 @@ def test_an_endless_loop_is_stopped(sandbox: Sandbox, monkeypatch: pytest.Monkey
 
 
 def test_programs_inside_programs_share_their_time(sandbox: Sandbox, monkeypatch: pytest.MonkeyPatch) -> None:
-    shared = ProgramTime(0.3)
+    shared = ProgramTime(1)
     monkeypatch.setattr(sandbox, "time", shared)
     work = "x = 0\nfor k in range(20000):\n    x += k\nret_val = x"
     table = {"inner": lambda: sandbox.value("inner", work, {})}
     assert sandbox.value("outer", "ret_val = inner()", table) == sum(range(20000))
     left = shared.left_s
-    assert 0 < left < 0.3
+    assert 0 < left < 1
     began = time.monotonic()
     with pytest.raises(ProgramError, match=r"program (inner|outer) was stopped: the programs of one step"):
         sandbox.value(
             "outer", "try:\n    while True:\n        inner()\nexcept BaseException:\n    pass\nret_val = 1", table
         )
-    assert time.monotonic() - began < 2
-    with pytest.raises(ProgramError, match=r"program q was stopped: the programs of one step took more than 0\.3 s"):
+    assert time.monotonic() - began < 5
+    with pytest.raises(ProgramError, match=r"program q was stopped: the programs of one step took more than 1 s"):
         sandbox.value("q", "ret_val = 1", {})
     shared.start_over()
     assert sandbox.value("q", "ret_val = 1", {}) == 1
 
 
 def test_waiting_for_a_language_model_is_not_a_programs_time(sandbox: Sandbox, monkeypatch: pytest.MonkeyPatch) -> None:
-    shared = ProgramTime(0.3)
+    shared = ProgramTime(1)
     monkeypatch.setattr(sandbox, "time", shared)
 
     def ask() -> int:
         with shared.not_counted():
-            time.sleep(0.5)
+            time.sleep(0.6)
         return 1
 
     assert sandbox.value("p", "ret_val = ask() + ask()", {"ask": ask}) == 2
-    assert shared.left_s > 0.05
+    assert shared.left_s > 0
 
 
 def test_waiting_and_chance_are_none(sandbox: Sandbox) -> None:

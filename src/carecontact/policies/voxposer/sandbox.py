@@ -196,9 +196,8 @@ def _checked(name: str, code: str) -> str:
 def _stopped(name: str, error: MontyError) -> ProgramError:
     line = ""
     if isinstance(error, MontyRuntimeError | MontySyntaxError):
-        said = error.display("type-msg").replace(
-            f"suspension limit {MAX_CALLS} exceeded", f"more than {MAX_CALLS} calls"
-        )
+        said = error.display("type-msg").replace("feed time limit", "time limit")
+        said = said.replace(f"suspension limit {MAX_CALLS} exceeded", f"more than {MAX_CALLS} calls")
         frames = error.traceback()
         if frames:
             line = f" (line {frames[-1].line}: {(frames[-1].source_line or '').strip():.120})"
