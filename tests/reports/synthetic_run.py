@@ -72,6 +72,11 @@ def make_recording(
         arrays["scorer/region_pose_in_world"][:, :, 3] = 1.0
         arrays["scorer/region_size_m"] = np.array([[0.26, 0.04, 0.04], [0.3, 0.05, 0.05], [0.3, 0.15, 0.11]])
         arrays["scorer/human_joint_range"] = np.array([[-1.0, 2.0], [0.0, 2.5]])
+        period = PROTOCOL.physics.target_period_s
+        periods = np.arange(1, round(duration_s / period) + 1) * period
+        arrays["scorer/period_time_s"] = periods
+        for path in ("scorer/indentation_m", "scorer/target_in_base"):
+            arrays[path] = np.zeros((len(periods), *arrays[path].shape[1:]), arrays[path].dtype)
         for segment, force in forces.items():
             column = SEGMENTS.index(segment)
             arrays["scorer/force_human_from_robot_in_world"][:, column, 2] = force
