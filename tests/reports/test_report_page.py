@@ -326,7 +326,7 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
     rows = dict(provenance_rows(run_of_42.scores, headers))
     assert rows["sha256 of model"].startswith("6 different values")
     assert rows["sha256 of body"] == "ab" * 32
-    assert rows["Protocol state"] == "draft"
+    assert rows["Protocol state"].startswith("not what was frozen as bathing-v1: ")
     assert dict(provenance_rows(run_of_42.scores, []))["Version of mujoco"] == NOT_RECORDED
 
 

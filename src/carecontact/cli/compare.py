@@ -107,10 +107,13 @@ def _write(content: Mapping[str, Any], path: Path) -> Path:
 
 def _print(comparison: Comparison, a: Path, b: Path) -> None:
     from carecontact.contract.protocol import protocol_title
+    from carecontact.protocols.frozen_state import drifted_sha256
     from carecontact.reports.verdicts import ALPHA
 
     pairing = comparison.pairing
     print(f"{protocol_title(comparison.protocol_id, comparison.overrides)} ({comparison.protocol_sha256[:12]})")
+    if not comparison.overrides and (why := drifted_sha256(comparison.protocol_id, comparison.protocol_sha256)):
+        print(f"protocol: {why}")
     for name, folder, info, alone in (
         ("A", a, comparison.a, pairing.unpaired_a),
         ("B", b, comparison.b, pairing.unpaired_b),

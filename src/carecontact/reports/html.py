@@ -10,6 +10,7 @@ from typing import Any
 
 from carecontact import __version__
 from carecontact.errors import RecordingError
+from carecontact.protocols.frozen_state import frozen_state
 from carecontact.recording.schema import Header, Recording
 from carecontact.recording.writer import replace_file
 from carecontact.reports.detail import MAX_TEXT, Frame, TrialDetail, peak_frame, snapshot, trial_detail
@@ -81,7 +82,7 @@ def write_report(
         .render(
             version=__version__,
             policy=everything[0].policy if everything else None,
-            protocol_id=everything[0].protocol_title if everything else None,
+            protocol_id=_protocol(everything[0], headers) if everything else None,
             verdict=verdict(steps, everything),
             steps=steps,
             funnel_svg=funnel_svg(steps),
@@ -128,6 +129,12 @@ def write_report(
     path = run_folder / FILE_NAME
     replace_file(path, page.encode("utf-8", errors="replace"))
     return path
+
+
+def _protocol(score: TrialScore, headers: Sequence[Header]) -> str:
+    """The protocol's title; where it is none that was frozen under its id, that too."""
+    changed = any(frozen_state(h.spec.protocol).startswith("not what") for h in headers)
+    return f"{score.protocol_title} (not what was frozen)" if changed else score.protocol_title
 
 
 def verdict(steps: Sequence[Step], scores: Sequence[TrialScore]) -> str:

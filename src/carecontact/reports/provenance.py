@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from carecontact.contract.protocol import Variation
+from carecontact.protocols.frozen_state import frozen_state
 from carecontact.recording.schema import Header
 from carecontact.reports.funnel import Step
 from carecontact.reports.table import percent
@@ -20,7 +21,7 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
     rows = [
         ("Protocol", _distinct(s.protocol_title for s in scores)),
         ("Protocol sha256", _distinct(s.protocol_sha256 for s in scores)),
-        ("Protocol state", _distinct("frozen" if p.frozen else "draft" for p in protocols)),
+        ("Protocol state", _distinct(frozen_state(p) for p in protocols)),
         ("Policy", _distinct(s.policy for s in scores)),
         ("Language backend", _distinct(s.language_backend for s in scores)),
         *_language(scores),
@@ -86,6 +87,16 @@ def cannot_say(
         out.append(
             ("Draft protocol", "The protocol is not frozen: its numbers may still change and must not be compared.")
         )
+    changed = sorted(
+        {
+            state
+            for p in {h.spec.protocol.sha256: h.spec.protocol for h in headers}.values()
+            if (state := frozen_state(p)).startswith("not ")
+        }
+    )
+    if changed:
+        text = f"The protocol is {'; '.join(changed)}. Do not compare these numbers with those of the frozen protocol."
+        out.append(("Not the frozen protocol", text))
     out += _extrapolation(scores)
     if steps and not null_arms:
         out.append(

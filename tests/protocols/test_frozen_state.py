@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+from carecontact.contract.protocol import Protocol
+from carecontact.protocols import adapted, load_protocol
+from carecontact.protocols.frozen_state import drifted_sha256, frozen_state
+
+
+def softened(protocol: Protocol) -> Protocol:
+    """The same id and title with a pain limit ten times as high."""
+    pain = {name: 10 * value for name, value in protocol.limits.f_pain_n.items()}
+    return protocol.model_copy(update={"limits": protocol.limits.model_copy(update={"f_pain_n": pain})})
+
+
+def test_what_is_locked_is_frozen_and_announced_overrides_do_not_change_that() -> None:
+    protocol = load_protocol("bathing-v1")
+    assert frozen_state(protocol) == "frozen"
+    assert frozen_state(adapted(protocol, stiffness_n_m=200.0, fast=True)) == "frozen"
+    assert drifted_sha256(protocol.id, protocol.sha256) is None
+
+
+def test_a_changed_protocol_under_the_same_id_is_named() -> None:
+    changed = softened(load_protocol("bathing-v1"))
+    assert frozen_state(changed).startswith(f"not what was frozen as bathing-v1: sha256 {changed.sha256[:12]}, locked ")
+    hidden = softened(adapted(load_protocol("bathing-v1"), stiffness_n_m=200.0))
+    assert frozen_state(hidden).startswith("not what was frozen")
+    assert "not what was frozen" in (drifted_sha256(changed.id, changed.sha256) or "")
+
+
+def test_drift_that_a_run_announced() -> None:
+    drifted = load_protocol("bathing-v1").model_copy(update={"overrides": {"lock": "asset x: locked a, here b"}})
+    assert frozen_state(drifted) == "not what was frozen as bathing-v1: asset x: locked a, here b"
+
+
+def test_files_of_ones_own() -> None:
+    own = load_protocol("bathing-v1").model_copy(update={"id": "mine-v1"})
+    assert frozen_state(own) == "not known to be frozen: it says so, and no lock is here"
+    assert frozen_state(own.model_copy(update={"frozen": False})) == "draft"
