@@ -100,7 +100,10 @@ def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -
 def test_scores_that_no_trial_has_are_na(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("c", "d"):
         Path(name).mkdir()
-        scores = [make_score("T1", seed, **NO_CONTACT, policy=name) for seed in range(3)]
+        scores = [
+            make_score("T1", seed, **NO_CONTACT | {"failure_mode": "no_target_contact"}, policy=name)
+            for seed in range(3)
+        ]
         write_scores(name, RunScores(scores=scores))
     assert main(["compare", "c", "d"]) == 0
     row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("C1 [N]"))

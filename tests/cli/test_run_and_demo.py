@@ -95,9 +95,14 @@ def test_a_missing_recording_is_told_and_a_folder_for_results_is_one_line(
 ) -> None:
     main(["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0-1", "--out", "r"])
     assert "planned trials" not in capsys.readouterr().out
+    assert json.loads(Path("r/results.json").read_text())["missing"] == []
+    assert "Unfinished" not in Path("r/report.html").read_text()
     Path("r/T1-s001.h5").unlink()
     assert main(["score", "r"]) == 0
     assert "1 of 2 planned trials scored; not: T1-s001" in capsys.readouterr().out
+    assert json.loads(Path("r/results.json").read_text())["missing"] == ["T1-s001"]
+    assert main(["report", "r"]) == 0
+    assert "Unfinished, 1 of 2 planned trials are missing." in Path("r/report.html").read_text()
     Path("r/results.json").unlink()
     Path("r/results.json").mkdir()
     assert main(["score", "r"]) == 2

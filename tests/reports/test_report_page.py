@@ -291,6 +291,14 @@ def test_verdict(changes: list[dict[str, object]], sentence: str) -> None:
     assert verdict(funnel(scores), scores).endswith(sentence)
 
 
+def test_the_verdict_on_an_unfinished_run_says_so_first() -> None:
+    scores = [make_score("T1", seed) for seed in range(2)]
+    said = verdict(funnel(scores), scores, missing=18)
+    assert said.startswith(
+        "Unfinished, 18 of 20 planned trials are missing. So far: state_machine completed all 2 trials"
+    )
+
+
 def test_funnel_has_wilson_intervals_to_scale() -> None:
     """79 of 140: 48.2 to 64.4 % (Table V of the paper)."""
     scores = [make_score("T1", i) for i in range(79)] + [make_score("T1", i, **FAILED) for i in range(79, 140)]
@@ -311,7 +319,14 @@ def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     assert "man-adult" in said["One body"]
     assert "45–60°; in the recordings read it was 46.0°" in said["One angle family"]
     assert "In 2 of 5 trials" in said["Extrapolated tissue"]
-    assert said["Missing trials"].startswith("2 trial(s)")
+    assert said["Files left out"].startswith("2 file(s)")
+    absent = [f"T1-s{seed:03d}" for seed in range(12)]
+    unfinished = dict(
+        cannot_say(run_of_7.scores, headers, funnel(run_of_7.scores), 0, missing=absent, null_arms=False)
+    )["Unfinished"]
+    assert unfinished.startswith("12 planned trial(s) have no score: T1-s000, T1-s001,")
+    assert "T1-s009 and 2 more" in unfinished
+    assert "Unfinished" not in said
     protocol = headers[0].spec.protocol.model_copy(update={"frozen": True})
     frozen = headers[0].model_copy(update={"spec": headers[0].spec.model_copy(update={"protocol": protocol})})
     assert "Draft protocol" not in dict(

@@ -260,3 +260,25 @@ def test_scoring_needs_no_simulator(folder: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert (folder / "results.json").read_bytes() == here, "another process gives other bytes"
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"region_correct": False, "safety_gated": True, "failure_mode": "off_target_contact"}, "not region-correct"),
+        ({"c3_success": False}, "region-correct, but no success"),
+        ({"valid_contact": False}, "a success without valid contact"),
+        ({"failure_mode": "lost_contact"}, "its failure mode lost_contact"),
+        ({"c1_peak_force_n": -5.0}, "c1_peak_force_n is -5.0; valid: 0 and above"),
+        ({"c4_motion_activity": 1.5}, "c4_motion_activity is 1.5; valid: 0 to 1"),
+        ({"seed": 7}, "it says task T1, seed 7"),
+    ],
+)
+def test_results_that_contradict_themselves_are_refused(change: dict[str, object], told: str, tmp_path: Path) -> None:
+    path = write_scores(tmp_path, RunScores(scores=[score_recording(touch(seed=0))], missing=("T1-s001",)))
+    assert read_results(path).missing == ("T1-s001",)
+    stored = json.loads(path.read_text())
+    stored["trials"][0] |= change
+    path.write_text(json.dumps(stored))
+    with pytest.raises(ConfigError, match=told):
+        read_results(path)

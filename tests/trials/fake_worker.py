@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from carecontact.contract.trial import TrialSpec
@@ -42,7 +42,29 @@ def recording(spec: TrialSpec, ended: str) -> Recording:
             "solver_warnings": [],
         }
     )
-    return Recording(header=header, arrays=empty_arrays(0))
+    return Recording(header=header, arrays=one_quiet_period(spec) if ended != "process_failure" else empty_arrays(0))
+
+
+def one_quiet_period(spec: TrialSpec) -> dict[str, Any]:
+    """Nothing is touched and nothing moves."""
+    import numpy as np
+
+    from carecontact.recording.schema import ARRAYS, empty_arrays
+
+    physics = spec.protocol.physics
+    steps = round(physics.target_period_s / physics.dt_s)
+    arrays: dict[str, Any] = empty_arrays(0)
+    for path, (_, meaning) in ARRAYS.items():
+        if meaning.startswith("(T"):
+            arrays[path] = np.zeros((steps, *arrays[path].shape[1:]), arrays[path].dtype)
+    arrays["scorer/time_s"] = np.arange(steps) * physics.dt_s
+    arrays["scorer/pose_tcp_in_world"][:, 3] = 1.0
+    arrays["scorer/region_pose_in_world"][:, :, 3] = 1.0
+    arrays["scorer/region_size_m"] = np.full((3, 3), 0.1)
+    arrays["scorer/period_time_s"] = np.array([physics.target_period_s])
+    for path in ("scorer/indentation_m", "scorer/target_in_base"):
+        arrays[path] = np.zeros((1, *arrays[path].shape[1:]), arrays[path].dtype)
+    return arrays
 
 
 def main() -> int:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carecontact.errors import ConfigError, DependencyError
+from carecontact.protocols.frozen_state import drifted_sha256
 from carecontact.trials.manifest import read_manifest
 
 if TYPE_CHECKING:
@@ -58,15 +60,17 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
 
     check_jobs(jobs)
     _need_recordings(folder)
-    manifest = read_manifest(folder)
     before = _results(folder) if compare else None
-    run = score_run(folder, jobs=processes(sum(1 for _ in folder.glob("*.h5"))) if jobs is None else jobs)
+    many = processes(sum(1 for _ in folder.glob("*.h5"))) if jobs is None else jobs
+    run = beside_plan(folder, score_run(folder, jobs=many))
     path = write_scores(folder, run) if run.scores else None
     if path is not None:
         for line in differences(before, _results(folder)):
             print(line)
-        if run.scores[0].overrides:
-            print(f"protocol: {run.scores[0].protocol_title}")
+        first = run.scores[0]
+        changed = None if first.overrides else drifted_sha256(first.protocol_id, first.protocol_sha256)
+        if first.overrides or changed:
+            print(f"protocol: {first.protocol_title}{f', {changed}' if changed else ''}")
         print_table(run.scores)
     failed = harness_errors(run.scores)
     if failed:
@@ -75,11 +79,9 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
         print(f"harness failed, not counted: {len(failed)} trial(s): {trials} (first: {why})")
     for name, why in run.skipped.items():
         print(f"skipped {name}: {why}")
-    if manifest is not None:
-        absent = missing_trials(manifest.trials, run)
-        if absent:
-            planned = len(manifest.trials)
-            print(f"{planned - len(absent)} of {planned} planned trials scored; not: {', '.join(absent)}")
+    if run.missing:
+        planned = len(run.scores) + len(run.missing)
+        print(f"{len(run.scores)} of {planned} planned trials scored; not: {listed(run.missing)}")
     print(f"scores: {path}" if path else f"nothing could be scored; {RESULTS} was not written")
     if path is not None:
         print(write_table(folder, run.scores))
@@ -106,7 +108,7 @@ def report(folder: Path, *, run: RunScores | None = None, nulls: Sequence[Path] 
     from carecontact.scoring import score_run
 
     _need_recordings(folder)
-    run = run or score_run(folder)
+    run = run or beside_plan(folder, score_run(folder))
     floors, lost = (named_floors(folder, run, nulls), {}) if nulls else remembered_floors(folder, run)
     for name, why in lost.items():
         print(f"null arm {name} is not in the report: {why}")
@@ -119,6 +121,7 @@ def report(folder: Path, *, run: RunScores | None = None, nulls: Sequence[Path] 
         scores=run.scores,
         recordings=lambda trial_id: read_recording(folder / f"{trial_id}.h5"),
         skipped=run.skipped,
+        missing=run.missing,
         floors=floors,
         lost_arms=lost,
     )
@@ -133,9 +136,21 @@ def processes(recordings: int) -> int:
     return max(1, min(available_cores(), recordings // FEW))
 
 
-def missing_trials(planned: Sequence[str], run: RunScores) -> list[str]:
+def beside_plan(folder: Path, run: RunScores) -> RunScores:
+    """The run with what its manifest plans and nobody scored; without a manifest as it is."""
+    manifest = read_manifest(folder)
     scored = {score.trial_id for score in run.scores}
-    return [trial_id for trial_id in planned if trial_id not in scored]
+    planned = () if manifest is None else manifest.trials
+    return replace(run, missing=tuple(trial_id for trial_id in planned if trial_id not in scored))
+
+
+SHOWN = 10
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first ten, and how many more there are."""
+    more = len(names) - SHOWN
+    return ", ".join(names[:SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 def print_table(scores: Sequence[TrialScore]) -> None:

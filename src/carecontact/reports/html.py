@@ -39,6 +39,7 @@ def write_report(
     scores: Sequence[TrialScore],
     recordings: Callable[[str], Recording],
     skipped: Mapping[str, str],
+    missing: Sequence[str] = (),
     floors: NullFloors | None = None,
     lost_arms: Mapping[str, str] | None = None,
 ) -> Path:
@@ -47,6 +48,7 @@ def write_report(
     ``recordings`` maps a trial id to its recording; it is called once for each trial shown in detail and the result
     is dropped before the next, so a long run needs the memory of one. A recording that raises RecordingError is
     named on the page, not fatal. ``skipped`` maps trial ids or file names to why they have no score.
+    ``missing``: trials that were planned and have no score.
     ``floors``: null arms to be set beside the run; None: the page says that there are none. ``lost_arms`` maps those
     that belong there to why they are not.
     Trials in which the harness failed are listed in a box of their own and are in no count, row or picture.
@@ -83,7 +85,7 @@ def write_report(
             version=__version__,
             policy=everything[0].policy if everything else None,
             protocol_id=_protocol(everything[0], headers) if everything else None,
-            verdict=verdict(steps, everything),
+            verdict=verdict(steps, everything, missing=len(missing)),
             steps=steps,
             funnel_svg=funnel_svg(steps),
             draft=any(not h.spec.protocol.frozen for h in headers),
@@ -116,6 +118,7 @@ def write_report(
                 headers,
                 steps,
                 len(skipped),
+                missing=missing,
                 null_arms=floors is not None,
                 lost_arms=sorted(lost_arms or {}),
             ),
@@ -137,8 +140,15 @@ def _protocol(score: TrialScore, headers: Sequence[Header]) -> str:
     return f"{score.protocol_title} (not what was frozen)" if changed else score.protocol_title
 
 
-def verdict(steps: Sequence[Step], scores: Sequence[TrialScore]) -> str:
-    """One sentence that somebody who reads nothing else may quote."""
+def verdict(steps: Sequence[Step], scores: Sequence[TrialScore], *, missing: int = 0) -> str:
+    """One sentence that somebody who reads nothing else may quote. ``missing``: planned trials without a score."""
+    told = _verdict(steps, scores)
+    if not missing:
+        return told
+    return f"Unfinished, {missing} of {len(scores) + missing} planned trials are missing. So far: {told}"
+
+
+def _verdict(steps: Sequence[Step], scores: Sequence[TrialScore]) -> str:
     scored = len(scores)
     scores = judged(scores)
     if scored and not scores:

@@ -13,6 +13,8 @@ from carecontact.scoring.result import TrialScore
 
 FIRST_VERSIONS = ("carecontact", "mujoco", "numpy", "mediapipe")
 NOT_RECORDED = "not recorded"
+NAMED = 10
+"""Missing trials that are named."""
 
 
 def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> list[tuple[str, str]]:
@@ -62,11 +64,12 @@ def cannot_say(
     steps: Sequence[Step],
     skipped: int,
     *,
+    missing: Sequence[str] = (),
     null_arms: bool,
     lost_arms: Sequence[str] = (),
 ) -> list[tuple[str, str]]:
     """Topic and sentence, each computed from this run. ``null_arms``: whether some are set beside it; ``lost_arms``:
-    those that were and can be no more."""
+    those that were and can be no more; ``missing``: planned trials without a score."""
     out: list[tuple[str, str]] = []
     if steps:
         last = steps[-1]
@@ -109,8 +112,14 @@ def cannot_say(
     if lost_arms:
         text = f"{', '.join(lost_arms)} stood beside this run and could not be read or compared again."
         out.append(("Missing null arms", text))
+    if missing:
+        more = f" and {len(missing) - NAMED} more" if len(missing) > NAMED else ""
+        text = (
+            f"{len(missing)} planned trial(s) have no score: {', '.join(missing[:NAMED])}{more}. The run is unfinished."
+        )
+        out.append(("Unfinished", text))
     if skipped:
-        out.append(("Missing trials", f"{skipped} trial(s) could not be scored; every count above leaves them out."))
+        out.append(("Files left out", f"{skipped} file(s) could not be scored; every count above leaves them out."))
     out.append(
         ("Simulation", "These are forces on a simulated person. They are no statement on comfort, pain or injury.")
     )

@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -38,6 +39,8 @@ class RunScores:
     """File name -> why it was not scored."""
     versions: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
     """Package -> every version that the scored recordings name; more than one means a mixed run."""
+    missing: tuple[str, ...] = ()
+    """Trials that were planned and have no score; where no plan is known, none."""
 
 
 def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
@@ -142,7 +145,7 @@ def write_results(folder: Path | str, data: Mapping[str, Any]) -> Path:
 def read_results(path: Path | str) -> RunScores:
     """The scores in a ``results.json``, as they were written; nothing is recomputed.
 
-    Raises ConfigError for a file that cannot be read or mixes protocols, policies or worlds.
+    Raises ConfigError for a file that cannot be read, contradicts itself or mixes protocols, policies or worlds.
     """
     try:
         stored = _Results.model_validate_json(Path(path).read_bytes())
@@ -153,8 +156,13 @@ def read_results(path: Path | str) -> RunScores:
     twice = [trial_id for trial_id, k in Counter(s.trial_id for s in stored.trials).items() if k > 1]
     if twice:
         raise ConfigError(f"{path} is damaged: {twice[0]} is in it twice")
+    for score in stored.trials:
+        if why := contradiction(score):
+            raise ConfigError(f"{path} is damaged or changed by hand: {score.trial_id}: {why}")
     check_one_run(stored.trials)
-    return RunScores(scores=stored.trials, skipped=stored.skipped, versions=stored.versions)
+    return RunScores(
+        scores=stored.trials, skipped=stored.skipped, versions=stored.versions, missing=tuple(stored.missing)
+    )
 
 
 class _Results(BaseModel):
@@ -164,6 +172,35 @@ class _Results(BaseModel):
     trials: list[TrialScore]
     skipped: dict[str, str]
     versions: dict[str, list[str]]
+    missing: list[str] = []
+
+
+AT_LEAST_ZERO = (
+    "duration_s", "c1_peak_force_n", "c1_peak_filtered_n", "c1_peak_contact_sum_n", "c1_peak_any_segment_n",
+    "c4_motion_activity", "c5_force_sd_n", "contact_s", "longest_on_s", "stroke_m", "extent_m", "reversals",
+    "wrist_displacement_m", "wrist_displacement_any_m", "indentation_m", "impulse_ns",
+)  # fmt: skip
+
+
+def contradiction(score: TrialScore) -> str | None:
+    """What no scorer can have written of a trial; None where there is nothing."""
+    if score.trial_id != f"{score.task_id}-s{score.seed:03d}":
+        return f"it says task {score.task_id}, seed {score.seed}"
+    if score.safety_gated and not score.region_correct:
+        return "safety-gated, but not region-correct"
+    if score.region_correct and not score.c3_success:
+        return "region-correct, but no success"
+    if score.c3_success and not score.valid_contact:
+        return "a success without valid contact"
+    if score.region_correct == (score.failure_mode is not None) and score.is_judged:
+        return f"region-correct is {score.region_correct} and its failure mode {score.failure_mode}"
+    for name in AT_LEAST_ZERO:
+        value = getattr(score, name)
+        if value is not None and not 0 <= value < inf:
+            return f"{name} is {value}; valid: 0 and above"
+    if score.c4_motion_activity is not None and score.c4_motion_activity > 1:
+        return f"c4_motion_activity is {score.c4_motion_activity}; valid: 0 to 1"
+    return None
 
 
 def results(run: RunScores) -> dict[str, Any]:
@@ -185,6 +222,7 @@ def results(run: RunScores) -> dict[str, Any]:
         "metric_versions": first.metric_versions if first else {},
         "versions": run.versions,
         "skipped": run.skipped,
+        "missing": list(run.missing),
         "harness_errors": harness_errors(scores),
         "overall": summarise(scores),
         "per_task": {task: summarise([s for s in scores if s.task_id == task]) for task in tasks},
