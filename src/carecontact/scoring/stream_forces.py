@@ -22,6 +22,8 @@ CANCELLED_SHARE = 0.1
 up to 277 N among them, the ratio of the two sums was never below 0.81 or above 1.12."""
 CANCELLED_S = 0.01
 """So long contacts may oppose one another whatever share it is: a bounce."""
+LEAST_RATIO = 0.5
+"""Of vector sum to normal sum, median over a segment's contact: below, the two are in different units."""
 CUT_ROUNDING = 1e-5
 
 
@@ -53,6 +55,12 @@ def _check_segment(recording: Recording, column: int, norm: F64, normal: npt.NDA
             f"scorer/normal_force {normal[at]:.4g} N; with friction of up to {MOST_FRICTION:g} at most {most[at]:.4g} N"
         )
     contact = normal >= header.spec.protocol.contact.on_n
+    steady = int(contact.sum()) > steps(CANCELLED_S, header.spec.protocol.physics.dt_s)
+    if steady and (ratio := float(np.median(norm[contact] / normal[contact]))) < LEAST_RATIO:
+        raise RecordingError(
+            f"{place} scorer/force_human_from_robot_in_world is {ratio:.3g} of scorer/normal_force, median over "
+            f"{int(contact.sum())} samples of contact; valid: {LEAST_RATIO:g} and above"
+        )
     gone = contact & (norm < CANCELLED_N)
     bounce = steps(CANCELLED_S, header.spec.protocol.physics.dt_s)
     if gone.sum() > max(CANCELLED_SHARE * contact.sum(), bounce):
