@@ -54,6 +54,7 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
 
     Where nothing could be scored, results.json stays as it is. ``jobs``: processes; default: as many as pay.
     """
+    from carecontact.reports.table import listed
     from carecontact.scoring import score_run, write_scores
     from carecontact.scoring.run import harness_errors
     from carecontact.trials.supervisor import check_jobs
@@ -142,15 +143,6 @@ def beside_plan(folder: Path, run: RunScores) -> RunScores:
     scored = {score.trial_id for score in run.scores}
     planned = () if manifest is None else manifest.trials
     return replace(run, missing=tuple(trial_id for trial_id in planned if trial_id not in scored))
-
-
-SHOWN = 10
-
-
-def listed(names: Sequence[str]) -> str:
-    """The first ten, and how many more there are."""
-    more = len(names) - SHOWN
-    return ", ".join(names[:SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 def print_table(scores: Sequence[TrialScore]) -> None:

@@ -8,13 +8,11 @@ from carecontact.contract.protocol import Variation
 from carecontact.protocols.frozen_state import frozen_state
 from carecontact.recording.schema import Header
 from carecontact.reports.funnel import Step
-from carecontact.reports.table import percent
+from carecontact.reports.table import listed, percent
 from carecontact.scoring.result import TrialScore
 
 FIRST_VERSIONS = ("carecontact", "mujoco", "numpy", "mediapipe")
 NOT_RECORDED = "not recorded"
-NAMED = 10
-"""Missing trials that are named."""
 
 
 def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> list[tuple[str, str]]:
@@ -113,10 +111,7 @@ def cannot_say(
         text = f"{', '.join(lost_arms)} stood beside this run and could not be read or compared again."
         out.append(("Missing null arms", text))
     if missing:
-        more = f" and {len(missing) - NAMED} more" if len(missing) > NAMED else ""
-        text = (
-            f"{len(missing)} planned trial(s) have no score: {', '.join(missing[:NAMED])}{more}. The run is unfinished."
-        )
+        text = f"{len(missing)} planned trial(s) have no score: {listed(missing)}. The run is unfinished."
         out.append(("Unfinished", text))
     if skipped:
         out.append(("Files left out", f"{skipped} file(s) could not be scored; every count above leaves them out."))

@@ -111,3 +111,13 @@ def _row(task_id: str, name: str, group: Sequence[TrialScore]) -> SummaryRow:
         c4=median(s.c4_motion_activity for s in group),
         c5_n=median(s.c5_force_sd_n for s in group),
     )
+
+
+NAMED = 10
+"""Trials that a sentence names before it only counts them."""
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first NAMED, and how many more there are."""
+    more = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -32,7 +32,6 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     scene = subject.scene("forearm")
     masses, centres = segment_masses(scene)
     springs, dampers, ranges = joint_constants(scene)
-    curves = {"mass": masses, "spring": springs, "damper": dampers}
     measures = [
         Measure(name="mass of the person", value=float(masses[:, 0].sum()), unit="kg"),
         _off("person's mass off the declared", [masses.sum(0)]),
@@ -45,15 +44,15 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     ]  # fmt: skip
     for region in REGIONS[:1] if quick else REGIONS:
         depth = core_depths(subject.scene(region), region)
-        curves[f"core/{region}"] = depth[np.isfinite(depth)]
         measures.append(
             Measure(name=f"{region}: skin with bone under it that the tool can meet",
                     value=100 * float(np.isfinite(depth).mean()), unit="%", limit=95.0, side="at least")
         )  # fmt: skip
         if np.isfinite(depth).any():
-            middle = 1000 * float(np.nanmedian(np.where(np.isfinite(depth), depth, np.nan)))
+            middle = 1000 * float(np.median(depth[np.isfinite(depth)]))
             measures.append(Measure(name=f"{region}: depth of that bone, median", value=middle, unit="mm"))
-    return CheckResult(check="declared", title=TITLE, measures=tuple(measures), curves=curves)
+    return CheckResult(check="declared", title=TITLE, measures=tuple(measures),
+                       curves={"mass": masses, "spring": springs, "damper": dampers})  # fmt: skip
 
 
 def _off(name: str, rows: Array | list[Array]) -> Measure:
