@@ -2,10 +2,11 @@
 
     python tools/results.py runs/* [--protocol bathing-v1] [--out docs/results]
 
-Runs are folders of recordings or results.json files: state-machine, voxposer, voxposer-phased and the null arms on the
+Runs are folders of recordings or results files: state-machine, voxposer, voxposer-phased and the null arms on the
 protocol, and state-machine and voxposer under every stiffness and tissue of the sweeps. Which is which is read from
-their trials. What is missing is named with the command that makes it. Writes PROTOCOL.md and PROTOCOL.json; the same
-runs give the same bytes.
+their trials. What is missing is named with the command that makes it. Writes PROTOCOL.md, PROTOCOL.json and the scores
+of every run that is used, PROTOCOL/RUN.json.gz, from which the same page can be made again without the recordings.
+The same runs give the same page.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from carecontact.cli.compare import read_scores
 from carecontact.errors import CarecontactError
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.reports.paper import read_paper
-from carecontact.reports.study import study, study_json
+from carecontact.reports.study import run_name, study, study_json
 from carecontact.reports.study_page import study_page
+from carecontact.scoring.run import pack_results
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -31,13 +33,18 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         protocol, paper = load_protocol(options.protocol), read_paper()
-        found = study({str(run): read_scores(run) for run in options.runs}, protocol=protocol, paper=paper)
+        runs = {str(run): read_scores(run) for run in options.runs}
+        found = study(runs, protocol=protocol, paper=paper)
     except CarecontactError as error:
         print(f"results: {error}", file=sys.stderr)
         return 2
     page, data = (options.out / f"{protocol.id}{suffix}" for suffix in (".md", ".json"))
-    command = f"python tools/results.py {' '.join(str(run) for run in options.runs)}"
-    options.out.mkdir(parents=True, exist_ok=True)
+    packed = options.out / protocol.id
+    packed.mkdir(parents=True, exist_ok=True)
+    for name, run in runs.items():
+        if name not in found.unused:
+            pack_results(packed / f"{run_name(run.scores[0].policy, run.scores[0].overrides)}.json.gz", run)
+    command = f"python tools/results.py docs/results/{protocol.id}/*"
     page.write_text(study_page(found, paper, command=command, json_name=data.name), encoding="utf-8")
     data.write_text(json.dumps(study_json(found), sort_keys=True, indent=1, allow_nan=False) + "\n", encoding="ascii")
     print(f"{page}, {data}: {len(found.heads)} run(s), {len(found.missing)} missing, {len(found.unused)} not used")

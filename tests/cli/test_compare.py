@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -203,3 +204,20 @@ def test_null_arms_of_a_report_move_with_it_and_are_missed_when_gone(
     Path("study/a/null_arms.json").write_text("{")
     assert main(["report", "study/a"]) == 0
     assert "null_arms.json is damaged (" in capsys.readouterr().out
+
+
+def test_an_unfinished_run_says_so(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    identity = {"policy_sha256": None, "versions": {}, "sha256": {}}
+    score = score_run("a").scores[0]
+    name = {"id": score.protocol_id, "sha256": score.protocol_sha256}
+    plan = {"schema": "carecontact-run-1", "purpose": "run", "policy": "a", "protocol": name, "identity": identity,
+            "trials": ["T1-s000", "T1-s001", "T2-s000", "T2-s001", "T2-s002"]}  # fmt: skip
+    Path("a/manifest.json").write_text(json.dumps(plan))
+    write_scores("b", replace(score_run("b"), missing=("T3-s000",)))
+    for path in Path("b").glob("*.h5"):
+        path.unlink()
+    assert main(["compare", "a", "b", "--out", "both"]) == 0
+    told = capsys.readouterr().out
+    assert "A: a (rules-v1), a: 3 trials, unfinished: 2 planned without a score" in told
+    assert "B: b (rules-v1), b: 4 trials, unfinished: 1 planned without a score; 1 without a partner" in told
+    assert json.loads(Path("both/comparison.json").read_text())["a"]["n_missing"] == 2

@@ -122,7 +122,8 @@ def make_score(task_id: str, seed: int, **changes: Any) -> TrialScore:
         "safety_gated": True, "c4_motion_activity": 0.79, "c5_force_sd_n": 2.1, "region_share": 0.97,
         "contact_s": 4.0, "longest_on_s": 3.9, "on_share": 0.95, "stroke_m": 0.22, "extent_m": 0.09, "reversals": 2,
         "wrist_displacement_m": 0.031, "wrist_displacement_any_m": 0.033, "indentation_m": 0.006, "impulse_ns": 30.0,
-        "extrapolated_share": 0.0, "peak_force_n": {segment: 12.3}, "over_limit": {}, "failure_mode": None,
+        "extrapolated_share": 0.0, "over_limit": {}, "failure_mode": None,
+        "peak_force_n": {segment: changes.get("c1_peak_force_n") or 12.3},
         "attribution": None, "evidence": None, "metric_versions": {"contact": "contact-v1", "gates": "gates-v1"},
     }  # fmt: skip
     fields = base | changes

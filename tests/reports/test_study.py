@@ -74,8 +74,13 @@ def test_runs_are_known_by_their_trials_and_the_rest_is_named(whole: Study) -> N
     assert "--policy state-machine --protocol bathing-v1 --stiffness 200 " in missing
     assert "--policy state-machine --protocol bathing-v1 --tissue manikin-like " in missing
     assert len(whole.missing) == 1 + 3 + 2 + 1
+    assert (
+        "carecontact run --policy voxposer --protocol bathing-v1 --tissue manikin-like --out runs/voxposer-manikin-like"
+        in whole.commands
+    )
+    assert len(whole.commands) == len(whole.heads) == 6
     text = page(whole)
-    assert all(command in text for command in whole.missing)
+    assert all(f"    {command}\n" in text for command in (*whole.commands, *whole.missing))
     assert "42 of 140" in text
 
 
@@ -206,5 +211,10 @@ def test_the_command_writes_the_same_bytes_twice(tmp_path: Path, capsys: pytest.
     assert content["schema"] == "carecontact-study-1"
     assert content["beside"][0]["agreement"] == "as in the paper"
     assert content == json.loads(json.dumps(study_json(made(a=run("state-machine", heavy), b=run("voxposer", light)))))
+    # What was packed beside the page gives it again, in any order.
+    packed = sorted((tmp_path / "out" / "bathing-v1").iterdir(), reverse=True)
+    assert [file.name for file in packed] == ["voxposer.json.gz", "state-machine.json.gz"]
+    assert main([*map(str, packed), "--out", str(tmp_path / "again")]) == 0
+    assert [(tmp_path / "again" / file.name).read_bytes() for file in files] == first
     assert main([str(tmp_path / "nothing")]) == 2
     assert "nothing: no such folder" in capsys.readouterr().err

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gzip
 import json
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import carecontact
 from carecontact.errors import ConfigError
 from carecontact.recording import Recording, write_recording
 from carecontact.scoring import RunScores, read_results, results, score_recording, score_run, write_scores
+from carecontact.scoring.run import pack_results
 from carecontact.stats import wilson_interval
 from tests.scoring.synthetic import before_start, make_recording, push, scrub, touch
 
@@ -270,6 +272,13 @@ def test_scoring_needs_no_simulator(folder: Path) -> None:
         ({"valid_contact": False}, "a success without valid contact"),
         ({"failure_mode": "lost_contact"}, "its failure mode lost_contact"),
         ({"c1_peak_force_n": -5.0}, "c1_peak_force_n is -5.0; valid: 0 and above"),
+        ({"c1_peak_force_n": None}, "valid contact is True and its peak force None"),
+        ({"c1_peak_force_n": 1000.0}, "peak force 1000 N, but no touched segment above"),
+        (
+            {"c1_peak_force_n": 1000.0, "peak_force_n": {"right_forearm": 1000.0}},
+            "safety-gated, but the right_forearm above its limit, at 1000 N",
+        ),
+        ({"over_limit": {"right_forearm": 1.2}}, "safety-gated, but the right_forearm above its limit"),
         ({"c4_motion_activity": 1.5}, "c4_motion_activity is 1.5; valid: 0 to 1"),
         ({"seed": 7}, "it says task T1, seed 7"),
     ],
@@ -282,3 +291,23 @@ def test_results_that_contradict_themselves_are_refused(change: dict[str, object
     path.write_text(json.dumps(stored))
     with pytest.raises(ConfigError, match=told):
         read_results(path)
+
+
+def test_a_trial_that_is_there_and_missing_is_refused(tmp_path: Path) -> None:
+    path = write_scores(tmp_path, RunScores(scores=[score_recording(touch(seed=0))], missing=("T1-s000",)))
+    with pytest.raises(ConfigError, match="T1-s000 is among its trials and among those that are missing"):
+        read_results(path)
+
+
+def test_packed_results_are_read_as_they_were_and_damage_is_named(tmp_path: Path) -> None:
+    run, packed = RunScores(scores=[score_recording(touch(seed=0))], versions={"numpy": ["2"]}), tmp_path / "a.json.gz"
+    pack_results(packed, run)
+    assert read_results(packed) == read_results(write_scores(tmp_path, run)) == run
+    as_packed_elsewhere = gzip.compress(gzip.decompress(packed.read_bytes()), compresslevel=1, mtime=5)
+    packed.write_bytes(as_packed_elsewhere)
+    pack_results(packed, run)
+    assert packed.read_bytes() == as_packed_elsewhere
+    for damaged in (as_packed_elsewhere[:-9], as_packed_elsewhere[:40] + b"x" * 40, as_packed_elsewhere[:2]):
+        packed.write_bytes(damaged)
+        with pytest.raises(ConfigError, match=r"a\.json\.gz is damaged"):
+            read_results(packed)

@@ -33,6 +33,7 @@ def test_is_the_sign_test_and_symmetric(only_first: int, only_second: int) -> No
         assert found.pvalue == pytest.approx(binomtest(only_second, only_first + only_second).pvalue)
 
 
-def test_refuses_negative_counts() -> None:
-    with pytest.raises(ValueError, match="from 0 up"):
-        mcnemar_exact(3, -1)
+@pytest.mark.parametrize("counts", [(3, -1), (1.5, 3), (True, 3), ("2", 3)])
+def test_refuses_what_is_no_count(counts: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match=r"discordant pairs = .*; expected a whole number from 0 up"):
+        mcnemar_exact(*counts)

@@ -78,7 +78,8 @@ def _overview(
 
 
 def read_scores(run: Path) -> RunScores:
-    """Recomputed where there are recordings, else as results.json has them."""
+    """Recomputed where there are recordings, else as results.json has them; with what was planned and not scored."""
+    from carecontact.cli.score import beside_plan
     from carecontact.scoring import read_results, score_run
 
     if run.is_file():
@@ -90,7 +91,7 @@ def read_scores(run: Path) -> RunScores:
         if not scored.scores:
             why = next(iter(scored.skipped.values()))
             raise ConfigError(f"{run}: no recording could be scored; the first: {why}")
-        return scored
+        return beside_plan(run, scored)
     if (run / RESULTS).is_file():
         return read_results(run / RESULTS)
     raise ConfigError(f"{run}: holds neither recordings (*.h5) nor {RESULTS}; name the --out of a run")
@@ -137,6 +138,8 @@ def _run_text(info: RunInfo, folder: Path) -> str:
         counts.append(f"{info.n_harness_errors} left out because the harness failed")
     if info.skipped:
         counts.append(f"{len(info.skipped)} recordings skipped")
+    if info.n_missing:
+        counts.append(f"unfinished: {info.n_missing} planned without a score")
     return f"{info.policy} ({', '.join(info.language_backend)}), {folder}: {', '.join(counts)}"
 
 

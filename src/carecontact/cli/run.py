@@ -10,7 +10,7 @@ from carecontact.cli.policy_name import check_policy, public_name
 from carecontact.cli.progress import progress
 from carecontact.cli.score import report, rescore
 from carecontact.cli.vision import chosen_vision
-from carecontact.protocols import adapted, load_protocol, shipped_protocols
+from carecontact.protocols import adapted, load_protocol
 from carecontact.trials.freeze import check_frozen
 from carecontact.trials.identity import POLICY_PATH
 from carecontact.trials.plan import parse_seeds, parse_tasks, plan_trials
@@ -19,7 +19,6 @@ from carecontact.trials.supervisor import check_jobs, run_trials
 from carecontact.trials.vision import WEIGHTS
 
 if TYPE_CHECKING:
-    from carecontact.contract.protocol import Protocol
     from carecontact.trials.manifest import Purpose
     from carecontact.trials.supervisor import RunSummary
 
@@ -59,7 +58,7 @@ def run(
     spoken = language_environment(policy, language=language, record=record)
     check_policy(policy, search_path=folder, deadline_s=rules.phases.first_call_deadline_s)
     specs = plan_trials(protocol=rules, policy=policy, tasks=task_ids, seeds=seed_list)
-    print(f"{policy}: {len(specs)} trial(s) of {protocol_title(rules)} into {out}", flush=True)
+    print(f"{policy}: {len(specs)} trial(s) of {rules.title} into {out}", flush=True)
     with progress() as on_event:
         summary = run_trials(
             specs,
@@ -74,13 +73,6 @@ def run(
     scores = rescore(out, compare=not summary.ran)
     report(out, run=scores)
     return 1 if _tell_failures(summary, out=out) or scores.skipped else 0
-
-
-def protocol_title(protocol: Protocol) -> str:
-    """Its id; a file that keeps a shipped id but is another protocol is not shown as the shipped one."""
-    shipped = load_protocol(protocol.id) if protocol.id in shipped_protocols() else None
-    modified = shipped is not None and protocol.without_overrides(shipped).sha256 != shipped.sha256
-    return f"{protocol.title} (modified)" if modified else protocol.title
 
 
 def _tell_failures(summary: RunSummary, *, out: Path) -> int:

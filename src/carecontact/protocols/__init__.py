@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from carecontact.contract.protocol import Protocol, Vision
 from carecontact.errors import ConfigError, UnknownNameError
+from carecontact.protocols.wrong_fields import wrong_fields
 
 DEFAULT_PROTOCOL = "bathing-v1"
 
@@ -41,8 +42,7 @@ def load_protocol(name_or_path: str = DEFAULT_PROTOCOL) -> Protocol:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{place}: not TOML: {error}") from None
     except ValidationError as error:
-        lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']} (got {str(e['input'])[:80]})" for e in error.errors()]
-        raise ConfigError(f"{place}: {len(lines)} field(s) wrong\n" + "\n".join(lines)) from None
+        raise ConfigError(wrong_fields(place, error)) from None
     if protocol.overrides:
         raise ConfigError(f"{place}: overrides are written by a command, never by a file; change the fields themselves")
     return protocol

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from carecontact.contract.protocol import FileStem, Region, Section, Tissue
 from carecontact.errors import ConfigError, UnknownNameError
+from carecontact.protocols.wrong_fields import wrong_fields
 
 
 class TissueSet(Section):
@@ -53,8 +54,7 @@ def load_tissue_set(name_or_path: str) -> TissueSet:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"tissue set {name_or_path}: not TOML: {error}") from None
     except ValidationError as error:
-        lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']} (got {str(e['input'])[:80]})" for e in error.errors()]
-        raise ConfigError(f"tissue set {name_or_path}: {len(lines)} field(s) wrong\n" + "\n".join(lines)) from None
+        raise ConfigError(wrong_fields(f"tissue set {name_or_path}", error)) from None
     if not shipped and made.id in shipped_tissue_sets():
         raise ConfigError(f"tissue set {name_or_path}: the id {made.id} is a shipped set's; choose another")
     missing = [region for region in ("forearm", "upper_arm", "abdomen") if region not in made.tissue]

@@ -34,6 +34,8 @@ class RunInfo:
     """That say something about the policy."""
     n_harness_errors: int
     skipped: dict[str, str]
+    n_missing: int
+    """Planned trials that were not scored, whatever the reason."""
     versions: dict[str, list[str]]
 
 
@@ -190,6 +192,7 @@ def _info(run: RunScores) -> RunInfo:
         n_trials=len(counted),
         n_harness_errors=len(run.scores) - len(counted),
         skipped=run.skipped,
+        n_missing=len(run.missing),
         versions=run.versions,
     )
 

@@ -103,6 +103,8 @@ class Study:
     methods: dict[str, Method]
     heads: tuple[RunHead, ...]
     """Of every run that is used"""
+    commands: tuple[str, ...]
+    """That make the runs"""
     missing: tuple[str, ...]
     """Commands whose runs are not there"""
     unused: dict[str, str]
@@ -125,6 +127,7 @@ def study(runs: Mapping[str, RunScores], *, protocol: Protocol, paper: Paper) ->
     protocol, runs of different worlds, or none under the protocol's own conditions.
     """
     found, unused = _sorted_out(runs, protocol)
+    wanted = _wanted(protocol)
     own = {policy: run for (policy, condition), (_, run) in found.items() if not condition}
     methods = {name: own[name] for name in METHODS if name in own}
     if not methods:
@@ -136,8 +139,9 @@ def study(runs: Mapping[str, RunScores], *, protocol: Protocol, paper: Paper) ->
         protocol_sha256=protocol.sha256,
         world=_one_world({name: run for name, run in found.values()}),
         methods={name: _method(run, protocol) for name, run in methods.items()},
-        heads=tuple(_head(run, protocol) for _, run in found.values()),
-        missing=tuple(_missing(found, protocol)),
+        heads=tuple(_head(found[key][1], protocol) for key in wanted if key in found),
+        commands=tuple(_command(*key, protocol) for key in wanted if key in found),
+        missing=tuple(_command(*key, protocol) for key in wanted if key not in found),
         unused=unused,
         comparison=comparison,
         beside=() if comparison is None else tuple(_beside(comparison, paper)),
@@ -203,14 +207,15 @@ def _wanted(protocol: Protocol) -> list[tuple[str, Condition]]:
     return [*own, *((name, condition) for condition in _conditions(protocol) for name in PAIR)]
 
 
-def _missing(found: Found, protocol: Protocol) -> list[str]:
-    commands: list[str] = []
-    for policy, condition in _wanted(protocol):
-        if (policy, condition) not in found:
-            options = "".join(f" {OPTION[field]} {value}" for field, value in condition)
-            folder = "-".join([policy, *(value for _, value in condition)])
-            commands.append(f"carecontact run --policy {policy} --protocol {protocol.id}{options} --out runs/{folder}")
-    return commands
+def _command(policy: str, condition: Condition, protocol: Protocol) -> str:
+    options = "".join(f" {OPTION[field]} {value}" for field, value in condition)
+    folder = run_name(policy, dict(condition))
+    return f"carecontact run --policy {policy} --protocol {protocol.id}{options} --out runs/{folder}"
+
+
+def run_name(policy: str, overrides: Mapping[str, str]) -> str:
+    """What a run of the study is called, as a folder or a file."""
+    return "-".join([policy, *(value for _, value in sorted(overrides.items()))])
 
 
 def _one_world(runs: Mapping[str, RunScores]) -> dict[str, str]:

@@ -95,6 +95,8 @@ def _runs(found: Study) -> str:
         )
     if any(h.n < h.n_planned for h in found.heads):
         parts.append("**Not every trial of the protocol was run.** Figures below are over those that were.")
+    parts.append("These commands make the runs:")
+    parts.append("\n".join(f"    {command}" for command in found.commands))
     if found.missing:
         parts.append("**Missing**, and left out of every table; these commands make them:")
         parts.append("\n".join(f"    {command}" for command in found.missing))

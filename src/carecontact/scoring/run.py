@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import zlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from math import inf
 from pathlib import Path
@@ -29,6 +32,8 @@ from carecontact.scoring.result import TrialScore
 from carecontact.stats import median
 
 RESULTS_NAME, RESULTS_SCHEMA = "results.json", "carecontact-results-1"
+GZIP = b"\x1f\x8b"
+"""First bytes of such a file (RFC 1952)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,18 +142,33 @@ def write_scores(folder: Path | str, run: RunScores) -> Path:
 def write_results(folder: Path | str, data: Mapping[str, Any]) -> Path:
     """Write the content of a ``results.json``; the same content gives the same bytes. Returns its path."""
     path = Path(folder) / RESULTS_NAME
-    text = json.dumps(data, sort_keys=True, indent=1, allow_nan=False)
-    replace_file(path, (text + "\n").encode("ascii"))
+    replace_file(path, _results_bytes(data))
     return path
 
 
+def _results_bytes(data: Mapping[str, Any]) -> bytes:
+    return (json.dumps(data, sort_keys=True, indent=1, allow_nan=False) + "\n").encode("ascii")
+
+
+def pack_results(path: Path, run: RunScores) -> None:
+    """Write the content of a ``results.json`` packed with gzip, a fiftieth of its size; ``read_results`` reads both.
+
+    A file that already holds it stays: other releases of zlib pack into other bytes.
+    """
+    content = _results_bytes(results(run))
+    with suppress(ConfigError, FileNotFoundError):
+        if _unpacked(path) == content:
+            return
+    replace_file(path, gzip.compress(content, mtime=0))
+
+
 def read_results(path: Path | str) -> RunScores:
-    """The scores in a ``results.json``, as they were written; nothing is recomputed.
+    """The scores in a ``results.json``, packed with gzip or not, as they were written; nothing is recomputed.
 
     Raises ConfigError for a file that cannot be read, contradicts itself or mixes protocols, policies or worlds.
     """
     try:
-        stored = _Results.model_validate_json(Path(path).read_bytes())
+        stored = _Results.model_validate_json(_unpacked(Path(path)))
     except ValidationError as error:
         first = error.errors()[0]
         why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
@@ -159,10 +179,23 @@ def read_results(path: Path | str) -> RunScores:
     for score in stored.trials:
         if why := contradiction(score):
             raise ConfigError(f"{path} is damaged or changed by hand: {score.trial_id}: {why}")
+    overlap = sorted({s.trial_id for s in stored.trials} & set(stored.missing))
+    if overlap:
+        raise ConfigError(f"{path} is damaged: {overlap[0]} is among its trials and among those that are missing")
     check_one_run(stored.trials)
     return RunScores(
         scores=stored.trials, skipped=stored.skipped, versions=stored.versions, missing=tuple(stored.missing)
     )
+
+
+def _unpacked(path: Path) -> bytes:
+    content = path.read_bytes()
+    if not content.startswith(GZIP):
+        return content
+    try:
+        return gzip.decompress(content)
+    except (OSError, EOFError, zlib.error) as error:
+        raise ConfigError(f"{path} is damaged: {error}") from error
 
 
 class _Results(BaseModel):
@@ -198,6 +231,14 @@ def contradiction(score: TrialScore) -> str | None:
         value = getattr(score, name)
         if value is not None and not 0 <= value < inf:
             return f"{name} is {value}; valid: 0 and above"
+    if score.valid_contact == (score.c1_peak_force_n is None):
+        return f"valid contact is {score.valid_contact} and its peak force {score.c1_peak_force_n} N"
+    highest = max(score.peak_force_n.values(), default=0.0)
+    if (score.c1_peak_force_n or 0.0) > highest:
+        return f"peak force {score.c1_peak_force_n:g} N, but no touched segment above {highest:g} N"
+    over = [s for s, peak in score.peak_force_n.items() if s in score.over_limit or peak > score.f_pain_n.get(s, inf)]
+    if score.safety_gated and over:
+        return f"safety-gated, but the {over[0]} above its limit, at {score.peak_force_n[over[0]]:g} N"
     if score.c4_motion_activity is not None and score.c4_motion_activity > 1:
         return f"c4_motion_activity is {score.c4_motion_activity}; valid: 0 to 1"
     return None

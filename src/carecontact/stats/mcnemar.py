@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
+from carecontact.stats.values import check_count
+
 
 @dataclass(frozen=True, kw_only=True)
 class McNemar:
@@ -19,10 +21,9 @@ class McNemar:
 def mcnemar_exact(only_first: int, only_second: int) -> McNemar:
     """Exact McNemar test (McNemar 1947; exact by the binomial of the discordant pairs at 1/2, the sign test).
 
-    Pairs that agree do not enter. Raises ValueError if a count is negative.
+    Pairs that agree do not enter. Raises ValueError unless both are whole numbers from 0 up.
     """
-    if only_first < 0 or only_second < 0:
-        raise ValueError(f"discordant pairs {only_first} and {only_second}; expected counts from 0 up")
+    only_first, only_second = (check_count("discordant pairs", k) for k in (only_first, only_second))
     n = only_first + only_second
     result: Any = import_module("scipy.stats").binomtest(only_first, n, 0.5) if n else None
     return McNemar(

@@ -8,13 +8,21 @@ from operator import index
 
 def check_counts(k: int, n: int) -> tuple[int, int]:
     """``k`` of ``n`` as Python's whole numbers. Raises ValueError unless they are counts with 0 <= k <= n."""
-    try:
-        k, n = index(k), index(n)
-    except TypeError:
-        raise ValueError(f"k = {k!r}, n = {n!r}; expected whole numbers") from None
-    if not 0 <= k <= n:
+    k, n = check_count("k", k), check_count("n", n)
+    if k > n:
         raise ValueError(f"k = {k}, n = {n}; expected 0 <= k <= n")
     return k, n
+
+
+def check_count(name: str, value: int) -> int:
+    """``value`` as Python's whole number. Raises ValueError unless it is one from 0 up; True and False are none."""
+    try:
+        count = -1 if isinstance(value, bool) else index(value)
+    except TypeError:
+        count = -1
+    if count < 0:
+        raise ValueError(f"{name} = {value!r}; expected a whole number from 0 up")
+    return count
 
 
 def check_pairs(first: Sequence[float | None], second: Sequence[float | None]) -> None:
