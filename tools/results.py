@@ -4,9 +4,9 @@
 
 Runs are folders of recordings or results files: state-machine, voxposer, voxposer-phased and the null arms on the
 protocol, and state-machine and voxposer under every stiffness and tissue of the sweeps. Which is which is read from
-their trials. What is missing is named with the command that makes it. Writes PROTOCOL.md, PROTOCOL.json and the scores
-of every run that is used, PROTOCOL/RUN.json.gz, from which the same page can be made again without the recordings.
-The same runs give the same page.
+their trials; a run may come in parts that hold other trials. What is missing is named with the command that makes it.
+Writes PROTOCOL.md, PROTOCOL.json and the scores of every run that is used, PROTOCOL/RUN.json.gz, from which the same
+page can be made again without the recordings. The same runs give the same page.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from carecontact.cli.compare import read_scores
 from carecontact.errors import CarecontactError
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.reports.paper import read_paper
-from carecontact.reports.study import run_name, study, study_json
+from carecontact.reports.study import run_name, sorted_out, study, study_json
 from carecontact.reports.study_page import study_page
 from carecontact.scoring.run import pack_results
 
@@ -41,9 +41,8 @@ def main(arguments: list[str] | None = None) -> int:
     page, data = (options.out / f"{protocol.id}{suffix}" for suffix in (".md", ".json"))
     packed = options.out / protocol.id
     packed.mkdir(parents=True, exist_ok=True)
-    for name, run in runs.items():
-        if name not in found.unused:
-            pack_results(packed / f"{run_name(run.scores[0].policy, run.scores[0].overrides)}.json.gz", run)
+    for (policy, condition), (_, run) in sorted_out(runs, protocol)[0].items():
+        pack_results(packed / f"{run_name(policy, dict(condition))}.json.gz", run)
     command = f"python tools/results.py docs/results/{protocol.id}/*"
     page.write_text(study_page(found, paper, command=command, json_name=data.name), encoding="utf-8")
     data.write_text(json.dumps(study_json(found), sort_keys=True, indent=1, allow_nan=False) + "\n", encoding="ascii")

@@ -60,7 +60,8 @@ def test_out_and_results_alone(runs: Path, capsys: pytest.CaptureFixture[str]) -
     assert (data["a"]["policy"], data["b"]["policy"], data["pairing"]["n"]) == ("a", "b", 3)
     assert sorted(data["per_task"]) == ["T1", "T2"]
     for name in ("a", "b"):
-        write_scores(name, score_run(name))
+        assert main(["score", name]) == 0
+        assert "\nlanguage: rules-v1\n" in f"\n{capsys.readouterr().out}"
         for path in Path(name).glob("*.h5"):
             path.unlink()
     assert main(["compare", "a", "b/results.json", "--per-task", "--out", "both/here"]) == 0

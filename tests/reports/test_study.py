@@ -15,7 +15,7 @@ from carecontact.protocols import adapted, load_protocol
 from carecontact.reports.paper import read_paper
 from carecontact.reports.study import STIFFNESS, TISSUE, Study, study, study_json
 from carecontact.reports.study_page import SWEEP_TITLE, escaped, study_page
-from carecontact.scoring import RunScores
+from carecontact.scoring import RunScores, read_results
 from carecontact.scoring.run import write_scores
 from tests.reports.synthetic_run import FAILED, make_score
 
@@ -123,6 +123,9 @@ def test_a_sweep_ranks_each_level_against_the_protocols_own(whole: Study) -> Non
     )
     assert [level.comparison is None for level in sweeps[TISSUE].levels] == [False, True]
     text = page(whole)
+    assert "| stiffness 1000 N/m | voxposer (authored) | 6/6 | 6/6 | 6/6 | 6/6 | 6/6 | 6/6 | 6/6 |" in text
+    assert "| stiffness 1000 N/m | state-machine (rules-v1) | 6/6 | 0/6 | 0/6 | 6/6 | 0/6 | 6/6 | 0/6 |" in text
+    assert "| tissue manikin-like | voxposer (authored) | 6/6 | 0/6 | 0/6 | 6/6 | 0/6 | 6/6 | 0/6 |" in text
     assert "| stiffness 1000 N/m | -1 | -1 | -1 | -1 | -1 |" in text
     assert "| stiffness 200 N/m | run missing |" in text
 
@@ -147,6 +150,16 @@ def test_every_table_says_what_stands_in_for_the_language_model(whole: Study) ->
         assert [name for name in names if name not in sections[title]] == []
     assert "voxposer.md" in sections["Beside the paper"]
     assert "rules" in sections["Beside the paper"]
+
+
+def test_the_papers_proposal_is_tested_against_what_it_would_change(whole: Study) -> None:
+    assert "voxposer-phased against voxposer" not in page(whole)
+    found = made(b=run("voxposer", light), c=run("voxposer-phased", heavy))
+    section = page(found).split("## voxposer-phased against voxposer")[1].split("\n## ")[0]
+    (line,) = [row for row in section.splitlines() if row.startswith("| Success [%] |")]
+    assert line.startswith("| Success [%] | 100.0 | 42.9 | 57.1 [")
+    assert found.proposal is not None
+    assert section.count("\n| ") == 2 + len(found.proposal.overall)
 
 
 def test_what_others_wrote_stays_text() -> None:
@@ -180,7 +193,10 @@ def test_what_does_not_belong_is_named_and_left_out() -> None:
 @pytest.mark.parametrize(
     ("runs", "told"),
     [
-        ({"a": run("state-machine"), "b": run("state-machine")}, "a and b are both state-machine on bathing-v1"),
+        (
+            {"a": run("state-machine"), "b": run("state-machine", seeds=range(5, 7))},
+            "a and b are both state-machine on bathing-v1 and no parts of one run: T1-s005 is in both, and 6 more",
+        ),
         ({"a": run("state-machine", lambda t, s: {"protocol_sha256": "5" * 64})}, "a was made with another state of"),
         ({"a": run("lift")}, "none of 1 run"),
         (
@@ -195,6 +211,17 @@ def test_what_does_not_belong_is_named_and_left_out() -> None:
 def test_runs_that_must_not_be_set_together(runs: dict[str, RunScores], told: str) -> None:
     with pytest.raises(ConfigError, match=told):
         study(runs, protocol=PROTOCOL, paper=PAPER)
+
+
+def test_a_run_may_come_in_parts(tmp_path: Path) -> None:
+    parts = {"late": run("hover", seeds=range(3, 6)), "a": run("state-machine"), "early": run("hover", seeds=range(3))}
+    for name, scores in parts.items():
+        (tmp_path / name).mkdir()
+        write_scores(tmp_path / name, scores)
+    assert main([*(str(tmp_path / name) for name in parts), "--out", str(tmp_path)]) == 0
+    assert read_results(tmp_path / "bathing-v1" / "hover.json.gz").scores == sorted(
+        run("hover").scores, key=lambda score: score.trial_id
+    )
 
 
 def test_the_command_writes_the_same_bytes_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -56,7 +56,7 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
     """
     from carecontact.reports.table import listed
     from carecontact.scoring import score_run, write_scores
-    from carecontact.scoring.run import harness_errors
+    from carecontact.scoring.run import harness_errors, judged
     from carecontact.trials.supervisor import check_jobs
 
     check_jobs(jobs)
@@ -72,6 +72,8 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
         changed = None if first.overrides else drifted_sha256(first.protocol_id, first.protocol_sha256)
         if first.overrides or changed:
             print(f"protocol: {first.protocol_title}{f', {changed}' if changed else ''}")
+        if backends := sorted({s.language_backend for s in judged(run.scores)} - {"none"}):
+            print(f"language: {', '.join(backends)}")
         print_table(run.scores)
     failed = harness_errors(run.scores)
     if failed:

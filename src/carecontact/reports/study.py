@@ -21,12 +21,14 @@ from carecontact.reports.overview import Overview, overview
 from carecontact.reports.paired_lines import Line
 from carecontact.reports.paper import Paper
 from carecontact.reports.table import SummaryRow, summary_rows
-from carecontact.scoring.run import RunScores, judged
+from carecontact.scoring.run import RunScores, joined, judged
 from carecontact.stats import Proportion, RankingSweep, ranking_sweep, wilson_interval
 
 STUDY_SCHEMA = "carecontact-study-1"
 PAIR = ("state-machine", "voxposer")
-METHODS = (*PAIR, "voxposer-phased")
+PROPOSAL = ("voxposer-phased", "voxposer")
+"""What the paper proposes and does not evaluate, against what it would change."""
+METHODS = (*PAIR, PROPOSAL[0])
 NULL_ARMS = ("zero-action", "hover", "random", "replay")
 STIFFNESS, TISSUE = "impedance.translational_n_m", "person.tissue_set"
 SWEEPS: dict[str, tuple[str, ...]] = {STIFFNESS: ("200", "400", "1000"), TISSUE: ("paper-mapping", "manikin-like")}
@@ -84,6 +86,8 @@ class Level:
     is_protocol: bool
     comparison: Comparison | None
     """state-machine against voxposer; None where a run is missing"""
+    gated: dict[str, dict[str, tuple[int, int]]]
+    """Method -> task -> safety-gated trials, of how many; of the runs that are there"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +115,8 @@ class Study:
     """Run -> why it is in no table"""
     comparison: Comparison | None
     beside: tuple[Beside, ...]
+    proposal: Comparison | None
+    """voxposer-phased against voxposer"""
     floors: dict[str, NullFloors]
     overview: Overview | None
     """Ranking of the methods under every other gate"""
@@ -121,19 +127,21 @@ def study(runs: Mapping[str, RunScores], *, protocol: Protocol, paper: Paper) ->
     """Sort runs by what their trials say of themselves, compare state-machine with voxposer, and name what is missing.
 
     Args:
-        runs: name for messages -> scores.
+        runs: name for messages -> scores; those of one policy under the same conditions are parts of one run.
 
-    Raises ConfigError, naming the runs, for two of one policy under the same conditions, one of another state of the
-    protocol, runs of different worlds, or none under the protocol's own conditions.
+    Raises ConfigError, naming the runs, for parts that have a trial in common, a run of another state of the protocol,
+    runs of different worlds, or none under the protocol's own conditions.
     """
-    found, unused = _sorted_out(runs, protocol)
+    found, unused = sorted_out(runs, protocol)
     wanted = _wanted(protocol)
     own = {policy: run for (policy, condition), (_, run) in found.items() if not condition}
     methods = {name: own[name] for name in METHODS if name in own}
     if not methods:
         raise ConfigError(f"none of {len(runs)} run(s) is of {', '.join(METHODS)} on {protocol.title} as it is")
     nulls = [own[name] for name in NULL_ARMS if name in own]
-    comparison = compare_runs(*(own[name] for name in PAIR)) if set(PAIR) <= own.keys() else None
+    comparison, proposal = (
+        compare_runs(*(own[name] for name in pair)) if set(pair) <= own.keys() else None for pair in (PAIR, PROPOSAL)
+    )
     return Study(
         protocol_id=protocol.id,
         protocol_sha256=protocol.sha256,
@@ -145,6 +153,7 @@ def study(runs: Mapping[str, RunScores], *, protocol: Protocol, paper: Paper) ->
         unused=unused,
         comparison=comparison,
         beside=() if comparison is None else tuple(_beside(comparison, paper)),
+        proposal=proposal,
         floors={name: null_floors(run, nulls) for name, run in methods.items()} if nulls else {},
         overview=overview(list(methods.values())) if len(methods) > 1 else None,
         sweeps=tuple(_sweep(field, found, protocol) for field in SWEEPS),
@@ -161,7 +170,8 @@ Found = dict[tuple[str, Condition], tuple[str, RunScores]]
 """(policy, condition) -> name and scores"""
 
 
-def _sorted_out(runs: Mapping[str, RunScores], protocol: Protocol) -> tuple[Found, dict[str, str]]:
+def sorted_out(runs: Mapping[str, RunScores], protocol: Protocol) -> tuple[Found, dict[str, str]]:
+    """The runs that the study has a place for, and why the others are in none. Raises as ``study`` does."""
     found: Found = {}
     unused: dict[str, str] = {}
     wanted = _wanted(protocol)
@@ -182,11 +192,21 @@ def _sorted_out(runs: Mapping[str, RunScores], protocol: Protocol) -> tuple[Foun
                     f"{name} was made with another state of {first.protocol_title} ({first.protocol_sha256[:12]}; "
                     f"here it is {expected.sha256[:12]}): run it again with this release"
                 )
-            twice = found.get((first.policy, condition))
-            if twice is not None:
-                raise ConfigError(f"{twice[0]} and {name} are both {first.policy} on {first.protocol_title}; name one")
+            part = found.get((first.policy, condition))
+            if part is not None:
+                name, run = _whole(part, (name, run))
             found[first.policy, condition] = name, run
     return found, unused
+
+
+def _whole(a: tuple[str, RunScores], b: tuple[str, RunScores]) -> tuple[str, RunScores]:
+    try:
+        return f"{a[0]} and {b[0]}", joined(a[1], b[1])
+    except ConfigError as error:
+        first = b[1].scores[0]
+        raise ConfigError(
+            f"{a[0]} and {b[0]} are both {first.policy} on {first.protocol_title} and no parts of one run: {error}"
+        ) from None
 
 
 def _conditions(protocol: Protocol) -> list[Condition]:
@@ -289,13 +309,17 @@ def _sweep(field: str, found: Found, protocol: Protocol) -> Sweep:
     foreign = {value: condition for condition in _conditions(protocol) for name, value in condition if name == field}
     levels: list[Level] = []
     for value in SWEEPS[field]:
-        runs = [found.get((name, foreign.get(value, ()))) for name in PAIR]
-        here = [run for entry in runs if entry is not None for run in entry[1:]]
+        here = {
+            name: found[name, condition][1]
+            for name, condition in ((name, foreign.get(value, ())) for name in PAIR)
+            if (name, condition) in found
+        }
         levels.append(
             Level(
                 value=value,
                 is_protocol=value not in foreign,
-                comparison=compare_runs(*here) if len(here) == len(PAIR) else None,
+                comparison=compare_runs(*here.values()) if len(here) == len(PAIR) else None,
+                gated={name: _gated_by_task(run) for name, run in here.items()},
             )
         )
     present = [level for level in levels if level.comparison is not None]
@@ -306,6 +330,14 @@ def _sweep(field: str, found: Found, protocol: Protocol) -> Sweep:
             values = {level.value: standing(level, outcome) for level in present}
             ranking[outcome.id] = ranking_sweep(values, reference=reference)
     return Sweep(field=field, levels=tuple(levels), ranking=ranking)
+
+
+def _gated_by_task(run: RunScores) -> dict[str, tuple[int, int]]:
+    counted = judged(run.scores)
+    of_task = {
+        task: [s.safety_gated for s in counted if s.task_id == task] for task in sorted({s.task_id for s in counted})
+    }
+    return {task: (sum(gated), len(gated)) for task, gated in of_task.items()}
 
 
 def standing(level: Level, outcome: Outcome) -> dict[str, float | None]:

@@ -11,6 +11,7 @@ from carecontact.reports.paper import Paper, PaperMethod
 from carecontact.reports.study import (
     PAIR,
     PRIMARY,
+    PROPOSAL,
     STIFFNESS,
     TISSUE,
     Beside,
@@ -50,6 +51,7 @@ def study_page(found: Study, paper: Paper, *, command: str, json_name: str) -> s
         _runs(found),
         _beside_paper(found, paper),
         _pair(found),
+        _proposal(found),
         _failures(found, paper),
         _tasks(found),
         _floors(found),
@@ -184,19 +186,46 @@ def _pair(found: Study) -> str:
     return "\n\n".join(parts)
 
 
-def _beside_row(row: Beside) -> list[str]:
-    outcome, line = row.outcome, row.line
-    low, high = line.difference.low, line.difference.high
-    interval = "" if low is None or high is None else f" [{plain_text(outcome, low)}, {plain_text(outcome, high)}]"
+def _proposal(found: Study) -> str:
+    if found.proposal is None:
+        return ""
+    labels = [escaped(label(found.methods[name])) for name in PROPOSAL]
+    header = ("", *labels, "difference [95 %]", "pairs", "p", "p Holm", "detectable")
+    return "\n\n".join(
+        [
+            f"## {PROPOSAL[0]} against {PROPOSAL[1]}",
+            "What the paper proposes, an objective of progress that takes over at the touch, against the method that "
+            "it would change. The paper has no run of it. As above, with all lines of the comparison.",
+            table(header, map(_line_cells, found.proposal.overall)),
+        ]
+    )
+
+
+def _line_cells(line: Line) -> list[str]:
+    outcome = line.outcome
+    interval = _interval(line)
     unit = "" if outcome.unit == "1" else f" [{outcome.unit}]"
     return [
         f"{outcome.title}{unit}", plain_text(outcome, line.a.estimate), plain_text(outcome, line.b.estimate),
         f"{plain_text(outcome, line.difference.estimate)}{interval}", str(_pairs(line)),
         _p(line.test.pvalue), _p(line.p_holm), _detectable(line),
-        f"{plain_text(outcome, row.paper_a)} and {plain_text(outcome, row.paper_b)}",
+    ]  # fmt: skip
+
+
+def _beside_row(row: Beside) -> list[str]:
+    outcome, line = row.outcome, row.line
+    return [
+        *_line_cells(line), f"{plain_text(outcome, row.paper_a)} and {plain_text(outcome, row.paper_b)}",
         "not tested" if row.paper_test is None else _p(row.paper_test[1]),
         _p(None if line.unpaired is None else line.unpaired.pvalue), row.agreement,
     ]  # fmt: skip
+
+
+def _interval(line: Line) -> str:
+    low, high = line.difference.low, line.difference.high
+    if low is None or high is None:
+        return ""
+    return f" [{plain_text(line.outcome, low)}, {plain_text(line.outcome, high)}]"
 
 
 def _pairs(line: Line) -> int:
@@ -309,7 +338,7 @@ def _gates(found: Study) -> str:
 
 
 def _sweep(found: Study, sweep: Sweep) -> str:
-    a, b = (escaped(label(found.methods[name])) if name in found.methods else name for name in PAIR)
+    a, b = (_labelled(found, name) for name in PAIR)
     outcomes = [o for o in (*RATES, *SCORES) if o.id in PRIMARY]
     rows = []
     for level in sweep.levels:
@@ -339,13 +368,28 @@ def _sweep(found: Study, sweep: Sweep) -> str:
         ]
     elif not sweep.ranking:
         parts.append("No ranking: the runs under the protocol's own value are missing.")
+    parts += ["Safety-gated trials by task:", _by_task(found, sweep)]
     return "\n\n".join(parts)
+
+
+def _labelled(found: Study, name: str) -> str:
+    return escaped(label(found.methods[name])) if name in found.methods else name
+
+
+def _by_task(found: Study, sweep: Sweep) -> str:
+    tasks = sorted({task for level in sweep.levels for of_task in level.gated.values() for task in of_task})
+    rows = [
+        (condition_title(sweep.field, level.value), _labelled(found, name),
+         *("/".join(map(str, of_task[task])) if task in of_task else NA for task in tasks))
+        for level in sweep.levels
+        for name, of_task in level.gated.items()
+    ]  # fmt: skip
+    return table(("", "method", *tasks), rows, left=2)
 
 
 def _sweep_cell(line: Line) -> str:
     outcome = line.outcome
-    low, high = line.difference.low, line.difference.high
-    interval = "" if low is None or high is None else f" [{plain_text(outcome, low)}, {plain_text(outcome, high)}]"
+    interval = _interval(line)
     decided = line.p_holm is not None and line.p_holm <= ALPHA
     return (
         f"{plain_text(outcome, line.a.estimate)} | {plain_text(outcome, line.b.estimate)}; "

@@ -134,6 +134,28 @@ def harness_errors(scores: Iterable[TrialScore]) -> list[dict[str, str]]:
     ]
 
 
+def joined(a: RunScores, b: RunScores) -> RunScores:
+    """One run whose trials were scored in two parts, on two machines for example; in the order of their ids.
+
+    Raises ConfigError for parts that have a trial in common, or are of different protocols, policies or worlds.
+    """
+    common = sorted({s.trial_id for s in a.scores} & {s.trial_id for s in b.scores})
+    if common:
+        raise ConfigError(
+            f"{common[0]} is in both, and {len(common) - 1} more" if common[1:] else f"{common[0]} is in both"
+        )
+    scores = sorted([*a.scores, *b.scores], key=lambda score: score.trial_id)
+    check_one_run(scores)
+    scored = {score.trial_id for score in scores}
+    names = a.versions.keys() | b.versions.keys()
+    return RunScores(
+        scores=scores,
+        skipped=a.skipped | b.skipped,
+        versions={n: sorted({*a.versions.get(n, []), *b.versions.get(n, [])}) for n in sorted(names)},
+        missing=tuple(trial for trial in sorted({*a.missing, *b.missing}) if trial not in scored),
+    )
+
+
 def write_scores(folder: Path | str, run: RunScores) -> Path:
     """Write ``results.json`` into ``folder`` at once; the same scores give the same bytes. Returns its path."""
     return write_results(folder, results(run))
