@@ -195,7 +195,21 @@ def test_what_does_not_belong_is_named_and_left_out() -> None:
     [
         (
             {"a": run("state-machine"), "b": run("state-machine", seeds=range(5, 7))},
-            "a and b are both state-machine on bathing-v1 and no parts of one run: T1-s005 is in both, and 6 more",
+            r"a and b are both state-machine on bathing-v1 and no parts of one run: 7 trial\(s\) are in both, T1-s005",
+        ),
+        (
+            {
+                "a": run("state-machine"),
+                "b": run("state-machine", lambda t, s: {"language_backend": "live:m"}, seeds=range(6, 8)),
+            },
+            "no parts of one run: different language backends, rules-v1 and live:m",
+        ),
+        (
+            {
+                "a": run("state-machine"),
+                "b": run("state-machine", lambda t, s: {"metric_versions": {"C1": "C1@2"}}, seeds=range(6, 8)),
+            },
+            "no parts of one run: different definitions",
         ),
         ({"a": run("state-machine", lambda t, s: {"protocol_sha256": "5" * 64})}, "a was made with another state of"),
         ({"a": run("lift")}, "none of 1 run"),

@@ -319,7 +319,10 @@ def _sweep(field: str, found: Found, protocol: Protocol) -> Sweep:
                 value=value,
                 is_protocol=value not in foreign,
                 comparison=compare_runs(*here.values()) if len(here) == len(PAIR) else None,
-                gated={name: _gated_by_task(run) for name, run in here.items()},
+                gated={
+                    name: {row.task_id: (row.safety_gated, row.n) for row in summary_rows(run.scores)[:-1]}
+                    for name, run in here.items()
+                },
             )
         )
     present = [level for level in levels if level.comparison is not None]
@@ -330,14 +333,6 @@ def _sweep(field: str, found: Found, protocol: Protocol) -> Sweep:
             values = {level.value: standing(level, outcome) for level in present}
             ranking[outcome.id] = ranking_sweep(values, reference=reference)
     return Sweep(field=field, levels=tuple(levels), ranking=ranking)
-
-
-def _gated_by_task(run: RunScores) -> dict[str, tuple[int, int]]:
-    counted = judged(run.scores)
-    of_task = {
-        task: [s.safety_gated for s in counted if s.task_id == task] for task in sorted({s.task_id for s in counted})
-    }
-    return {task: (sum(gated), len(gated)) for task, gated in of_task.items()}
 
 
 def standing(level: Level, outcome: Outcome) -> dict[str, float | None]:

@@ -137,13 +137,16 @@ def harness_errors(scores: Iterable[TrialScore]) -> list[dict[str, str]]:
 def joined(a: RunScores, b: RunScores) -> RunScores:
     """One run whose trials were scored in two parts, on two machines for example; in the order of their ids.
 
-    Raises ConfigError for parts that have a trial in common, or are of different protocols, policies or worlds.
+    Raises ConfigError for parts that have a trial in common, or are of different protocols, policies, language
+    backends, definitions or worlds.
     """
     common = sorted({s.trial_id for s in a.scores} & {s.trial_id for s in b.scores})
     if common:
-        raise ConfigError(
-            f"{common[0]} is in both, and {len(common) - 1} more" if common[1:] else f"{common[0]} is in both"
-        )
+        raise ConfigError(f"{len(common)} trial(s) are in both, {common[0]} the first")
+    for what, of in (("language backends", "language_backend"), ("definitions", "metric_versions")):
+        found = [{str(getattr(s, of)) for s in judged(part.scores)} for part in (a, b)]
+        if all(found) and found[0] != found[1]:
+            raise ConfigError(f"different {what}, {' and '.join(', '.join(sorted(values)) for values in found)}")
     scores = sorted([*a.scores, *b.scores], key=lambda score: score.trial_id)
     check_one_run(scores)
     scored = {score.trial_id for score in scores}
@@ -173,7 +176,7 @@ def _results_bytes(data: Mapping[str, Any]) -> bytes:
 
 
 def pack_results(path: Path, run: RunScores) -> None:
-    """Write the content of a ``results.json`` packed with gzip, a fiftieth of its size; ``read_results`` reads both.
+    """Write the content of a ``results.json`` packed with gzip, a tenth of its size; ``read_results`` reads both.
 
     A file that already holds it stays: other releases of zlib pack into other bytes.
     """
