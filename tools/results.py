@@ -1,6 +1,6 @@
 """Tables of the evaluated methods beside the paper, from finished runs.
 
-    python tools/results.py runs/* [--protocol bathing-v1] [--out docs/results]
+    python tools/results.py runs/bathing-v1/* [--protocol bathing-v1] [--out docs/results]
 
 Runs are folders of recordings or results files: state-machine, voxposer, voxposer-phased and the null arms on the
 protocol, and state-machine and voxposer under every stiffness and tissue of the sweeps. Which is which is read from
@@ -43,7 +43,8 @@ def main(arguments: list[str] | None = None) -> int:
     packed.mkdir(parents=True, exist_ok=True)
     for (policy, condition), (_, run) in sorted_out(runs, protocol)[0].items():
         pack_results(packed / f"{run_name(policy, dict(condition))}.json.gz", run)
-    command = f"python tools/results.py docs/results/{protocol.id}/*"
+    other = "" if protocol.id == DEFAULT_PROTOCOL else f" --protocol {protocol.id}"
+    command = f"python tools/results.py docs/results/{protocol.id}/*{other}"
     page.write_text(study_page(found, paper, command=command, json_name=data.name), encoding="utf-8")
     data.write_text(json.dumps(study_json(found), sort_keys=True, indent=1, allow_nan=False) + "\n", encoding="ascii")
     print(f"{page}, {data}: {len(found.heads)} run(s), {len(found.missing)} missing, {len(found.unused)} not used")

@@ -11,25 +11,41 @@ from tools.results import main
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "docs" / "results"
-KEPT = sorted((RESULTS / "bathing-v1").glob("*.json.gz"))
+PROTOCOLS = sorted(page.stem for page in RESULTS.glob("bathing-*.md"))
 
 
 @pytest.fixture(scope="module")
 def again(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("results")
-    assert main([*map(str, KEPT), "--out", str(out)]) == 0
+    for protocol in PROTOCOLS:
+        assert main([*map(str, kept(protocol)), "--protocol", protocol, "--out", str(out)]) == 0
     return out
 
 
-def test_every_run_that_is_kept_is_used(again: Path) -> None:
-    content = json.loads((again / "bathing-v1.json").read_text())
-    assert (len(content["heads"]), content["unused"]) == (len(KEPT), {})
-    assert {head["n_harness_errors"] for head in content["heads"]} == {0}
+def kept(protocol: str) -> list[Path]:
+    return sorted((RESULTS / protocol).glob("*.json.gz"))
 
 
-def test_page_and_figures(again: Path) -> None:
-    assert (again / "bathing-v1.md").read_text() == (RESULTS / "bathing-v1.md").read_text()
-    _alike(*(json.loads((folder / "bathing-v1.json").read_text()) for folder in (again, RESULTS)))
+def content(folder: Path, protocol: str) -> dict[str, Any]:
+    return json.loads((folder / f"{protocol}.json").read_text())
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_every_run_that_is_kept_is_whole_and_used(again: Path, protocol: str) -> None:
+    found = content(again, protocol)
+    assert (len(found["heads"]), found["unused"]) == (len(kept(protocol)), {})
+    assert {(head["n"], head["n_harness_errors"]) for head in found["heads"]} == {(140, 0)}
+
+
+def test_nothing_of_the_study_is_missing(again: Path) -> None:
+    assert content(again, "bathing-v1")["missing"] == []
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_page_and_figures(again: Path, protocol: str) -> None:
+    page = f"{protocol}.md"
+    assert (again / page).read_text() == (RESULTS / page).read_text()
+    _alike(content(again, protocol), content(RESULTS, protocol))
 
 
 def _alike(one: Any, other: Any) -> None:
@@ -47,9 +63,9 @@ def _alike(one: Any, other: Any) -> None:
 
 
 def test_the_readme_shows_the_same_rates(again: Path) -> None:
-    content = json.loads((again / "bathing-v1.json").read_text())
-    rates = {name: method["rates"]["safety_gated"] for name, method in content["methods"].items()}
-    rates |= {arm["policy"]: arm["rates"]["safety_gated"] for arm in content["floors"]["state-machine"]["nulls"]}
+    found = content(again, "bathing-v1")
+    rates = {name: method["rates"]["safety_gated"] for name, method in found["methods"].items()}
+    rates |= {arm["policy"]: arm["rates"]["safety_gated"] for arm in found["floors"]["state-machine"]["nulls"]}
     section = (ROOT / "README.md").read_text().split("## Results")[1].split("## ")[0]
     rows = {row.split()[1].rstrip(":"): row for row in section.splitlines() if row.startswith("| ") and "%" in row}
     assert {"state-machine", "voxposer", "voxposer-phased", "replay"} <= rows.keys()

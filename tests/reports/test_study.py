@@ -51,7 +51,7 @@ def made(**runs: RunScores) -> Study:
 
 
 def page(found: Study) -> str:
-    return study_page(found, PAPER, command="python tools/results.py runs/*", json_name="x.json")
+    return study_page(found, PAPER, command="python tools/results.py runs/bathing-v1/*", json_name="x.json")
 
 
 @pytest.fixture(scope="module")
@@ -75,9 +75,9 @@ def test_runs_are_known_by_their_trials_and_the_rest_is_named(whole: Study) -> N
     assert "--policy state-machine --protocol bathing-v1 --tissue manikin-like " in missing
     assert len(whole.missing) == 1 + 3 + 2 + 1
     assert (
-        "carecontact run --policy voxposer --protocol bathing-v1 --tissue manikin-like --out runs/voxposer-manikin-like"
-        in whole.commands
-    )
+        "carecontact run --policy voxposer --protocol bathing-v1 --tissue manikin-like "
+        "--out runs/bathing-v1/voxposer-manikin-like"
+    ) in whole.commands
     assert len(whole.commands) == len(whole.heads) == 6
     text = page(whole)
     assert all(f"    {command}\n" in text for command in (*whole.commands, *whole.missing))
@@ -128,6 +128,17 @@ def test_a_sweep_ranks_each_level_against_the_protocols_own(whole: Study) -> Non
     assert "| tissue manikin-like | voxposer (authored) | 6/6 | 0/6 | 0/6 | 6/6 | 0/6 | 6/6 | 0/6 |" in text
     assert "| stiffness 1000 N/m | -1 | -1 | -1 | -1 | -1 |" in text
     assert "| stiffness 200 N/m | run missing |" in text
+
+
+def test_a_sweep_of_which_nothing_was_run_has_no_table() -> None:
+    found = made(
+        a=run("state-machine", heavy), b=run("voxposer", light), manikin=run("voxposer", light, tissue="manikin-like")
+    )
+    assert [sweep.field for sweep in found.sweeps] == [TISSUE]
+    text = page(found)
+    assert f"## {SWEEP_TITLE[STIFFNESS]}" not in text
+    assert f"## {SWEEP_TITLE[TISSUE]}" in text
+    assert "--policy voxposer --protocol bathing-v1 --stiffness 1000 " in "\n".join(found.missing)
 
 
 def test_null_arms_stand_under_the_methods(whole: Study) -> None:

@@ -97,6 +97,11 @@ class Sweep:
     ranking: dict[str, RankingSweep]
     """Outcome -> Kendall's tau of each level's order against that under the protocol; empty without the latter"""
 
+    @property
+    def was_run(self) -> bool:
+        """Under any condition but the protocol's own."""
+        return any(level.gated and not level.is_protocol for level in self.levels)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
@@ -121,6 +126,7 @@ class Study:
     overview: Overview | None
     """Ranking of the methods under every other gate"""
     sweeps: tuple[Sweep, ...]
+    """Those of which any run is there"""
 
 
 def study(runs: Mapping[str, RunScores], *, protocol: Protocol, paper: Paper) -> Study:
@@ -156,7 +162,7 @@ def study(runs: Mapping[str, RunScores], *, protocol: Protocol, paper: Paper) ->
         proposal=proposal,
         floors={name: null_floors(run, nulls) for name, run in methods.items()} if nulls else {},
         overview=overview(list(methods.values())) if len(methods) > 1 else None,
-        sweeps=tuple(_sweep(field, found, protocol) for field in SWEEPS),
+        sweeps=tuple(sweep for field in SWEEPS if (sweep := _sweep(field, found, protocol)).was_run),
     )
 
 
@@ -230,7 +236,7 @@ def _wanted(protocol: Protocol) -> list[tuple[str, Condition]]:
 def _command(policy: str, condition: Condition, protocol: Protocol) -> str:
     options = "".join(f" {OPTION[field]} {value}" for field, value in condition)
     folder = run_name(policy, dict(condition))
-    return f"carecontact run --policy {policy} --protocol {protocol.id}{options} --out runs/{folder}"
+    return f"carecontact run --policy {policy} --protocol {protocol.id}{options} --out runs/{protocol.id}/{folder}"
 
 
 def run_name(policy: str, overrides: Mapping[str, str]) -> str:
