@@ -66,7 +66,9 @@ def test_a_displacement_leads_further_ahead_the_longer_nothing_moves_and_holds_w
     assert pursuit.done_m == pytest.approx(-0.01, abs=1e-6), "the way to the skin does not count"
     held = pursuit.next_motion(pose(*(start + 0.055 * X)), grid)
     assert held is not None
-    assert len(held.actions) >= fixed.DISPLACE_HOLD_S * fixed.CONTROL_HZ
+    assert len(held.actions) == fixed.DISPLACE_HOLD_S * fixed.CONTROL_HZ
+    ends = np.array([a.pose_tcp_in_base[:3] for a in held.actions if a.pose_tcp_in_base is not None])
+    np.testing.assert_allclose(ends - start, np.tile(0.06 * X, (len(ends), 1)), atol=1e-9)
     assert pursuit.next_motion(pose(*(start + 0.055 * X)), grid) is None
 
 

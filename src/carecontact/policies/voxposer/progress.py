@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic_monty import ClassInstance
 
+from carecontact.contract.action import Action
 from carecontact.policies.state_machine.fixed_values import CAP_RADIUS_M
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.executor import Motion, motion
@@ -68,6 +69,8 @@ class Pursuit:
     _lead_m: float = 0.0
     _forth: bool = True
     _held: bool = False
+    _commanded: Action | None = None
+    """The last action of a displacement"""
     _gap_m: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -99,14 +102,17 @@ class Pursuit:
         return _steady(way, pose_tcp, grid, fixed.SLIDE_SPEED_M_S, fixed.HOME_LIMIT_S)
 
     def _displace(self, pose_tcp: F64, grid: Grid, met: bool) -> Motion:
-        if not met:
-            self._lead_m = min(self._lead_m + fixed.LEAD_STEP_M, fixed.LEAD_LIMIT_M)
-        self._held = met
+        if met and self._commanded is not None:
+            # Held is the target, not its lead: a tool that nothing stops comes to it and no further.
+            self._held = True
+            count = round(fixed.DISPLACE_HOLD_S * fixed.CONTROL_HZ)
+            return Motion(actions=[self._commanded] * count, whole=True)
+        self._lead_m = min(self._lead_m + fixed.LEAD_STEP_M, fixed.LEAD_LIMIT_M)
         goal = pose_tcp[:3] + self._lead_m * self.objective.direction
         goal[2] = self.start[2]
         moved = _steady(goal[None], pose_tcp, grid, fixed.DISPLACE_SPEED_M_S, fixed.HORIZON_S)
-        hold = [moved.actions[-1]] * round(fixed.DISPLACE_HOLD_S * fixed.CONTROL_HZ) if met else []
-        return Motion(actions=moved.actions + hold, whole=True)
+        self._commanded = moved.actions[-1]
+        return Motion(actions=moved.actions, whole=True)
 
 
 def touches(skin: F64, tool: F64) -> bool:
