@@ -40,7 +40,11 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     page, data = (options.out / f"{protocol.id}{suffix}" for suffix in (".md", ".json"))
     packed = options.out / protocol.id
-    packed.mkdir(parents=True, exist_ok=True)
+    try:
+        packed.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        print(f"results: --out {options.out}: cannot be written to: {error.strerror}", file=sys.stderr)
+        return 2
     for (policy, condition), (_, run) in sorted_out(runs, protocol)[0].items():
         pack_results(packed / f"{run_name(policy, dict(condition))}.json.gz", run)
     other = "" if protocol.id == DEFAULT_PROTOCOL else f" --protocol {protocol.id}"

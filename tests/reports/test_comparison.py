@@ -154,6 +154,18 @@ def test_few_seeds_give_no_claim_of_power() -> None:
     assert sure.notes == ("rests on 4 seeds alone",)
 
 
+def test_a_median_that_stands_still_gives_no_claim_of_power() -> None:
+    tasks = tuple(f"T{i}" for i in range(1, 8))
+    a = run(*grid(9, lambda t, s: {"c1_peak_force_n": 20.0 + s}, tasks), policy="a")
+    b = run(*grid(9, lambda t, s: {"c1_peak_force_n": 20.0 + s + (s - 4 if t in ("T1", "T2") else 0)}, tasks))
+    line = score(compare_runs(a, b), "C1")
+    assert line.verdict is not None
+    assert line.verdict.text == (
+        "underpowered: where so many pairs are equal that no resample moves the median nobody can tell what could "
+        "have been detected"
+    )
+
+
 def test_what_three_of_ten_seeds_give_is_told() -> None:
     """A alone succeeds in all tasks of three seeds: 21 pairs to 0, but 2.8 % of the resamples miss all three."""
     tasks = tuple(f"T{i}" for i in range(1, 8))

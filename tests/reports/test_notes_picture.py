@@ -169,6 +169,22 @@ def test_a_program_that_stopped_everything_is_shown_with_its_line() -> None:
     assert any("replay:0123:authored" in text for text in texts(figure))
 
 
+def test_programs_that_planned_nothing_are_shown_too() -> None:
+    """They go home and touch nobody: the trial ends as it should, and people ask why."""
+    programs = [{"role": "planner", "query": "go", "code": 'composer("back to default pose")'}]
+    kept = recording({"method": "voxposer", "camera": "overhead", "programs": programs})
+    header = kept.header.model_copy(update={"ended": "done", "failure": None})
+    said = texts(draw_notes(Recording(header=header, arrays=kept.arrays)))
+    assert any('composer("back to default pose")' in text for text in said)
+    assert any("voxposer planned no path" in text for text in said)
+
+
+def test_a_recording_without_notes_tells_the_reason_in_one_line() -> None:
+    trace = "failed at act: Traceback (most recent call last):\n  File x\nValueError: boom\n (exit code 0)"
+    with pytest.raises(ConfigError, match=r"^T1-s000 has no notes to draw: ValueError: boom$"):
+        draw_notes(recording({"method": "mine"}, failure=trace))
+
+
 def test_a_recording_without_such_notes_says_so() -> None:
     with pytest.raises(ConfigError, match="T1-s000 has no notes to draw: nobody was found"):
         draw_notes(recording({"method": "voxposer", "ended_because": "nobody was found"}))

@@ -6,13 +6,14 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from carecontact.errors import ConfigError, RecordingError
-from carecontact.recording import Failure, read_recording, write_recording
-from carecontact.reports.detail import trial_detail
+from carecontact.recording import Failure, Recording, read_recording, write_recording
+from carecontact.reports.detail import peak_frame, trial_detail
 from carecontact.reports.failures import failure_modes
 from carecontact.reports.frames import MAX_BYTES, jpeg_data_uri
 from carecontact.reports.funnel import funnel, funnel_svg
@@ -343,6 +344,29 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
     assert rows["sha256 of body"] == "ab" * 32
     assert rows["Protocol state"].startswith("not what was frozen as bathing-v1: ")
     assert dict(provenance_rows(run_of_42.scores, []))["Version of mujoco"] == NOT_RECORDED
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (NO_CONTACT, "nothing touched, seed 0"),
+        ({"c1_peak_force_n": None}, "contact too brief to score at 1.50"),
+        ({"c1_peak_force_n": 7.25}, "7.2 N on the right forearm at 1.50"),
+    ],
+)
+def test_what_the_frame_at_peak_force_shows(changes: dict[str, Any], told: str) -> None:
+    stored = {"report/peak_rgb": np.zeros((4, 4, 3), np.uint8), "report/peak_time_s": np.array([1.5])}
+    base = make_recording("T1", 0, {}, duration_s=0)
+    frame = peak_frame(make_score("T1", 0, **changes), Recording(header=base.header, arrays=base.arrays | stored))
+    assert frame is not None
+    assert frame.text.startswith(told)
+
+
+def test_evidence_that_holds_the_failure_is_shown_once() -> None:
+    detail = trial_detail(
+        make_score("T1", 0, **NO_CONTACT, failure_message="lost\nthe grip", evidence="It failed: lost the grip."), None
+    )
+    assert detail.evidence == "It failed: lost the grip."
 
 
 def test_frame_is_a_small_jpeg_even_of_noise() -> None:

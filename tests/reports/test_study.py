@@ -173,6 +173,19 @@ def test_the_papers_proposal_is_tested_against_what_it_would_change(whole: Study
     assert section.count("\n| ") == 2 + len(found.proposal.overall)
 
 
+def test_pairs_that_are_mostly_equal_are_told() -> None:
+    def slides_harder(task: str, seed: int) -> dict[str, Any]:
+        return light(task, seed) | ({"c1_peak_force_n": 3.0 + 0.1 * seed} if task in ("T3", "T5", "T7") else {})
+
+    found = made(b=run("voxposer", light), c=run("voxposer-phased", slides_harder))
+    section = page(found).split("## voxposer-phased against voxposer")[1].split("\n## ")[0]
+    (line,) = [row for row in section.splitlines() if row.startswith("| Peak force [N] |")]
+    assert "| 0.00 [0.00, 0.00] | 42 |" in line
+    assert line.endswith("| not to be told |")
+    assert "Peak force: 24 of 42 pairs are equal, so that the median difference stands still" in section
+    assert "Motion activity:" not in section
+
+
 def test_what_others_wrote_stays_text() -> None:
     assert escaped("a <b>[x](http://y)</b> `c` *d* \\") == r"a \<b\>\[x\](http://y)\</b\> \`c\` \*d\* \\"
     found = made(a=run("state-machine", heavy), odd=run("<script>alert(1)</script>", light))
@@ -270,3 +283,5 @@ def test_the_command_writes_the_same_bytes_twice(tmp_path: Path, capsys: pytest.
     assert [(tmp_path / "again" / file.name).read_bytes() for file in files] == first
     assert main([str(tmp_path / "nothing")]) == 2
     assert "nothing: no such folder" in capsys.readouterr().err
+    assert main([*map(str, packed), "--out", str(packed[0])]) == 2
+    assert f"--out {packed[0]}: cannot be written to" in capsys.readouterr().err

@@ -131,6 +131,16 @@ def test_a_program_that_chose_another_part_is_planning() -> None:
     assert '("touch the right upper arm") lay 202 mm beside it, over the upper arm' in (score.evidence or "")
 
 
+def test_a_program_that_goes_nowhere_is_planning() -> None:
+    """What a soft refusal of a language model looks like: it goes home, and notes what it set out to do."""
+    extra = views() | note(subtasks=["back to default pose", 7, ""])
+    score = scored(BESIDE, **extra)
+    assert score.attribution == "planning"
+    assert 'beside the forearm: the policy noted "back to default pose" and no target; the' in (score.evidence or "")
+    assert scored(BESIDE, **views(error_m=0.3), **note(subtasks=["touch"])).attribution == "perception"
+    assert scored(BESIDE, **views(), **note(subtasks=[])).attribution == "perception"
+
+
 def test_a_program_misled_by_what_it_was_given_is_perception() -> None:
     extra = views(error_m=0.3) | note(REGION_AT["upper_arm"], subtask="touch the right forearm")
     assert scored(BESIDE, **extra).attribution == "perception"

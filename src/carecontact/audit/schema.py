@@ -11,7 +11,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError
 from carecontact.policies.wire import codec
 from carecontact.policies.wire.packing import unpack
-from carecontact.trials.failed import reason
+from carecontact.recording.reason import reason
 
 NAME, TITLE = "schema", "messages of real trials of each policy"
 FIELDS_OF = {

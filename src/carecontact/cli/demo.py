@@ -10,9 +10,9 @@ from carecontact.cli.run import run
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.recording import read_recording
+from carecontact.recording.reason import reason
 from carecontact.scoring import score_run
 from carecontact.scoring.result import TrialScore
-from carecontact.trials.failed import reason
 from carecontact.trials.manifest import FAILED, MANIFEST, read_manifest
 from carecontact.trials.supervisor import check_jobs, remove_abandoned
 

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from carecontact.errors import ConfigError, PolicyError
-from carecontact.trials.failed import reason
+from carecontact.recording.reason import reason
 
 
 def check_policy(policy: str, *, search_path: Path, deadline_s: float) -> None:

@@ -65,7 +65,7 @@ def trial_detail(score: TrialScore, recording: Recording | None) -> TrialDetail:
     borrowed = {s: gate_ratio[s] for s in score.fallback_limits if gate_ratio.get(s, 0.0) >= NEAR_LIMIT}
     mode = [score.failure_mode.replace("_", " ")] if score.failure_mode else []
     cause = [score.attribution] if score.attribution else []
-    evidence = " ".join(part for part in (score.evidence, score.failure_message) if part)
+    evidence = score.evidence or score.failure_message or ""
     return TrialDetail(
         task_id=score.task_id,
         name=task_name(score),
@@ -114,7 +114,9 @@ def peak_frame(score: TrialScore, recording: Recording) -> Frame | None:
         return None
     at = recording.arrays.get("report/peak_time_s")
     when = f" at {float(at[0]):.2f}\N{NO-BREAK SPACE}s" if at is not None and at.size else ""
-    if score.c1_peak_force_n is None:
+    if not score.peak_force_n:
+        what, when = "nothing touched", ""
+    elif score.c1_peak_force_n is None:
         what = "contact too brief to score"
     else:
         what = f"{score.c1_peak_force_n:.1f} N on the {(score.reported_segment or '').replace('_', ' ')}"

@@ -11,7 +11,9 @@ from carecontact.scoring.result import TrialScore
 from carecontact.scoring.run import judged
 
 MODE_MEANING = {
-    "process_failure": "the policy's own process did not start, died, hung or answered wrongly",
+    "process_failure": (
+        "the policy did not start, died, hung or answered wrongly, or its program or its language backend failed"
+    ),
     "safety_truncation": "cut because a force passed the truncation limit or the solver failed",
     "no_target_contact": "the person was never touched",
     "off_target_contact": "touched, but never the named region",

@@ -1,5 +1,5 @@
-"""What a policy noted in a trial, as a picture: a state machine's options, VoxPoser's maps and paths, or the program
-that was stopped before there were any."""
+"""What a policy noted in a trial, as a picture: a state machine's options, VoxPoser's maps and paths, or the programs
+that made none."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from carecontact.errors import ConfigError
 from carecontact.recording.notes import read_notes
+from carecontact.recording.reason import reason
 from carecontact.recording.schema import Recording
 from carecontact.reports.options_picture import draw_options
 from carecontact.reports.sheet import check_sheet_path
@@ -39,6 +40,7 @@ def draw_notes(recording: Recording) -> Figure:
             return draw_options(recording, note)
     if any("cost_level" in note.arrays for note in notes):
         return draw_value_maps(recording, notes, ended=failed or "".join(ended[:1]))
-    if any("programs" in note.content for note in notes) and failed:
-        return draw_stopped(recording, notes, failed)
-    raise ConfigError(f"{trial} has no notes to draw" + (f": {(ended or [failed])[0]}" if ended or failed else ""))
+    if any("programs" in note.content for note in notes):
+        return draw_stopped(recording, notes, failed or "".join(ended[:1]))
+    why = ended[0] if ended else reason(failed)
+    raise ConfigError(f"{trial} has no notes to draw{f': {why}' if why else ''}")

@@ -1,4 +1,4 @@
-"""A program that ended a trial before anything was planned: what stopped it, and the program itself."""
+"""Programs of a trial in which nothing was planned: what stopped them, if anything did, and the programs themselves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ MAX_LINES, MAX_COLUMNS = 60, 116
 
 
 def draw_stopped(recording: Recording, notes: list[Note], message: str) -> Figure:
-    """The program that ``message`` names is shown first, with the line that it names marked."""
+    """``message``: why the trial ended, if it says. The program that it names is shown first, with the line that it
+    names marked."""
     from matplotlib.figure import Figure
 
     said = textwrap.wrap(" ".join(message.split()), MAX_COLUMNS)[:6]
@@ -34,7 +35,8 @@ def draw_stopped(recording: Recording, notes: list[Note], message: str) -> Figur
                     va="center", parse_math=False)  # fmt: skip
     figure.text(0.012, 0.16 / height, language(notes), size=10, color=FAINT, va="center")
     method = next((str(note.content["method"]) for note in notes if "method" in note.content), "the policy")
-    title(figure, recording, f"{method} was stopped before it planned anything")
+    how = "was stopped before it planned anything" if recording.header.failure else "planned no path"
+    title(figure, recording, f"{method} {how}")
     return figure
 
 

@@ -22,7 +22,7 @@ from carecontact.reports.study import (
     condition_title,
 )
 from carecontact.reports.table import COLUMNS, NA, NOT_DEFINED, number
-from carecontact.reports.verdicts import ALPHA, POWER
+from carecontact.reports.verdicts import ALPHA, FEW_SEEDS, POWER
 from carecontact.stats import Proportion
 
 AUTHORED = ":authored"
@@ -197,8 +197,19 @@ def _proposal(found: Study) -> str:
             "What the paper proposes, an objective of progress that takes over at the touch, against the method that "
             "it would change. The paper has no run of it. As above, with all lines of the comparison.",
             table(header, map(_line_cells, found.proposal.overall)),
+            *_equal_pairs(found.proposal.overall),
         ]
     )
+
+
+def _equal_pairs(lines: Sequence[Line]) -> list[str]:
+    """Where so many pairs are equal that the median difference is 0 whatever the others say."""
+    return [
+        f"{line.outcome.title}: {line.test.n - line.test.n_unequal} of {line.test.n} pairs are equal, so that the "
+        "median difference stands still, and with it what could be detected; the test is over the others."
+        for line in lines
+        if isinstance(line, ScoreLine) and line.test.n_unequal and line.difference.standard_error == 0
+    ]
 
 
 def _line_cells(line: Line) -> list[str]:
@@ -234,7 +245,8 @@ def _pairs(line: Line) -> int:
 
 def _detectable(line: Line) -> str:
     if line.detectable is None:
-        return "too few seeds to tell"
+        few = isinstance(line, ScoreLine) and line.difference.n_clusters < FEW_SEEDS
+        return "too few seeds to tell" if few else "not to be told"
     return "none" if line.detectable.difference is None else plain_text(line.outcome, line.detectable.difference)
 
 

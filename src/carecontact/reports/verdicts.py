@@ -40,7 +40,7 @@ def conclude(lines: Sequence[Line]) -> list[Line]:
 
 
 def _detectable(line: Line, alpha: float) -> DetectableDifference | None:
-    """None where too few seeds make a guess of it."""
+    """None where too few seeds make a guess of it, or the median stands still."""
     if isinstance(line, RateLine):
         discordance = (line.test.only_first + line.test.only_second) / line.n_pairs
         return paired_detectable_difference(n=line.n_pairs, discordance=discordance, power=POWER, alpha=alpha)
@@ -65,7 +65,9 @@ def _verdict(line: Line, p_holm: float | None, detectable: DetectableDifference 
     if p_holm is None:
         why = "no pair has this score in both runs"
     elif detectable is None:
-        why = f"from {_seeds(line)} nobody can tell what could have been detected"
+        few = _interval(line).n_clusters < FEW_SEEDS
+        whence = f"from {_seeds(line)}" if few else "where so many pairs are equal that no resample moves the median"
+        why = f"{whence} nobody can tell what could have been detected"
     elif detectable.difference == 0:
         return Verdict(word="no difference seen", text="no difference seen; the pairs are equal")
     elif detectable.difference is None:

@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from carecontact.recording.reason import reason
 from carecontact.scoring.c3_success import Gate
 from carecontact.scoring.commanded import CommandedPath, commanded_contact, commanded_path
 from carecontact.scoring.contact import Contact, runs
-from carecontact.scoring.noted_target import nearest_noted_target, noted_reason
+from carecontact.scoring.noted_target import nearest_noted_target, noted_reason, noted_subtasks
 from carecontact.scoring.result import Attribution, FailureMode
 from carecontact.scoring.sight import Sight, modalities, sight
 
 NEAR_REGION_M = 0.030
 """Aimed farther beside the region than this is aimed elsewhere; the upper end of what localising a joint with these
 cameras leaves (p95 30 to 42 mm)."""
+MOST_SUBTASKS = 3
+"""Of those that a policy noted, how many its evidence repeats."""
 VISION = ("rgb", "depth", "points", "masks", "landmarks")
 
 
@@ -47,13 +50,17 @@ def _still(contact: Contact, seen: Sight) -> tuple[Attribution, str]:
 
 def _aimed_elsewhere(contact: Contact, path: CommandedPath, seen: Sight) -> tuple[Attribution, str]:
     where = f"The commanded path was aimed {_mm(path.beside_m)} beside the {_region(contact)}"
-    noted = nearest_noted_target(contact) if seen.found or not seen.visible else None
+    could_be_found = seen.found or not seen.visible
+    noted = nearest_noted_target(contact) if could_be_found else None
     if noted is not None:
         name = f' ("{noted.name}")' if noted.name else ""
         place = "over it" if noted.beside_m == 0.0 else f"{_mm(noted.beside_m)} beside it"
         other = f", over the {noted.over.replace('_', ' ')}" if noted.over else ""
         chosen = f"the target that the policy noted{name} lay {place}{other}"
         return "planning", f"{where}: {chosen}; {_views(contact, seen)}."
+    if could_be_found and (subtasks := noted_subtasks(contact)):
+        said = ", ".join(f'"{text}"' for text in subtasks[:MOST_SUBTASKS])
+        return "planning", f"{where}: the policy noted {said} and no target; {_views(contact, seen)}."
     return ("perception" if seen.visible else "planning"), f"{where}; {_views(contact, seen)}."
 
 
@@ -118,7 +125,8 @@ def _losses(contact: Contact) -> list[int]:
 
 def _process_evidence(contact: Contact) -> str:
     header = contact.recording.header
-    what = f" ({header.failure.kind}): {' '.join(header.failure.message.split()).rstrip('.')}" if header.failure else ""
+    failure = header.failure
+    what = f" ({failure.kind}): {' '.join(reason(failure.message).split()).rstrip('.')}" if failure else ""
     if header.ended == "harness_error":
         return f"The harness failed, not the policy{what}."
     return f"The policy's process failed{what}."

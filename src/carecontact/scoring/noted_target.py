@@ -54,6 +54,15 @@ def nearest_noted_target(contact: Contact) -> NotedTarget | None:
     return min(found, key=lambda target: target.beside_m, default=None)
 
 
+def noted_subtasks(contact: Contact) -> list[str]:
+    """What a policy that plans in words says it set out to do (``subtasks``); empty where no note says."""
+    for note in read_notes(contact.recording):
+        listed = note.content.get("subtasks")
+        if isinstance(listed, list):
+            return [text for item in cast("list[Any]", listed) if (text := short(item)) is not None]
+    return []
+
+
 def noted_reason(contact: Contact) -> str | None:
     """Why a policy says that it ended."""
     for note in reversed(read_notes(contact.recording)):

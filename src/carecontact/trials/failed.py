@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.recording.schema import REGIONS, SEGMENTS, EndReason, Failure, Header, Recording, empty_arrays
@@ -11,10 +10,6 @@ from carecontact.trials.versions import package_versions
 
 EVIDENCE_CHARACTERS = 4000
 """Length of the tail of a traceback or of stderr kept in a recording; the whole is in the trial's log."""
-
-_TRACEBACK = "Traceback (most recent call last):"
-_PRINTED = "\nit printed last:\n"
-_RAISED = re.compile(r"^[A-Za-z_][\w.]*(Error|Exception|Exit|Interrupt|Warning)\b")
 
 
 def harness_error_recording(spec: TrialSpec, *, kind: str, message: str) -> Recording:
@@ -45,21 +40,6 @@ def _without_data(spec: TrialSpec, *, ended: EndReason, kind: str, message: str)
         solver_warnings=[],
     )
     return Recording(header=header, arrays=empty_arrays(0))
-
-
-def reason(message: str) -> str:
-    """The line of a failure that says why: the exception under its last traceback, else the first line.
-
-    What a policy printed is no reason, whatever it looks like.
-    """
-    said = message.partition(_PRINTED)[0]
-    _, trace, after = said.rpartition(_TRACEBACK)
-    lines = after.splitlines() if trace else said.splitlines()[1:]
-    # Everything in a traceback is indented but the exception. One that was cut at its start is known by the name alone.
-    raised = [line for line in lines if line[:1].strip() and (trace or _RAISED.match(line))]
-    if raised:
-        return raised[0] if trace else raised[-1]
-    return said.partition("\n")[0]
 
 
 def tail(text: str, *, characters: int = EVIDENCE_CHARACTERS) -> str:

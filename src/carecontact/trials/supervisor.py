@@ -22,8 +22,9 @@ from carecontact.errors import ConfigError, RecordingError
 from carecontact.policies.descendants import kill_marked, marks_of
 from carecontact.policies.language import LANGUAGE_VARIABLE
 from carecontact.recording import read_recording, write_recording
+from carecontact.recording.reason import reason
 from carecontact.recording.schema import EndReason, Recording
-from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, reason, tail
+from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, tail
 from carecontact.trials.identity import POLICY_PATH, identity_of
 from carecontact.trials.manifest import FAILED, Purpose, salted, survey, write_manifest
 from carecontact.trials.worker import POLICY_RUNS, SINGLE_THREAD

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from carecontact.errors import ContractError, LanguageError
+from carecontact.errors import LanguageError
 from carecontact.policies.language.backend import Intent, Option
 from carecontact.policies.language.completion import Completion, CompletionRequest
 from carecontact.policies.language.model import LanguageModel
@@ -59,8 +59,21 @@ def test_reads_an_instruction() -> None:
      ({"region": "abdomen"}, "reads side right of abdomen")],
 )  # fmt: skip
 def test_an_unclear_instruction_is_refused(changed: dict[str, str], told: str) -> None:
-    with pytest.raises(ContractError, match=told):
+    with pytest.raises(LanguageError, match=told):
         model(json.dumps(READ | changed))[0].parse("scrub the forearm")
+
+
+def test_an_answer_between_fences_is_taken() -> None:
+    backend, source = model(f"Here it is:\n```json\n{json.dumps(READ)}\n```\n")
+    assert backend.parse("gently scrub the right forearm").action == "scrub"
+    assert len(source.asked) == 1
+
+
+def test_a_wrong_number_is_told_in_few_words() -> None:
+    backend, _ = model(*['{"number": 999, "reason": ""}'] * 2)
+    with pytest.raises(LanguageError, match=r"number: Input should be 0, 1, ") as told:
+        backend.choose(INTENT, OPTIONS * 100)
+    assert len(str(told.value)) < 300
 
 
 def test_selects_by_a_closed_schema() -> None:

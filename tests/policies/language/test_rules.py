@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carecontact.errors import ContractError
+from carecontact.errors import ContractError, LanguageError
 from carecontact.policies.language.backend import Intent, Option
 from carecontact.policies.language.rules import ACTIONS, MANNERS, REGIONS, Rules
 from carecontact.protocols import load_protocol
@@ -61,7 +61,7 @@ def test_every_synonym_is_understood(action: tuple[str, str], region: tuple[str,
     ],
 )
 def test_refuses_what_is_ambiguous(instruction: str, word: str) -> None:
-    with pytest.raises(ContractError, match=word):
+    with pytest.raises(LanguageError, match=word):
         Rules().parse(instruction)
 
 

@@ -9,7 +9,7 @@ import pytest
 from carecontact.contract.action import MAX_CHUNK, Action, check_action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import Policy, Session
-from carecontact.errors import ContractError
+from carecontact.errors import LanguageError
 from carecontact.policies.state_machine import fixed_values as fixed
 from carecontact.policies.state_machine.candidates import candidates, reachable
 from carecontact.policies.state_machine.geometry import region_from_observation
@@ -95,7 +95,7 @@ def test_an_arm_that_is_not_seen_ends_without_touching(observation: Observation,
 
 
 def test_an_instruction_that_is_not_understood_is_refused() -> None:
-    with pytest.raises(ContractError, match="which forearm"):
+    with pytest.raises(LanguageError, match="which forearm"):
         StateMachine().reset("touch the forearm")
 
 

@@ -102,6 +102,13 @@ def test_a_person_who_is_not_there_is_not_looked_for_by_moving(session: MakeSess
 BAD = {
     "plans nothing": ({("planner", "go"): "x = 1"}, "composes nothing"),
     "plans without end": ({("planner", "go"): 'while True:\n    composer("there")'}, "at most 12 texts"),
+    "plans nothing to do": ({("planner", "go"): 'composer("")'}, "expected a text of 1 to 300 characters, got ''"),
+    "plans a novel": (
+        {("planner", "go"): 'composer("a" * 70000)'}, "program planner: go .* 1 to 300 characters, got 'a"
+    ),
+    "asks a novel": (
+        {("composer", "there"): 'get_affordance_map("b" * 301)'}, "program composer: there .* 1 to 300 characters"
+    ),
     "moves a limb by itself": (
         {("composer", "there"): 'execute(parse_query_obj("right forearm"), affordance_map=get_affordance_map("x"))',
          ("parse_query_obj", "right forearm"): 'ret_val = detect("right forearm")'},

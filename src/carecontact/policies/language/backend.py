@@ -43,16 +43,17 @@ class Option:
 
 
 class LanguageBackend(Protocol):
-    """Deterministic for rules and replays. Both methods raise ContractError rather than guess, and LanguageError when
-    the backend itself fails."""
+    """Deterministic for rules and replays. Both methods raise LanguageError when the backend fails."""
 
     name: str
     """``rules-v1``, ``replay:<hash>:<model>`` or ``live:<model>``; travels with every result."""
 
-    def parse(self, instruction: str) -> Intent: ...
+    def parse(self, instruction: str) -> Intent:
+        """Raises LanguageError rather than guess."""
+        ...
 
     def choose(self, intent: Intent, options: Sequence[Option]) -> int:
-        """Index of the option to execute."""
+        """Index of the option to execute. Raises ContractError where none can be."""
         ...
 
     def take_calls(self) -> list[dict[str, object]]:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, create_model
 
-from carecontact.errors import ContractError
+from carecontact.errors import LanguageError
 from carecontact.policies.language.backend import ActionVerb, Intent, Manner, Option, RegionName, Side
 from carecontact.policies.language.completion import Message
 from carecontact.policies.language.rules import SIDED
@@ -51,15 +51,15 @@ class LanguageModel:
         self._transcript = transcript
 
     def parse(self, instruction: str) -> Intent:
-        """Raises ContractError with the model's words if it finds the instruction unclear, or for an arm's side that
-        is missing."""
+        """Raises LanguageError with the model's words too if it finds the instruction unclear, or for an arm's side
+        that is missing."""
         messages = [Message(role="system", content=PARSE), Message(role="user", content=instruction)]
         said = self._transcript.answer(messages, Reading, purpose="parse", prompt_version=PROMPT_VERSION)
         if said.unclear.strip():
             unclear = one_line(said.unclear, limit=300)
-            raise ContractError(f"instruction {instruction!r}: {self.name} finds it unclear: {unclear}")
+            raise LanguageError(f"instruction {instruction!r}: {self.name} finds it unclear: {unclear}")
         if (said.region in SIDED) != (said.side != "none"):
-            raise ContractError(f"instruction {instruction!r}: {self.name} reads side {said.side} of {said.region}")
+            raise LanguageError(f"instruction {instruction!r}: {self.name} reads side {said.side} of {said.region}")
         return Intent(action=said.action, region=said.region, side=said.side, manner=said.manner)
 
     def choose(self, intent: Intent, options: Sequence[Option]) -> int:

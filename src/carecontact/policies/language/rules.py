@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from carecontact.errors import ContractError
+from carecontact.errors import ContractError, LanguageError
 from carecontact.policies.language.backend import Intent, Option
 
 ACTIONS: Mapping[str, tuple[str, ...]] = {
@@ -46,18 +46,18 @@ class Rules:
     name = "rules-v1"
 
     def parse(self, instruction: str) -> Intent:
-        """Raises ContractError that says what is missing or ambiguous and which words are known."""
+        """Raises LanguageError that says what is missing or ambiguous and which words are known."""
         text = re.sub(r"\s+", " ", instruction.lower().replace("\u2019", "'")).strip()
         negated = [word for word in NEGATIONS if _contains(text, word)]
         if negated:
-            raise ContractError(f"instruction {instruction!r}: rules-v1 refuses negation ({', '.join(negated)})")
+            raise LanguageError(f"instruction {instruction!r}: rules-v1 refuses negation ({', '.join(negated)})")
         action = _one(instruction, text, "action", ACTIONS)
         region = _one(instruction, text, "region", REGIONS)
         side = _at_most_one(instruction, text, "side", SIDES)
         if region in SIDED and side == "none":
-            raise ContractError(f"instruction {instruction!r}: which {region.replace('_', ' ')}? say right or left")
+            raise LanguageError(f"instruction {instruction!r}: which {region.replace('_', ' ')}? say right or left")
         if region not in SIDED and side != "none":
-            raise ContractError(f"instruction {instruction!r}: the {region} has no {side} side that rules-v1 knows")
+            raise LanguageError(f"instruction {instruction!r}: the {region} has no {side} side that rules-v1 knows")
         manner = _at_most_one(instruction, text, "manner", MANNERS)
         return Intent.model_validate({"action": action, "region": region, "side": side, "manner": manner})
 
@@ -98,7 +98,7 @@ def _named(text: str, table: Mapping[str, tuple[str, ...]]) -> list[str]:
 def _at_most_one(instruction: str, text: str, what: str, table: Mapping[str, tuple[str, ...]]) -> str:
     found = _named(text, table)
     if len(found) > 1:
-        raise ContractError(f"instruction {instruction!r}: more than one {what} ({', '.join(found)})")
+        raise LanguageError(f"instruction {instruction!r}: more than one {what} ({', '.join(found)})")
     return found[0] if found else "none"
 
 
@@ -106,7 +106,7 @@ def _one(instruction: str, text: str, what: str, table: Mapping[str, tuple[str, 
     found = _at_most_one(instruction, text, what, table)
     if found == "none":
         known = "; ".join(f"{name}: {', '.join(phrases)}" for name, phrases in table.items())
-        raise ContractError(f"instruction {instruction!r}: no {what} that rules-v1 knows ({known})")
+        raise LanguageError(f"instruction {instruction!r}: no {what} that rules-v1 knows ({known})")
     return found
 
 

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from carecontact.errors import LanguageError
 from carecontact.policies.language.completion import Completion, CompletionRequest, CompletionSource, Message
+from carecontact.policies.language.fence import unfenced
 from carecontact.policies.language.replay import RecordedCompletion
 from carecontact.policies.language.untrusted import one_line
 
@@ -46,12 +47,12 @@ class Transcript:
                 messages, purpose=purpose, prompt_version=prompt_version, json_schema=schema.model_json_schema()
             )
             try:
-                return schema.model_validate_json(completion.text)
+                return schema.model_validate_json(unfenced(completion.text))
             except ValidationError as error:
                 first = error.errors()[0]
                 # The name of a field that the answer made up is in it.
                 place = one_line(".".join(map(str, first["loc"])), limit=PLACE_CHARS) or "the answer"
-                wrong = f"{place}: {first['msg']}"
+                wrong = f"{place}: {one_line(first['msg'], limit=PLACE_CHARS)}"
             messages += [
                 Message(role="assistant", content=completion.text),
                 Message(role="user", content=f"That does not fit the schema ({wrong}). Send the corrected JSON alone."),

@@ -53,7 +53,7 @@ class StateMachine:
         self._bounds = session.action_bounds
 
     def reset(self, instruction: str) -> None:
-        """Raises ContractError if the instruction is not understood, LanguageError if the backend fails."""
+        """Raises LanguageError if the instruction is not understood."""
         self._intent, self._notes = None, {}
         self._intent = self._language.parse(instruction)
 

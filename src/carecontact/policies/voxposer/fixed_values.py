@@ -83,6 +83,8 @@ SKIN_RADIUS_M = 0.012
 
 MAX_SUBTASKS = 12
 """More than any care task needs within the time limit."""
+MAX_QUERY = 300
+"""Characters of what one program asks of another: it goes into names, notes and prompts."""
 MAX_MAP_ENTRIES = 1000
 """Of one map: a program that writes voxel by voxel is told to use radii."""
 RADIUS_LIMIT_CM = 200.0

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import re
-
 from carecontact.errors import LanguageError
 from carecontact.policies.language.completion import Message
+from carecontact.policies.language.fence import unfenced
 from carecontact.policies.language.transcript import Transcript
 from carecontact.policies.voxposer.prompts import PromptSet
-
-_FENCE = re.compile(r"```(?:python)?\s*\n(.*?)```", re.DOTALL)
 
 
 class Programs:
@@ -28,7 +25,7 @@ class Programs:
                 Message(role="user", content=self._prompts.user(query)),
             ]
             text = self._transcript.text(messages, purpose=f"{role}: {query}", prompt_version=self._prompts.version)
-            self._written[key] = code_of(text)
+            self._written[key] = unfenced(text)
             if not self._written[key].strip():
                 raise LanguageError(f"{self._transcript.name}: the answer to {role}: {query} holds no program")
         return self._written[key]
@@ -39,9 +36,3 @@ class Programs:
     @property
     def written(self) -> list[dict[str, str]]:
         return [{"role": role, "query": query, "code": code} for (role, query), code in self._written.items()]
-
-
-def code_of(text: str) -> str:
-    """The program in a completion: what is fenced, if anything is."""
-    blocks = _FENCE.findall(text)
-    return "\n".join(blocks) if blocks else text

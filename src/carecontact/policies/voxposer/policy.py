@@ -145,9 +145,9 @@ class VoxPoser:
         found: list[str] = []
 
         def composer(query: object) -> None:
-            if not isinstance(query, str) or len(found) >= fixed.MAX_SUBTASKS:
-                raise ValueError(f"composer: expected at most {fixed.MAX_SUBTASKS} texts, got {query!r:.80}")
-            found.append(query)
+            if len(found) >= fixed.MAX_SUBTASKS:
+                raise ValueError(f"composer: expected at most {fixed.MAX_SUBTASKS} texts")
+            found.append(text_of(query))
 
         name = f"planner: {instruction}"
         self._box.run(name, self._program("planner", instruction), {"composer": composer})
@@ -361,8 +361,9 @@ class VoxPoser:
 
 
 def text_of(query: object) -> str:
-    if not isinstance(query, str) or not 0 < len(query) <= 300:
-        raise ValueError(f"expected a text of at most 300 characters, got {query!r:.80}")
+    if not isinstance(query, str) or not 0 < len(query) <= fixed.MAX_QUERY:
+        shown = repr(query[:80]) if isinstance(query, str) else f"{query!r:.80}"
+        raise ValueError(f"expected a text of 1 to {fixed.MAX_QUERY} characters, got {shown}")
     return query
 
 

@@ -1,12 +1,8 @@
-"""What of a failure is told in one line, and which packages a recording names."""
-
 from __future__ import annotations
 
 import pytest
 
-from carecontact import __version__
-from carecontact.trials.failed import reason
-from carecontact.trials.versions import package_versions
+from carecontact.recording.reason import reason
 
 
 @pytest.mark.parametrize(
@@ -31,7 +27,3 @@ from carecontact.trials.versions import package_versions
 )
 def test_reason_is_the_exception_under_the_traceback(message: str, expected: str) -> None:
     assert reason(message) == expected
-
-
-def test_versions_name_the_package_that_runs() -> None:
-    assert package_versions()["carecontact"] == __version__

@@ -1,0 +1,24 @@
+"""Of a failure that may be a whole traceback, the line that says why."""
+
+from __future__ import annotations
+
+import re
+
+_TRACEBACK = "Traceback (most recent call last):"
+_PRINTED = "\nit printed last:\n"
+_RAISED = re.compile(r"^[A-Za-z_][\w.]*(Error|Exception|Exit|Interrupt|Warning)\b")
+
+
+def reason(message: str) -> str:
+    """The line of a failure that says why: the exception under its last traceback, else the first line.
+
+    What a policy printed is no reason, whatever it looks like.
+    """
+    said = message.partition(_PRINTED)[0]
+    _, trace, after = said.rpartition(_TRACEBACK)
+    lines = after.splitlines() if trace else said.splitlines()[1:]
+    # Everything in a traceback is indented but the exception. One that was cut at its start is known by the name alone.
+    raised = [line for line in lines if line[:1].strip() and (trace or _RAISED.match(line))]
+    if raised:
+        return raised[0] if trace else raised[-1]
+    return said.partition("\n")[0]
