@@ -53,7 +53,7 @@ def test_rules_and_live(tmp_path: Path) -> None:
         ("hover", "rules-v1", None, "policy hover uses no language backend that can be chosen"),
         ("state-machine", "oracle:x", None, "takes rules-v1, replay, live"),
         ("my_module:Mine", "oracle", None, "expected rules-v1, replay:FILE.jsonl or live:MODEL"),
-        ("state-machine", "live:", None, "expected rules-v1"),
+        ("state-machine", "live:", None, "expected a model after it"),
         ("state-machine", "live:x y;rm", None, "language 'live:x y;rm': expected as MODEL 1 to 128 letters"),
         ("state-machine", "live:-rf", None, "expected as MODEL"),
         ("state-machine", "live:" + "m" * 129, None, "expected as MODEL"),

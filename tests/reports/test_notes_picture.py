@@ -76,6 +76,8 @@ def test_every_option_has_a_cell_with_its_number_and_the_chosen_one_is_red() -> 
     assert {"above, 0.5 along the region", "near side, 0.5 along the region", "A", "B"} <= set(said)
     assert "“gently touch the right forearm”" in said
     assert any("chosen: 1" in text for text in said)
+    assert "intent: touch right forearm gentle" in said
+    assert any(text.endswith("a dot: not offered") for text in said) == ("·" in said)
     # Two depths at one place are one place: its letter stands once in the picture and once in the table.
     assert said.count("A") == 2
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+NOT_OFFERED = "·"
 COLOURS = {"touch": "#1f8fe0", "scrub": "#2ca25f", "push": "#e8770c"}
 DEPTHS = {
     "touch": "mm below the seen skin", "scrub": "mm below the seen skin", "push": "mm past the limb's seen side"
@@ -76,9 +77,12 @@ def draw_options(recording: Recording, note: Note) -> Figure:
     table.set_axis_off()
     table.set_xlim(0, 1)
     rows = _draw_table(table, at, chosen)
-    intent = " ".join(str(v).replace("_", " ") for v in note.content["intent"].values() if v != "none")
+    said: dict[str, Any] = note.content["intent"]
+    words = [str(said[k]).replace("_", " ") for k in ("action", "side", "region", "manner") if k in said]
+    intent = " ".join(word for word in words if word != "none")
     choice = f"chosen: {chosen}, in red" if chosen is not None else "nothing was chosen"
-    for k, line in enumerate((f"intent: {intent}", f"{choice}; a dot: not offered", language([note]))):
+    gaps = "; a dot: not offered" if any(t.get_text() == NOT_OFFERED for t in table.texts) else ""
+    for k, line in enumerate((f"intent: {intent}", f"{choice}{gaps}", language([note]))):
         table.text(0, rows + 0.9 + 0.85 * k, line, size=10.5, color=INK, va="center")
     table.set_ylim(max(rows + 4.0, 16), -0.2)
     title(figure, recording, f"{len(options)} options of {note.content['method']} at {len(at)} places")
@@ -149,7 +153,7 @@ def _draw_table(axes: Axes, at: list[Place], chosen: int | None) -> float:
 
 def _draw_cell(axes: Axes, x: float, y: float, number: int | None, chosen: int | None) -> None:
     if number is None:
-        axes.text(x, y, "·", size=12, color=FAINT, ha="center", va="center")
+        axes.text(x, y, NOT_OFFERED, size=12, color=FAINT, ha="center", va="center")
         return
     bold = number == chosen
     box = {"boxstyle": "round,pad=0.3", "facecolor": CHOSEN if bold else "#eef1f4",

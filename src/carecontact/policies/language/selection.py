@@ -39,4 +39,6 @@ def _source(spelled: str) -> Replay | Live:
         if not MODEL_NAME.fullmatch(rest):
             raise ConfigError(f"language {spelled!r:.200}: expected as MODEL {MODEL_NAME_WANTED}")
         return Live(rest)
+    if kind == "live":
+        raise ConfigError(f"language {spelled!r:.200}: expected a model after it, as in live:my-model")
     raise ConfigError(f"language {spelled!r:.200}: expected {SPELLINGS}")
