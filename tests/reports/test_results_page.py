@@ -9,6 +9,10 @@ from typing import Any
 import pytest
 from tools.results import main
 
+from carecontact.cli.compare import read_scores
+from carecontact.reports.comparison import compare_runs
+from carecontact.reports.paired_lines import RateLine
+
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "docs" / "results"
 PROTOCOLS = sorted(page.stem for page in RESULTS.glob("bathing-*.md"))
@@ -60,6 +64,21 @@ def _alike(one: Any, other: Any) -> None:
             _alike(*pair)
     else:
         assert one == (pytest.approx(other, rel=1e-9, abs=1e-12) if isinstance(one, float) else other)
+
+
+def test_what_another_settling_time_gives() -> None:
+    """docs/voxposer.md: with 1 s instead of 0.4 s, over the touches."""
+    longer, own = (
+        read_scores(RESULTS / path) for path in ("sensitivity/voxposer-settle-1.json.gz", "bathing-v1/voxposer.json.gz")
+    )
+    found = compare_runs(longer, own).overall[2]
+    assert isinstance(found, RateLine)
+    assert found.outcome.id == "safety_gated"
+    assert (found.a.k, found.b.k, found.n_pairs) == (59, 20, 60)
+    says = (ROOT / "docs" / "voxposer.md").read_text()
+    assert " ".join(says.split()).count("59 of the 60 touches pass, with 0.4 s the 20 on the abdomen") == 1
+    difference = [round(100 * x) for x in (found.difference.estimate, found.difference.low, found.difference.high) if x]
+    assert difference == [65, 50, 76]
 
 
 @pytest.mark.parametrize("column", [1, 2])
