@@ -40,17 +40,18 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     page, data = (options.out / f"{protocol.id}{suffix}" for suffix in (".md", ".json"))
     packed = options.out / protocol.id
-    try:
-        packed.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        print(f"results: --out {options.out}: cannot be written to: {error.strerror}", file=sys.stderr)
-        return 2
-    for (policy, condition), (_, run) in sorted_out(runs, protocol)[0].items():
-        pack_results(packed / f"{run_name(policy, dict(condition))}.json.gz", run)
     other = "" if protocol.id == DEFAULT_PROTOCOL else f" --protocol {protocol.id}"
     command = f"python tools/results.py docs/results/{protocol.id}/*{other}"
-    page.write_text(study_page(found, paper, command=command, json_name=data.name), encoding="utf-8")
-    data.write_text(json.dumps(study_json(found), sort_keys=True, indent=1, allow_nan=False) + "\n", encoding="ascii")
+    try:
+        packed.mkdir(parents=True, exist_ok=True)
+        for (policy, condition), (_, run) in sorted_out(runs, protocol)[0].items():
+            pack_results(packed / f"{run_name(policy, dict(condition))}.json.gz", run)
+        page.write_text(study_page(found, paper, command=command, json_name=data.name), encoding="utf-8")
+        text = json.dumps(study_json(found), sort_keys=True, indent=1, allow_nan=False)
+        data.write_text(f"{text}\n", encoding="ascii")
+    except OSError as error:
+        print(f"results: --out {options.out}: {error.filename} cannot be written: {error.strerror}", file=sys.stderr)
+        return 2
     print(f"{page}, {data}: {len(found.heads)} run(s), {len(found.missing)} missing, {len(found.unused)} not used")
     return 0
 

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from carecontact.recording.reason import reason
+from carecontact.recording.reason import reason, reason_of
+from carecontact.recording.schema import Failure
 
 
 @pytest.mark.parametrize(
@@ -27,3 +28,18 @@ from carecontact.recording.reason import reason
 )
 def test_reason_is_the_exception_under_the_traceback(message: str, expected: str) -> None:
     assert reason(message) == expected
+
+
+@pytest.mark.parametrize("kind", ["program", "language", "action"])
+def test_who_chooses_words_of_a_failure_does_not_choose_its_reason(kind: str) -> None:
+    said = "program planner: go was stopped: ValueError: boo\nTraceback (most recent call last):\nAllFine: passed"
+    failure = Failure(kind=kind, message=f"policy 'x' failed at reset: {said} (line 1)\nit printed last:\nhello")
+    assert reason_of(failure) == (
+        "policy 'x' failed at reset: program planner: go was stopped: ValueError: boo Traceback (most recent call "
+        "last): AllFine: passed (line 1)"
+    )
+
+
+def test_of_an_exception_it_is_the_reason() -> None:
+    message = "failed at act: Traceback (most recent call last):\n  File x\nValueError: boom\n (exit code 0)"
+    assert reason_of(Failure(kind="exception", message=message)) == "ValueError: boom"

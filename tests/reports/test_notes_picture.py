@@ -171,6 +171,11 @@ def test_a_program_that_stopped_everything_is_shown_with_its_line() -> None:
     assert any("replay:0123:authored" in text for text in texts(figure))
 
 
+def test_options_of_which_none_was_chosen_are_drawn() -> None:
+    figure = draw_notes(recording({k: v for k, v in OPTIONS.items() if k != "chosen"}))
+    assert any(text.startswith("nothing was chosen") for text in texts(figure))
+
+
 def test_programs_that_planned_nothing_are_shown_too() -> None:
     """They go home and touch nobody: the trial ends as it should, and people ask why."""
     programs = [{"role": "planner", "query": "go", "code": 'composer("back to default pose")'}]

@@ -284,4 +284,7 @@ def test_the_command_writes_the_same_bytes_twice(tmp_path: Path, capsys: pytest.
     assert main([str(tmp_path / "nothing")]) == 2
     assert "nothing: no such folder" in capsys.readouterr().err
     assert main([*map(str, packed), "--out", str(packed[0])]) == 2
-    assert f"--out {packed[0]}: cannot be written to" in capsys.readouterr().err
+    assert f"--out {packed[0]}: {packed[0]}" in capsys.readouterr().err
+    (tmp_path / "taken" / "bathing-v1.md").mkdir(parents=True)
+    assert main([*map(str, packed), "--out", str(tmp_path / "taken")]) == 2
+    assert "bathing-v1.md cannot be written: Is a directory" in capsys.readouterr().err

@@ -215,6 +215,17 @@ def test_frames_are_stored_by_observation_camera_and_modality(log: TrialLog) -> 
     np.testing.assert_array_equal(frames["policy/frames/0001/overhead/depth"], depth)
 
 
+def test_the_frames_of_a_step_that_failed_are_no_observation(log: TrialLog) -> None:
+    """The notes of the first step stand beside them, so that they can be drawn."""
+    rgb = np.full((2, 3, 3), 7, np.uint8)
+    log.add_frames(observation(0.0, rgb=rgb))
+    log.add_notes({"options": []})
+    arrays = log.arrays()
+    np.testing.assert_array_equal(arrays["policy/frames/0000/overhead/rgb"], rgb)
+    assert "policy/notes/0000/json" in arrays
+    assert len(arrays["policy/observation_time_s"]) == 0
+
+
 def test_the_first_frames_are_kept_and_all_hashes(log: TrialLog) -> None:
     rgb = np.zeros((2, 3, 3), np.uint8)
     count = MAX_LOSSLESS_FRAMES // 2 + 5

@@ -10,7 +10,7 @@ from carecontact.cli.run import run
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.recording import read_recording
-from carecontact.recording.reason import reason
+from carecontact.recording.reason import reason_of
 from carecontact.scoring import score_run
 from carecontact.scoring.result import TrialScore
 from carecontact.trials.manifest import FAILED, MANIFEST, read_manifest
@@ -78,7 +78,7 @@ def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
             problems.append(str(error))
             continue
         if header.ended in FAILED:
-            told = reason(header.failure.message) if header.failure else "no reason recorded"
+            told = reason_of(header.failure) if header.failure else "no reason recorded"
             problems.append(f"{trial_id} ended as {header.ended}: {told}")
     return problems + missing_successes(score_run(out).scores)
 

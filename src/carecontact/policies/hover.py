@@ -43,7 +43,7 @@ class Hover:
         self._intent: Intent | None = None
 
     def reset(self, instruction: str) -> None:
-        """Raises ContractError if rules-v1 does not understand the instruction."""
+        """Raises LanguageError if rules-v1 does not understand the instruction."""
         self._intent = Rules().parse(instruction)
 
     def act(self, observation: Observation) -> list[Action]:

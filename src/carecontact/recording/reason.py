@@ -4,9 +4,20 @@ from __future__ import annotations
 
 import re
 
+from carecontact.recording.schema import Failure
+
+PLAIN = ("action", "language", "program")
+"""Kinds of failure whose messages are no tracebacks, but may hold words that a program or a language model chose."""
 _TRACEBACK = "Traceback (most recent call last):"
 _PRINTED = "\nit printed last:\n"
 _RAISED = re.compile(r"^[A-Za-z_][\w.]*(Error|Exception|Exit|Interrupt|Warning)\b")
+
+
+def reason_of(failure: Failure) -> str:
+    """As ``reason``, but what is no traceback is told as it is: nobody may write the reason of a failure."""
+    if failure.kind in PLAIN:
+        return " ".join(failure.message.partition(_PRINTED)[0].split())
+    return reason(failure.message)
 
 
 def reason(message: str) -> str:

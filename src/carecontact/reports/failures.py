@@ -27,7 +27,7 @@ CAUSE_MEANING = {
     "planning": "commanded no motion, or a path that could not pass the gate",
     "execution": "the commanded path was right, tracking or contact was lost",
     "safety": "cut: a force above the truncation limit, or the solver failed",
-    "process": "the policy's process failed",
+    "process": "the policy's process, its program or its language backend failed",
 }
 EXAMPLES = 2
 """Pieces of evidence shown for a cause."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from carecontact.errors import ConfigError
 from carecontact.recording.notes import read_notes
-from carecontact.recording.reason import reason
+from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import Recording
 from carecontact.reports.options_picture import draw_options
 from carecontact.reports.sheet import check_sheet_path
@@ -42,5 +42,5 @@ def draw_notes(recording: Recording) -> Figure:
         return draw_value_maps(recording, notes, ended=failed or "".join(ended[:1]))
     if any("programs" in note.content for note in notes):
         return draw_stopped(recording, notes, failed or "".join(ended[:1]))
-    why = ended[0] if ended else reason(failed)
-    raise ConfigError(f"{trial} has no notes to draw{f': {why}' if why else ''}")
+    told = ended[0] if ended else reason_of(failure) if failure is not None else ""
+    raise ConfigError(f"{trial} has no notes to draw{f': {told}' if told else ''}")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carecontact.recording.reason import reason
+from carecontact.recording.reason import reason_of
 from carecontact.scoring.c3_success import Gate
 from carecontact.scoring.commanded import CommandedPath, commanded_contact, commanded_path
 from carecontact.scoring.contact import Contact, runs
@@ -126,7 +126,7 @@ def _losses(contact: Contact) -> list[int]:
 def _process_evidence(contact: Contact) -> str:
     header = contact.recording.header
     failure = header.failure
-    what = f" ({failure.kind}): {' '.join(reason(failure.message).split()).rstrip('.')}" if failure else ""
+    what = f" ({failure.kind}): {' '.join(reason_of(failure).split()).rstrip('.')}" if failure else ""
     if header.ended == "harness_error":
         return f"The harness failed, not the policy{what}."
     return f"The policy's process failed{what}."

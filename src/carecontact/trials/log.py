@@ -58,8 +58,12 @@ class TrialLog:
         self._states.append((self._simulation.time_s, self._simulation.integration_state()))
 
     def add_observation(self, observation: Observation, sent_sha256: bytes) -> None:
-        index = len(self._observations)
+        self.add_frames(observation)
         self._observations.append((observation.sim_time_s, sent_sha256))
+
+    def add_frames(self, observation: Observation) -> None:
+        """Of the observation that comes next; alone where the policy failed at it."""
+        index = len(self._observations)
         for name, view in observation.cameras.items():
             for modality in ("rgb", "depth"):
                 image = getattr(view, modality)

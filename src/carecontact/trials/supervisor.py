@@ -22,7 +22,7 @@ from carecontact.errors import ConfigError, RecordingError
 from carecontact.policies.descendants import kill_marked, marks_of
 from carecontact.policies.language import LANGUAGE_VARIABLE
 from carecontact.recording import read_recording, write_recording
-from carecontact.recording.reason import reason
+from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import EndReason, Recording
 from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, tail
 from carecontact.trials.identity import POLICY_PATH, identity_of
@@ -248,7 +248,7 @@ def run_trials(
                             kind="finished",
                             trial_id=spec.trial_id,
                             ended=header.ended,
-                            message=reason(header.failure.message) if header.failure else None,
+                            message=reason_of(header.failure) if header.failure else None,
                             done=len(ended),
                             total=total,
                         )

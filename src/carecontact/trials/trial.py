@@ -187,7 +187,12 @@ class _Trial:
             if not queue:
                 simulation.refresh()
                 observation = builder.build(simulation.data, instruction=self.task.prompt, sim_time_s=simulation.time_s)
-                reply = process.act(observation)
+                try:
+                    reply = process.act(observation)
+                except PolicyError:
+                    # Its last notes are drawn over it.
+                    self.log.add_frames(observation)
+                    raise
                 self.log.add_observation(observation, reply.sent_sha256)
                 self.log.add_notes(reply.notes)
                 self.perception.add(simulation.data, observation)

@@ -103,6 +103,7 @@ BAD = {
     "plans nothing": ({("planner", "go"): "x = 1"}, "composes nothing"),
     "plans without end": ({("planner", "go"): 'while True:\n    composer("there")'}, "at most 12 texts"),
     "plans nothing to do": ({("planner", "go"): 'composer("")'}, "expected a text of 1 to 300 characters, got ''"),
+    "plans a blank": ({("planner", "go"): 'composer("  ")'}, "expected a text of 1 to 300 characters, got ' "),
     "plans a novel": (
         {("planner", "go"): 'composer("a" * 70000)'}, "program planner: go .* 1 to 300 characters, got 'a"
     ),
@@ -121,15 +122,16 @@ BAD = {
     "moves a text": ({("composer", "there"): 'execute("gripper")'}, "only the gripper moves by itself, not str"),
     "gives a map twice": (
         {("composer", "there"): 'execute(parse_query_obj("gripper"), get_affordance_map("x"), affordance_map=None)'},
-        r"^execute: multiple values for argument 'affordance_map'; it is execute\(movable, affordance_map=None, ",
+        r"^program composer: there was stopped: ValueError: execute: multiple values for argument 'affordance_map'; "
+        r"it is execute\(movable, affordance_map=None, ",
     ),
     "gives one map too many": (
         {("composer", "there"): 'execute(parse_query_obj("gripper"), None, None, None, None, None, None)'},
-        "^execute: too many positional arguments; it is execute",
+        r"ValueError: execute: too many positional arguments; it is execute.* \(line 1: execute\(parse_query_obj",
     ),
     "gives nothing under an unknown name": (
         {("composer", "there"): 'execute(parse_query_obj("gripper"), force_map=None)'},
-        r"unexpected keyword argument 'force_map'; .* velocity_map=None, gripper_map=None\)$",
+        r"unexpected keyword argument 'force_map'; .* velocity_map=None, gripper_map=None\) \(line 1",
     ),
     "moves nothing": (
         {("composer", "there"): "x = 1"},

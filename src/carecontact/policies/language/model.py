@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, create_model
+from pydantic import BaseModel, BeforeValidator, ConfigDict, create_model
 
 from carecontact.errors import LanguageError
 from carecontact.policies.language.backend import ActionVerb, Intent, Manner, Option, RegionName, Side
@@ -66,7 +66,14 @@ class LanguageModel:
         rows = [{"number": k, **asdict(option)} for k, option in enumerate(options)]
         listed = "\n".join(json.dumps(row) for row in rows)
         asked = f"Instruction: {intent.model_dump_json()}\nMotions:\n{listed}"
-        numbers: Any = Literal[tuple(range(len(options)))]  # pyright: ignore[reportInvalidTypeForm]
+
+        def whole(number: object) -> object:
+            # A Literal takes true for 1, and its own message would name every number.
+            if type(number) is not int or not 0 <= number < len(options):
+                raise ValueError(f"expected a whole number from 0 to {len(options) - 1}, got {number!r:.40}")
+            return number
+
+        numbers: Any = Annotated[Literal[tuple(range(len(options)))], BeforeValidator(whole)]  # pyright: ignore[reportInvalidTypeForm]
         schema = create_model("Choice", __config__=ConfigDict(extra="forbid"), number=(numbers, ...), reason=(str, ...))
         messages = [Message(role="system", content=CHOOSE), Message(role="user", content=asked)]
         chosen = self._transcript.answer(messages, schema, purpose="choose", prompt_version=PROMPT_VERSION)

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from carecontact.errors import LanguageError
 from carecontact.policies.language.completion import Completion, CompletionRequest, CompletionSource, Message
-from carecontact.policies.language.fence import unfenced
+from carecontact.policies.language.fence import json_of
 from carecontact.policies.language.replay import RecordedCompletion
 from carecontact.policies.language.untrusted import one_line
 
@@ -47,7 +47,7 @@ class Transcript:
                 messages, purpose=purpose, prompt_version=prompt_version, json_schema=schema.model_json_schema()
             )
             try:
-                return schema.model_validate_json(unfenced(completion.text))
+                return schema.model_validate_json(json_of(completion.text))
             except ValidationError as error:
                 first = error.errors()[0]
                 # The name of a field that the answer made up is in it.

@@ -168,7 +168,12 @@ class VoxPoser:
         def execute(*args: object, **kwargs: object) -> None:
             nonlocal moves
             moves += 1
-            self._try(self._execution(args, kwargs))
+            try:
+                execution = self._execution(args, kwargs)
+            except ProgramError as error:
+                # The program's own mistake: told with its name and line, as those of every other call are.
+                raise ValueError(str(error)) from None
+            self._try(execution)
 
         def reset_to_default_pose() -> None:
             nonlocal moves
@@ -361,7 +366,7 @@ class VoxPoser:
 
 
 def text_of(query: object) -> str:
-    if not isinstance(query, str) or not 0 < len(query) <= fixed.MAX_QUERY:
+    if not isinstance(query, str) or not query.strip() or len(query) > fixed.MAX_QUERY:
         shown = repr(query[:80]) if isinstance(query, str) else f"{query!r:.80}"
         raise ValueError(f"expected a text of 1 to {fixed.MAX_QUERY} characters, got {shown}")
     return query
