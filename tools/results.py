@@ -34,7 +34,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         protocol, paper = load_protocol(options.protocol), read_paper()
         runs = {str(run): read_scores(run) for run in options.runs}
-        found = study(runs, protocol=protocol, paper=paper)
+        ordered = sorted_out(runs, protocol)
+        found = study(ordered, protocol=protocol, paper=paper)
     except CarecontactError as error:
         print(f"results: {error}", file=sys.stderr)
         return 2
@@ -44,13 +45,16 @@ def main(arguments: list[str] | None = None) -> int:
     command = f"python tools/results.py docs/results/{protocol.id}/*{other}"
     try:
         packed.mkdir(parents=True, exist_ok=True)
-        for (policy, condition), (_, run) in sorted_out(runs, protocol)[0].items():
+        for (policy, condition), (_, run) in ordered.found.items():
             pack_results(packed / f"{run_name(policy, dict(condition))}.json.gz", run)
         page.write_text(study_page(found, paper, command=command, json_name=data.name), encoding="utf-8")
         text = json.dumps(study_json(found), sort_keys=True, indent=1, allow_nan=False)
         data.write_text(f"{text}\n", encoding="ascii")
     except OSError as error:
-        print(f"results: --out {options.out}: {error.filename} cannot be written: {error.strerror}", file=sys.stderr)
+        print(
+            f"results: --out {options.out}: {error.filename or protocol.id} cannot be written: {error.strerror}",
+            file=sys.stderr,
+        )
         return 2
     print(f"{page}, {data}: {len(found.heads)} run(s), {len(found.missing)} missing, {len(found.unused)} not used")
     return 0

@@ -13,7 +13,7 @@ from tools.results import main
 from carecontact.errors import ConfigError
 from carecontact.protocols import adapted, load_protocol
 from carecontact.reports.paper import read_paper
-from carecontact.reports.study import STIFFNESS, TISSUE, Study, study, study_json
+from carecontact.reports.study import STIFFNESS, TISSUE, Study, sorted_out, study, study_json
 from carecontact.reports.study_page import SWEEP_TITLE, escaped, study_page
 from carecontact.scoring import RunScores, read_results
 from carecontact.scoring.run import write_scores
@@ -47,7 +47,7 @@ def light(task: str, seed: int) -> dict[str, Any]:
 
 
 def made(**runs: RunScores) -> Study:
-    return study(runs, protocol=PROTOCOL, paper=PAPER)
+    return study(sorted_out(runs, PROTOCOL), protocol=PROTOCOL, paper=PAPER)
 
 
 def page(found: Study) -> str:
@@ -248,7 +248,7 @@ def test_what_does_not_belong_is_named_and_left_out() -> None:
 )
 def test_runs_that_must_not_be_set_together(runs: dict[str, RunScores], told: str) -> None:
     with pytest.raises(ConfigError, match=told):
-        study(runs, protocol=PROTOCOL, paper=PAPER)
+        study(sorted_out(runs, PROTOCOL), protocol=PROTOCOL, paper=PAPER)
 
 
 def test_a_run_may_come_in_parts(tmp_path: Path) -> None:

@@ -216,10 +216,10 @@ def test_frames_are_stored_by_observation_camera_and_modality(log: TrialLog) -> 
 
 
 def test_the_frames_of_a_step_that_failed_are_no_observation(log: TrialLog) -> None:
-    """The notes of the first step stand beside them, so that they can be drawn."""
+    """Its notes stand beside them, so that they can be drawn."""
     rgb = np.full((2, 3, 3), 7, np.uint8)
     log.add_frames(observation(0.0, rgb=rgb))
-    log.add_notes({"options": []})
+    log.add_notes({"options": []}, failed=True)
     arrays = log.arrays()
     np.testing.assert_array_equal(arrays["policy/frames/0000/overhead/rgb"], rgb)
     assert "policy/notes/0000/json" in arrays

@@ -12,6 +12,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.policies.wire.packing import pack
 from carecontact.protocols import load_protocol
 from carecontact.recording import read_recording, write_recording
+from carecontact.recording.notes import read_notes
 from carecontact.scoring import score_recording
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.trials import trial
@@ -91,3 +92,37 @@ def test_the_trial_ends_as_the_policys_process_failure(
     assert re.search(says, kept.header.failure.message), kept.header.failure.message
     assert len(kept["scorer/time_s"]) == 50, "what ran before is kept"
     assert score_recording(kept).failure_mode == "process_failure"
+
+
+FAILS = """
+from carecontact.contract.action import Action
+from carecontact.contract.policy import PolicyCard
+
+class P:
+    card = PolicyCard(name="fails", control_hz=10, modalities=("rgb",))
+    steps = 0
+    def reset(self, instruction): ...
+    def act(self, observation):
+        self.steps += 1
+        if self.steps == LAST:
+            raise ValueError("no grip")
+        return Action()
+    def take_notes(self):
+        return {"step": self.steps}
+"""
+
+
+@pytest.mark.parametrize("last", [1, 2])
+def test_a_step_that_fails_keeps_its_picture_and_notes_beside_those_before(
+    last: int, begin: Callable[[TrialSpec], World], tmp_path: Path
+) -> None:
+    name = f"fails_at_{last}"
+    (tmp_path / f"{name}.py").write_text(FAILS.replace("LAST", str(last)))
+    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy=f"{name}:P")
+    recording = run_trial(spec, search_path=[str(tmp_path)], prepare=begin)
+    assert recording.header.ended == "process_failure"
+    assert len(recording["policy/observation_time_s"]) == last - 1
+    notes = [(note.observation_index, note.content["step"]) for note in read_notes(recording)]
+    assert notes == [(k, k + 1) for k in range(last)]
+    frames = sorted(path for path in recording.arrays if path.startswith("policy/frames/"))
+    assert frames == [f"policy/frames/{k:04d}/overhead/rgb" for k in range(last)]

@@ -6,7 +6,7 @@ import re
 
 from carecontact.recording.schema import Failure
 
-PLAIN = ("action", "language", "program")
+_PLAIN = ("action", "language", "program")
 """Kinds of failure whose messages are no tracebacks, but may hold words that a program or a language model chose."""
 _TRACEBACK = "Traceback (most recent call last):"
 _PRINTED = "\nit printed last:\n"
@@ -15,7 +15,7 @@ _RAISED = re.compile(r"^[A-Za-z_][\w.]*(Error|Exception|Exit|Interrupt|Warning)\
 
 def reason_of(failure: Failure) -> str:
     """As ``reason``, but what is no traceback is told as it is: nobody may write the reason of a failure."""
-    if failure.kind in PLAIN:
+    if failure.kind in _PLAIN:
         return " ".join(failure.message.partition(_PRINTED)[0].split())
     return reason(failure.message)
 

@@ -129,21 +129,19 @@ class Study:
     """Those of which any run is there"""
 
 
-def study(runs: Mapping[str, RunScores], *, protocol: Protocol, paper: Paper) -> Study:
-    """Sort runs by what their trials say of themselves, compare state-machine with voxposer, and name what is missing.
+def study(runs: SortedRuns, *, protocol: Protocol, paper: Paper) -> Study:
+    """Compare state-machine with voxposer, and name what is missing.
 
-    Args:
-        runs: name for messages -> scores; those of one policy under the same conditions are parts of one run.
-
-    Raises ConfigError, naming the runs, for parts that have a trial in common, a run of another state of the protocol,
-    runs of different worlds, or none under the protocol's own conditions.
+    Raises ConfigError, naming the runs, for runs of different worlds, or none under the protocol's own conditions.
     """
-    found, unused = sorted_out(runs, protocol)
+    found = runs.found
     wanted = _wanted(protocol)
     own = {policy: run for (policy, condition), (_, run) in found.items() if not condition}
     methods = {name: own[name] for name in METHODS if name in own}
     if not methods:
-        raise ConfigError(f"none of {len(runs)} run(s) is of {', '.join(METHODS)} on {protocol.title} as it is")
+        raise ConfigError(
+            f"none of {len(found) + len(runs.unused)} run(s) is of {', '.join(METHODS)} on {protocol.title} as it is"
+        )
     nulls = [own[name] for name in NULL_ARMS if name in own]
     comparison, proposal = (
         compare_runs(*(own[name] for name in pair)) if set(pair) <= own.keys() else None for pair in (PAIR, PROPOSAL)
@@ -156,7 +154,7 @@ def study(runs: Mapping[str, RunScores], *, protocol: Protocol, paper: Paper) ->
         heads=tuple(_head(found[key][1], protocol) for key in wanted if key in found),
         commands=tuple(_command(*key, protocol) for key in wanted if key in found),
         missing=tuple(_command(*key, protocol) for key in wanted if key not in found),
-        unused=unused,
+        unused=runs.unused,
         comparison=comparison,
         beside=() if comparison is None else tuple(_beside(comparison, paper)),
         proposal=proposal,
@@ -176,8 +174,23 @@ Found = dict[tuple[str, Condition], tuple[str, RunScores]]
 """(policy, condition) -> name and scores"""
 
 
-def sorted_out(runs: Mapping[str, RunScores], protocol: Protocol) -> tuple[Found, dict[str, str]]:
-    """The runs that the study has a place for, and why the others are in none. Raises as ``study`` does."""
+@dataclass(frozen=True, kw_only=True)
+class SortedRuns:
+    found: Found
+    """Those that a study has a place for"""
+    unused: dict[str, str]
+    """Name -> why it is in none"""
+
+
+def sorted_out(runs: Mapping[str, RunScores], protocol: Protocol) -> SortedRuns:
+    """By what their trials say of themselves.
+
+    Args:
+        runs: name for messages -> scores; those of one policy under the same conditions are parts of one run.
+
+    Raises ConfigError, naming the runs, for parts that have a trial in common, or a run of another state of the
+    protocol.
+    """
     found: Found = {}
     unused: dict[str, str] = {}
     wanted = _wanted(protocol)
@@ -202,7 +215,7 @@ def sorted_out(runs: Mapping[str, RunScores], protocol: Protocol) -> tuple[Found
             if part is not None:
                 name, run = _whole(part, (name, run))
             found[first.policy, condition] = name, run
-    return found, unused
+    return SortedRuns(found=found, unused=unused)
 
 
 def _whole(a: tuple[str, RunScores], b: tuple[str, RunScores]) -> tuple[str, RunScores]:

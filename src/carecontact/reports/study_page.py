@@ -22,7 +22,7 @@ from carecontact.reports.study import (
     condition_title,
 )
 from carecontact.reports.table import COLUMNS, NA, NOT_DEFINED, number
-from carecontact.reports.verdicts import ALPHA, FEW_SEEDS, POWER
+from carecontact.reports.verdicts import ALPHA, POWER, few_seeds
 from carecontact.stats import Proportion
 
 AUTHORED = ":authored"
@@ -245,8 +245,7 @@ def _pairs(line: Line) -> int:
 
 def _detectable(line: Line) -> str:
     if line.detectable is None:
-        few = isinstance(line, ScoreLine) and line.difference.n_clusters < FEW_SEEDS
-        return "too few seeds to tell" if few else "not to be told"
+        return "too few seeds to tell" if few_seeds(line) else "not to be told"
     return "none" if line.detectable.difference is None else plain_text(line.outcome, line.detectable.difference)
 
 

@@ -50,7 +50,7 @@ def _detectable(line: Line, alpha: float) -> DetectableDifference | None:
     if not line.test.n_unequal:
         return DetectableDifference(difference=0.0, power=POWER, alpha=alpha)
     # A median that no resample moves has no standard error either.
-    if not line.difference.standard_error or line.difference.n_clusters < FEW_SEEDS:
+    if not line.difference.standard_error or few_seeds(line):
         return None
     return detectable_from_standard_error(line.difference.standard_error, power=POWER, alpha=alpha)
 
@@ -65,8 +65,11 @@ def _verdict(line: Line, p_holm: float | None, detectable: DetectableDifference 
     if p_holm is None:
         why = "no pair has this score in both runs"
     elif detectable is None:
-        few = _interval(line).n_clusters < FEW_SEEDS
-        whence = f"from {_seeds(line)}" if few else "where so many pairs are equal that no resample moves the median"
+        whence = (
+            f"from {_seeds(line)}"
+            if few_seeds(line)
+            else "where so many pairs are equal that no resample moves the median"
+        )
         why = f"{whence} nobody can tell what could have been detected"
     elif detectable.difference == 0:
         return Verdict(word="no difference seen", text="no difference seen; the pairs are equal")
@@ -94,7 +97,7 @@ def _notes(line: Line) -> list[str]:
     assert line.verdict is not None
     notes: list[str] = []
     decided = line.verdict.word in ("A higher", "B higher")
-    if decided and _interval(line).n_clusters < FEW_SEEDS:
+    if decided and few_seeds(line):
         notes.append(f"rests on {_seeds(line)} alone")
     interval = _interval(line)
     if decided and interval.low is not None and interval.high is not None and interval.low <= 0 <= interval.high:
@@ -104,6 +107,11 @@ def _notes(line: Line) -> list[str]:
         if side and not (decided and side == _better(line)):
             notes.append(f"with no score counted as the worst score {'A' if side > 0 else 'B'} is better")
     return notes
+
+
+def few_seeds(line: Line) -> bool:
+    """So few that neither an interval nor a standard error of theirs can be trusted."""
+    return _interval(line).n_clusters < FEW_SEEDS
 
 
 def _seeds(line: Line) -> str:

@@ -62,7 +62,7 @@ class TrialLog:
         self._observations.append((observation.sim_time_s, sent_sha256))
 
     def add_frames(self, observation: Observation) -> None:
-        """Of the observation that comes next; alone where the policy failed at it."""
+        """Of the observation that comes next; alone where the policy failed at that step."""
         index = len(self._observations)
         for name, view in observation.cameras.items():
             for modality in ("rgb", "depth"):
@@ -70,13 +70,16 @@ class TrialLog:
                 if image is not None and len(self._frames) < MAX_LOSSLESS_FRAMES:
                     self._frames[f"policy/frames/{index:04d}/{name}/{modality}"] = image
 
-    def add_notes(self, notes: Mapping[str, object]) -> None:
-        """What the policy wants to be kept of its latest step. Raises PolicyError for what no JSON can hold."""
+    def add_notes(self, notes: Mapping[str, object], *, failed: bool = False) -> None:
+        """What the policy wants to be kept of its latest step, ``failed``: of the one that it failed at.
+
+        Raises PolicyError for what no JSON can hold.
+        """
         if not notes:
             return
         if len(notes) > MAX_STEP_NOTES:
             raise PolicyError("oversize", f"notes: expected at most {MAX_STEP_NOTES} entries a step, got {len(notes)}")
-        place = f"policy/notes/{max(len(self._observations) - 1, 0):04d}"
+        place = f"policy/notes/{len(self._observations) - (not failed):04d}"
         arrays = {f"{place}/{key}": value for key, value in notes.items() if isinstance(value, np.ndarray)}
         try:
             rest = {key: value for key, value in notes.items() if not isinstance(value, np.ndarray)}

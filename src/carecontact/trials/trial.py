@@ -168,7 +168,7 @@ class _Trial:
     def _keep_last_notes(self, error: PolicyError) -> None:
         # Those of a step that failed are a courtesy; how it failed is what counts.
         with suppress(PolicyError):
-            self.log.add_notes(error.notes)
+            self.log.add_notes(error.notes, failed=True)
 
     def _act_loop(self, process: PolicyConversation, card: PolicyCard, renderer: SceneRenderer) -> _Ended:
         simulation, impedance = self.simulation, self.protocol.impedance
@@ -190,7 +190,7 @@ class _Trial:
                 try:
                     reply = process.act(observation)
                 except PolicyError:
-                    # Its last notes are drawn over it.
+                    # What it noted of this step is drawn over them.
                     self.log.add_frames(observation)
                     raise
                 self.log.add_observation(observation, reply.sent_sha256)

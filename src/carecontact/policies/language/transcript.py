@@ -52,7 +52,7 @@ class Transcript:
                 first = error.errors()[0]
                 # The name of a field that the answer made up is in it.
                 place = one_line(".".join(map(str, first["loc"])), limit=PLACE_CHARS) or "the answer"
-                wrong = f"{place}: {one_line(first['msg'], limit=PLACE_CHARS)}"
+                wrong = f"{place}: {first['msg']}"
             messages += [
                 Message(role="assistant", content=completion.text),
                 Message(role="user", content=f"That does not fit the schema ({wrong}). Send the corrected JSON alone."),
