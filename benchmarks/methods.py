@@ -25,9 +25,9 @@ import numpy as np
 from carecontact.contract.action import ActionBounds
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.contract.protocol import Protocol
+from carecontact.episode.first_look import first_look
 from carecontact.policies.voxposer.policy import VoxPoser
 from carecontact.protocols import load_protocol
-from carecontact.trials.first_look import first_look
 
 AIM = {"voxposer_planning_call_s": 2.0, "140_trials_min": {"state-machine": 10, "voxposer": 25}}
 TRIALS, CORES = 140, 2

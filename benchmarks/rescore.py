@@ -28,11 +28,12 @@ from tests.scoring.synthetic import SEGMENTS, back_and_forth, make_recording, se
 
 from carecontact.cli.score import processes
 from carecontact.recording import Recording, canonical_hash, read_recording, write_recording
-from carecontact.scoring import METRICS, score_recording, score_run, write_scores
-from carecontact.scoring.c3_success import judge, measure
+from carecontact.runs import score_run, write_scores
+from carecontact.scoring import METRICS, score_recording
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.gate_sweep import sweep_gates
-from carecontact.scoring.streams import check_streams
+from carecontact.scoring.metrics.c3_success import judge, measure
+from carecontact.scoring.validity.streams import check_streams
 from carecontact.scoring.verdict import reach_verdict
 
 TASKS = ("T1", "T2", "T3", "T4", "T5", "T6", "T7")

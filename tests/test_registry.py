@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -92,3 +95,23 @@ def test_other_packages_are_loaded_once(points: dict[str, list[Point]]) -> None:
     rows: Registry[int] = Registry("thing")
     assert [*rows, *rows, len(rows), rows["theirs"]] == ["theirs", "theirs", 1, 7]
     assert theirs.loads == 1
+
+
+@pytest.mark.usefixtures("points")
+def test_the_modules_of_a_package_register_their_rows_at_the_first_look(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "scanned_rows"
+    package.mkdir()
+    (package / "__init__.py").write_text(
+        "from carecontact.registry import Registry\nROWS = Registry('thing', scan='scanned_rows')\n"
+    )
+    for name in ("a", "b"):
+        (package / f"{name}.py").write_text(
+            f"from scanned_rows import ROWS\nROWS.register({name!r}, {name!r} in ROWS)\n"
+        )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    rows = import_module("scanned_rows").ROWS
+    assert "scanned_rows.a" not in sys.modules
+    assert rows["a"] is False  # a look-up from inside the scan starts no second one
+    assert list(rows) == ["a", "b"]

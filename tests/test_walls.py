@@ -49,6 +49,6 @@ def test_help_loads_nothing_heavy() -> None:
 def test_scoring_and_reporting_commands_load_no_simulator() -> None:
     loaded = loaded_after(
         "import carecontact.cli.score, carecontact.scoring, carecontact.reports, carecontact.cli.run, "
-        "carecontact.cli.compare, carecontact.reports.comparison"
+        "carecontact.cli.compare, carecontact.reports.compare.comparison"
     )
     assert not loaded & {"mujoco", "mediapipe"}

@@ -14,7 +14,7 @@ import argparse
 from carecontact.cli.protocol import verify
 from carecontact.protocols import load_protocol, shipped_protocols
 from carecontact.protocols.lock import lock_path, read_lock, write_lock
-from carecontact.trials.freeze import make_lock
+from carecontact.runs.freeze import make_lock
 
 
 def main() -> None:

@@ -28,6 +28,8 @@ import carecontact
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Protocol, Variation
+from carecontact.episode.perception import PerceptionLog, true_target
+from carecontact.episode.randomization import comfort_arm_deg, dress, sensor_noise, streams
 from carecontact.observation.builder import ObservationBuilder
 from carecontact.observation.keypoints import KeyPoints, MediaPipePose
 from carecontact.protocols import adapted, load_protocol
@@ -36,8 +38,6 @@ from carecontact.recording.schema import REGIONS
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Simulation
-from carecontact.trials.perception import PerceptionLog, true_target
-from carecontact.trials.randomization import comfort_arm_deg, dress, sensor_noise, streams
 from carecontact.world.human.appearance import SKIN_TONES, draw_appearance
 from carecontact.world.human.body import body_names
 from carecontact.world.scene import build_scene
@@ -56,8 +56,8 @@ LANDMARK_PX, IOU_MEAN, IOU_MIN, TARGET_MM, TARGET_P95_MM = 6.0, 0.95, 0.85, 15.0
 """The lines that the parked robot's numbers are held against."""
 BEGIN, END = "<!-- tables: tools/perception_table.py -->", "<!-- end of tables -->"
 SOURCES = (
-    "contract", "observation", "recording/perception.py", "policies/state_machine", "sim", "trials/perception.py",
-    "trials/prepare.py", "trials/randomization.py", "world",
+    "contract", "observation", "recording/perception.py", "policies/state_machine", "policies/region_geometry.py",
+    "sim", "episode/perception.py", "episode/prepare.py", "episode/randomization.py", "world",
 )  # fmt: skip
 """Of the package, what a row depends on."""
 PACKAGES = ("mediapipe", "mujoco", "numpy", "opencv-python-headless")

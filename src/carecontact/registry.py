@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import pkgutil
 from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Generic, TypeVar
 
@@ -12,13 +14,23 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Name -> row. Rows of other packages arrive through entry-point group ``carecontact.<plural>``."""
+    """Maps a name to a row.
 
-    def __init__(self, kind: str, *, plural: str | None = None) -> None:
-        """``plural``: of ``kind``, where it is not just an s longer."""
+    Three places supply rows: ``register``, the modules of the package ``scan``, and other installed packages through
+    the entry-point group ``carecontact.<plural>``. The last two are loaded when a name is first looked up.
+    """
+
+    def __init__(self, kind: str, *, plural: str | None = None, scan: str | None = None) -> None:
+        """
+        Args:
+            kind: what a row is, as error messages name it.
+            plural: of ``kind``, where it is not just an s longer.
+            scan: dotted name of a package whose modules register rows when they are imported.
+        """
         self.kind, self.plural = kind, plural or f"{kind}s"
         self._rows: dict[str, T] = {}
-        self._external_loaded = False
+        self._scan = scan
+        self._scanned = self._external_loaded = False
 
     def register(self, name: str, row: T) -> T:
         """Add a row. Raises ConfigError if the name is taken."""
@@ -32,6 +44,7 @@ class Registry(Mapping[str, T], Generic[T]):
 
     def __getitem__(self, name: str) -> T:
         """Raises UnknownNameError, which lists the valid names."""
+        self._load_scanned()
         if name not in self._rows:
             self._load_external()
         try:
@@ -40,16 +53,28 @@ class Registry(Mapping[str, T], Generic[T]):
             raise UnknownNameError(self.kind, name, self._rows) from None
 
     def __contains__(self, name: object) -> bool:
-        self._load_external()
+        self._load()
         return name in self._rows
 
     def __iter__(self) -> Iterator[str]:
-        self._load_external()
+        self._load()
         return iter(sorted(self._rows))
 
     def __len__(self) -> int:
-        self._load_external()
+        self._load()
         return len(self._rows)
+
+    def _load(self) -> None:
+        self._load_scanned()
+        self._load_external()
+
+    def _load_scanned(self) -> None:
+        if self._scanned or self._scan is None:
+            return
+        self._scanned = True  # before the imports: a module that looks a name up must not start the scan again
+        package = import_module(self._scan)
+        for module in sorted(m.name for m in pkgutil.iter_modules(package.__path__)):
+            import_module(f"{self._scan}.{module}")
 
     def _load_external(self) -> None:
         if self._external_loaded:

@@ -10,9 +10,9 @@ import pytest
 from carecontact.audit.schema import FIELDS_OF, check_message, failed_at
 from carecontact.contract.observation import MODALITIES, CameraView
 from carecontact.contract.policy import PolicyCard
+from carecontact.hosting.wire import codec
+from carecontact.hosting.wire.packing import pack
 from carecontact.observation.builder import ALLOWED_IN_VIEW
-from carecontact.policies.wire import codec
-from carecontact.policies.wire.packing import pack
 from tests.policies.synthetic import synthetic_observation, synthetic_view
 
 ALL = PolicyCard(name="all", modalities=MODALITIES, cameras=("overhead",))

@@ -21,14 +21,14 @@ from carecontact.audit.watched import Watched, press, watch
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.perception import PerceptionLog
+from carecontact.hosting import process
 from carecontact.observation.builder import ObservationBuilder
-from carecontact.policies import process
 from carecontact.recording.perception import JOINTS
 from carecontact.sim.proprioception import Proprioception
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.trials import trial
-from carecontact.trials.perception import PerceptionLog
 from tests.audit.conftest import BLIND, Press, places, send_a_privileged_key
 
 

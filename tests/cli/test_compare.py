@@ -11,7 +11,7 @@ import pytest
 
 from carecontact.cli import main
 from carecontact.recording import write_recording
-from carecontact.scoring import RunScores, score_run, write_scores
+from carecontact.runs import RunScores, score_run, write_scores
 from tests.reports.synthetic_run import NO_CONTACT, make_score
 from tests.scoring.synthetic import make_recording, push, touch
 

@@ -30,7 +30,7 @@ def test_one_picture_of_every_camera(
             cameras={"wrist": view},
         )
 
-    monkeypatch.setattr("carecontact.trials.first_look.first_look", first_look)
+    monkeypatch.setattr("carecontact.episode.first_look.first_look", first_look)
     monkeypatch.chdir(tmp_path)
     assert main(["look", "--task", "T3", "--seed", "7", "--body", "man-old-light"]) == 0
     assert capsys.readouterr().out.startswith("look-T3-s007.png: T3 seed 7")

@@ -8,8 +8,8 @@ import pytest
 from carecontact.cli import main
 from carecontact.contract.protocol import Protocol, Variation
 from carecontact.protocols import load_protocol, protocol_file, shipped_protocols
-from carecontact.trials import freeze
-from tests.trials.test_freeze import frozen_file
+from carecontact.runs import freeze
+from tests.runs.test_freeze import frozen_file
 
 WORLD_SUMS = freeze.world_sums
 

@@ -17,7 +17,7 @@ from carecontact.cli import main
 from carecontact.cli.demo import missing_successes
 from carecontact.cli.score import differences
 from carecontact.recording import Recording, read_recording, write_recording
-from carecontact.scoring import score_run
+from carecontact.runs import score_run
 from carecontact.trials.supervisor import run_trials
 
 FAKE = (sys.executable, str(Path(__file__).parents[1] / "trials" / "fake_worker.py"))

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from carecontact.cli import main
-from carecontact.policies.remote import CREDENTIALS
+from carecontact.hosting.remote import CREDENTIALS
 from carecontact.recording import read_recording
 from tests.cli.test_run_and_demo import fake
-from tests.policies.served import served
+from tests.hosting.served import served
 
 __all__ = ["fake"]
 

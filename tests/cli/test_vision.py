@@ -12,7 +12,7 @@ from carecontact.contract.protocol import Vision
 from carecontact.errors import ConfigError
 from carecontact.observation import grounded_sam
 from carecontact.protocols import adapted, load_protocol
-from tests.trials.test_vision import weights, with_sam
+from tests.episode.test_vision import weights, with_sam
 
 __all__ = ["weights"]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from carecontact.recording import SEGMENTS, Recording, write_recording
-from carecontact.scoring import score_run
+from carecontact.runs import score_run
 from tests.scoring.synthetic import (
     DT,
     F64,

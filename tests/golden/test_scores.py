@@ -14,7 +14,7 @@ import numpy as np
 
 import carecontact
 from carecontact.recording import read_recording
-from carecontact.scoring import score_run
+from carecontact.runs import score_run
 from tests.golden.make import FOLDER, SCORES, golden
 
 RELATIVE = 1e-9
@@ -24,7 +24,7 @@ REHASHED = {"protocol_sha256"}
 
 CHILD = """
 import hashlib, sys
-from carecontact.scoring import score_run
+from carecontact.runs import score_run
 run = score_run(sys.argv[1])
 assert not run.skipped, run.skipped
 for score in run.scores:

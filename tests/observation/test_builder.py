@@ -10,6 +10,8 @@ from carecontact.contract.observation import MASK_NAMES, MODALITIES, CameraView,
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Variation
 from carecontact.errors import ObservationError
+from carecontact.hosting.wire import codec
+from carecontact.hosting.wire.packing import pack
 from carecontact.observation.builder import (
     ALLOWED,
     ALLOWED_IN_VIEW,
@@ -22,8 +24,6 @@ from carecontact.observation.builder import (
 from carecontact.observation.keypoints import KeyPoints
 from carecontact.observation.pointcloud import coloured_cloud, organised_points
 from carecontact.observation.sensor_noise import SensorNoise
-from carecontact.policies.wire import codec
-from carecontact.policies.wire.packing import pack
 from carecontact.protocols import load_protocol
 
 H, W = 48, 64

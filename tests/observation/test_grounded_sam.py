@@ -15,6 +15,7 @@ import pytest
 
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Vision
+from carecontact.episode.first_look import first_look
 from carecontact.errors import ConfigError, DependencyError, ObservationError
 from carecontact.observation import grounded_sam
 from carecontact.observation.grounded_sam import GroundedSam
@@ -22,7 +23,6 @@ from carecontact.observation.keypoints import MediaPipePose
 from carecontact.observation.segmentation import PERSON_PROBABILITY
 from carecontact.observation.weights import weights_sha256
 from carecontact.protocols import adapted, load_protocol
-from carecontact.trials.first_look import first_look
 from tests.observation.tiny_models import save_tiny_models
 
 RGB = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)

@@ -12,15 +12,15 @@ import pytest
 
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
+from carecontact.episode.perception import PerceptionLog, iou, true_target
 from carecontact.observation.builder import ObservationBuilder
 from carecontact.observation.keypoints import MediaPipePose
-from carecontact.policies.state_machine.geometry import LANDMARK, region_from_observation
+from carecontact.policies.region_geometry import LANDMARK, region_from_observation
 from carecontact.protocols import load_protocol
 from carecontact.recording.perception import ARRAYS, JOINTS
 from carecontact.sim.proprioception import ROBOT_JOINTS
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
-from carecontact.trials.perception import PerceptionLog, iou, true_target
 from carecontact.world.furniture import FURNITURE_GROUP, SUPPORT
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import build_scene

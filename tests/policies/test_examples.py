@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from carecontact.policies.process import PolicyProcess
+from carecontact.hosting.process import PolicyProcess
 from tests.policies.synthetic import SESSION, synthetic_observation
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

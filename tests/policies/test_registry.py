@@ -9,7 +9,7 @@ import pytest
 from carecontact import registry
 from carecontact.contract.observation import CameraView
 from carecontact.errors import ConfigError, UnknownNameError
-from carecontact.policies.process import PolicyProcess
+from carecontact.hosting.process import PolicyProcess
 from carecontact.policies.registry import POLICIES, PolicyRow, resolve_policy
 from carecontact.protocols import load_protocol
 from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_view

@@ -12,7 +12,7 @@ import pytest
 from carecontact.errors import RecordingError
 from carecontact.recording import MIGRATIONS, SCHEMA_VERSION, RawRecording, canonical_hash, read_recording
 from carecontact.recording.canonical import header_json
-from carecontact.scoring import score_run, write_scores
+from carecontact.runs import score_run, write_scores
 from tests.recording.raw_file import store
 from tests.scoring.synthetic import touch
 

@@ -7,7 +7,7 @@ from carecontact.contract.policy import CAMERAS
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
 from carecontact.observation.keypoints import LANDMARK_COUNT
-from carecontact.policies.state_machine.geometry import LANDMARK
+from carecontact.policies.region_geometry import LANDMARK
 from carecontact.protocols import load_protocol
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.perception import ARRAYS, JOINTS, perception_errors

@@ -10,8 +10,8 @@ import pytest
 from tools.results import main
 
 from carecontact.cli.compare import read_scores
-from carecontact.reports.comparison import compare_runs
-from carecontact.reports.paired_lines import RateLine
+from carecontact.reports.compare.comparison import compare_runs
+from carecontact.reports.compare.paired_lines import RateLine
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "docs" / "results"

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from carecontact.recording import SEGMENTS, Recording
 from carecontact.scoring import score_recording
-from carecontact.scoring.c3_success import judge
 from carecontact.scoring.contact import find_contact
+from carecontact.scoring.metrics.c3_success import judge
 from carecontact.scoring.progress import count_reversals, measure_episodes
 from carecontact.scoring.verdict import reach_verdict
 from tests.scoring.synthetic import back_and_forth, hold, make_recording, push, scrub, seconds, touch

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from carecontact.recording import write_recording
-from carecontact.scoring import score_run, write_scores
+from carecontact.runs import score_run, write_scores
 from carecontact.stats import fisher_exact, mann_whitney
 from tests.scoring.paper_run import METHODS, trial_id
 

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carecontact.recording import REGIONS, SEGMENTS, Failure, Recording
+from carecontact.runs.aggregate import gamma_sweep
 from carecontact.scoring import METRICS, TrialScore, score_recording
-from carecontact.scoring.aggregate import gamma_sweep
-from carecontact.scoring.c3_success import judge
 from carecontact.scoring.contact import find_contact
+from carecontact.scoring.metrics.c3_success import judge
 from carecontact.scoring.region import distance_to_surface, points_in_region
 from carecontact.scoring.verdict import reach_verdict
 from tests.scoring.synthetic import SIZE, back_and_forth, before_start, hold, make_recording, push, scrub, touch

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.randomization import comfort_arm_deg
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording
 from carecontact.scoring import score_recording
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.simulation import Simulation
-from carecontact.trials.randomization import comfort_arm_deg
 from carecontact.trials.trial import run_trial
 from carecontact.world.scene import build_scene
 

@@ -93,7 +93,7 @@ def main() -> int:
     elif does == "garbage":
         Path(out).write_bytes(b"not a recording")
     elif does == "leave":
-        from carecontact.policies.descendants import MARK, new_mark
+        from carecontact.hosting.descendants import MARK, new_mark
 
         # What a policy that started a process in a session of its own leaves when it killed its harness.
         sleeper = [sys.executable, "-c", "import time; time.sleep(600)"]

@@ -9,10 +9,10 @@ import pytest
 from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, write_recording
+from carecontact.runs.identity import identity_of
+from carecontact.runs.manifest import read_manifest, survey, write_manifest
+from carecontact.runs.plan import plan_trials
 from carecontact.trials.failed import harness_error_recording
-from carecontact.trials.identity import identity_of
-from carecontact.trials.manifest import read_manifest, survey, write_manifest
-from carecontact.trials.plan import plan_trials
 
 SPECS = plan_trials(protocol=load_protocol(), policy="state-machine", tasks=["T1"], seeds=[0])
 

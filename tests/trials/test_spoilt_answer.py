@@ -9,23 +9,23 @@ from pathlib import Path
 import pytest
 
 from carecontact.contract.trial import TrialSpec
-from carecontact.policies.wire.packing import pack
+from carecontact.episode.prepare import settled_world
+from carecontact.hosting.wire.packing import pack
 from carecontact.protocols import load_protocol
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.notes import read_notes
 from carecontact.scoring import score_recording
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.trials import trial
-from carecontact.trials.prepare import settled_world
 from carecontact.trials.trial import run_trial
-from tests.policies.wire.fuzz import replies
+from tests.hosting.wire.fuzz import replies
 
 # Runs in the policy's process: its second answer is the bytes in spoilt.bin, as a message or as they are.
 POLICY = """
 from pathlib import Path
 from carecontact.contract.action import Action
 from carecontact.contract.policy import PolicyCard
-from carecontact.policies.wire import server
+from carecontact.hosting.wire import server
 
 class P:
     card = PolicyCard(name="spoilt", control_hz=10)

@@ -23,9 +23,9 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, read_recording
+from carecontact.runs.identity import POLICY_PATH
+from carecontact.runs.plan import plan_trials
 from carecontact.scoring import score_recording
-from carecontact.trials.identity import POLICY_PATH
-from carecontact.trials.plan import plan_trials
 from carecontact.trials.supervisor import RunSummary, TrialEvent, run_trials
 
 PROTOCOL = load_protocol()

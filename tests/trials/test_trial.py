@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.prepare import settled_world
 from carecontact.protocols import load_protocol
 from carecontact.recording import Failure, canonical_hash, read_recording
 from carecontact.recording.perception import perception_errors
+from carecontact.runs.identity import POLICY_PATH
 from carecontact.scoring import score_recording
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Settled, Simulation
-from carecontact.trials.identity import POLICY_PATH
-from carecontact.trials.prepare import settled_world
 from carecontact.trials.trial import run_trial
 
 POLICIES = '''

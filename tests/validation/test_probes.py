@@ -11,7 +11,7 @@ import pytest
 
 import carecontact.scoring
 from carecontact.scoring.contact import Contact, find_contact
-from carecontact.scoring.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import METRICS, Metric
 from carecontact.validation import probes
 from carecontact.validation.figures import draw_figure
 from carecontact.validation.probes import PROBES, judge, steps, sweep

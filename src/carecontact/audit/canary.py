@@ -10,8 +10,8 @@ from carecontact.audit.schema import failed_at
 from carecontact.audit.watched import Watched
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
-from carecontact.policies.wire.packing import unpack
-from carecontact.trials.randomization import comfort_arm_deg
+from carecontact.episode.randomization import comfort_arm_deg
+from carecontact.hosting.wire.packing import unpack
 
 NAME, TITLE = "canary", "worlds with other hidden values until contact"
 OTHER_SEED = 48_611

@@ -13,9 +13,9 @@ import numpy as np
 from carecontact.audit.differences import differences
 from carecontact.audit.finding import Finding, Part
 from carecontact.contract.policy import PolicyCard
+from carecontact.hosting.wire import codec
 from carecontact.observation import builder as builders
 from carecontact.observation.keypoints import MediaPipePose
-from carecontact.policies.wire import codec
 from carecontact.sim.proprioception import BASE_BODY, ROBOT_JOINTS, TCP_SITE
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation

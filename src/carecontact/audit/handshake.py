@@ -8,7 +8,7 @@ from carecontact.audit.differences import differences
 from carecontact.audit.finding import Finding, Part
 from carecontact.audit.schema import failed_at
 from carecontact.audit.watched import Watched
-from carecontact.policies.wire.packing import unpack
+from carecontact.hosting.wire.packing import unpack
 
 NAME, TITLE = "handshake", "start, handshake and reset of two different trials"
 ONLY = "in trials that differ only in"

@@ -11,12 +11,12 @@ import numpy.typing as npt
 
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.prepare import settled_world
+from carecontact.episode.randomization import comfort_arm_deg
 from carecontact.errors import SceneError
 from carecontact.policies.state_machine.primitives import UP, Leg, radial_quat, sample, travel
 from carecontact.recording.schema import REGIONS
 from carecontact.sim.simulation import Samples, Settled, Simulation
-from carecontact.trials.prepare import settled_world
-from carecontact.trials.randomization import comfort_arm_deg
 from carecontact.world.human.tissue import anchor_joints
 from carecontact.world.scene import Scene
 

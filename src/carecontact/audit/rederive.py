@@ -14,10 +14,10 @@ from carecontact.audit.differences import differences
 from carecontact.audit.no_simulator import within_reach
 from carecontact.audit.raw_log import LoggedLook, Meta, read_looks, read_meta
 from carecontact.errors import CarecontactError
+from carecontact.hosting.wire import codec
+from carecontact.hosting.wire.packing import pack, unpack
 from carecontact.observation.builder import RawReadings, derive
 from carecontact.observation.keypoints import KeypointEstimator, MediaPipePose
-from carecontact.policies.wire import codec
-from carecontact.policies.wire.packing import pack, unpack
 
 BOOTSTRAP = """
 import sys

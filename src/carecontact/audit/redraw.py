@@ -19,8 +19,8 @@ from carecontact.audit.pictures import Pictures, cell_model
 from carecontact.audit.raw_log import IMAGES, SPEC, LoggedLook, WorldState, read_looks, read_meta, read_spec
 from carecontact.audit.state import DRAWN, robot_addresses
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.randomization import dress, lay, sensor_noise
 from carecontact.observation.sensor_noise import SensorNoise
-from carecontact.trials.randomization import dress, lay, sensor_noise
 from carecontact.world.furniture import FURNITURE_GROUP
 from carecontact.world.robot import VISUAL_GROUP
 from carecontact.world.scene import build_scene

@@ -19,9 +19,9 @@ from carecontact.contract.observation import MODALITIES
 from carecontact.contract.policy import CAMERAS, PolicyCard
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.prepare import settled_world
+from carecontact.recording.versions import package_versions
 from carecontact.sim.simulation import Settled, Simulation
-from carecontact.trials.prepare import settled_world
-from carecontact.trials.versions import package_versions
 
 SCHEMA = "carecontact-audit-1"
 PARTS = (derivation, readings, frozen, canary, handshake, schema)

@@ -9,8 +9,8 @@ from carecontact.audit.finding import Finding, Part
 from carecontact.audit.watched import Watched
 from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError
-from carecontact.policies.wire import codec
-from carecontact.policies.wire.packing import unpack
+from carecontact.hosting.wire import codec
+from carecontact.hosting.wire.packing import unpack
 from carecontact.recording.reason import reason
 
 NAME, TITLE = "schema", "messages of real trials of each policy"

@@ -17,8 +17,8 @@ from carecontact.audit.state import StateReader
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import CarecontactError
-from carecontact.policies.wire import codec
-from carecontact.policies.witness import TASK, TOLD
+from carecontact.hosting.wire import codec
+from carecontact.hosting.witness import TASK, TOLD
 from carecontact.recording.schema import Recording
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.trials.trial import Look, run_trial
@@ -32,7 +32,7 @@ would fill memory and disk. Without images no trial comes near it."""
 WITNESS = "audit_witness:witness"
 _WITNESS_SOURCE = """
 from pathlib import Path
-from carecontact.policies.witness import Witness
+from carecontact.hosting.witness import Witness
 
 def witness():
     return Witness(Path(__file__).parent)

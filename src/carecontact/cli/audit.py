@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from carecontact.cli.policy_name import check_policy, public_name
 from carecontact.errors import ConfigError
 from carecontact.protocols import adapted, load_protocol
-from carecontact.trials.preflight import check_protocol
+from carecontact.runs.preflight import check_protocol
 
 if TYPE_CHECKING:
     from carecontact.audit.finding import Finding, Part

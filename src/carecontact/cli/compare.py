@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
-    from carecontact.reports.comparison import Comparison, RunInfo
-    from carecontact.reports.null_floors import NullFloors
-    from carecontact.reports.paired_lines import Line, RateLine, ScoreLine
-    from carecontact.scoring.run import RunScores
+    from carecontact.reports.compare.comparison import Comparison, RunInfo
+    from carecontact.reports.compare.null_floors import NullFloors
+    from carecontact.reports.compare.paired_lines import Line, RateLine, ScoreLine
+    from carecontact.runs.scores import RunScores
 
 RESULTS = "results.json"
 COMPARISON, OVERVIEW = "comparison.json", "overview.json"
@@ -47,7 +47,7 @@ def compare(runs: Sequence[Path], *, nulls: Sequence[Path], per_task: bool, out:
 
 
 def _compare_two(scored: Sequence[RunScores], runs: Sequence[Path], *, per_task: bool, out: Path | None) -> None:
-    from carecontact.reports.comparison import compare_runs, comparison_json
+    from carecontact.reports.compare.comparison import compare_runs, comparison_json
 
     comparison = compare_runs(*scored, per_task=per_task)
     _print(comparison, *runs)
@@ -56,7 +56,7 @@ def _compare_two(scored: Sequence[RunScores], runs: Sequence[Path], *, per_task:
 
 
 def _floors(scored: Sequence[RunScores], nulls: Sequence[Path]) -> dict[str, NullFloors]:
-    from carecontact.reports.null_floors import null_floors
+    from carecontact.reports.compare.null_floors import null_floors
 
     arms = [read_scores(path) for path in nulls]
     return {letter: null_floors(run, arms) for letter, run in zip(ascii_uppercase, scored, strict=False) if arms}
@@ -66,7 +66,7 @@ def _overview(
     scored: Sequence[RunScores], runs: Sequence[Path], floors: Mapping[str, NullFloors], *, out: Path | None
 ) -> None:
     from carecontact.cli.overview import print_floors, print_overview
-    from carecontact.reports.overview import overview, overview_json
+    from carecontact.reports.compare.overview import overview, overview_json
 
     found = overview(scored) if len(scored) > 2 else None
     if found is not None:
@@ -80,7 +80,7 @@ def _overview(
 def read_scores(run: Path) -> RunScores:
     """Recomputed where there are recordings, else as results.json has them; with what was planned and not scored."""
     from carecontact.cli.score import beside_plan
-    from carecontact.scoring import read_results, score_run
+    from carecontact.runs import read_results, score_run
 
     if run.is_file():
         return read_results(run)
@@ -109,7 +109,7 @@ def _write(content: Mapping[str, Any], path: Path) -> Path:
 def _print(comparison: Comparison, a: Path, b: Path) -> None:
     from carecontact.contract.protocol import protocol_title
     from carecontact.protocols.frozen_state import drifted_sha256
-    from carecontact.reports.verdicts import ALPHA
+    from carecontact.reports.compare.verdicts import ALPHA
 
     pairing = comparison.pairing
     print(f"{protocol_title(comparison.protocol_id, comparison.overrides)} ({comparison.protocol_sha256[:12]})")
@@ -155,7 +155,7 @@ def _print_lines(lines: Sequence[Line]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from carecontact.reports.paired_lines import RateLine
+    from carecontact.reports.compare.paired_lines import RateLine
     from carecontact.reports.table import NOT_DEFINED
 
     console = Console(highlight=False, markup=False, width=None if Console().is_terminal else WIDTH)
@@ -200,7 +200,7 @@ def _rate_cells(line: RateLine) -> list[str]:
 
 
 def _score_cells(line: ScoreLine) -> list[str]:
-    from carecontact.reports.outcomes import plain_text
+    from carecontact.reports.compare.outcomes import plain_text
 
     def shown(value: float | None) -> str:
         return plain_text(line.outcome, value)

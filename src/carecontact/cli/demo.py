@@ -11,9 +11,9 @@ from carecontact.errors import ConfigError, RecordingError
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.recording import read_recording
 from carecontact.recording.reason import reason_of
-from carecontact.scoring import score_run
+from carecontact.runs import score_run
+from carecontact.runs.manifest import FAILED, MANIFEST, read_manifest
 from carecontact.scoring.result import TrialScore
-from carecontact.trials.manifest import FAILED, MANIFEST, read_manifest
 from carecontact.trials.supervisor import check_jobs, remove_abandoned
 
 POLICY = "state-machine"

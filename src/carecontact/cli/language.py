@@ -21,9 +21,9 @@ def language_environment(policy: str, *, language: str | None, record: Path | No
         _check_record(record)
     if language is None:
         return {LANGUAGE_VARIABLE: "", RECORD_VARIABLE: ""}
+    from carecontact.contract.policy_address import remote_address
     from carecontact.policies.language.selection import language_name
     from carecontact.policies.registry import POLICIES
-    from carecontact.policies.remote import remote_address
 
     if remote_address(policy) is not None:
         raise ConfigError(f"--language {language}: a policy on another host is told at its end: carecontact serve")

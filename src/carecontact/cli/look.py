@@ -9,9 +9,9 @@ from carecontact.contract.observation import MODALITIES
 from carecontact.contract.policy import CAMERAS, PolicyCard
 from carecontact.errors import ConfigError
 from carecontact.protocols import adapted, load_protocol
-from carecontact.reports.sheet import check_sheet_path, save_sheet
-from carecontact.trials.plan import compact
-from carecontact.trials.preflight import check_protocol
+from carecontact.reports.pictures.sheet import check_sheet_path, save_sheet
+from carecontact.runs.plan import compact
+from carecontact.runs.preflight import check_protocol
 
 
 def look(
@@ -34,7 +34,7 @@ def look(
         raise ConfigError(f"--seed: {seed} is not in {rules.id}; its seeds: {compact(rules.randomization.seeds)}")
     path = check_sheet_path(out or Path(f"look-{task}-s{seed:03d}.png"))
     check_protocol(rules)
-    from carecontact.trials.first_look import first_look
+    from carecontact.episode.first_look import first_look
 
     card = PolicyCard(name="look", modalities=MODALITIES, cameras=CAMERAS)
     observation = first_look(rules, task_id=task, seed=seed, card=card, weights=weights)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from carecontact.recording import read_recording
-from carecontact.reports.notes_picture import save_notes_picture
-from carecontact.reports.sheet import check_sheet_path
+from carecontact.reports.pictures.notes_picture import save_notes_picture
+from carecontact.reports.pictures.sheet import check_sheet_path
 
 
 def notes(recording: Path, *, out: Path | None) -> int:

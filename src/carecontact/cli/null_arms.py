@@ -15,8 +15,8 @@ from carecontact.errors import CarecontactError, ConfigError
 from carecontact.recording.writer import replace_file
 
 if TYPE_CHECKING:
-    from carecontact.reports.null_floors import NullFloors
-    from carecontact.scoring.run import RunScores
+    from carecontact.reports.compare.null_floors import NullFloors
+    from carecontact.runs.scores import RunScores
 
 NULL_ARMS = "null_arms.json"
 
@@ -34,7 +34,7 @@ def named_floors(folder: Path, run: RunScores, nulls: Sequence[Path]) -> NullFlo
 
     Raises ConfigError for one that cannot be read or compared; then nothing is remembered.
     """
-    from carecontact.reports.null_floors import null_floors
+    from carecontact.reports.compare.null_floors import null_floors
 
     floors = null_floors(run, [read_scores(path) for path in nulls])
     places = [os.path.relpath(path.resolve(), folder.resolve()) for path in nulls]
@@ -45,7 +45,7 @@ def named_floors(folder: Path, run: RunScores, nulls: Sequence[Path]) -> NullFlo
 
 def remembered_floors(folder: Path, run: RunScores) -> tuple[NullFloors | None, dict[str, str]]:
     """Of the null arms that were named before, read anew; and arm or file -> why it cannot be shown any more."""
-    from carecontact.reports.null_floors import null_floors
+    from carecontact.reports.compare.null_floors import null_floors
 
     arms: list[RunScores] = []
     lost: dict[str, str] = {}

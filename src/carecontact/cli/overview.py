@@ -11,9 +11,9 @@ from carecontact.cli.compare import p_text
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from carecontact.reports.null_floors import Floor, NullFloors
-    from carecontact.reports.overview import Overview
-    from carecontact.reports.rankings import Ranking
+    from carecontact.reports.compare.null_floors import Floor, NullFloors
+    from carecontact.reports.compare.overview import Overview
+    from carecontact.reports.compare.rankings import Ranking
     from carecontact.stats import RateDifference
 
 RATE_NAMES = {"success": "success", "region_correct": "region-correct", "safety_gated": "safety-gated"}
@@ -24,9 +24,9 @@ def print_overview(overview: Overview, runs: Sequence[Path]) -> None:
     from rich.table import Table
 
     from carecontact.contract.protocol import protocol_title
-    from carecontact.reports.paired_lines import RateLine
+    from carecontact.reports.compare.paired_lines import RateLine
+    from carecontact.reports.compare.verdicts import ALPHA
     from carecontact.reports.table import COLUMNS
-    from carecontact.reports.verdicts import ALPHA
     from carecontact.stats import wilson_interval
 
     console = _console()

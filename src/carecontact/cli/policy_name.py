@@ -15,8 +15,8 @@ def check_policy(policy: str, *, search_path: Path, deadline_s: float) -> None:
 
     Both are started just as a trial starts them: the first in a process of its own and behind the wall.
     """
-    from carecontact.policies.opening import open_policy
-    from carecontact.policies.remote import remote_address
+    from carecontact.contract.policy_address import remote_address
+    from carecontact.hosting.opening import open_policy
 
     conversation = open_policy(
         policy, first_deadline_s=deadline_s, deadline_s=deadline_s, search_path=[str(search_path)]
@@ -35,7 +35,8 @@ def check_policy(policy: str, *, search_path: Path, deadline_s: float) -> None:
 def public_name(policy: str) -> str:
     """The name as it may stand in a recording. The credentials of an address go on to the trials' processes by the
     environment. Raises ConfigError for a malformed address."""
-    from carecontact.policies.remote import CREDENTIALS, remote_address
+    from carecontact.contract.policy_address import remote_address
+    from carecontact.hosting.remote import CREDENTIALS
 
     address = remote_address(policy)
     if address is None:

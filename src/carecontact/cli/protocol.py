@@ -22,7 +22,7 @@ def show(name: str) -> int:
 
 def verify(name: str) -> int:
     """Exit status 1 where anything differs from the lock, compiled worlds included, or there is no lock."""
-    from carecontact.trials.freeze import drift, is_borrowed, lock_of, make_lock
+    from carecontact.runs.freeze import drift, is_borrowed, lock_of, make_lock
 
     protocol = load_protocol(name)
     lock = lock_of(name, protocol)
@@ -44,7 +44,7 @@ def verify(name: str) -> int:
 
 def lock(name: str) -> int:
     """Write FILE.lock.json beside a protocol file of the user's."""
-    from carecontact.trials.freeze import make_lock
+    from carecontact.runs.freeze import make_lock
 
     protocol, path = load_protocol(name), lock_path(name)
     if name in shipped_protocols():

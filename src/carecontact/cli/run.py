@@ -10,16 +10,16 @@ from carecontact.cli.policy_name import check_policy, public_name
 from carecontact.cli.progress import progress
 from carecontact.cli.score import report, rescore
 from carecontact.cli.vision import chosen_vision
+from carecontact.episode.vision import WEIGHTS
 from carecontact.protocols import adapted, load_protocol
-from carecontact.trials.freeze import check_frozen
-from carecontact.trials.identity import POLICY_PATH
-from carecontact.trials.plan import parse_seeds, parse_tasks, plan_trials
-from carecontact.trials.preflight import check_protocol
+from carecontact.runs.freeze import check_frozen
+from carecontact.runs.identity import POLICY_PATH
+from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
+from carecontact.runs.preflight import check_protocol
 from carecontact.trials.supervisor import check_jobs, run_trials
-from carecontact.trials.vision import WEIGHTS
 
 if TYPE_CHECKING:
-    from carecontact.trials.manifest import Purpose
+    from carecontact.runs.manifest import Purpose
     from carecontact.trials.supervisor import RunSummary
 
 

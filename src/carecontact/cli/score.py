@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 
 from carecontact.errors import ConfigError, DependencyError
 from carecontact.protocols.frozen_state import drifted_sha256
-from carecontact.trials.manifest import read_manifest
+from carecontact.runs.manifest import read_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rich.console import Console
 
+    from carecontact.runs.scores import RunScores
     from carecontact.scoring.result import TrialScore
-    from carecontact.scoring.run import RunScores
 
 RESULTS = "results.json"
 
@@ -33,7 +33,7 @@ def score(folder: Path, *, jobs: int | None = None) -> int:
 
 def append(folder: Path) -> int:
     """Add what results.json lacks; an error leaves it as it was."""
-    from carecontact.scoring import append_metrics, read_results
+    from carecontact.runs import append_metrics, read_results
 
     _need_recordings(folder)
     found = append_metrics(folder)
@@ -55,8 +55,8 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
     Where nothing could be scored, results.json stays as it is. ``jobs``: processes; default: as many as pay.
     """
     from carecontact.reports.table import listed
-    from carecontact.scoring import score_run, write_scores
-    from carecontact.scoring.run import harness_errors, judged
+    from carecontact.runs import score_run, write_scores
+    from carecontact.runs.scores import harness_errors, judged
     from carecontact.trials.supervisor import check_jobs
 
     check_jobs(jobs)
@@ -107,8 +107,8 @@ def report(folder: Path, *, run: RunScores | None = None, nulls: Sequence[Path] 
     those named before; without any, those stay."""
     from carecontact.cli.null_arms import NULL_ARMS, named_floors, remembered_floors
     from carecontact.recording import read_recording
-    from carecontact.reports.html import write_report
-    from carecontact.scoring import score_run
+    from carecontact.reports.page.html import write_report
+    from carecontact.runs import score_run
 
     _need_recordings(folder)
     run = run or beside_plan(folder, score_run(folder))
@@ -151,7 +151,7 @@ def print_table(scores: Sequence[TrialScore]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from carecontact.scoring.run import judged
+    from carecontact.runs.scores import judged
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for header in ("task", "trials", "success", "region-correct", "safety-gated"):
@@ -181,10 +181,10 @@ def print_load(console: Console, scores: Sequence[TrialScore]) -> None:
     """What the person bore: medians beside C1 to C5, then the counts that a success rate hides."""
     from rich.table import Table
 
-    from carecontact.reports.limit_rows import limit_rows
-    from carecontact.reports.load import load
-    from carecontact.scoring.aggregate import quadrants, valid_ratio
-    from carecontact.scoring.run import judged
+    from carecontact.reports.page.limit_rows import limit_rows
+    from carecontact.reports.page.load import load
+    from carecontact.runs.aggregate import quadrants, valid_ratio
+    from carecontact.runs.scores import judged
 
     found = load(scores)
     if not found.n[-1]:
@@ -254,7 +254,7 @@ def _need_recordings(folder: Path) -> None:
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; name the --out of a run")
     if not any(folder.glob("*.h5")):
-        from carecontact.scoring.run import misnamed
+        from carecontact.runs.scores import misnamed
 
         told = "".join(f"; {path.name} does not end in .h5" for path in misnamed(folder)[:1])
         raise ConfigError(f"{folder}: holds no recordings (*.h5); name the --out of a run{told}")

@@ -8,12 +8,12 @@ from pathlib import Path
 from carecontact.cli.language import language_environment
 from carecontact.cli.policy_name import check_policy
 from carecontact.errors import ConfigError
-from carecontact.policies.serving import LOAD_DEADLINE_S, serve_trials
+from carecontact.hosting.serving import LOAD_DEADLINE_S, serve_trials
 
 
 def serve(policy: str, *, host: str, port: int, at_once: int | None, language: str | None) -> int:
     """Until it is interrupted. Raises ConfigError for what cannot be served or where nothing can listen."""
-    from carecontact.policies.remote import remote_address
+    from carecontact.contract.policy_address import remote_address
     from carecontact.trials.supervisor import available_cores
 
     if not 0 <= port <= 65535:

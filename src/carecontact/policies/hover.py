@@ -12,8 +12,8 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError
 from carecontact.policies.language.backend import Intent
 from carecontact.policies.language.rules import Rules
+from carecontact.policies.region_geometry import person_points, region_from_observation
 from carecontact.policies.state_machine import fixed_values as fixed
-from carecontact.policies.state_machine.geometry import person_points, region_from_observation
 from carecontact.policies.state_machine.primitives import Leg, radial_quat, sample, travel
 
 CAMERA = "overhead"

@@ -6,7 +6,7 @@ import tomllib
 from dataclasses import dataclass
 from importlib import resources
 
-from carecontact.reports.outcomes import RATES, Outcome
+from carecontact.reports.compare.outcomes import RATES, Outcome
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,15 +13,15 @@ from carecontact import __version__
 from carecontact.contract.protocol import Protocol, protocol_title
 from carecontact.errors import ConfigError
 from carecontact.protocols import adapted
-from carecontact.reports.comparison import Comparison, compare_runs, plain
-from carecontact.reports.failures import AnatomyRow, Cause, anatomy, causes, failure_modes
-from carecontact.reports.null_floors import NullFloors, null_floors
-from carecontact.reports.outcomes import RATES, SCORES, Outcome
-from carecontact.reports.overview import Overview, overview
-from carecontact.reports.paired_lines import Line
+from carecontact.reports.compare.comparison import Comparison, compare_runs, plain
+from carecontact.reports.compare.null_floors import NullFloors, null_floors
+from carecontact.reports.compare.outcomes import RATES, SCORES, Outcome
+from carecontact.reports.compare.overview import Overview, overview
+from carecontact.reports.compare.paired_lines import Line
+from carecontact.reports.page.failures import AnatomyRow, Cause, anatomy, causes, failure_modes
 from carecontact.reports.paper import Paper
 from carecontact.reports.table import SummaryRow, summary_rows
-from carecontact.scoring.run import RunScores, joined, judged
+from carecontact.runs.scores import RunScores, joined, judged
 from carecontact.stats import Proportion, RankingSweep, ranking_sweep, wilson_interval
 
 STUDY_SCHEMA = "carecontact-study-1"

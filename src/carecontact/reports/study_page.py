@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 
-from carecontact.reports.outcomes import RATES, SCORES, Outcome, plain_text
-from carecontact.reports.paired_lines import Line, ScoreLine
+from carecontact.reports.compare.outcomes import RATES, SCORES, Outcome, plain_text
+from carecontact.reports.compare.paired_lines import Line, ScoreLine
+from carecontact.reports.compare.verdicts import ALPHA, POWER, few_seeds
 from carecontact.reports.paper import Paper, PaperMethod
 from carecontact.reports.study import (
     PAIR,
@@ -22,7 +23,6 @@ from carecontact.reports.study import (
     condition_title,
 )
 from carecontact.reports.table import COLUMNS, NA, NOT_DEFINED, number
-from carecontact.reports.verdicts import ALPHA, POWER, few_seeds
 from carecontact.stats import Proportion
 
 AUTHORED = ":authored"

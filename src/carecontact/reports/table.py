@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from carecontact.runs.scores import check_one_run, judged
 from carecontact.scoring.result import TrialScore
-from carecontact.scoring.run import check_one_run, judged
 from carecontact.stats import Median, median
 
 NA = "NA"

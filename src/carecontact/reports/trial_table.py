@@ -13,7 +13,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 from carecontact.errors import DependencyError
 from carecontact.recording.writer import replace_file
 from carecontact.reports.table import sorted_scores
-from carecontact.scoring.metric import METRICS
+from carecontact.scoring.metrics.metric import METRICS
 from carecontact.scoring.result import TrialScore
 
 TABLE_NAME = "results.parquet"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from carecontact.contract.protocol import Gates
-from carecontact.scoring.c3_success import Measures, judge, measure
 from carecontact.scoring.contact import Contact, with_floor
+from carecontact.scoring.metrics.c3_success import Measures, judge, measure
 from carecontact.scoring.verdict import Verdict, reach_verdict
 
 SWEEPS: dict[str, tuple[float, ...]] = {

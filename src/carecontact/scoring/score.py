@@ -7,20 +7,20 @@ from math import isfinite
 from carecontact.errors import RecordingError
 from carecontact.recording import Recording, canonical_hash, check_recording
 from carecontact.recording.notes import language_use
-from carecontact.scoring import exposure, force_predicted, force_rate, shear_work, utilisation
-from carecontact.scoring.attribution import attribute
-from carecontact.scoring.c1_peak_force import peak_force, peak_of_segments
-from carecontact.scoring.c2_joint_margin import joint_margin
-from carecontact.scoring.c3_success import judge, measure
-from carecontact.scoring.c4_motion_activity import motion_activity
-from carecontact.scoring.c5_force_stability import force_stability
+from carecontact.scoring.attribution.attribute import attribute
 from carecontact.scoring.contact import Contact, any_column, find_contact
 from carecontact.scoring.gate_sweep import sweep_gates
-from carecontact.scoring.impulse import total_impulse
-from carecontact.scoring.indentation import beyond_calibrated, deepest_indentation
-from carecontact.scoring.metric import METRICS
+from carecontact.scoring.metrics import exposure, force_predicted, force_rate, shear_work, utilisation
+from carecontact.scoring.metrics.c1_peak_force import peak_force, peak_of_segments
+from carecontact.scoring.metrics.c2_joint_margin import joint_margin
+from carecontact.scoring.metrics.c3_success import judge, measure
+from carecontact.scoring.metrics.c4_motion_activity import motion_activity
+from carecontact.scoring.metrics.c5_force_stability import force_stability
+from carecontact.scoring.metrics.impulse import total_impulse
+from carecontact.scoring.metrics.indentation import beyond_calibrated, deepest_indentation
+from carecontact.scoring.metrics.metric import METRICS
 from carecontact.scoring.result import TrialScore
-from carecontact.scoring.streams import check_streams
+from carecontact.scoring.validity.streams import check_streams
 from carecontact.scoring.verdict import reach_verdict
 
 BUILT_IN = ("C1@1", "C2@1", "C3@1", "C4@1", "C5@1")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from carecontact.scoring.c1_peak_force import peak_of_segments
-from carecontact.scoring.c3_success import Gate, holding
 from carecontact.scoring.contact import Contact, runs, steps
+from carecontact.scoring.metrics.c1_peak_force import peak_of_segments
+from carecontact.scoring.metrics.c3_success import Gate, holding
 from carecontact.scoring.result import Anatomy, FailureMode
 
 

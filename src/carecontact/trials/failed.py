@@ -6,7 +6,7 @@ import math
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.recording.schema import REGIONS, SEGMENTS, EndReason, Failure, Header, Recording, empty_arrays
-from carecontact.trials.versions import package_versions
+from carecontact.recording.versions import package_versions
 
 EVIDENCE_CHARACTERS = 4000
 """Length of the tail of a traceback or of stderr kept in a recording; the whole is in the trial's log."""

@@ -19,14 +19,14 @@ from typing import Literal
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, RecordingError
-from carecontact.policies.descendants import kill_marked, marks_of
+from carecontact.hosting.descendants import kill_marked, marks_of
 from carecontact.policies.language import LANGUAGE_VARIABLE
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import EndReason, Recording
+from carecontact.runs.identity import POLICY_PATH, identity_of
+from carecontact.runs.manifest import FAILED, Purpose, salted, survey, write_manifest
 from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, tail
-from carecontact.trials.identity import POLICY_PATH, identity_of
-from carecontact.trials.manifest import FAILED, Purpose, salted, survey, write_manifest
 from carecontact.trials.worker import POLICY_RUNS, SINGLE_THREAD
 
 # -P: the folder a user happens to stand in must not shadow a module of the trial's process.

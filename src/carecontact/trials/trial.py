@@ -14,28 +14,29 @@ import mujoco
 import numpy as np
 
 from carecontact.contract.action import Action, ActionBounds, check_action
+from carecontact.contract.embodiment import EMBODIMENT
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy_address import remote_address
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.log import TrialLog
+from carecontact.episode.perception import PerceptionLog
+from carecontact.episode.prepare import settled_world
+from carecontact.episode.randomization import sensor_noise
+from carecontact.episode.vision import person_segmenter
 from carecontact.errors import ActionError, PolicyError
+from carecontact.hosting.conversation import PolicyConversation
+from carecontact.hosting.opening import open_policy
 from carecontact.observation.builder import ObservationBuilder, RawReadings
 from carecontact.observation.keypoints import MediaPipePose
-from carecontact.policies.conversation import PolicyConversation
-from carecontact.policies.opening import open_policy
-from carecontact.policies.remote import remote_address
 from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS, EndReason, Failure, Header, Recording
+from carecontact.recording.versions import package_versions
+from carecontact.runs.identity import POLICY_PATH
 from carecontact.sim.close_up import render_close_up
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Samples, Settled, Simulation
-from carecontact.trials.identity import POLICY_PATH
-from carecontact.trials.log import TrialLog
-from carecontact.trials.perception import PerceptionLog
-from carecontact.trials.prepare import settled_world
-from carecontact.trials.randomization import sensor_noise
-from carecontact.trials.versions import EMBODIMENT, package_versions
-from carecontact.trials.vision import person_segmenter
 from carecontact.world.robot import panda_sha256
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from carecontact.scoring.contact import find_contact
-from carecontact.scoring.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import METRICS, Metric
 from carecontact.validation import sweeps
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject

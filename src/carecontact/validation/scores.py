@@ -10,9 +10,9 @@ import numpy as np
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import SceneError
 from carecontact.recording.schema import REGIONS, SEGMENTS, Header, Recording
-from carecontact.scoring.c1_peak_force import peak_force
-from carecontact.scoring.c5_force_stability import force_stability
 from carecontact.scoring.contact import find_contact
+from carecontact.scoring.metrics.c1_peak_force import peak_force
+from carecontact.scoring.metrics.c5_force_stability import force_stability
 from carecontact.scoring.progress import measure_episodes
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.validation.moves import Behaviour, Performance, perform

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from carecontact.contract.observation import Observation
 from carecontact.errors import ContractError
-from carecontact.policies.state_machine.geometry import (
+from carecontact.policies.region_geometry import (
     ABDOMEN_FRACTION,
     KEY_POINTS_AHEAD,
     LANDMARK,

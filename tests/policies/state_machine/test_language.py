@@ -11,8 +11,8 @@ import pytest
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import Session
 from carecontact.errors import PolicyError
+from carecontact.hosting.process import PolicyProcess
 from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
-from carecontact.policies.process import PolicyProcess
 from tests.policies.language.endpoint import Answer, endpoint, error, says
 
 READ = says(json.dumps({"action": "touch", "region": "forearm", "side": "right", "manner": "none", "unclear": ""}))

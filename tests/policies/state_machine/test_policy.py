@@ -10,9 +10,9 @@ from carecontact.contract.action import MAX_CHUNK, Action, check_action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import Policy, Session
 from carecontact.errors import LanguageError
+from carecontact.policies.region_geometry import region_from_observation
 from carecontact.policies.state_machine import fixed_values as fixed
 from carecontact.policies.state_machine.candidates import candidates, reachable
-from carecontact.policies.state_machine.geometry import region_from_observation
 from carecontact.policies.state_machine.policy import StateMachine
 from carecontact.policies.state_machine.primitives import Leg, touch
 from carecontact.protocols import load_protocol

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.observation import Observation
+from carecontact.policies.region_geometry import RegionGeometry, region_from_observation
 from carecontact.policies.state_machine import fixed_values as fixed
-from carecontact.policies.state_machine.geometry import RegionGeometry, region_from_observation
 from carecontact.policies.state_machine.primitives import Leg, push, sample, scrub, slerp, tool_quat, touch
 
 HZ = 20.0

@@ -15,8 +15,8 @@ from carecontact.contract.action import check_action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import Policy, Session
 from carecontact.errors import ContractError, LanguageError, PolicyError, ProgramError
+from carecontact.hosting.process import PolicyProcess
 from carecontact.policies.language import LANGUAGE_VARIABLE
-from carecontact.policies.process import PolicyProcess
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.policy import VoxPoser
 from carecontact.policies.voxposer.prompts import SETS

@@ -13,8 +13,8 @@ from carecontact.contract.action import ActionBounds
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.errors import ContractError
 from carecontact.policies.language.backend import Option
+from carecontact.policies.region_geometry import RegionGeometry
 from carecontact.policies.state_machine import fixed_values as fixed
-from carecontact.policies.state_machine.geometry import RegionGeometry
 from carecontact.policies.state_machine.primitives import Leg, push, scrub, touch, travel
 
 F64 = npt.NDArray[np.float64]

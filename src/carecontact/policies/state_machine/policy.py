@@ -18,9 +18,9 @@ from carecontact.policies.language.backend import Intent, LanguageBackend
 from carecontact.policies.language.model import LanguageModel
 from carecontact.policies.language.rules import Rules
 from carecontact.policies.language.selection import chosen_transcript
+from carecontact.policies.region_geometry import person_points, region_from_observation
 from carecontact.policies.state_machine import fixed_values as fixed
 from carecontact.policies.state_machine.candidates import Candidate, PlanningFailure, candidates
-from carecontact.policies.state_machine.geometry import person_points, region_from_observation
 from carecontact.policies.state_machine.primitives import sample
 
 F64 = npt.NDArray[np.float64]

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.geometry import quat_from_matrix
+from carecontact.policies.region_geometry import RegionGeometry
 from carecontact.policies.state_machine import fixed_values as fixed
-from carecontact.policies.state_machine.geometry import RegionGeometry
 
 F64 = npt.NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])

@@ -14,7 +14,7 @@ from pydantic_monty import ClassInstance
 from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.errors import ProgramError
-from carecontact.policies.state_machine.geometry import person_points
+from carecontact.policies.region_geometry import person_points
 from carecontact.policies.voxposer.executor import Motion
 from carecontact.policies.voxposer.functions import told
 from carecontact.policies.voxposer.policy import CAMERA, EXECUTE, Execution, VoxPoser, text_of

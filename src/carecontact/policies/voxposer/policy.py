@@ -20,7 +20,7 @@ from carecontact.contract.policy import PolicyCard, Session
 from carecontact.errors import ConfigError, ContractError, ProgramError
 from carecontact.policies.language.selection import chosen_transcript
 from carecontact.policies.language.transcript import Transcript
-from carecontact.policies.state_machine.geometry import PerceptionFailure
+from carecontact.policies.region_geometry import PerceptionFailure
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.executor import Motion, forward_only, manner, motion
 from carecontact.policies.voxposer.functions import MapFunctions, PartHandle, offered, told

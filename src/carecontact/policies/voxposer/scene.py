@@ -10,7 +10,7 @@ import numpy.typing as npt
 from carecontact.contract.geometry import pixels
 from carecontact.contract.observation import CameraView, Observation
 from carecontact.policies.language.backend import RegionName
-from carecontact.policies.state_machine.geometry import (
+from carecontact.policies.region_geometry import (
     LANDMARK,
     MIN_VISIBILITY,
     PerceptionFailure,

@@ -1,0 +1,5 @@
+"""The robot that every trial has."""
+
+from __future__ import annotations
+
+EMBODIMENT = "panda-closed-gripper-caps"

@@ -1,0 +1,153 @@
+"""Perception measured against the simulator's truth, beside a trial and out of the policy's sight."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.observation import CameraView, Observation
+from carecontact.contract.policy import CAMERAS
+from carecontact.errors import ContractError
+from carecontact.policies.region_geometry import (
+    ABDOMEN_FRACTION,
+    LIMB_JOINTS,
+    UPPER_ARM_FREE_FROM,
+    region_from_observation,
+)
+from carecontact.recording.perception import ARRAYS, JOINTS
+from carecontact.recording.schema import REGIONS
+from carecontact.sim.proprioception import Proprioception
+from carecontact.sim.rendering import SceneRenderer, TrueView
+from carecontact.sim.true_skin import skin_in_world, top_of_skin
+from carecontact.world.human.skeleton import body_name
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+SEGMENT_AT = {
+    "shoulder": "upper_arm", "elbow": "forearm", "wrist": "hand", "hip": "thigh", "knee": "shank", "ankle": "foot"
+}  # fmt: skip
+OWN_LIMB_M = 0.16
+"""A surface that much before a joint centre is still its own: the hip joint of the heaviest bodies lies 0.14 m deep."""
+
+
+class PerceptionLog:
+    """Rows for ``recording.perception``: one render a camera at observations with landmarks or masks, else none."""
+
+    def __init__(self, model: mujoco.MjModel, renderer: SceneRenderer) -> None:
+        self._model, self._renderer, self._robot = model, renderer, Proprioception(model)
+        self._rows: list[dict[str, Any]] = []
+        self._seen = 0
+
+    def add(self, data: mujoco.MjData, observation: Observation) -> None:
+        """``data`` is the state that the observation shows, and only read."""
+        index, self._seen = self._seen, self._seen + 1
+        looked = {n: v for n, v in observation.cameras.items() if v.landmarks is not None or v.masks is not None}
+        if not looked:
+            return
+        joints = self.joints_in_base(data)
+        skin = self.skin_in_base(data) if any(_finds_targets(view) for view in looked.values()) else None
+        for name, view in looked.items():
+            truth = self._renderer.truth(data, name)
+            # With encoder noise the policy's camera pose is not the true one.
+            pose = self._renderer.pose_camera_in_base(data, name)
+            visible, error = landmark_error_px(view, joints, pose, truth)
+            self._rows.append(
+                {
+                    "observation_index": index, "camera_index": CAMERAS.index(name), "joint_visible": visible,
+                    "landmark_error_px": error,
+                    "human_iou": np.nan if view.masks is None else iou(view.masks["human"], truth.human),
+                    "target_error_m": self._target_errors(joints, skin, observation, name),
+                }
+            )  # fmt: skip
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Nothing if no row was added."""
+        if not self._rows:
+            return {}
+        columns = {path: [row[path.partition("/")[2]] for row in self._rows] for path in ARRAYS}
+        return {path: np.array(columns[path], np.dtype(dtype)) for path, (dtype, _, _) in ARRAYS.items()}
+
+    def joints_in_base(self, data: mujoco.MjData) -> dict[str, F64]:
+        """JOINTS -> (3,) true centre."""
+        found = {}
+        for name in JOINTS:
+            side, joint = name.split()
+            centre = data.body(body_name(f"{side}_{SEGMENT_AT[joint]}")).xpos
+            found[name] = self._robot.in_base(data, centre, np.eye(3))[:3, 3]
+        return found
+
+    def _target_errors(self, joints: dict[str, F64], skin: F64 | None, observation: Observation, camera: str) -> F32:
+        errors = np.full((len(REGIONS), 3), np.nan, np.float32)
+        if skin is None or not _finds_targets(observation.cameras[camera]):
+            return errors
+        for row, region in enumerate(REGIONS):
+            try:
+                found = region_from_observation(observation, region, camera=camera)  # pyright: ignore[reportArgumentType]
+            except ContractError:
+                continue
+            centre, along = true_target(region, joints, skin, self._model.skin_face)
+            across = np.array([-along[1], along[0], 0.0])
+            errors[row] = (found.centre_m - centre) @ np.stack([along, across, [0, 0, 1]], 1)
+        return errors
+
+    def skin_in_base(self, data: mujoco.MjData) -> F64:
+        """(V, 3) true vertices; faces are the model's."""
+        placed = skin_in_world(self._model, data)
+        to_base = self._robot.in_base(data, np.zeros(3), np.eye(3))
+        return placed @ to_base[:3, :3].T + to_base[:3, 3]
+
+
+def _finds_targets(view: CameraView) -> bool:
+    """Whether the state machine could look for regions in it."""
+    return all(image is not None for image in (view.depth, view.points, view.masks, view.landmarks))
+
+
+def landmark_error_px(
+    view: CameraView, joints_in_base: dict[str, F64], pose_camera_in_base: F64, truth: TrueView
+) -> tuple[Bool, F32]:
+    """(12,) whether the camera really sees each joint's limb there, and (12,) [px] error, NaN where not."""
+    height, width = truth.human.shape
+    visible, error = np.zeros(len(JOINTS), bool), np.full(len(JOINTS), np.nan, np.float32)
+    for row, (name, index) in enumerate(JOINTS.items()):
+        in_camera = pose_camera_in_base[:3, :3].T @ (joints_in_base[name] - pose_camera_in_base[:3, 3])
+        if in_camera[2] <= 0:
+            continue
+        u, v = (view.intrinsics @ in_camera)[:2] / in_camera[2]
+        if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
+            continue
+        at = round(float(v)), round(float(u))
+        visible[row] = truth.human[at] and in_camera[2] - truth.depth[at] < OWN_LIMB_M
+        if visible[row] and view.landmarks is not None:
+            error[row] = np.hypot(*(view.landmarks[index, :2] - (u, v)))
+    return visible, error
+
+
+def iou(found: Bool, true: Bool) -> float:
+    """Intersection over union; 1 where both are empty."""
+    union = int((found | true).sum())
+    return int((found & true).sum()) / union if union else 1.0
+
+
+def true_target(
+    region: str, joints_in_base: dict[str, F64], skin_in_base: F64, faces: npt.NDArray[np.integer]
+) -> tuple[F64, F64]:
+    """(3,) the skin above the region's middle and (3,) the horizontal direction of its limb.
+
+    The middle is the state machine's, in the true joint centres: what is measured is perception, not anatomy.
+    """
+    if region == "abdomen":
+        start, end = ((joints_in_base[f"left {j}"] + joints_in_base[f"right {j}"]) / 2 for j in ("hip", "shoulder"))
+        share = ABDOMEN_FRACTION
+    else:
+        first, second = LIMB_JOINTS[region]
+        start, end = joints_in_base[f"right {first}"], joints_in_base[f"right {second}"]
+        share = (1 + UPPER_ARM_FREE_FROM) / 2 if region == "upper_arm" else 0.5
+    middle = start + share * (end - start)
+    along = np.array([*(end - start)[:2], 0.0])
+    height = top_of_skin(skin_in_base, faces.reshape(-1, 3), middle[:2])
+    return np.array([*middle[:2], height]), along / np.linalg.norm(along)

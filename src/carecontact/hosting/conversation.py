@@ -1,0 +1,143 @@
+"""One trial's conversation with a policy, wherever it runs: the order of the calls, their deadlines, what is told when
+one fails."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
+from types import TracebackType
+from typing import Self
+
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard, Session
+from carecontact.errors import PolicyError
+from carecontact.hosting.wire.client import ActReply, PolicyClient
+
+GRACE_S = 1.0
+"""Between being asked to end and being cut off."""
+EVIDENCE_CHARS = 4000
+BUDGET_S = 3600.0
+"""Wall time that a policy may take in one trial, all calls together: 2.4 s for each of the 1,500 calls that 30 s at
+50 Hz can hold. In code and in no protocol: it only keeps a trial from ending by the supervisor's limit, which would be
+nobody's fault."""
+
+
+def readable(text: str) -> str:
+    """What came from a policy, for a terminal, a log or a page: control characters, but for line ends and tabs, are
+    escaped."""
+    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text.replace("\r\n", "\n"))
+
+
+class PolicyConversation(ABC):
+    """Context manager around the conversation with one policy, for one trial.
+
+    Every method below raises PolicyError (``kind`` says what happened, the message ends with what the policy printed,
+    where that is known) and leaves nothing open behind. After a failure the object is closed.
+    """
+
+    def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S) -> None:
+        """``first_deadline_s`` holds for the start, each reset and the first act, when models load; ``deadline_s`` for
+        every later act; ``budget_s`` for all of them together."""
+        self.policy = policy
+        self._first_deadline_s, self._deadline_s = first_deadline_s, deadline_s
+        self._budget_s = self._left_s = budget_s
+        self._acted = False
+        self._client: PolicyClient | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def printed(self) -> str:
+        """The end of what the policy wrote to stdout and stderr, where it can be known; complete once it is closed."""
+        return ""
+
+    def start(self) -> PolicyCard:
+        """Connect; returns the policy's card."""
+        with self._evidence("start"), self._within(self._first_deadline_s) as allowed_s:
+            deadline = time.monotonic() + allowed_s
+
+            def left() -> float:
+                return max(deadline - time.monotonic(), 0.0)
+
+            self._client = self._open(left)
+            return self._client.card(deadline_s=left())
+
+    def reset(self, instruction: str, session: Session) -> None:
+        with self._evidence("reset"), self._within(self._first_deadline_s) as allowed_s:
+            self._connected().reset(instruction, session, deadline_s=allowed_s)
+
+    def act(self, observation: Observation) -> ActReply:
+        """One observation, one checked chunk. ObservationError and ContractError are the harness's own mistakes."""
+        deadline_s = self._deadline_s if self._acted else self._first_deadline_s
+        self._acted = True
+        with self._evidence("act"), self._within(deadline_s) as allowed_s:
+            return self._connected().act(observation, deadline_s=allowed_s)
+
+    def close(self) -> None:
+        """End the conversation, gracefully if the policy still answers. Idempotent."""
+        if self._client is not None:
+            self._client.say_goodbye(deadline_s=GRACE_S)
+        self._drop()
+
+    @abstractmethod
+    def _open(self, left: Callable[[], float]) -> PolicyClient:
+        """Reach the policy within the seconds that are ``left``."""
+
+    def _how_it_ended(self) -> str:
+        """To follow the message of a policy that is gone."""
+        return ""
+
+    def _drop(self) -> None:
+        """Leave nothing open, whatever state the other end is in."""
+        client, self._client = self._client, None
+        if client is not None:
+            # Its other end may be gone, and websockets may trip over what a dying process left on the line.
+            with suppress(Exception):
+                client.disconnect()
+
+    def _connected(self) -> PolicyClient:
+        if self._client is None:
+            raise RuntimeError(
+                f"{type(self).__name__}: start() comes first, and nothing comes after a failure or close()"
+            )
+        return self._client
+
+    @contextmanager
+    def _within(self, deadline_s: float) -> Generator[float, None, None]:
+        """Gives the seconds that a call may take, and takes those that it took off the budget."""
+        started, allowed_s = time.monotonic(), min(deadline_s, self._left_s)
+        try:
+            yield allowed_s
+        except PolicyError as error:
+            if error.kind == "timeout" and allowed_s < deadline_s:
+                raise PolicyError(
+                    "timeout", f"took more than {self._budget_s:g} s of wall time in all its calls of one trial",
+                    notes=error.notes,
+                ) from None  # fmt: skip
+            raise
+        finally:
+            self._left_s = max(self._left_s - (time.monotonic() - started), 0.0)
+
+    @contextmanager
+    def _evidence(self, doing: str) -> Generator[None, None, None]:
+        """Whatever goes wrong inside ends it all; a PolicyError leaves with what is known about why."""
+        try:
+            yield
+        except PolicyError as error:
+            ended = self._how_it_ended() if error.kind in ("died", "start") else ""
+            self._drop()
+            message = f"policy {self.policy!r} failed at {doing}: {str(error)[:EVIDENCE_CHARS]}{ended}"
+            if self.printed:
+                message += f"\nit printed last:\n{self.printed[-EVIDENCE_CHARS // 2 :]}"
+            raise PolicyError(error.kind, readable(message), notes=error.notes) from None
+        except BaseException:
+            self._drop()
+            raise

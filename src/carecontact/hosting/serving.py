@@ -1,0 +1,95 @@
+"""A policy for trials on other hosts: each connection is led to a policy process of its own, as a local trial has."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import NoReturn
+
+from carecontact.errors import ConfigError, PolicyError
+from carecontact.hosting.process import PolicyProcess
+
+LOAD_DEADLINE_S = 600.0
+"""For a policy to load; the trial at the other end has its own, shorter one."""
+KEEPALIVE_S = 60
+"""A trial's host that vanished without a word is given up after about twice that."""
+
+
+def serve_trials(
+    policy: str,
+    *,
+    host: str,
+    port: int,
+    at_once: int,
+    search_path: Sequence[str],
+    on_port: Callable[[int], None],
+    on_event: Callable[[str], None],
+) -> NoReturn:
+    """Until the process ends. ``on_port`` learns the port once it listens, ``on_event`` what becomes of each trial; it
+    is called from several threads.
+
+    Raises ConfigError where nothing can listen.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        listener = socket.create_server((host, port), family=family)
+    except OSError as error:
+        raise ConfigError(f"cannot listen at {host} port {port}: {error.strerror or error}") from None
+    slots = threading.Semaphore(at_once)
+
+    def serve_one(connection: socket.socket, peer: str) -> None:
+        try:
+            with connection:
+                _serve_one(connection, peer, policy=policy, search_path=search_path, on_event=on_event)
+        finally:
+            slots.release()
+
+    with listener:
+        on_port(listener.getsockname()[1])
+        while True:
+            slots.acquire()
+            connection, (address, number, *_) = listener.accept()
+            # A daemon: when this process ends the policies end too, by the pipe that holds them.
+            threading.Thread(target=serve_one, args=(connection, f"{address} port {number}"), daemon=True).start()
+
+
+def _serve_one(
+    connection: socket.socket, peer: str, *, policy: str, search_path: Sequence[str], on_event: Callable[[str], None]
+) -> None:
+    on_event(f"{peer}: a trial begins")
+    process = PolicyProcess(
+        policy, first_deadline_s=LOAD_DEADLINE_S, deadline_s=LOAD_DEADLINE_S, search_path=search_path
+    )
+    try:
+        with process, socket.create_connection(("127.0.0.1", process.launch())) as inner:
+            _relay(connection, inner)
+    except (PolicyError, OSError) as error:
+        on_event(f"{peer}: {error}")
+        return
+    printed = f"; the policy printed last:\n{process.printed}" if process.printed else ""
+    on_event(f"{peer}: the trial has ended{printed}")
+
+
+def _relay(outer: socket.socket, inner: socket.socket) -> None:
+    """Both ways until one end closes."""
+    for one in (outer, inner):
+        one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    outer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    outer.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, KEEPALIVE_S)
+    outer.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, KEEPALIVE_S // 6)
+    back = threading.Thread(target=_pump, args=(inner, outer), daemon=True)
+    back.start()
+    _pump(outer, inner)
+    back.join()
+
+
+def _pump(source: socket.socket, sink: socket.socket) -> None:
+    with suppress(OSError):
+        while piece := source.recv(1 << 16):
+            sink.sendall(piece)
+    # Either end gone is the end of both; what was sent already still arrives.
+    for one in (source, sink):
+        with suppress(OSError):
+            one.shutdown(socket.SHUT_RDWR)

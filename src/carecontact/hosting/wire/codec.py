@@ -1,0 +1,273 @@
+"""Contract objects <-> plain values. One table says what each field must be, and it holds in both directions."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NoReturn, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.action import MAX_CHUNK, Action, ActionBounds
+from carecontact.contract.observation import MASK_NAMES, CameraView, Observation
+from carecontact.contract.policy import CAMERAS, PolicyCard, Session
+from carecontact.errors import ActionError, ContractError, ObservationError, PolicyError
+from carecontact.hosting.wire.packing import is_array, is_list, is_map
+
+Plain = dict[str, object]
+Shape = tuple[int | str, ...]
+
+OBSERVATION_ARRAYS: dict[str, tuple[str, Shape]] = {
+    "joint_position": ("<f8", (7,)),
+    "joint_velocity": ("<f8", (7,)),
+    "gripper_position": ("<f8", (1,)),
+    "pose_tcp_in_base": ("<f8", (7,)),
+}
+CAMERA_ARRAYS: dict[str, tuple[str, Shape]] = {
+    "intrinsics": ("<f8", (3, 3)),
+    "pose_camera_in_base": ("<f8", (4, 4)),
+    "rgb": ("|u1", ("H", "W", 3)),
+    "depth": ("<f4", ("H", "W")),
+    "points": ("<f4", ("N", 3)),
+    "point_colors": ("|u1", ("N", 3)),
+    "landmarks": ("<f4", (33, 3)),
+    "landmarks_in_base": ("<f4", (33, 3)),
+}
+"""Field -> dtype and shape; equal letters within a camera are equal sizes."""
+_MASK: tuple[str, Shape] = ("|b1", ("H", "W"))
+
+
+def encode_observation(observation: Observation) -> Plain:
+    """Raises ObservationError if a field does not fit its table row, or a mask or camera has an unknown name."""
+    plain = _fields(observation, Observation, ObservationError)
+    plain["cameras"] = {
+        name: _fields(observation.cameras[name], CameraView, ObservationError) for name in sorted(observation.cameras)
+    }
+    decode_observation(plain)
+    return plain
+
+
+def decode_observation(plain: object) -> Observation:
+    """Raises ObservationError naming the field, what was expected and what was got."""
+    entries = _known(plain, Observation, "observation", ObservationError)
+    for name in OBSERVATION_ARRAYS:
+        _check_array(entries[name], OBSERVATION_ARRAYS[name], f"observation.{name}", {})
+    instruction = entries["instruction"]
+    if not isinstance(instruction, str):
+        _wrong(ObservationError, "observation.instruction", "text", instruction)
+    time_s = _number(entries["sim_time_s"], "observation.sim_time_s", ObservationError)
+    cameras = entries["cameras"]
+    if not is_map(cameras):
+        _wrong(ObservationError, "observation.cameras", "a map", cameras)
+    views: dict[str, CameraView] = {}
+    for name, view in cameras.items():
+        if name not in CAMERAS:
+            raise ObservationError(f"observation.cameras: no camera {name!r}; valid: {', '.join(CAMERAS)}")
+        views[name] = _decode_camera(view, f"observation.cameras.{name}")
+    arrays = {name: entries[name] for name in OBSERVATION_ARRAYS}
+    return Observation(instruction=instruction, sim_time_s=time_s, cameras=views, **cast(dict[str, Any], arrays))
+
+
+def _decode_camera(plain: object, place: str) -> CameraView:
+    entries = _known(plain, CameraView, place, ObservationError)
+    sizes: dict[str, int] = {}
+    for name, row in CAMERA_ARRAYS.items():
+        if entries[name] is not None or name in ("intrinsics", "pose_camera_in_base"):
+            _check_array(entries[name], row, f"{place}.{name}", sizes)
+    masks = entries["masks"]
+    if masks is not None:
+        if not is_map(masks):
+            _wrong(ObservationError, f"{place}.masks", "a map or None", masks)
+        for name, mask in masks.items():
+            if name not in MASK_NAMES:
+                raise ObservationError(f"{place}.masks: no mask {name!r}; valid: {', '.join(MASK_NAMES)}")
+            _check_array(mask, _MASK, f"{place}.masks.{name}", sizes)
+    return CameraView(**cast(dict[str, Any], entries))
+
+
+def encode_actions(answer: object) -> list[object]:
+    """What ``act`` returned, one Action or a sequence of 1 to MAX_CHUNK.
+
+    Raises ActionError when it is neither, or when a field is of a wrong type.
+    """
+    actions: object = [answer] if isinstance(answer, Action) else answer
+    if not isinstance(actions, list | tuple):
+        _wrong(ActionError, "act", "an Action or a list of Actions", actions)
+    plain: list[object] = []
+    for i, action in enumerate(cast(Sequence[object], actions)):
+        entries = _fields(action, Action, ActionError, place=f"act[{i}]")
+        if entries["pose_tcp_in_base"] is not None:
+            entries["pose_tcp_in_base"] = _pose(entries["pose_tcp_in_base"], f"act[{i}].pose_tcp_in_base")
+        if isinstance(entries["stiffness"], tuple):
+            entries["stiffness"] = list(cast(tuple[object, ...], entries["stiffness"]))
+        plain.append(entries)
+    decode_actions(plain)
+    return plain
+
+
+def _pose(value: object, place: str) -> npt.NDArray[np.float64]:
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        _wrong(ActionError, place, "an array of 7 numbers or None", value)
+    if array.dtype.kind not in "fiu":
+        _wrong(ActionError, place, "an array of 7 numbers or None", array)
+    return array.astype(np.float64)
+
+
+def decode_actions(plain: object) -> list[Action]:
+    """Types only; values are for ``check_action``. Raises ActionError naming index, field, expected and got."""
+    if not is_list(plain):
+        _wrong(ActionError, "actions", "a list", plain)
+    if not 1 <= len(plain) <= MAX_CHUNK:
+        raise ActionError(f"actions: expected 1 to {MAX_CHUNK} actions, got {len(plain)}")
+    return [_decode_action(item, f"actions[{i}]") for i, item in enumerate(plain)]
+
+
+def _decode_action(plain: object, place: str) -> Action:
+    entries = _known(plain, Action, place, ActionError)
+    pose, stiffness, gripper, done = (entries[k] for k in ("pose_tcp_in_base", "stiffness", "gripper", "done"))
+    if pose is not None and (not is_array(pose) or pose.dtype.kind not in "fiu"):
+        _wrong(ActionError, f"{place}.pose_tcp_in_base", "an array of 7 numbers or None", pose)
+    pair: tuple[float, float] | None = None
+    if stiffness is not None:
+        if not is_list(stiffness) or len(stiffness) != 2:
+            _wrong(ActionError, f"{place}.stiffness", "(translational, rotational) or None", stiffness)
+        pair = (
+            _number(stiffness[0], f"{place}.stiffness[0]", ActionError),
+            _number(stiffness[1], f"{place}.stiffness[1]", ActionError),
+        )
+    if type(done) is not bool:
+        _wrong(ActionError, f"{place}.done", "True or False", done)
+    opening = None if gripper is None else _number(gripper, f"{place}.gripper", ActionError)
+    return Action(
+        pose_tcp_in_base=cast(npt.NDArray[np.float64] | None, pose), stiffness=pair, gripper=opening, done=done
+    )
+
+
+def encode_card(card: object) -> Plain:
+    """Raises PolicyError ``handshake``."""
+    try:
+        plain = _fields(card, PolicyCard, ContractError, place="card")
+    except ContractError as error:
+        raise PolicyError("handshake", f"{error}; a policy shows a PolicyCard as its attribute 'card'") from None
+    plain |= {name: list(cast(Sequence[object], plain[name])) for name in ("modalities", "cameras")}
+    decode_card(plain)
+    return plain
+
+
+def decode_card(plain: object) -> PolicyCard:
+    """Raises PolicyError ``handshake`` naming the field, what was expected and what was got."""
+    try:
+        entries = _known(plain, PolicyCard, "card", ContractError)
+        for name in ("name", "action_space", "language_backend"):
+            if not isinstance(entries[name], str):
+                _wrong(ContractError, f"card.{name}", "text", entries[name])
+        for name in ("modalities", "cameras"):
+            names = entries[name]
+            if not is_list(names) or not all(isinstance(n, str) for n in names):
+                _wrong(ContractError, f"card.{name}", "a list of names", names)
+            entries[name] = tuple(names)
+        entries["control_hz"] = _number(entries["control_hz"], "card.control_hz", ContractError)
+        return PolicyCard(**cast(dict[str, Any], entries))
+    except ContractError as error:
+        raise PolicyError("handshake", str(error)) from None
+
+
+def encode_session(session: Session) -> Plain:
+    plain = _fields(session, Session, ContractError)
+    plain["action_bounds"] = _fields(session.action_bounds, ActionBounds, ContractError)
+    decode_session(plain)
+    return plain
+
+
+def decode_session(plain: object) -> Session:
+    """Raises ContractError naming the field, what was expected and what was got."""
+    entries = _known(plain, Session, "session", ContractError)
+    bounds = _known(entries["action_bounds"], ActionBounds, "session.action_bounds", ContractError)
+    lengths = {name: 3 if name.startswith("workspace") else 2 for name in bounds}
+    limits = {n: _numbers(bounds[n], lengths[n], f"session.action_bounds.{n}") for n in bounds}
+    sizes = entries["camera_sizes_px"]
+    if not is_map(sizes):
+        _wrong(ContractError, "session.camera_sizes_px", "a map", sizes)
+    cameras: dict[str, tuple[int, int]] = {}
+    for name, size in sizes.items():
+        if name not in CAMERAS:
+            raise ContractError(f"session.camera_sizes_px: no camera {name!r}; valid: {', '.join(CAMERAS)}")
+        width, height = _numbers(size, 2, f"session.camera_sizes_px.{name}")
+        if not (width.is_integer() and height.is_integer()):
+            _wrong(ContractError, f"session.camera_sizes_px.{name}", "whole pixels", size)
+        cameras[name] = (int(width), int(height))
+    return Session(
+        action_bounds=ActionBounds(**cast(dict[str, Any], limits)),
+        joint_low_rad=_numbers(entries["joint_low_rad"], 7, "session.joint_low_rad"),
+        joint_high_rad=_numbers(entries["joint_high_rad"], 7, "session.joint_high_rad"),
+        camera_sizes_px=cameras,
+        time_limit_s=_number(entries["time_limit_s"], "session.time_limit_s", ContractError),
+    )
+
+
+def _fields(value: object, kind: type[Any], error: type[ContractError], *, place: str = "") -> Plain:
+    if not isinstance(value, kind):
+        _wrong(error, place or kind.__name__, f"a {kind.__name__}", value)
+    return {f.name: getattr(value, f.name) for f in dataclasses.fields(kind)}
+
+
+def _known(plain: object, kind: type[Any], place: str, error: type[ContractError]) -> Plain:
+    """A copy of the map with every field of ``kind`` and no other key; fields with a plain default may be absent."""
+    if not is_map(plain):
+        _wrong(error, place, "a map", plain)
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    unknown = sorted(set(plain) - set(fields))
+    if unknown:
+        raise error(f"{place}: unknown key {', '.join(unknown):.200}; valid: {', '.join(fields)}")
+    out: Plain = {}
+    for name, field in fields.items():
+        if name in plain:
+            out[name] = plain[name]
+        elif field.default is not dataclasses.MISSING:
+            default = field.default
+            out[name] = list(cast(tuple[object, ...], default)) if isinstance(default, tuple) else default
+        else:
+            raise error(f"{place}: expected the key {name}, got {', '.join(sorted(plain)) or 'none':.200}")
+    return out
+
+
+def _check_array(value: object, row: tuple[str, Shape], place: str, sizes: dict[str, int]) -> None:
+    dtype, shape = row
+    expected = f"{np.dtype(dtype).name} ({', '.join(map(str, shape))})"
+    if not is_array(value):
+        _wrong(ObservationError, place, expected, value)
+    fits = value.dtype == np.dtype(dtype) and value.ndim == len(shape)
+    if not fits or any(
+        got != (want if isinstance(want, int) else sizes.setdefault(want, got))
+        for want, got in zip(shape, value.shape, strict=True)
+    ):
+        where = f" with {sizes}" if sizes else ""
+        raise ObservationError(f"{place}: expected {expected}{where}, got {value.dtype.name} {value.shape}")
+
+
+def _number(value: object, place: str, error: type[ContractError]) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        _wrong(error, place, "a number", cast(object, value))
+    try:
+        return float(cast(float, value))
+    except OverflowError:
+        raise error(f"{place}: expected a number, got one too large for 64 bits") from None
+
+
+def _numbers(value: object, count: int, place: str) -> tuple[float, ...]:
+    """``value``: a tuple when encoding, a list when decoding."""
+    items: object = list(cast(tuple[object, ...], value)) if isinstance(value, tuple) else value
+    if not is_list(items) or len(items) != count:
+        _wrong(ContractError, place, f"{count} numbers", items)
+    numbers = tuple(_number(v, place, ContractError) for v in items)
+    if not np.isfinite(numbers).all():
+        _wrong(ContractError, place, f"{count} finite numbers", items)
+    return numbers
+
+
+def _wrong(error: type[ContractError], place: str, expected: str, got: object) -> NoReturn:
+    said = f"an array {got.dtype} {got.shape}" if is_array(got) else f"{type(got).__name__} {got!r:.80}"
+    raise error(f"{place}: expected {expected}, got {said}")

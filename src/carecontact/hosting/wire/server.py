@@ -1,0 +1,119 @@
+"""The policy's end: one policy object, one connection, one conversation."""
+
+from __future__ import annotations
+
+import threading
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from queue import SimpleQueue
+from typing import Any
+
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.server import ServerConnection, serve
+
+from carecontact.contract.policy import Policy
+from carecontact.errors import ActionError, ContractError, LanguageError, PolicyError, ProgramError
+from carecontact.hosting.wire import codec
+from carecontact.hosting.wire.packing import MAX_MESSAGE_BYTES, MAX_REPLY_BYTES, is_map, pack, unpack
+
+TRACEBACK_CHARS = 2000
+"""Of a traceback or message; all of it could be the policy's whole input."""
+
+
+def serve_policy(policy: Policy, *, on_port: Callable[[int], None], port: int = 0) -> None:
+    """Serve one client on the loopback interface until it closes; ``on_port`` learns the port once it listens.
+
+    The policy runs in the calling thread, because GPU, GUI and asyncio libraries are happiest there. The messages:
+    ``card`` to the client; then ``reset`` -> ``ready``, ``act`` -> ``actions``, in any number, and ``close``; ``error``
+    instead of an answer ends the conversation. ``actions`` and ``error`` may carry the policy's notes.
+    """
+    offered: SimpleQueue[ServerConnection] = SimpleQueue()
+    finished = threading.Event()
+
+    def hand_over(connection: ServerConnection) -> None:
+        offered.put(connection)
+        finished.wait()
+
+    with serve(
+        hand_over, "127.0.0.1", port, compression=None, ping_interval=None, max_size=MAX_MESSAGE_BYTES, close_timeout=1
+    ) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        on_port(server.socket.getsockname()[1])
+        try:
+            _converse(policy, offered.get())
+        finally:
+            finished.set()
+
+
+def _converse(policy: Policy, connection: ServerConnection) -> None:
+    try:
+        connection.send(pack({"type": "card", "card": codec.encode_card(getattr(policy, "card", None))}))
+        for frame in connection:
+            reply = _answer(policy, frame)
+            if reply is None:
+                return
+            connection.send(pack(reply))
+    except ConnectionClosed:
+        return
+    except PolicyError as error:
+        _report(connection, policy, error.kind, str(error))
+    except (ActionError, LanguageError, ProgramError) as error:
+        # No traceback: what went wrong is in the message, and none of the policy's lines is to blame.
+        _report(connection, policy, _KINDS[type(error)], str(error))
+    except (Exception, SystemExit) as error:
+        # Whatever a policy raises is its process failure and must reach the harness; it is not this server's to handle.
+        _report(connection, policy, "exception", told(error))
+
+
+_KINDS: dict[type[Exception], str] = {ActionError: "action", LanguageError: "language", ProgramError: "program"}
+
+
+def told(error: BaseException) -> str:
+    """Its traceback in TRACEBACK_CHARS: of the stack the end says most, of what the exception says the beginning."""
+    whole = "".join(traceback.format_exception(error))
+    if len(whole) <= TRACEBACK_CHARS:
+        return whole
+    said = "".join(traceback.format_exception_only(error))
+    stack, half = whole.removesuffix(said), TRACEBACK_CHARS // 2
+    if len(said) > half:
+        said = f"{said[: half - 6]} [...]"
+    return stack[-(TRACEBACK_CHARS - len(said)) :] + said
+
+
+def _report(connection: ServerConnection, policy: Policy, kind: str, message: str) -> None:
+    sayable = message[:TRACEBACK_CHARS].encode(errors="replace").decode()
+    report: dict[str, object] = {"type": "error", "kind": kind, "message": sayable}
+    # A policy that failed may fail at its notes too; the first failure is the one to tell.
+    packed = pack(report)
+    with suppress(Exception):
+        with_notes = pack(report | _notes(policy))
+        packed = with_notes if len(with_notes) <= MAX_REPLY_BYTES else packed
+    with suppress(ConnectionClosed):
+        connection.send(packed)
+
+
+def _notes(policy: Policy) -> dict[str, object]:
+    take: Any = getattr(policy, "take_notes", None)
+    notes = take() if take is not None else None
+    return {"notes": notes} if notes else {}
+
+
+def _answer(policy: Policy, frame: str | bytes) -> dict[str, object] | None:
+    message = unpack(frame) if isinstance(frame, bytes) else None
+    entries = message if is_map(message) else {}
+    kind, keys = entries.get("type"), entries.keys() - {"type"}
+    if kind == "reset" and keys == {"instruction", "session"}:
+        configure: Any = getattr(policy, "configure", None)
+        if configure is not None:
+            configure(codec.decode_session(entries["session"]))
+        policy.reset(str(entries["instruction"]))
+        return {"type": "ready"}
+    if kind == "act" and keys == {"observation"}:
+        answer = policy.act(codec.decode_observation(entries["observation"]))
+        return {"type": "actions", "actions": codec.encode_actions(answer), **_notes(policy)}
+    if kind == "close" and not keys:
+        return None
+    raise ContractError(
+        f"message: expected a reset, act or close message, got type {kind!r:.80} with {sorted(keys)!s:.200}"
+    )

@@ -1,0 +1,99 @@
+"""The audit's own policy: asks for what another asks for, presses as it is told, and notes all that reaches it."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from websockets.sync.server import ServerConnection
+
+from carecontact.contract.action import Action
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard, Session
+from carecontact.errors import ContractError
+from carecontact.hosting.descendants import MARK
+from carecontact.hosting.wire import codec
+
+TASK, TOLD = "witness.json", "told.json"
+"""In the witness's folder: what it shall do, and what it was told."""
+PIPES = ("report_fd", "lifeline_fd")
+CHANCE_HEADERS = ("host", "sec-websocket-key")
+"""Numbers that the operating system or a random generator gave: no trial chooses them."""
+
+
+class Witness:
+    """Shows the card in TASK and plays its poses, ``actions_per_look`` at a time; the last one is done.
+
+    At ``reset`` it writes to TOLD everything that has reached its process by then.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        task = cast(dict[str, Any], json.loads((folder / TASK).read_text()))
+        self.card: PolicyCard = replace(codec.decode_card(task["card"]), control_hz=float(task["control_hz"]))
+        self._poses: list[list[float]] = task["poses"]
+        self._actions_per_look: int = task["actions_per_look"]
+        self._session: object = None
+        self._next = 0
+
+    def configure(self, session: Session) -> None:
+        self._session = codec.encode_session(session)
+
+    def reset(self, instruction: str) -> None:
+        self._next = 0
+        told = {**everything_here(), "instruction": instruction, "session": self._session}
+        (self._folder / TOLD).write_text(json.dumps(told))
+
+    def act(self, observation: Observation) -> list[Action]:
+        """Looks at nothing: the same motion whatever is seen."""
+        first, self._next = self._next, self._next + self._actions_per_look
+        poses = self._poses[first : self._next]
+        if not poses:
+            raise ContractError(f"act() after the last of {len(self._poses)} poses was done")
+        ends = self._next >= len(self._poses)
+        return [
+            Action(pose_tcp_in_base=np.array(pose), done=ends and k == len(poses) - 1) for k, pose in enumerate(poses)
+        ]
+
+
+def everything_here() -> dict[str, object]:
+    """Command line, environment, folder, open files and the connection's opening request of this process."""
+    # Not isinstance: it asks a weak proxy for its dead object's class.
+    request = next((o.request for o in gc.get_objects() if issubclass(type(o), ServerConnection)), None)
+    headers = [] if request is None else sorted(request.headers.raw_items())
+    return {
+        "arguments": [_without_pipes(argument) for argument in sys.orig_argv],
+        # The mark is a process id and chance.
+        "environment": {name: value for name, value in os.environ.items() if name != MARK},
+        "folder": os.getcwd(),
+        "open_files": _open_files(),
+        "request": {
+            "path": None if request is None else request.path,
+            "headers": [list(pair) for pair in headers if pair[0].lower() not in CHANCE_HEADERS],
+        },
+    }
+
+
+def _without_pipes(argument: str) -> object:
+    try:
+        options = cast(object, json.loads(argument))
+    except ValueError:
+        return argument
+    if not isinstance(options, dict):
+        return argument
+    return {name: value for name, value in cast(dict[str, object], options).items() if name not in PIPES}
+
+
+def _open_files() -> list[str]:
+    """Paths of the regular files that this process holds open; empty where the system does not list them."""
+    folder = Path("/proc/self/fd")
+    if not folder.is_dir():
+        return []
+    held = [entry.readlink() for entry in folder.iterdir() if entry.is_file()]
+    return sorted(str(path) for path in held)

@@ -1,0 +1,1 @@
+"""Runs of one protocol set side by side."""

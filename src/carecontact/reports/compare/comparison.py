@@ -1,0 +1,208 @@
+"""Two runs of one protocol side by side, trial by trial: what differs, and what could not have been seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from carecontact import __version__
+from carecontact.errors import ConfigError
+from carecontact.reports.compare.paired_lines import Line, paired_lines
+from carecontact.reports.compare.verdicts import ALPHA, POWER, conclude
+from carecontact.runs.scores import RunScores, check_one_run, judged, world_difference
+from carecontact.scoring.result import TrialScore
+
+COMPARISON_SCHEMA = "carecontact-comparison-1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pairing:
+    n: int
+    seeds: tuple[int, ...]
+    tasks: tuple[str, ...]
+    unpaired_a: dict[str, str]
+    """Trial that has no partner -> why B lacks it."""
+    unpaired_b: dict[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunInfo:
+    policy: str
+    language_backend: tuple[str, ...]
+    n_trials: int
+    """That say something about the policy."""
+    n_harness_errors: int
+    skipped: dict[str, str]
+    n_missing: int
+    """Planned trials that were not scored, whatever the reason."""
+    versions: dict[str, list[str]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    protocol_id: str
+    protocol_sha256: str
+    overrides: dict[str, str]
+    metric_versions: dict[str, str]
+    a: RunInfo
+    b: RunInfo
+    pairing: Pairing
+    overall: tuple[Line, ...]
+    """One family for Holm."""
+    per_task: dict[str, tuple[Line, ...]] | None
+    """Task -> its lines, all tasks one further family; None unless asked for."""
+
+
+def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False) -> Comparison:
+    """Pair the trials of two runs by task and seed and compare everything that is scored.
+
+    Trials in which the harness failed are in no pair and no count. Raises ConfigError, naming what differs, if the
+    runs must not be compared: another protocol, overrides, definitions or world, or no task and seed in common.
+    """
+    check_comparable({"A": a.scores, "B": b.scores})
+    of_a, of_b = trials_by_key(a.scores), trials_by_key(b.scores)
+    keys = sorted(of_a.keys() & of_b.keys())
+    if not keys:
+        raise ConfigError(
+            f"no task and seed is in both runs: A has {_told(of_a)}; B has {_told(of_b)}; run the same seeds of a task"
+        )
+    pairs = [(of_a[key], of_b[key]) for key in keys]
+    tasks = tuple(sorted({task for task, _ in keys}))
+    every_a = [s for s in of_a.values() if s.task_id in tasks]
+    every_b = [s for s in of_b.values() if s.task_id in tasks]
+    lines = None
+    if per_task:
+        found = {
+            task: paired_lines(
+                [p for p in pairs if p[0].task_id == task],
+                [s for s in every_a if s.task_id == task],
+                [s for s in every_b if s.task_id == task],
+            )
+            for task in tasks
+        }
+        concluded = iter(conclude([line for group in found.values() for line in group]))
+        lines = {task: tuple(next(concluded) for _ in group) for task, group in found.items()}
+    first = a.scores[0]
+    return Comparison(
+        protocol_id=first.protocol_id,
+        protocol_sha256=first.protocol_sha256,
+        overrides=first.overrides,
+        metric_versions=first.metric_versions,
+        a=_info(a),
+        b=_info(b),
+        pairing=Pairing(
+            n=len(pairs),
+            seeds=tuple(sorted({seed for _, seed in keys})),
+            tasks=tasks,
+            unpaired_a=_without_partner(of_a, of_b, b),
+            unpaired_b=_without_partner(of_b, of_a, a),
+        ),
+        overall=tuple(conclude(paired_lines(pairs, every_a, every_b))),
+        per_task=lines,
+    )
+
+
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
+    """The content of ``comparison.json``. Rates and their differences are fractions; infinity and NaN are null."""
+    content = {
+        "schema": COMPARISON_SCHEMA,
+        "carecontact": __version__,
+        "alpha": ALPHA,
+        "power": POWER,
+        **asdict(comparison),
+    }
+    return {key: plain(value) for key, value in content.items()}
+
+
+def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
+    """Raises ConfigError, naming the runs and what differs, unless all ran one protocol, same overrides, in one world,
+    were scored by the same definitions, and have a trial that says something about the policy.
+
+    Args:
+        runs: name for messages -> scores.
+    """
+    for name, scores in runs.items():
+        check_one_run(scores)
+        if not judged(scores):
+            raise ConfigError(f"run {name} has no trial that says anything about its policy; compare scored runs")
+    (reference, scores), *others = runs.items()
+    for name, other in others:
+        _check_two(reference, scores, name, other)
+
+
+def _check_two(name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[TrialScore]) -> None:
+    first, other = a[0], b[0]
+    if first.protocol_sha256 != other.protocol_sha256 or first.overrides != other.overrides:
+        told = [f"{s.protocol_title} ({s.protocol_sha256[:12]})" for s in (first, other)]
+        raise ConfigError(
+            f"{name_a} ran {told[0]}, {name_b} ran {told[1]}: "
+            "only runs of one protocol, same overrides, can be compared"
+        )
+    if first.metric_versions != other.metric_versions:
+        keys = sorted(
+            key
+            for key in first.metric_versions.keys() | other.metric_versions.keys()
+            if first.metric_versions.get(key) != other.metric_versions.get(key)
+        )
+        told = ", ".join(f"{k} {first.metric_versions.get(k)} and {other.metric_versions.get(k)}" for k in keys)
+        raise ConfigError(
+            f"{name_a} and {name_b} are scored by different definitions ({told}): score both again with one release"
+        )
+    found = world_difference([*judged(a), *judged(b)])
+    if found is not None:
+        what, one, two = found
+        raise ConfigError(
+            f"{name_a} and {name_b} are of different worlds: {what} {one.world[what][:12]} ({one.trial_id} of "
+            f"{name_a}) and {two.world[what][:12]} ({two.trial_id} of {name_b}); run both with one release and one "
+            "robot"
+        )
+
+
+def trials_by_key(scores: Iterable[TrialScore]) -> dict[tuple[str, int], TrialScore]:
+    """(task, seed) -> its trial, of those that are ``judged``."""
+    return {(s.task_id, s.seed): s for s in judged(scores)}
+
+
+def _told(trials: Mapping[tuple[str, int], TrialScore]) -> str:
+    tasks, seeds = sorted({task for task, _ in trials}), sorted({seed for _, seed in trials})
+    more = ", ..." if len(seeds) > 8 else ""
+    return f"{', '.join(tasks)} with seeds {', '.join(map(str, seeds[:8]))}{more}"
+
+
+def _without_partner(
+    trials: Mapping[tuple[str, int], TrialScore], others: Mapping[tuple[str, int], TrialScore], other: RunScores
+) -> dict[str, str]:
+    failed = {(s.task_id, s.seed) for s in other.scores if not s.is_judged}
+    return {
+        trials[key].trial_id: "harness failed"
+        if key in failed
+        else "recording skipped"
+        if f"{trials[key].trial_id}.h5" in other.skipped
+        else "not in the run"
+        for key in sorted(trials.keys() - others.keys())
+    }
+
+
+def _info(run: RunScores) -> RunInfo:
+    counted = judged(run.scores)
+    return RunInfo(
+        policy=counted[0].policy,
+        language_backend=tuple(sorted({s.language_backend for s in counted})),
+        n_trials=len(counted),
+        n_harness_errors=len(run.scores) - len(counted),
+        skipped=run.skipped,
+        n_missing=len(run.missing),
+        versions=run.versions,
+    )
+
+
+def plain(value: Any) -> Any:
+    """For JSON: tuples as lists, and no infinity or NaN."""
+    if isinstance(value, dict):
+        return {key: plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
+        return None
+    return value

@@ -1,0 +1,94 @@
+"""Several runs of one protocol side by side: rates, every pair's differences, and whether the ranking holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from string import ascii_uppercase
+from typing import Any
+
+from carecontact import __version__
+from carecontact.errors import ConfigError
+from carecontact.reports.compare.comparison import check_comparable, plain, trials_by_key
+from carecontact.reports.compare.null_floors import NullFloors
+from carecontact.reports.compare.paired_lines import Line, rate_lines
+from carecontact.reports.compare.rankings import Ranking, rank
+from carecontact.reports.compare.verdicts import ALPHA, POWER, conclude
+from carecontact.reports.table import SummaryRow, summary_rows
+from carecontact.runs.scores import RunScores
+
+OVERVIEW_SCHEMA = "carecontact-overview-1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairOfRuns:
+    a: str
+    b: str
+    lines: tuple[Line, ...]
+    """Of rates. Differences are a minus b, and a verdict's A and B are this a and b; the lines of all pairs are one
+    family for Holm."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overview:
+    protocol_id: str
+    protocol_sha256: str
+    overrides: dict[str, str]
+    metric_versions: dict[str, str]
+    policies: dict[str, str]
+    """Letter -> policy; in the order given."""
+    n: int
+    """Trials of the same task and seed in every run; everything here is over them alone."""
+    left_out: dict[str, int]
+    """Letter -> trials that some other run lacks."""
+    rows: dict[str, SummaryRow]
+    pairs: tuple[PairOfRuns, ...]
+    ranking: Ranking
+
+
+def overview(runs: Sequence[RunScores]) -> Overview:
+    """Raises ConfigError, naming what differs, if the runs must not be compared or share no task and seed."""
+    named = dict(zip(ascii_uppercase, runs, strict=False))
+    if len(named) < len(runs):
+        raise ConfigError(f"{len(runs)} runs at once; at most {len(ascii_uppercase)}")
+    check_comparable({name: run.scores for name, run in named.items()})
+    keyed = {name: trials_by_key(run.scores) for name, run in named.items()}
+    common = sorted(set.intersection(*(set(trials) for trials in keyed.values())))
+    if not common:
+        raise ConfigError("no task and seed is in all of these runs; run the same seeds of a task")
+    scores = {name: [trials[key] for key in common] for name, trials in keyed.items()}
+    found = [(a, b, rate_lines(list(zip(scores[a], scores[b], strict=True)), scores[a], scores[b]))
+             for a, b in combinations(named, 2)]  # fmt: skip
+    concluded = iter(conclude([line for _, _, lines in found for line in lines]))
+    first = runs[0].scores[0]
+    return Overview(
+        protocol_id=first.protocol_id,
+        protocol_sha256=first.protocol_sha256,
+        overrides=first.overrides,
+        metric_versions=first.metric_versions,
+        policies={name: of_run[0].policy for name, of_run in scores.items()},
+        n=len(common),
+        left_out={name: len(trials) - len(common) for name, trials in keyed.items()},
+        rows={name: summary_rows(of_run)[-1] for name, of_run in scores.items()},
+        pairs=tuple(PairOfRuns(a=a, b=b, lines=tuple(next(concluded) for _ in lines)) for a, b, lines in found),
+        ranking=rank(scores),
+    )
+
+
+def overview_json(overview: Overview | None, floors: Mapping[str, NullFloors]) -> dict[str, Any]:
+    """The content of ``overview.json``. Rates and their differences are fractions; infinity and NaN are null.
+
+    Args:
+        overview: None where one run alone was given.
+        floors: run -> its null floors.
+    """
+    content: dict[str, Any] = {
+        "schema": OVERVIEW_SCHEMA,
+        "carecontact": __version__,
+        "alpha": ALPHA,
+        "power": POWER,
+        "overview": None if overview is None else asdict(overview),
+        "null_floors": {name: asdict(found) for name, found in floors.items()},
+    }
+    return {key: plain(value) for key, value in content.items()}

@@ -1,0 +1,150 @@
+"""What a frozen protocol rests on besides its own fields, as it is here now, and how it differs from the lock."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from importlib import resources
+
+import numpy as np
+
+from carecontact.contract.embodiment import EMBODIMENT
+from carecontact.contract.protocol import Protocol
+from carecontact.errors import ConfigError
+from carecontact.protocols import shipped_protocols
+from carecontact.protocols.lock import SUFFIX, Lock, lock_path, read_lock
+from carecontact.recording.schema import REGIONS
+from carecontact.recording.versions import package_versions
+from carecontact.scoring import METRICS
+
+PACKAGES = ("mujoco", "mediapipe")
+"""Their releases change the physics or what is seen; numpy's and scipy's are held by the sums and the score hashes."""
+WORLD_FIELDS = (
+    "body_mass", "body_inertia", "body_pos", "geom_size", "geom_pos", "geom_friction", "jnt_pos", "jnt_range",
+    "jnt_stiffness", "jnt_stiffnesspoly", "dof_damping", "dof_frictionloss", "tendon_stiffness", "flex_vert",
+    "flex_friction", "mesh_vert", "actuator_gainprm", "actuator_biasprm", "cam_pos", "cam_fovy", "light_dir",
+)  # fmt: skip
+"""Of the compiled model. Each gives a sum of magnitudes and one weighted by place, so that a swap is seen too."""
+SAME = 1e-6
+"""Relative difference of sums that counts as rounding."""
+
+
+def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
+    """``worlds``: compile one world a region and sum over it; some seconds."""
+    return Lock(
+        id=protocol.id, protocol_sha256=protocol.sha256, fields=protocol.model_dump(mode="json"),
+        embodiment=EMBODIMENT, metrics=sorted(METRICS),
+        versions={name: version for name, version in package_versions().items() if name in PACKAGES},
+        assets=asset_hashes(protocol),
+        worlds={region: world_sums(protocol, region) for region in (REGIONS if worlds else ())},
+    )  # fmt: skip
+
+
+def asset_hashes(protocol: Protocol) -> dict[str, str]:
+    """Of the protocol's body, its skin and the robot; files that are not there have no entry."""
+    folder = resources.files("carecontact") / "assets"
+    body = protocol.person.body
+    places = [("bodies", f"{body}.npz"), ("bodies", f"{body}.skin.png"), ("panda", "panda.npz")]
+    return {
+        f"{place}/{name}": hashlib.sha256(file.read_bytes()).hexdigest()
+        for place, name in places
+        if (file := folder / place / name).is_file()
+    }
+
+
+def world_sums(protocol: Protocol, region: str) -> dict[str, float]:
+    from carecontact.world.scene import build_scene
+
+    model = build_scene(protocol, target=region).model
+    sums = {"nq": float(model.nq), "nv": float(model.nv), "ngeom": float(model.ngeom), "dt_s": model.opt.timestep}
+    for name in WORLD_FIELDS:
+        values = np.abs(np.asarray(getattr(model, name), np.float64)).ravel()
+        sums[name] = float(values.sum())
+        sums[f"{name} by place"] = float(values @ np.linspace(1.0, 2.0, len(values)))
+    return sums
+
+
+def drift(lock: Lock, now: Lock) -> list[str]:
+    """What differs from the lock, a line each, most telling first; worlds only where ``now`` has them."""
+    said: list[str] = []
+    for what, before, after in (
+        ("id", lock.id, now.id), ("embodiment", lock.embodiment, now.embodiment),
+        ("protocol sha256", lock.protocol_sha256[:12], now.protocol_sha256[:12]),
+    ):  # fmt: skip
+        if before != after:
+            said.append(f"{what}: locked {before}, here {after}")
+    said += [
+        f"{name}: locked {_short(before)}, here {_short(after)}"
+        for name, before, after in _changed(lock.fields, now.fields)
+    ]
+    said += [f"metric {metric}: locked, not here" for metric in sorted(set(lock.metrics) - set(now.metrics))]
+    for what, before, after in (("version of ", lock.versions, now.versions), ("asset ", lock.assets, now.assets)):
+        for name in sorted(before.keys() | after.keys()):
+            old, new = before.get(name, "none"), after.get(name, "none")
+            if old != new:
+                said.append(f"{what}{name}: locked {old[:12]}, here {new[:12]}")
+    for region, sums in now.worlds.items():
+        held = lock.worlds.get(region, {})
+        changed = [
+            name for name in sorted(held.keys() | sums.keys())
+            if not np.isclose(held.get(name, np.nan), sums.get(name, np.nan), rtol=SAME, atol=1e-12)
+        ]  # fmt: skip
+        if changed:
+            told = ", ".join(changed[:4]) + (f" and {len(changed) - 4} more" if len(changed) > 4 else "")
+            said.append(f"world with the {region} as target: {told}")
+    return said
+
+
+def _changed(before: object, after: object, place: str = "") -> Iterator[tuple[str, object, object]]:
+    if isinstance(before, Mapping) and isinstance(after, Mapping):
+        for name in (*before, *(name for name in after if name not in before)):
+            yield from _changed(before.get(name), after.get(name), f"{place}.{name}" if place else str(name))
+    elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
+        for number, (old, new) in enumerate(zip(before, after, strict=True)):
+            yield from _changed(old, new, f"{place}[{number}]")
+    elif before != after:
+        yield place, before, after
+
+
+def _short(value: object) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def lock_of(name_or_path: str, protocol: Protocol) -> Lock | None:
+    """What a protocol is held to: its own lock, or the shipped one where a file has the id of a shipped protocol."""
+    return read_lock(protocol.id if is_borrowed(name_or_path, protocol) else name_or_path)
+
+
+def is_borrowed(name_or_path: str, protocol: Protocol) -> bool:
+    """Whether a file of the user's has the id of a shipped protocol: one id, one set of rules."""
+    return protocol.id in shipped_protocols() and name_or_path != protocol.id
+
+
+def check_frozen(name_or_path: str, protocol: Protocol, *, unfrozen: bool) -> Protocol:
+    """The protocol, if it is a draft or is here what its lock says; quick, so the compiled worlds are left out.
+
+    Args:
+        unfrozen: go on where it drifted; then the protocol's overrides, and so every output, say what differs.
+
+    Raises ConfigError where a frozen protocol has no lock or drifted from what ``lock_of`` gives.
+    """
+    borrowed, lock = is_borrowed(name_or_path, protocol), lock_of(name_or_path, protocol)
+    if not protocol.frozen and not (borrowed and lock):
+        return protocol
+    if lock is None:
+        raise ConfigError(
+            f"protocol {protocol.id} says frozen = true but has no lock: {lock_path(name_or_path).name} is missing; "
+            "restore it, or say frozen = false, or write one with: carecontact protocol lock FILE.toml"
+        )
+    differences = drift(lock, make_lock(protocol, worlds=False))
+    if not differences:
+        return protocol
+    if not unfrozen:
+        remedy = f"Give {name_or_path} an id of its own" if borrowed else f"Install what {protocol.id}{SUFFIX} names"
+        raise ConfigError(
+            f"protocol {protocol.id} drifted from its lock ({'; '.join(differences)}): its results would not be "
+            f"comparable. {remedy}, or run with --unfrozen, which every output shows"
+        )
+    return protocol.model_copy(update={"overrides": {**protocol.overrides, "lock": "; ".join(differences)}})

@@ -1,0 +1,83 @@
+"""What besides policy name and protocol decides a run's numbers: sources, packages and baked assets."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import sys
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from carecontact.contract.policy_address import remote_address
+from carecontact.contract.trial import TrialSpec
+from carecontact.policies.language.selection import language_name
+from carecontact.recording.versions import package_versions
+from carecontact.world.human.body import SMPLX_PREFIX, smplx_path
+
+POLICY_PATH = "CARECONTACT_POLICY_PATH"
+"""Tells a trial's process where ``module:Class`` policies are looked for."""
+
+
+class Identity(BaseModel):
+    """Trials with different ones must not share a folder."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    policy_sha256: str | None
+    """Of the file of a ``module:Class`` policy's module; None for a registered policy, which the version stands for,
+    and for one on another host, of which nothing is known but its address and card."""
+    language: str | None = None
+    """Backend that --language named; None: the policy's own choice."""
+    versions: dict[str, str]
+    sha256: dict[str, str]
+    """Of the body's and the robot's baked archives; keys and values are those of a recording's header."""
+
+    def differences(self, *, versions: Mapping[str, str], sha256: Mapping[str, str]) -> list[str]:
+        """Of this one from what something older says; what that does not mention does not count."""
+        pairs = [(name, versions.get(name), now) for name, now in self.versions.items()]
+        pairs += [(f"{name} sha256", sha256.get(name, "")[:12], now[:12]) for name, now in self.sha256.items()]
+        return [f"{name} was {old}, is {now}" for name, old, now in pairs if old and old != now]
+
+
+def identity_of(spec: TrialSpec, *, search_path: Sequence[str], language: str | None = None) -> Identity:
+    """``search_path``: folders in which ``module:Class`` is looked for before the installed packages; ``language``: as
+    the command line spells it."""
+    versions = package_versions()
+    source = policy_source(spec.policy, search_path=search_path)
+    assets = resources.files("carecontact") / "assets"
+    body = spec.protocol.person.body
+    shipped = assets / "bodies" / f"{body}.npz"
+    archives = {
+        "body": smplx_path(body) if body.startswith(SMPLX_PREFIX) else shipped, "robot": assets / "panda" / "panda.npz"
+    }  # fmt: skip
+    return Identity(
+        policy_sha256=None if source is None else hashlib.sha256(source.read_bytes()).hexdigest(),
+        language=language_name(language) if language else None,
+        versions={name: versions[name] for name in ("carecontact", "mujoco")},
+        sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()},
+    )
+
+
+def policy_source(policy: str, *, search_path: Sequence[str]) -> Path | None:
+    """File of a ``module:Class`` policy's module, found as the policy's process will find it but without importing it.
+
+    None for a registered policy, one on another host, and where there is no such file.
+    """
+    module, colon, _ = policy.partition(":")
+    if not colon or remote_address(policy) is not None:
+        return None
+    importlib.invalidate_caches()
+    places: Sequence[str] | None = [place for place in (*search_path, *sys.path) if place]
+    name, found = "", None
+    for part in module.split("."):
+        name = f"{name}.{part}" if name else part
+        found = None if places is None else PathFinder.find_spec(name, list(places))
+        if found is None:
+            return None
+        places = found.submodule_search_locations
+    source = Path(found.origin) if found is not None and found.origin else None
+    return source if source is not None and source.is_file() else None

@@ -1,0 +1,175 @@
+"""What a run folder holds, and what of it another command may keep."""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from carecontact.contract.protocol import protocol_title
+from carecontact.contract.trial import TrialSpec
+from carecontact.errors import ConfigError, RecordingError
+from carecontact.recording import read_recording
+from carecontact.recording.schema import EndReason, Header
+from carecontact.recording.writer import replace_file
+from carecontact.runs.identity import Identity
+
+MANIFEST = "manifest.json"
+FAILED: tuple[EndReason, ...] = ("process_failure", "harness_error")
+Purpose = Literal["run", "demo"]
+
+
+class ProtocolName(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    id: str
+    sha256: str
+    overrides: dict[str, str] = {}
+
+
+class Manifest(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    version: Annotated[Literal["carecontact-run-1"], Field(alias="schema")] = "carecontact-run-1"
+    purpose: Purpose
+    """Which command started the folder."""
+    policy: str
+    protocol: ProtocolName
+    identity: Identity
+    trials: list[str]
+    """Ids of every trial that any command planned here."""
+    noise_salt: str = ""
+    """Of every trial here; empty where the protocol names no sensor noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Survey:
+    """Of a run folder, against the trials that are wanted."""
+
+    keep: dict[str, EndReason]
+    """Trial id -> how it ended."""
+    redo: dict[str, str]
+    """Trial id -> why the file that is there does not count."""
+
+
+def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identity: Identity) -> Survey:
+    """Sort the wanted trials that have a file in ``out`` into those to keep and those to run again.
+
+    Raises ConfigError when the folder holds a run of another policy, protocol or identity, or a damaged manifest.
+    """
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"--out {out}: this is a file; name a folder")
+    if any((spec.policy, spec.protocol) != (specs[0].policy, specs[0].protocol) for spec in specs):
+        raise ConfigError("a run has one policy and one protocol")
+    if len({spec.trial_id for spec in specs}) != len(specs):
+        raise ConfigError("the same trial is planned twice")
+    manifest = read_manifest(out)
+    if manifest is not None:
+        _check_manifest(manifest, specs[0], out=out, identity=identity)
+    wanted = {spec.trial_id for spec in specs}
+    keep: dict[str, EndReason] = {}
+    redo: dict[str, str] = {}
+    for path in sorted(out.glob("*.h5")):
+        try:
+            header = read_recording(path).header
+        except RecordingError as error:
+            if path.stem in wanted:
+                redo[path.stem] = str(error)
+            continue
+        _check_header(header, specs[0], path=path, identity=identity)
+        if manifest is None and identity.policy_sha256 is not None:
+            raise ConfigError(
+                f"{out} holds {path.name} but no {MANIFEST}, which alone tells whether the policy's "
+                "source changed: use another --out"
+            )
+        if path.stem not in wanted:
+            continue
+        if header.spec.trial_id != path.stem:
+            redo[path.stem] = f"{path.name} holds trial {header.spec.trial_id}"
+        elif retry_failed and header.ended in FAILED:
+            redo[path.stem] = f"ended as {header.ended}"
+        else:
+            keep[path.stem] = header.ended
+    return Survey(keep=keep, redo=redo)
+
+
+def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity, purpose: Purpose) -> None:
+    """Atomically; trials of earlier commands in the same folder stay listed."""
+    protocol, earlier = specs[0].protocol, read_manifest(out)
+    manifest = Manifest(
+        purpose=earlier.purpose if earlier else purpose,
+        policy=specs[0].policy,
+        protocol=ProtocolName(id=protocol.id, sha256=protocol.sha256, overrides=protocol.overrides),
+        identity=identity,
+        noise_salt=specs[0].noise_salt,
+        trials=sorted({*(earlier.trials if earlier else ()), *(spec.trial_id for spec in specs)}),
+    )
+    unsalted = set[str]() if manifest.noise_salt else {"noise_salt"}
+    text = json.dumps(manifest.model_dump(mode="json", by_alias=True, exclude=unsalted), indent=2)
+    replace_file(out / MANIFEST, f"{text}\n".encode("ascii"))
+
+
+def salted(specs: Sequence[TrialSpec], *, out: Path) -> list[TrialSpec]:
+    """The trials with the noise salt of the run in ``out``, a fresh one for a new run; as they are where the protocol
+    names no sensor noise or they have a salt. Raises ConfigError as ``read_manifest``."""
+    if not specs[0].protocol.variation.sensor_noise or specs[0].noise_salt:
+        return list(specs)
+    earlier = read_manifest(out)
+    salt = (earlier.noise_salt if earlier else "") or secrets.token_hex(16)
+    return [spec.model_copy(update={"noise_salt": salt}) for spec in specs]
+
+
+def read_manifest(out: Path) -> Manifest | None:
+    """None when there is none. Raises ConfigError for one that cannot be read: what was planned is then unknown."""
+    path = out / MANIFEST
+    try:
+        return Manifest.model_validate(json.loads(path.read_bytes()))
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except ValidationError as error:
+        first = error.errors()[0]
+        why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
+    except ValueError as error:
+        why = f"not JSON: {error}"
+    raise ConfigError(f"{path} is damaged or of another release ({why}): restore it or use another --out")
+
+
+def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity: Identity) -> None:
+    if (manifest.policy, manifest.protocol.sha256) != (spec.policy, spec.protocol.sha256):
+        title = protocol_title(manifest.protocol.id, manifest.protocol.overrides)
+        raise ConfigError(
+            f"{out} holds another run (policy {manifest.policy}, protocol {title} "
+            f"{manifest.protocol.sha256[:12]}); wanted {_told(spec)}: use another --out"
+        )
+    held = manifest.identity
+    if held.policy_sha256 != identity.policy_sha256:
+        raise ConfigError(f"{out}: the policy's source changed since this folder was started: use another --out")
+    if held.language != identity.language:
+        spoken = [name or "the policy's own" for name in (held.language, identity.language)]
+        raise ConfigError(f"{out} was started with language backend {spoken[0]}, wanted {spoken[1]}: use another --out")
+    changed = identity.differences(versions=held.versions, sha256=held.sha256)
+    if changed:
+        raise ConfigError(f"{out} was started with something else ({'; '.join(changed)}): use another --out")
+
+
+def _check_header(header: Header, spec: TrialSpec, *, path: Path, identity: Identity) -> None:
+    if (header.spec.policy, header.spec.protocol) != (spec.policy, spec.protocol):
+        raise ConfigError(
+            f"{path.parent} holds another run: {path.name} is of {_told(header.spec)}; wanted {_told(spec)}: "
+            "use another --out"
+        )
+    spoken = (header.card or {}).get("language_backend", identity.language)
+    if identity.language is not None and spoken != identity.language:
+        raise ConfigError(f"{path} was recorded with language backend {spoken}: use another --out")
+    changed = identity.differences(versions=header.versions, sha256=header.sha256)
+    if changed:
+        raise ConfigError(f"{path} was recorded with something else ({'; '.join(changed)}): use another --out")
+
+
+def _told(spec: TrialSpec) -> str:
+    return f"policy {spec.policy}, protocol {spec.protocol.title} {spec.protocol.sha256[:12]}"

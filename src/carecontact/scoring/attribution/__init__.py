@@ -1,0 +1,1 @@
+"""Why a trial failed: the cause and the evidence for it."""

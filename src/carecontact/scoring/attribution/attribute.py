@@ -1,0 +1,175 @@
+"""Why a run failed: one cause, and the figures it rests on.
+
+Perception is blamed only where it is shown: the path was aimed beside the region, and the region could be seen. Aimed
+above the region but too high, or at a place that the policy's own notes show it chose, is planning.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carecontact.recording.reason import reason_of
+from carecontact.scoring.attribution.commanded import CommandedPath, commanded_contact, commanded_path
+from carecontact.scoring.attribution.noted_target import nearest_noted_target, noted_reason, noted_subtasks
+from carecontact.scoring.attribution.sight import Sight, modalities, sight
+from carecontact.scoring.contact import Contact, runs
+from carecontact.scoring.metrics.c3_success import Gate
+from carecontact.scoring.result import Attribution, FailureMode
+
+NEAR_REGION_M = 0.030
+"""Aimed farther beside the region than this is aimed elsewhere; the upper end of what localising a joint with these
+cameras leaves (p95 30 to 42 mm)."""
+MOST_SUBTASKS = 3
+"""Of those that a policy noted, how many its evidence repeats."""
+VISION = ("rgb", "depth", "points", "masks", "landmarks")
+
+
+def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribution, str]:
+    """The cause of a failed run and one sentence of evidence.
+
+    Raises RecordingError for notes or perception errors that are malformed.
+    """
+    if mode == "process_failure":
+        return "process", _process_evidence(contact)
+    if mode == "safety_truncation":
+        return "safety", _safety_evidence(contact)
+    path = commanded_path(contact)
+    if path is None:
+        return _still(contact, sight(contact, NEAR_REGION_M))
+    if path.closest_m > NEAR_REGION_M and path.beside_m > NEAR_REGION_M:
+        return _aimed_elsewhere(contact, path, sight(contact, NEAR_REGION_M))
+    return _aimed_right(contact, gate, mode, path)
+
+
+def _still(contact: Contact, seen: Sight) -> tuple[Attribution, str]:
+    reason = noted_reason(contact)
+    said = f' The policy noted: "{reason}".' if reason else ""
+    cause: Attribution = "perception" if seen.visible and not seen.found else "planning"
+    return cause, f"No motion was commanded; {_views(contact, seen)}.{said}"
+
+
+def _aimed_elsewhere(contact: Contact, path: CommandedPath, seen: Sight) -> tuple[Attribution, str]:
+    where = f"The commanded path was aimed {_mm(path.beside_m)} beside the {_region(contact)}"
+    could_be_found = seen.found or not seen.visible
+    noted = nearest_noted_target(contact) if could_be_found else None
+    if noted is not None:
+        name = f' ("{noted.name}")' if noted.name else ""
+        place = "over it" if noted.beside_m == 0.0 else f"{_mm(noted.beside_m)} beside it"
+        other = f", over the {noted.over.replace('_', ' ')}" if noted.over else ""
+        chosen = f"the target that the policy noted{name} lay {place}{other}"
+        return "planning", f"{where}: {chosen}; {_views(contact, seen)}."
+    if could_be_found and (subtasks := noted_subtasks(contact)):
+        said = ", ".join(f'"{text}"' for text in subtasks[:MOST_SUBTASKS])
+        return "planning", f"{where}: the policy noted {said} and no target; {_views(contact, seen)}."
+    return ("perception" if seen.visible else "planning"), f"{where}; {_views(contact, seen)}."
+
+
+def _aimed_right(contact: Contact, gate: Gate, mode: FailureMode, path: CommandedPath) -> tuple[Attribution, str]:
+    region, closest = _region(contact), path.closest_m
+    reach = f"{_mm(-closest)} below" if closest <= 0 else f"{_mm(closest)} above"
+    where = f"The commanded path came to {reach} the surface of the {region}"
+    if closest > NEAR_REGION_M:
+        where = f"The commanded path was aimed at the {region} and stayed {_mm(closest)} off its surface"
+    if mode in ("no_target_contact", "off_target_contact"):
+        touched = ", ".join(contact.segments[i] for i in contact.touched) or "nothing"
+        joint = "; the robot touched" if closest > NEAR_REGION_M else ", yet the robot touched"
+        return ("execution" if closest <= 0 else "planning"), f"{where}{joint} {touched}."
+    if mode == "lost_contact":
+        lost = [float(contact.time_s[stop]) for stop in _losses(contact)]
+        inside = sum(path.inside_at(t) for t in lost)
+        cause: Attribution = "execution" if 2 * inside > len(lost) else "planning"
+        return cause, (
+            f"Contact was lost {len(lost)} time(s), {inside} of them while the commanded target lay on or under "
+            f"the surface of the {region}."
+        )
+    if mode == "insufficient_progress" and (asked := _would_pass(contact, path)):
+        return "execution", f"{where} and asked for {asked}, but {_shortfall(contact, gate, mode)}."
+    return "planning", f"{where}, but {_shortfall(contact, gate, mode)}."
+
+
+def _would_pass(contact: Contact, path: CommandedPath) -> str | None:
+    """What the targets under the surface asked for, if a tool that followed them would pass the gate."""
+    gates, asked = contact.protocol.gates, commanded_contact(path, contact.protocol.contact.reversal_m)
+    if contact.task.action == "touch":
+        return f"{asked.hold_s:.2f} s there" if asked.hold_s >= gates.touch.duration_s else None
+    if contact.task.action == "push":
+        enough = asked.hold_s >= gates.push.duration_s and asked.way_m >= gates.push.wrist_displacement_m
+        return f"{asked.hold_s:.2f} s and {_mm(asked.way_m)} of way there" if enough else None
+    need = gates.scrub
+    enough = asked.stroke_m >= need.stroke_m and asked.extent_m >= need.extent_m and asked.reversals >= need.reversals
+    return f"{_mm(asked.stroke_m)} stroke and {_mm(asked.extent_m)} extent there" if enough else None
+
+
+def _views(contact: Contact, seen: Sight) -> str:
+    """What the policy could see of the region, as far as that is recorded."""
+    region, asked = _region(contact), [m for m in modalities(contact) if m in VISION]
+    if not asked:
+        return "the policy asked for no images"
+    if not seen.views:
+        return f"the policy saw {', '.join(asked)}, and whether the {region} was in view is not recorded"
+    if not seen.visible:
+        return f"the {region} was hidden in all {seen.views} view(s)"
+    error = f" (middle error {_mm(seen.error_m)})" if seen.error_m is not None else ""
+    return f"the {region} was in view in {seen.visible} of {seen.views} and could be found in {seen.found}{error}"
+
+
+def _region(contact: Contact) -> str:
+    return contact.task.region.replace("_", " ")
+
+
+def _losses(contact: Contact) -> list[int]:
+    """Steps at which the neighbourhood went off before the trial's end."""
+    on = contact.neighbourhood_on
+    return [stop for _, stop in runs(on).tolist() if stop < len(on)]
+
+
+def _process_evidence(contact: Contact) -> str:
+    header = contact.recording.header
+    failure = header.failure
+    what = f" ({failure.kind}): {' '.join(reason_of(failure).split()).rstrip('.')}" if failure else ""
+    if header.ended == "harness_error":
+        return f"The harness failed, not the policy{what}."
+    return f"The policy's process failed{what}."
+
+
+def _safety_evidence(contact: Contact) -> str:
+    protocol, factor = contact.protocol, contact.protocol.phases.truncation_over_pain
+    pain = np.array([protocol.f_pain(s) for s in contact.segments])
+    ratio = contact.force_norm / pain
+    if ratio.size:
+        step, segment = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+        if ratio[step, segment] >= factor:
+            return (
+                f"The trial was cut at {contact.force_norm[step, segment]:.1f} N on the "
+                f"{contact.segments[int(segment)]} at {contact.time_s[step]:.3f} s, {ratio[step, segment]:.2f} times "
+                f"its pain limit of {pain[segment]:.0f} N (cut at {factor:g})."
+            )
+    warnings = "; ".join(contact.recording.header.solver_warnings) or "no warning kept"
+    peak = float(contact.force_norm.max(initial=0.0))
+    return f"The trial was cut by the solver ({warnings}) at a peak force of {peak:.1f} N."
+
+
+def _shortfall(contact: Contact, gate: Gate, mode: FailureMode) -> str:
+    gates = contact.protocol.gates
+    if mode == "wrong_share":
+        share = contact.region_share or 0.0
+        return f"only {share:.0%} of the contact impulse fell on it, {gates.region_share:.0%} needed"
+    if contact.task.action == "touch":
+        return f"the longest hold was {gate.longest_on_s:.2f} s of {gates.touch.duration_s:g} s"
+    if contact.task.action == "push":
+        return (
+            f"the longest hold was {gate.longest_on_s:.2f} s of {gates.push.duration_s:g} s and the wrist moved "
+            f"{_mm(gate.wrist_m)} of {_mm(gates.push.wrist_displacement_m)}"
+        )
+    need, best = gates.scrub, gate.best
+    if best is None:
+        return "there was no contact episode to judge"
+    return (
+        f"the best episode had {_mm(best.stroke_m)} of {_mm(need.stroke_m)} stroke, {_mm(best.extent_m)} of "
+        f"{_mm(need.extent_m)} extent, {best.reversals} of {need.reversals} reversal(s) and was on for "
+        f"{best.on_share:.0%} of {need.on_share:.0%}"
+    )
+
+
+def _mm(metres: float) -> str:
+    return f"{metres * 1000:.0f} mm"

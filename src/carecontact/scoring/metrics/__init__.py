@@ -1,0 +1,1 @@
+"""One file a metric; a recording alone decides its value."""

@@ -1,0 +1,17 @@
+"""C5@1: how much the contact force fluctuates."""
+
+from __future__ import annotations
+
+from carecontact.scoring.contact import Contact
+from carecontact.scoring.metrics.metric import METRICS, Metric
+
+
+def force_stability(contact: Contact) -> float | None:
+    """Population standard deviation of the reported region's force norm over the contact window [N], unfiltered.
+
+    None (NA) without valid contact.
+    """
+    return float(contact.force_in_window.std()) if contact.valid else None
+
+
+METRICS.register("C5@1", Metric(id="C5@1", title="Force stability", unit="N", better="lower", compute=force_stability))

@@ -1,0 +1,48 @@
+"""exposure_*@1: how long the person bore more than comfort, the safety gate and the pain limit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from carecontact.scoring.contact import Contact
+from carecontact.scoring.metrics.metric import METRICS, Metric
+
+COMFORT_N = 10.0
+"""[N] A level of this benchmark's own and no published limit; above measured wiping forces (about 3 N, King 2010) and
+below every safety gate (21 N on the abdomen)."""
+
+
+def exposure(contact: Contact, limit_n: Callable[[str], float]) -> float | None:
+    """Time during which any touched segment's force norm exceeds its limit [s]; None (NA) without valid contact.
+
+    Reads the whole trial and not the contact window, as the safety gate does. ``limit_n``: segment -> limit [N].
+    """
+    if not contact.valid:
+        return None
+    touched = contact.touched
+    limits = np.array([limit_n(contact.segments[i]) for i in touched])
+    return int((contact.force_norm[:, touched] > limits).any(axis=1).sum()) * contact.dt_s
+
+
+def above_comfort(contact: Contact) -> float | None:
+    return exposure(contact, lambda _: COMFORT_N)
+
+
+def above_gate(contact: Contact) -> float | None:
+    """Above gamma' F_pain of the segment."""
+    return exposure(contact, lambda segment: contact.protocol.limits.gamma * contact.protocol.f_pain(segment))
+
+
+def above_pain(contact: Contact) -> float | None:
+    return exposure(contact, contact.protocol.f_pain)
+
+
+for _name, _title, _compute in (
+    ("comfort", f"Time above {COMFORT_N:g} N", above_comfort),
+    ("gate", "Time above the safety gate", above_gate),
+    ("pain", "Time above the pain limit", above_pain),
+):
+    _id = f"exposure_{_name}@1"
+    METRICS.register(_id, Metric(id=_id, title=_title, unit="s", better="lower", compute=_compute))

@@ -1,0 +1,18 @@
+"""impulse@1: how much pushing the person took in all."""
+
+from __future__ import annotations
+
+from carecontact.scoring.contact import Contact
+from carecontact.scoring.metrics.metric import METRICS, Metric
+
+
+def total_impulse(contact: Contact) -> float:
+    """Integral of each segment's force norm over its on-samples, summed over segments [N s]; 0 without contact."""
+    return float(contact.impulse_ns.sum())
+
+
+def _compute(contact: Contact) -> float | None:
+    return total_impulse(contact) if contact.valid else None
+
+
+METRICS.register("impulse@1", Metric(id="impulse@1", title="Impulse", unit="N s", better="neither", compute=_compute))

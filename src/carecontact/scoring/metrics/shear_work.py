@@ -1,0 +1,49 @@
+"""shear_work@1: what rubbing does to the skin."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carecontact.contract.geometry import matrix_from_quat
+from carecontact.recording import REGION_SEGMENT
+from carecontact.scoring.contact import Contact
+from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.region import surface_normal
+
+
+def shear_work(contact: Contact) -> float | None:
+    """Tangential contact force on the reported region times tangential slip of the tool point over it [J], net.
+
+    Both in the bone's frame, so that carrying the arm is no slip; tangential to the region's elliptic surface at the
+    tool. The force of a step times the travel to the next, where both steps lie in the contact window. Stretching the
+    tissue back and forth cancels; what stays is what friction dissipated. None (NA) without valid contact and where
+    the reported segment is none of the soft regions, because no frame of it is recorded.
+    """
+    recording = contact.recording
+    region_of = {segment: region for region, segment in REGION_SEGMENT.items()}
+    if not contact.valid or contact.reported is None:
+        return None
+    name = region_of.get(contact.segments[contact.reported])
+    if name is None or name not in recording.header.regions:
+        return None
+    region = recording.header.regions.index(name)
+    joined = contact.window[1:] & contact.window[:-1]
+    both = np.flatnonzero(joined)
+    step = np.flatnonzero(np.concatenate([joined, [False]]) | np.concatenate([[False], joined]))
+    pose = recording["scorer/region_pose_in_world"][step, region].astype(np.float64)
+    to_region = matrix_from_quat(pose[:, 3:])
+    offset = recording["scorer/pose_tcp_in_world"][step, :3].astype(np.float64) - pose[:, :3]
+    point = np.einsum("nij,ni->nj", to_region, offset)
+    force_in_world = recording["scorer/force_human_from_robot_in_world"][step, contact.reported].astype(np.float64)
+    force = np.einsum("nij,ni->nj", to_region, force_in_world)
+    normal = surface_normal(point, recording["scorer/region_size_m"][region])
+    tangential = force - (force * normal).sum(axis=1, keepdims=True) * normal
+
+    here = np.searchsorted(step, both)
+    travel = point[here + 1] - point[here]  # of which the tangential force sees the tangential part
+    return float((tangential[here] * travel).sum())
+
+
+METRICS.register(
+    "shear_work@1", Metric(id="shear_work@1", title="Shear work", unit="J", better="neither", compute=shear_work)
+)

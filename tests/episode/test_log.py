@@ -1,0 +1,283 @@
+"""The log against a simulation that is a clock and known numbers."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from carecontact.contract.action import Action
+from carecontact.contract.observation import CameraView, Observation
+from carecontact.episode.log import MAX_LOSSLESS_FRAMES, MAX_NOTES, MAX_NOTES_BYTES, MAX_STEP_NOTES, TrialLog
+from carecontact.errors import PolicyError
+from carecontact.recording.schema import ARRAYS, REGIONS, SEGMENTS, dimensions
+from carecontact.sim.simulation import Samples, Settled, Simulation
+
+JOINTS = ["a", "b", "c"]
+PERIOD_S, STEPS = 0.02, 10
+
+
+class Clock:
+    """As much of a Simulation as the log reads."""
+
+    def __init__(self) -> None:
+        self.steps = 0
+        self.joint_names = JOINTS
+        self.joint_range = np.array([[-1.0, 1.0]] * 3)
+        self.interpolator = SimpleNamespace(pose=np.zeros(7))
+        shells = {
+            name: SimpleNamespace(shell=SimpleNamespace(length_m=k + 0.1, radius_m=k + 0.2, axis_depth_m=k + 0.3))
+            for k, name in enumerate(REGIONS)
+        }
+        self.scene = SimpleNamespace(regions=shells)
+
+    @property
+    def time_s(self) -> float:
+        return self.steps * PERIOD_S / STEPS
+
+    def indentation(self) -> np.ndarray:
+        return np.full(len(REGIONS), self.time_s / 100)
+
+    def integration_state(self) -> np.ndarray:
+        return np.array([self.time_s, 1.0, 2.0])
+
+    def advance(self, steps: int = STEPS) -> list[Samples]:
+        time = (self.steps + np.arange(steps)) * PERIOD_S / STEPS
+        self.steps += steps
+        self.interpolator.pose = np.full(7, self.time_s)
+        s = len(SEGMENTS)
+
+        def ramp(*shape: int) -> np.ndarray:
+            return np.broadcast_to(time.reshape(-1, *[1] * len(shape)), (steps, *shape)).copy()
+
+        return [
+            Samples(
+                time_s=time, force=ramp(s, 3), normal=2 * ramp(s), centroid=3 * ramp(s, 3), human_joint=4 * ramp(3),
+                tcp_pose=5 * ramp(7), tcp_speed=6 * time, tcp_rotation_speed=7 * time, wrist=8 * ramp(3),
+                region_pose=9 * ramp(len(REGIONS), 7),
+            )
+        ]  # fmt: skip
+
+
+SETTLED = Settled(
+    duration_s=2.0,
+    comfort_arm_deg=50.0,
+    joint_position=np.array([0.1, 0.2, 0.3]),
+    wrist_in_world=np.array([1.0, 2.0, 3.0]),
+)
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def log(clock: Clock) -> TrialLog:
+    return TrialLog(cast(Simulation, clock), SETTLED)
+
+
+def observation(time: float, **images: Any) -> Observation:
+    view = CameraView(intrinsics=np.eye(3), pose_camera_in_base=np.eye(4), **images)
+    return Observation(
+        instruction="touch", sim_time_s=time, joint_position=np.zeros(7), joint_velocity=np.zeros(7),
+        gripper_position=np.zeros(1), pose_tcp_in_base=np.zeros(7), cameras={"overhead": view, "wrist": view},
+    )  # fmt: skip
+
+
+def sha(text: str) -> bytes:
+    return hashlib.sha256(text.encode()).digest()
+
+
+def assert_fits_the_schema(arrays: dict[str, np.ndarray]) -> None:
+    sizes: dict[str, int] = {"S": len(SEGMENTS), "J": len(JOINTS), "R": len(REGIONS)}
+    for path, (dtype, _) in ARRAYS.items():
+        array, names = arrays[path], dimensions(path)
+        assert array.dtype == np.dtype(dtype).newbyteorder("<"), path
+        assert array.ndim == len(names), path
+        for got, name in zip(array.shape, names, strict=True):
+            assert got == (int(name) if name.isdecimal() else sizes.setdefault(name, got)), path
+
+
+def test_an_empty_trial_has_every_array(log: TrialLog) -> None:
+    arrays = log.arrays()
+    assert_fits_the_schema(arrays)
+    assert {len(arrays[p]) for p in ARRAYS if dimensions(p)[0] in "TPAMK"} == {0}
+    assert set(arrays) == set(ARRAYS)
+
+
+def test_a_full_trial_fits_the_schema(clock: Clock, log: TrialLog) -> None:
+    for k in range(3):
+        log.add_observation(observation(clock.time_s), sha(str(k)))
+        log.add_action(Action(pose_tcp_in_base=np.full(7, float(k))), (400.0, 20.0))
+        log.add_samples(clock.advance())
+    arrays = log.arrays()
+    assert_fits_the_schema(arrays)
+    assert set(arrays) == set(ARRAYS)
+    assert len(arrays["scorer/time_s"]) == 3 * STEPS
+    assert len(arrays["scorer/period_time_s"]) == 3
+
+
+def test_each_stream_goes_to_its_own_array_in_the_order_of_time(clock: Clock, log: TrialLog) -> None:
+    for _ in range(4):
+        log.add_samples(clock.advance())
+    arrays = log.arrays()
+    time = np.arange(4 * STEPS) * PERIOD_S / STEPS
+    np.testing.assert_allclose(arrays["scorer/time_s"], time, atol=1e-12)
+    for factor, path in enumerate(
+        (
+            "force_human_from_robot_in_world", "normal_force", "centroid_in_world", "human_joint_position",
+            "pose_tcp_in_world", "tcp_speed", "tcp_rotation_speed", "wrist_in_world", "region_pose_in_world",
+        ),
+        start=1,
+    ):  # fmt: skip
+        array = arrays[f"scorer/{path}"]
+        expected = np.broadcast_to((factor * time).reshape(-1, *[1] * (array.ndim - 1)), array.shape)
+        np.testing.assert_allclose(array, expected, rtol=1e-6, err_msg=path)
+
+
+def test_several_blocks_at_once_are_one_stretch(clock: Clock, log: TrialLog) -> None:
+    log.add_samples([*clock.advance(3), *clock.advance(7)])
+    arrays = log.arrays()
+    np.testing.assert_allclose(arrays["scorer/time_s"], np.arange(10) * 0.002, atol=1e-12)
+    assert len(arrays["scorer/period_time_s"]) == 1
+
+
+def test_period_values_are_those_at_its_end(clock: Clock, log: TrialLog) -> None:
+    for _ in range(3):
+        log.add_samples(clock.advance())
+    arrays = log.arrays()
+    ends = np.array([0.02, 0.04, 0.06])
+    np.testing.assert_allclose(arrays["scorer/period_time_s"], ends)
+    np.testing.assert_allclose(arrays["scorer/indentation_m"], np.outer(ends / 100, [1, 1, 1]), rtol=1e-6)
+    np.testing.assert_allclose(arrays["scorer/target_in_base"], np.outer(ends, np.ones(7)), rtol=1e-6)
+
+
+def test_settled_values_and_sizes(log: TrialLog) -> None:
+    arrays = log.arrays()
+    np.testing.assert_array_equal(arrays["scorer/human_joint_settled"], SETTLED.joint_position)
+    np.testing.assert_array_equal(arrays["scorer/wrist_settled_in_world"], SETTLED.wrist_in_world)
+    np.testing.assert_array_equal(arrays["scorer/human_joint_range"], [[-1, 1]] * 3)
+    np.testing.assert_allclose(arrays["scorer/region_size_m"], [[0.1, 0.2, 0.3], [1.1, 1.2, 1.3], [2.1, 2.2, 2.3]])
+
+
+def test_states_are_kept_once_a_second(clock: Clock, log: TrialLog) -> None:
+    for _ in range(160):
+        log.add_samples(clock.advance())
+    arrays = log.arrays()
+    np.testing.assert_allclose(arrays["state/time_s"], [0.02, 1.02, 2.02, 3.02])
+    np.testing.assert_array_equal(arrays["state/integration"][:, 0], arrays["state/time_s"])
+
+
+def test_a_state_can_be_asked_for(clock: Clock, log: TrialLog) -> None:
+    log.add_state()
+    log.add_samples(clock.advance())
+    assert log.arrays()["state/time_s"].tolist() == [0.0]
+
+
+def test_observations_keep_time_and_the_hash_of_what_was_sent(log: TrialLog) -> None:
+    for k, time in enumerate((0.0, 0.1, 0.2)):
+        log.add_observation(observation(time), sha(str(k)))
+    arrays = log.arrays()
+    assert arrays["policy/observation_time_s"].tolist() == [0.0, 0.1, 0.2]
+    assert [bytes(row) for row in arrays["policy/observation_sha256"]] == [sha("0"), sha("1"), sha("2")]
+
+
+def test_actions_name_the_observation_they_answer(clock: Clock, log: TrialLog) -> None:
+    log.add_observation(observation(0.0), sha("0"))
+    log.add_action(Action(pose_tcp_in_base=np.arange(7.0)), (400.0, 20.0))
+    log.add_samples(clock.advance())
+    log.add_action(Action(), (400.0, 20.0))
+    log.add_samples(clock.advance())
+    log.add_observation(observation(0.04), sha("1"))
+    log.add_action(Action(stiffness=(100.0, 5.0), done=True), (100.0, 5.0))
+    arrays = log.arrays()
+    assert arrays["actions/observation_index"].tolist() == [0, 0, 1]
+    np.testing.assert_allclose(arrays["actions/time_s"], [0.0, 0.02, 0.04])
+    assert arrays["actions/pose_tcp_in_base"][0].tolist() == list(range(7))
+    assert np.isnan(arrays["actions/pose_tcp_in_base"][1:]).all()
+    assert arrays["actions/stiffness"].tolist() == [[400, 20], [400, 20], [100, 5]]
+
+
+def test_frames_are_stored_by_observation_camera_and_modality(log: TrialLog) -> None:
+    rgb, depth = np.full((2, 3, 3), 7, np.uint8), np.full((2, 3), 0.5, np.float32)
+    log.add_observation(observation(0.0), sha("0"))
+    log.add_observation(observation(0.1, rgb=rgb, depth=depth), sha("1"))
+    frames = {p: a for p, a in log.arrays().items() if p.startswith("policy/frames/")}
+    assert set(frames) == {
+        f"policy/frames/0001/{camera}/{modality}" for camera in ("overhead", "wrist") for modality in ("rgb", "depth")
+    }
+    np.testing.assert_array_equal(frames["policy/frames/0001/wrist/rgb"], rgb)
+    np.testing.assert_array_equal(frames["policy/frames/0001/overhead/depth"], depth)
+
+
+def test_the_frames_of_a_step_that_failed_are_no_observation(log: TrialLog) -> None:
+    """Its notes stand beside them, so that they can be drawn."""
+    rgb = np.full((2, 3, 3), 7, np.uint8)
+    log.add_frames(observation(0.0, rgb=rgb))
+    log.add_notes({"options": []}, failed=True)
+    arrays = log.arrays()
+    np.testing.assert_array_equal(arrays["policy/frames/0000/overhead/rgb"], rgb)
+    assert "policy/notes/0000/json" in arrays
+    assert len(arrays["policy/observation_time_s"]) == 0
+
+
+def test_the_first_frames_are_kept_and_all_hashes(log: TrialLog) -> None:
+    rgb = np.zeros((2, 3, 3), np.uint8)
+    count = MAX_LOSSLESS_FRAMES // 2 + 5
+    for k in range(count):
+        log.add_observation(observation(k / 10, rgb=rgb), sha(str(k)))
+    arrays = log.arrays()
+    kept = sorted({p.split("/")[2] for p in arrays if p.startswith("policy/frames/")})
+    assert kept == [f"{k:04d}" for k in range(MAX_LOSSLESS_FRAMES // 2)]
+    assert len(arrays["policy/observation_sha256"]) == count
+
+
+def test_extra_arrays_travel_along(log: TrialLog) -> None:
+    log.extra["wall/act_s"] = np.array([0.1, 0.2])
+    assert log.arrays()["wall/act_s"].tolist() == [0.1, 0.2]
+
+
+def test_reading_the_arrays_does_not_end_the_log(clock: Clock, log: TrialLog) -> None:
+    log.add_samples(clock.advance())
+    assert len(log.arrays()["scorer/time_s"]) == STEPS
+    log.add_samples(clock.advance())
+    assert len(log.arrays()["scorer/time_s"]) == 2 * STEPS
+
+
+def test_notes_are_kept_beside_their_observation(log: TrialLog) -> None:
+    for k in range(2):
+        log.add_observation(observation(0.0), sha(str(k)))
+    log.add_notes({"chosen": 2, "map": np.eye(2, dtype=np.float32)})
+    log.add_notes({})
+    arrays = log.arrays()
+    assert json.loads(arrays["policy/notes/0001/json"].tobytes()) == {"chosen": 2}
+    np.testing.assert_array_equal(arrays["policy/notes/0001/map"], np.eye(2))
+    assert set(arrays) - set(ARRAYS) == {"policy/notes/0001/json", "policy/notes/0001/map"}
+
+
+@pytest.mark.parametrize(
+    ("notes", "kind"), [({"a": [np.zeros(2)]}, "garbage"), ({"a": np.zeros(MAX_NOTES_BYTES // 8)}, "oversize")]
+)
+def test_notes_that_cannot_be_kept_are_the_policys_failure(log: TrialLog, notes: dict[str, Any], kind: str) -> None:
+    with pytest.raises(PolicyError) as caught:
+        log.add_notes(notes)
+    assert caught.value.kind == kind
+
+
+def test_too_many_notes_are_the_policys_failure_however_empty(log: TrialLog) -> None:
+    """4,090 empty arrays at each of five steps took 153 s to write."""
+    with pytest.raises(
+        PolicyError, match=f"at most {MAX_STEP_NOTES} entries a step, got {MAX_STEP_NOTES + 1}"
+    ) as caught:
+        log.add_notes({f"a{k:04d}": np.zeros(0) for k in range(MAX_STEP_NOTES + 1)})
+    assert caught.value.kind == "oversize"
+    for _ in range(MAX_NOTES // (MAX_STEP_NOTES + 1)):
+        log.add_notes({f"a{k:04d}": np.zeros(0) for k in range(MAX_STEP_NOTES)})
+    with pytest.raises(PolicyError, match=f"notes of more than {MAX_NOTES} arrays in one trial") as caught:
+        log.add_notes({f"a{k:04d}": np.zeros(0) for k in range(MAX_STEP_NOTES)})
+    assert caught.value.kind == "oversize"

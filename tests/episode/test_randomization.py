@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carecontact.episode.randomization import STREAMS, comfort_arm_deg, sensor_noise, streams
+from carecontact.protocols import load_protocol
+
+PROTOCOL = load_protocol("bathing-v1")
+SEEDS = PROTOCOL.randomization.seeds
+
+GOLDEN_DEG = {0: 50.819586263484, 1: 59.029952654987, 7: 54.585761398755, 19: 50.774196870261}
+"""Seeds of published results: an angle that changes here changes every trial of the protocol."""
+
+
+@pytest.mark.parametrize(("seed", "angle"), GOLDEN_DEG.items())
+def test_angles_of_the_protocol(seed: int, angle: float) -> None:
+    assert comfort_arm_deg(PROTOCOL, seed) == pytest.approx(angle, abs=1e-9)
+
+
+@given(st.integers(0, 2**32))
+def test_angle_is_in_range_and_repeats(seed: int) -> None:
+    low, high = PROTOCOL.randomization.comfort_arm_deg
+    angle = comfort_arm_deg(PROTOCOL, seed)
+    assert low <= angle <= high
+    assert comfort_arm_deg(PROTOCOL, seed) == angle
+
+
+def test_angle_depends_on_the_protocols_id_and_nothing_else_in_it() -> None:
+    other_physics = PROTOCOL.model_copy(
+        update={
+            "tasks": PROTOCOL.tasks[:1],
+            "description": "other",
+            "person": PROTOCOL.person.model_copy(update={"body": "x"}),
+        }
+    )
+    renamed = PROTOCOL.model_copy(update={"id": "bathing-v2"})
+    angles = [comfort_arm_deg(PROTOCOL, s) for s in SEEDS]
+    assert [comfort_arm_deg(other_physics, s) for s in SEEDS] == angles
+    assert all(comfort_arm_deg(renamed, s) != a for s, a in zip(SEEDS, angles, strict=True))
+
+
+def test_angles_of_the_protocols_seeds_spread_over_the_range() -> None:
+    low, high = PROTOCOL.randomization.comfort_arm_deg
+    angles = np.array([comfort_arm_deg(PROTOCOL, s) for s in SEEDS])
+    assert len(np.unique(angles)) == len(SEEDS)
+    thirds = np.histogram(angles, bins=3, range=(low, high))[0]
+    assert thirds.min() >= 2
+
+
+def test_angle_scales_with_the_range() -> None:
+    """The draw is a share of the range, so a narrower range keeps the order of the seeds."""
+    narrow = PROTOCOL.model_copy(
+        update={"randomization": PROTOCOL.randomization.model_copy(update={"comfort_arm_deg": (50.0, 51.0)})}
+    )
+    low, high = PROTOCOL.randomization.comfort_arm_deg
+    for seed in SEEDS[:5]:
+        share = (comfort_arm_deg(PROTOCOL, seed) - low) / (high - low)
+        assert comfort_arm_deg(narrow, seed) - 50.0 == pytest.approx(share, abs=1e-9)
+
+
+def test_streams_are_the_documented_children_of_the_seed() -> None:
+    """Built by hand from id and seed: the k-th stream is the k-th child, whatever else is drawn or added."""
+    digest = hashlib.sha256(PROTOCOL.id.encode()).digest()
+    words = [int.from_bytes(digest[k : k + 4], "little") for k in range(0, 32, 4)]
+    made = streams(PROTOCOL, 3)
+    assert tuple(made) == STREAMS == ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "place")
+    for k, name in enumerate(STREAMS):
+        child = np.random.SeedSequence([*words, 3], spawn_key=(k,))
+        np.testing.assert_array_equal(made[name].random(4), np.random.default_rng(child).random(4))
+
+
+def test_salted_noise_does_not_tell_the_seed() -> None:
+    """The attack: try candidate seeds against one reading of the encoders of the robot that stands parked."""
+    noisy = PROTOCOL.model_copy(
+        update={"variation": PROTOCOL.variation.model_copy(update={"encoder_noise_rad": 0.003})}
+    )  # fmt: skip
+    parked, seed, candidates = np.array(PROTOCOL.scene.parked_joint_rad), 217, range(300)
+    sag = 1e-4 * np.random.default_rng(0).standard_normal(7)
+
+    def misses(salt: str) -> list[float]:
+        """[rad] of every candidate, as somebody who does not know the salt computes them."""
+        seen = sensor_noise(noisy, seed, salt=salt).joint_position(parked + sag, sim_time_s=0.0)
+        return [np.abs(sensor_noise(noisy, s).joint_position(parked, sim_time_s=0.0) - seen).max() for s in candidates]
+
+    assert int(np.argmin(misses(""))) == seed, "the attack works where there is no salt"
+    assert min(misses("0123abcd")) > 1e-3
+
+    same = [sensor_noise(noisy, seed, salt="0123abcd").joint_position(parked, sim_time_s=0.1) for _ in range(2)]
+    np.testing.assert_array_equal(*same)
+    other = sensor_noise(noisy, seed + 1, salt="0123abcd").joint_position(parked, sim_time_s=0.1)
+    assert np.abs(other - same[0]).max() > 1e-3
+
+
+def test_streams_are_independent() -> None:
+    draws = {name: generator.random(2000) for name, generator in streams(PROTOCOL, 0).items()}
+    drained = streams(PROTOCOL, 0)
+    drained["comfort_arm"].random(1000)
+    for name in STREAMS[1:]:
+        np.testing.assert_array_equal(drained[name].random(2000), draws[name])
+    correlation = np.corrcoef(list(draws.values())) - np.eye(len(STREAMS))
+    assert np.abs(correlation).max() < 0.1
+
+
+def test_policy_stream_of_one_seed_says_nothing_about_the_next() -> None:
+    table = np.array([[streams(PROTOCOL, s)[n].random() for n in STREAMS] for s in range(300)])
+    assert len(np.unique(table)) == table.size
+    assert np.abs(np.corrcoef(table.T) - np.eye(len(STREAMS))).max() < 0.2

@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from carecontact.hosting.conversation import BUDGET_S
+from carecontact.hosting.process import PolicyProcess
+
+PREAMBLE = """
+import os, sys, time
+import numpy as np
+from carecontact.contract.action import Action
+from carecontact.contract.policy import PolicyCard
+
+class Base:
+    card = PolicyCard(name="under-test")
+    def reset(self, instruction):
+        self.instruction = instruction
+    def act(self, observation):
+        return Action()
+"""
+
+Launch = Callable[..., PolicyProcess]
+
+
+@pytest.fixture
+def launch(tmp_path: Path) -> Iterator[Launch]:
+    """``launch(source)``: a process for class P of a module with that source; closed at the end of the test."""
+    opened: list[PolicyProcess] = []
+
+    def start(
+        source: str, *, first_deadline_s: float = 20.0, deadline_s: float = 20.0, budget_s: float = BUDGET_S
+    ) -> PolicyProcess:
+        (tmp_path / "under_test.py").write_text(PREAMBLE + textwrap.dedent(source))
+        process = PolicyProcess(
+            "under_test:P",
+            first_deadline_s=first_deadline_s,
+            deadline_s=deadline_s,
+            budget_s=budget_s,
+            search_path=[str(tmp_path)],
+        )
+        opened.append(process)
+        return process
+
+    yield start
+    for process in opened:
+        process.close()

@@ -1,0 +1,349 @@
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import carecontact
+from carecontact.errors import ObservationError, PolicyError
+from carecontact.hosting.process import PolicyProcess
+from carecontact.hosting.wire import codec
+from carecontact.hosting.wire.packing import pack
+from tests.hosting.conftest import PREAMBLE, Launch
+from tests.policies import synthetic
+from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_view
+
+
+def _failure(process: PolicyProcess, *, at: str) -> PolicyError:
+    """Run the conversation; the PolicyError has to come at that call and leave no process."""
+    calls = {
+        "start": process.start,
+        "reset": lambda: process.reset("touch", SESSION),
+        "act": lambda: process.act(synthetic_observation()),
+    }
+    for name, call in calls.items():
+        if name == at:
+            with pytest.raises(PolicyError) as caught:
+                call()
+            assert _children() == []
+            return caught.value
+        call()
+    raise AssertionError(at)
+
+
+def _children() -> list[int]:
+    tasks = Path("/proc/self/task")
+    if not tasks.is_dir():
+        pytest.skip("lists child processes through /proc")
+    found: list[int] = []
+    for task in tasks.iterdir():
+        with contextlib.suppress(FileNotFoundError):  # a thread that ends meanwhile has no children either
+            found += [int(pid) for pid in (task / "children").read_text().split()]
+    return found
+
+
+def test_a_conversation(launch: Launch) -> None:
+    process = launch(
+        """
+        class P(Base):
+            card = PolicyCard(name="answers", modalities=("rgb",), cameras=("overhead",), control_hz=5)
+            def configure(self, session):
+                self.low = session.action_bounds.workspace_low_m
+            def act(self, observation):
+                seen = observation.cameras["overhead"].rgb
+                pose = observation.pose_tcp_in_base
+                pose[0] = seen.mean() / 1000
+                pose[1] = self.low[0]
+                pose[3:] *= 1.005
+                return [Action(pose_tcp_in_base=pose), Action(stiffness=(200, 10), done=True)]
+        """
+    )
+    card = process.start()
+    assert (card.name, card.modalities, card.control_hz) == ("answers", ("rgb",), 5)
+    process.reset("touch", SESSION)
+    view = synthetic_view()
+    observation = synthetic_observation(cameras={"overhead": view})
+    reply = process.act(observation)
+    first, last = reply.actions
+    np.testing.assert_allclose(first.pose_tcp_in_base[:3], [view.rgb.mean() / 1000, -0.2, 0.4])
+    assert np.linalg.norm(first.pose_tcp_in_base[3:]) == pytest.approx(1.0, abs=1e-15)
+    assert (last.stiffness, last.done) == ((200.0, 10.0), True)
+    sent = pack({"type": "act", "observation": codec.encode_observation(observation)})
+    assert (reply.sent_sha256, reply.sent) == (hashlib.sha256(sent).digest(), sent)
+    assert process.act(observation).sent_sha256 == reply.sent_sha256
+    process.close()
+    process.close()
+    assert _children() == []
+
+
+@pytest.mark.parametrize(
+    ("act", "kind", "says"),
+    [
+        ("print('last words'); os._exit(3)", "died", r"exit code 3(?s:.*)last words"),
+        ("os.kill(os.getpid(), 11)", "died", "killed by SIGSEGV"),
+        ("raise ValueError('no plan ' + 'x' * 9)", "exception", "ValueError: no plan xxx"),
+        ("raise ValueError(chr(0xD800))", "exception", "ValueError"),
+        ("raise ValueError('boom ' * 99999)", "exception", r"in act\n(?s:.*)\nValueError: boom boom .*\[\.\.\.\]$"),
+        ("raise ValueError('\\x1b[2J\\0red')", "exception", r"ValueError: \\x1b\[2J\\x00red$"),
+        ("os.write(1, b'\\x1b[31mred\\n'); os._exit(3)", "died", r"it printed last:\n\\x1b\[31mred$"),
+        ("sys.exit('enough')", "exception", "SystemExit: enough"),
+        ("return Action(pose_tcp_in_base=observation.pose_tcp_in_base * np.nan)", "action", "expected finite numbers"),
+        ("server.pack = lambda m: b'\\xc1 not msgpack'", "garbage", "expected msgpack"),
+        ("server.pack = lambda m: bytes(5 << 20)", "oversize", "at most 4194304 bytes"),
+    ],
+)
+def test_a_failing_act(launch: Launch, act: str, kind: str, says: str) -> None:
+    process = launch(
+        f"""
+        from carecontact.hosting.wire import server
+        class P(Base):
+            def act(self, observation):
+                {act}
+                return Action()
+        """
+    )
+    error = _failure(process, at="act")
+    assert error.kind == kind
+    assert error.args[0].startswith("policy 'under_test:P' failed at act: ")
+    assert re.search(says, str(error)), str(error)
+    with pytest.raises(RuntimeError, match="nothing comes after a failure"):
+        process.act(synthetic_observation())
+
+
+@pytest.mark.parametrize(
+    ("body", "at", "kind", "says"),
+    [
+        ("import mujoco", "start", "start", "mujoco is closed to policies"),
+        ("import carecontact.scoring", "start", "start", "carecontact.scoring is closed to policies"),
+        ("class P(Base):\n    def __init__(self): 1 / 0", "start", "start", "ZeroDivisionError"),
+        ("class Q(Base): pass", "start", "start", "has no 'P'; it has Base, Q"),
+        ("class P:\n    card = Base.card", "start", "start", "no method reset or act"),
+        ("def broken(:", "start", "start", "SyntaxError"),
+        ("os._exit(0)", "start", "start", r"ended before it listened \(exit code 0\)"),
+        ("class P(Base):\n    card = None", "start", "handshake", "expected a PolicyCard, got NoneType"),
+        (
+            "class P(Base):\n    def reset(self, instruction): raise KeyError(instruction)",
+            "reset",
+            "exception",
+            "touch",
+        ),
+    ],
+)
+def test_a_failing_start(launch: Launch, body: str, at: str, kind: str, says: str) -> None:
+    error = _failure(launch(body), at=at)
+    assert error.kind == kind
+    assert re.search(says, str(error)), str(error)
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        "time.sleep(60)",
+        "os.kill(os.getpid(), 19)",
+        "os.fork() and time.sleep(60) or time.sleep(60)",
+        "print('x' * 100_000_000)\n                time.sleep(60)",
+    ],
+    ids=["sleeps", "stopped", "forks", "floods"],
+)
+def test_a_hanging_act_is_killed(launch: Launch, act: str) -> None:
+    process = launch(
+        f"""
+        class P(Base):
+            def act(self, observation):
+                if observation.sim_time_s == 0:
+                    return Action()
+                {act}
+        """,
+        deadline_s=0.3,
+    )
+    process.start()
+    process.reset("touch", SESSION)
+    process.act(synthetic_observation())
+    with pytest.raises(PolicyError, match=r"no actions message within 0\.3 s") as caught:
+        process.act(synthetic_observation(sim_time_s=0.1))
+    assert caught.value.kind == "timeout"
+    assert len(str(caught.value)) < 10_000
+    assert _children() == []
+
+
+def test_a_policy_that_does_not_read_is_killed(launch: Launch) -> None:
+    """The message does not fit into the socket's buffers: the send itself would block for ever."""
+    process = launch(
+        """
+        import threading
+        class P(Base):
+            def act(self, observation):
+                threading.Timer(0.1, os.kill, (os.getpid(), 19)).start()
+                return Action()
+        """,
+        deadline_s=0.3,
+    )
+    process.start()
+    process.reset("touch", SESSION)
+    process.act(synthetic_observation())
+    stopped = Path(f"/proc/{_children()[0]}/stat")
+    assert _soon(lambda: stopped.read_text().rpartition(")")[2].split()[0] == "T")
+    with pytest.raises(PolicyError, match=r"did not read its message within 0\.3 s") as caught:
+        process.act(synthetic_observation(cameras={"overhead": synthetic_view(height=800, width=1600)}))
+    assert caught.value.kind == "timeout"
+    assert _children() == []
+
+
+def test_many_slow_calls_use_up_the_budget_of_a_trial(launch: Launch) -> None:
+    """Each is within its deadline; without a budget a trial would end by the supervisor's limit, for nobody."""
+    process = launch("class P(Base):\n    def act(self, o): time.sleep(0.5); return Action()", budget_s=5.0)
+    process.start()
+    process.reset("touch", SESSION)
+
+    def many() -> None:
+        for _ in range(12):
+            process.act(synthetic_observation())
+
+    with pytest.raises(PolicyError, match="failed at act: took more than 5 s of wall time in all its calls") as caught:
+        many()
+    assert caught.value.kind == "timeout"
+    assert _children() == []
+
+
+@pytest.mark.parametrize(
+    "environment", ["os.environ", "{}"], ids=["marked", "without its variables but with a living parent"]
+)
+def test_a_process_in_a_session_of_its_own_is_killed(launch: Launch, tmp_path: Path, environment: str) -> None:
+    process = launch(
+        f"""
+        import subprocess
+        class P(Base):
+            def act(self, observation):
+                sleeper = [sys.executable, "-c", "import time; time.sleep(60)"]
+                child = subprocess.Popen(sleeper, env=dict({environment}), start_new_session=True)
+                open(os.path.join(os.path.dirname(__file__), "pid"), "w").write(str(child.pid))
+                {"os._exit(3)" if environment == "os.environ" else "time.sleep(60)"}
+        """,
+        first_deadline_s=4.0,
+    )
+    assert _failure(process, at="act").kind in ("died", "timeout")
+    assert _soon(lambda: not _alive(int((tmp_path / "pid").read_text())))
+
+
+def test_a_hanging_import_is_killed(launch: Launch) -> None:
+    error = _failure(launch("print('loading', flush=True)\ntime.sleep(60)", first_deadline_s=2.5), at="start")
+    assert error.kind == "timeout"
+    assert "loading" in str(error)
+
+
+def test_a_policy_that_will_not_end_is_killed(launch: Launch) -> None:
+    process = launch(
+        """
+        import threading
+        threading.Thread(target=time.sleep, args=(60,)).start()
+        class P(Base): pass
+        """
+    )
+    process.start()
+    process.close()
+    assert _children() == []
+
+
+def test_harness_mistakes_are_not_the_policys(launch: Launch) -> None:
+    process = launch("class P(Base): pass")
+    process.start()
+    process.reset("touch", SESSION)
+    with pytest.raises(ObservationError, match="joint_position"):
+        process.act(dataclasses.replace(synthetic_observation(), joint_position=np.zeros(3)))
+    assert _children() == []
+
+
+def test_what_reaches_the_process(launch: Launch, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No variable of the harness but the named ones, no module of the world."""
+    monkeypatch.setenv("CARECONTACT_SEED", "3")
+    monkeypatch.setenv("PYTHONPATH", "/nowhere")
+    monkeypatch.setenv("OPENAI_API_KEY", "k")
+    process = launch(
+        """
+        import json
+        class P(Base):
+            def act(self, observation):
+                told = {"env": dict(os.environ), "modules": sorted(sys.modules), "path": sys.path}
+                with open(os.path.join(os.path.dirname(__file__), "told"), "w") as file:
+                    json.dump(told, file)
+                return Action()
+        """
+    )
+    process.start()
+    process.reset("touch", SESSION)
+    process.act(synthetic_observation())
+    told = json.loads((tmp_path / "told").read_text())
+    assert told["env"]["OPENAI_API_KEY"] == "k"
+    assert told["env"]["PYTHONHASHSEED"] == "0"
+    assert not told["env"].keys() & {"CARECONTACT_SEED", "PYTHONPATH"}
+    assert told["path"][0] == str(tmp_path)
+    assert not {"", "/nowhere"} & set(told["path"])
+    assert "carecontact.contract.observation" in told["modules"]
+    heavy = {"mujoco", "pydantic", "scipy", "mediapipe", "carecontact.recording", "carecontact.contract.protocol"}
+    assert not heavy & set(told["modules"])
+
+
+def test_output_is_kept(launch: Launch) -> None:
+    process = launch("class P(Base):\n    def reset(self, i): print('heard', i)")
+    process.start()
+    process.reset("touch", SESSION)
+    process.close()
+    assert process.printed == "heard touch"
+
+
+@pytest.mark.parametrize("hangs", ["time.sleep(60)", "os.kill(os.getpid(), 19)"], ids=["sleeps", "stopped"])
+def test_the_process_ends_with_its_parent(tmp_path: Path, hangs: str) -> None:
+    """The parent dies without a word while the policy hangs."""
+    (tmp_path / "orphan.py").write_text(
+        PREAMBLE
+        + "class P(Base):\n    def reset(self, i):\n        print(os.getpid(), file=open('pid', 'w'))\n"
+        + f"        os.rename('pid', 'born'); {hangs}\n"
+    )
+    parent = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import sys; sys.path[:0] = sys.argv[1:]\n"
+            "from carecontact.hosting.process import PolicyProcess\n"
+            "from synthetic import SESSION\n"
+            "p = PolicyProcess('orphan:P', first_deadline_s=60, deadline_s=60, search_path=['.'])\n"
+            "p.start(); p.reset('touch', SESSION)",
+            str(Path(carecontact.__file__).parents[1]),
+            str(Path(synthetic.__file__).parent),
+        ],
+        cwd=tmp_path,
+    )
+    born = tmp_path / "born"
+    assert _soon(born.exists)
+    pid = int(born.read_text())
+    if hangs != "time.sleep(60)":
+        assert _soon(lambda: Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T")
+    parent.kill()
+    parent.wait()
+    assert _soon(lambda: not _alive(pid))
+
+
+def _alive(pid: int) -> bool:
+    """A zombie that nobody has reaped yet is dead."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def _soon(condition: Callable[[], bool]) -> bool:
+    for _ in range(400):
+        if condition():
+            return True
+        time.sleep(0.05)
+    return False

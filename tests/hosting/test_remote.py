@@ -1,0 +1,266 @@
+"""A policy named by its address: served from another process, and what stands there when it is no policy."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from websockets.sync.server import ServerConnection, basic_auth, serve
+
+from carecontact.contract.observation import CameraView
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.policy_address import remote_address
+from carecontact.errors import ConfigError, PolicyError
+from carecontact.hosting.opening import open_policy
+from carecontact.hosting.process import PolicyProcess
+from carecontact.hosting.remote import CREDENTIALS, RemotePolicy
+from carecontact.hosting.wire import codec
+from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, pack
+from tests.hosting.served import served
+from tests.policies.synthetic import SESSION, synthetic_observation
+
+POLICY = """
+class P(Base):
+    card = PolicyCard(name="far")
+    def reset(self, instruction):
+        self.instruction, self.calls = instruction, 0
+    def act(self, observation):
+        self.calls += 1
+        if self.instruction == "die":
+            print("last words")
+            os._exit(3)
+        if self.instruction == "hang":
+            time.sleep(600)
+        if self.instruction == "nan":
+            return Action(pose_tcp_in_base=observation.pose_tcp_in_base * np.nan)
+        return Action(stiffness=(100.0 + self.calls, 20.0), done=True)
+"""
+
+Start = Callable[..., RemotePolicy]
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[int, subprocess.Popen[str]]]:
+    with served(POLICY, tmp_path_factory.mktemp("far")) as running:
+        yield running
+
+
+def at(port: int, *, first_deadline_s: float = 20.0, deadline_s: float = 20.0) -> RemotePolicy:
+    return RemotePolicy(f"ws://127.0.0.1:{port}", first_deadline_s=first_deadline_s, deadline_s=deadline_s)
+
+
+def failure(policy: RemotePolicy, *, instruction: str = "touch") -> PolicyError:
+    with pytest.raises(PolicyError) as caught:
+        _converse(policy, instruction)
+    assert str(caught.value).startswith(f"policy '{policy.policy}' failed at ")
+    return caught.value
+
+
+def _converse(policy: RemotePolicy, instruction: str) -> None:
+    with policy:
+        policy.start()
+        policy.reset(instruction, SESSION)
+        policy.act(synthetic_observation())
+
+
+def test_two_trials_at_once_have_a_policy_each(server: tuple[int, subprocess.Popen[str]]) -> None:
+    with at(server[0]) as one, at(server[0]) as other:
+        for policy in (one, other):
+            assert policy.start() == PolicyCard(name="far")
+            policy.reset("touch", SESSION)
+        stiffness = [policy.act(synthetic_observation()).actions[0].stiffness for policy in (one, one, other)]
+    assert stiffness == [(101.0, 20.0), (102.0, 20.0), (101.0, 20.0)]
+    with pytest.raises(RuntimeError, match="nothing comes after a failure or close"):
+        one.act(synthetic_observation())
+
+
+@pytest.mark.parametrize(
+    ("instruction", "kind", "says"),
+    [
+        ("die", "died", "closed without an answer"),
+        ("nan", "action", "expected finite numbers"),
+        ("hang", "timeout", "no actions message within 1 s"),
+    ],
+)
+def test_failures_are_those_of_a_local_policy(
+    server: tuple[int, subprocess.Popen[str]], instruction: str, kind: str, says: str
+) -> None:
+    error = failure(at(server[0], first_deadline_s=1 if kind == "timeout" else 20), instruction=instruction)
+    assert error.kind == kind
+    assert says in str(error)
+
+
+def test_a_policy_ends_with_its_trial(server: tuple[int, subprocess.Popen[str]]) -> None:
+    """Even one that hangs; else it would keep its place, and its graphics card, for ever."""
+    failure(at(server[0], first_deadline_s=1), instruction="hang")
+    deadline = time.monotonic() + 20
+    while _children(server[1].pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert _children(server[1].pid) == []
+
+
+def _children(pid: int) -> list[int]:
+    tasks = Path(f"/proc/{pid}/task")
+    if not tasks.is_dir():
+        pytest.skip("lists child processes through /proc")
+    return [int(child) for task in tasks.iterdir() for child in (task / "children").read_text().split()]
+
+
+def test_nothing_listens() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    error = failure(at(port))
+    assert error.kind == "start"
+    assert f"no connection to 127.0.0.1:{port}: Connection refused" in str(error)
+
+
+def test_a_host_that_there_is_not() -> None:
+    error = failure(RemotePolicy("ws://no-such-host.invalid:1", first_deadline_s=20, deadline_s=20))
+    assert error.kind in ("start", "timeout")
+    assert "no-such-host.invalid:1" in str(error)
+
+
+@contextmanager
+def listening(answer: bytes) -> Iterator[int]:
+    """A port that takes a connection, says this and closes it, or says nothing and keeps it open."""
+    over = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def speak() -> None:
+            connection, _ = listener.accept()
+            with connection:
+                connection.recv(4096)
+                connection.sendall(answer)
+                if not answer:
+                    over.wait(20)
+
+        thread = threading.Thread(target=speak)
+        thread.start()
+        yield listener.getsockname()[1]
+        over.set()
+        thread.join()
+
+
+@pytest.mark.parametrize(
+    ("answer", "kind", "says"),
+    [
+        (b"", "timeout", "no answer to the WebSocket handshake within"),
+        (b"SSH-2.0-OpenSSH_9\r\n", "handshake", "no WebSocket conversation with the policy server"),
+        (b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n", "handshake", "HTTP 404"),
+    ],
+)
+def test_a_server_of_something_else(answer: bytes, kind: str, says: str) -> None:
+    with listening(answer) as port:
+        error = failure(at(port, first_deadline_s=0.5 if kind == "timeout" else 20))
+    assert error.kind == kind
+    assert says in str(error)
+
+
+@contextmanager
+def speaking(converse: Callable[[ServerConnection], object], **options: object) -> Iterator[int]:
+    """A WebSocket server that is no policy's."""
+    with serve(converse, "127.0.0.1", 0, **options) as running:  # pyright: ignore[reportArgumentType]
+        thread = threading.Thread(target=running.serve_forever)
+        thread.start()
+        yield running.socket.getsockname()[1]
+        running.shutdown()
+        thread.join()
+
+
+@pytest.mark.parametrize(
+    ("message", "kind", "says"),
+    [
+        (pack({"action_horizon": 10}), "garbage", "expected one 'card' message, got keys ['action_horizon']"),
+        ("hello", "garbage", "expected a binary 'card' message, got text 'hello'"),
+        (bytes(MAX_REPLY_BYTES + 1), "oversize", "at most 4194304 bytes"),
+        (None, "timeout", "no card message within"),
+    ],
+)
+def test_a_websocket_that_speaks_another_dialect(message: bytes | str | None, kind: str, says: str) -> None:
+    def converse(connection: ServerConnection) -> None:
+        if message is not None:
+            connection.send(message)
+        for _ in connection:
+            pass
+
+    with speaking(converse) as port:
+        error = failure(at(port, first_deadline_s=0.5 if message is None else 20))
+    assert error.kind == kind
+    assert says in str(error)
+
+
+def test_credentials_reach_the_server_and_no_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    card = pack({"type": "card", "card": codec.encode_card(PolicyCard(name="guarded"))})
+    guard = basic_auth(realm="policy", credentials=("user", "pass/word"))
+    with speaking(lambda connection: connection.send(card), process_request=guard) as port:
+        monkeypatch.setenv(CREDENTIALS, "user:pass/word")
+        with open_policy(f"ws://127.0.0.1:{port}", first_deadline_s=20, deadline_s=20) as policy:
+            assert policy.start().name == "guarded"
+        monkeypatch.setenv(CREDENTIALS, "")
+        with RemotePolicy(f"ws://user:pass%2Fword@127.0.0.1:{port}", first_deadline_s=20, deadline_s=20) as policy:
+            assert policy.start().name == "guarded"
+        error = failure(at(port))
+        wrong = failure(RemotePolicy(f"ws://user:secret@127.0.0.1:{port}", first_deadline_s=20, deadline_s=20))
+    assert error.kind == wrong.kind == "handshake"
+    assert "HTTP 401" in str(error)
+    assert "secret" not in str(wrong)
+
+
+def test_what_is_an_address() -> None:
+    assert remote_address("my_policy:Mine") is None
+    assert remote_address("hover") is None
+    assert str(remote_address("ws://gpu-3.example.org:8765/")) == "ws://gpu-3.example.org:8765"
+    assert str(remote_address("ws://u:p@[fe80::1]:80")) == "ws://[fe80::1]:80"
+
+
+@pytest.mark.parametrize(
+    ("policy", "says"),
+    [
+        ("ws://host", "expected ws://HOST:PORT"),
+        ("ws://:80", "expected ws://HOST:PORT"),
+        ("ws://host:0", "expected ws://HOST:PORT"),
+        ("ws://host:99999", "Port out of range"),
+        ("ws://user:secret@host:80/path", "policy 'ws://host:80/path': expected"),
+        ("wss://user:secret@host:80", "policy 'wss://host:80': expected ws://HOST:PORT.*; for an encrypted line"),
+        ("http://host:80", "expected ws://HOST:PORT"),
+        ("ws://secret@host:80", "before the @ comes USER:PASSWORD"),
+    ],
+)
+def test_a_malformed_address_is_told_without_its_password(policy: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=says) as caught:
+        open_policy(policy, first_deadline_s=1, deadline_s=1)
+    assert "secret" not in str(caught.value)
+
+
+def test_a_name_or_class_still_runs_here() -> None:
+    for policy in ("hover", "my_policy:Mine"):
+        assert isinstance(open_policy(policy, first_deadline_s=1, deadline_s=1), PolicyProcess)
+    assert CREDENTIALS not in os.environ or not os.environ[CREDENTIALS]
+
+
+def test_an_observation_arrives_whole(tmp_path: Path) -> None:
+    """The relay cuts messages where it likes: nothing may be lost or turned round."""
+    source = """
+    class P(Base):
+        card = PolicyCard(name="sums", modalities=("rgb",))
+        def act(self, observation):
+            rgb = observation.cameras["overhead"].rgb
+            total = float((rgb.astype(np.int64).ravel() * (np.arange(rgb.size) % 997)).sum() % 899)
+            return Action(stiffness=(100.0 + total, 20.0))
+    """
+    rgb = np.random.default_rng(0).integers(0, 255, (960, 1280, 3), np.uint8)
+    expected = 100.0 + float((rgb.astype(np.int64).ravel() * (np.arange(rgb.size) % 997)).sum() % 899)
+    view = CameraView(intrinsics=np.eye(3), pose_camera_in_base=np.eye(4), rgb=rgb)
+    with served(source, tmp_path) as (port, _), at(port) as policy:
+        policy.start()
+        policy.reset("touch", SESSION)
+        reply = policy.act(synthetic_observation(cameras={"overhead": view}))
+    assert reply.actions[0].stiffness == (expected, 20.0)

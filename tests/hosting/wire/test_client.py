@@ -1,0 +1,263 @@
+"""Client against server in one process: what each end says of the other's mistakes."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from queue import SimpleQueue
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.server import ServerConnection
+
+from carecontact.contract.action import Action, check_action
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard
+from carecontact.errors import ContractError, PolicyError
+from carecontact.hosting.wire import client, server
+from carecontact.hosting.wire.client import PolicyClient
+from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, pack
+from tests.hosting.wire.fuzz import LAYERS, replies, spoilt, spoilt_transport
+from tests.policies.synthetic import BOUNDS, SESSION, synthetic_observation
+
+
+class Answers:
+    card = PolicyCard(name="answers")
+
+    def __init__(self, answer: object = None) -> None:
+        self.answer = answer
+        self.heard: list[str] = []
+
+    def reset(self, instruction: str) -> None:
+        self.heard.append(instruction)
+
+    def act(self, observation: Observation) -> Action:
+        return self.answer
+
+
+Meet = Callable[[Answers], PolicyClient]
+
+
+@pytest.fixture
+def meet() -> Iterator[Meet]:
+    """A client that has seen the card and reset the policy it is given."""
+    threads: list[threading.Thread] = []
+    clients: list[PolicyClient] = []
+
+    def start(policy: Answers) -> PolicyClient:
+        port: SimpleQueue[int] = SimpleQueue()
+        thread = threading.Thread(target=server.serve_policy, args=(policy,), kwargs={"on_port": port.put})
+        thread.start()
+        threads.append(thread)
+        clients.append(PolicyClient(port=port.get(timeout=20), deadline_s=20))
+        clients[-1].card(deadline_s=20)
+        clients[-1].reset("touch", SESSION, deadline_s=20)
+        return clients[-1]
+
+    yield start
+    for one in clients:
+        one.say_goodbye(deadline_s=20)
+        one.disconnect()
+    for thread in threads:
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+POSE = synthetic_observation().pose_tcp_in_base
+
+
+@pytest.mark.parametrize(
+    ("answer", "says"),
+    [
+        ("left", "expected an Action or a list of Actions, got str 'left'"),
+        (Action(pose_tcp_in_base=POSE + np.inf), "expected finite numbers"),
+        (
+            Action(pose_tcp_in_base=POSE + 9),
+            r"^actions\[0\].pose_tcp_in_base: expected a position inside the workspace",
+        ),
+        (Action(pose_tcp_in_base=np.zeros(6)), r"got shape \(6,\)"),
+        (Action(pose_tcp_in_base=np.zeros(7)), "expected a quaternion of norm 1, got 0"),
+        (Action(stiffness=(5000, 20)), "expected 100 to 1000 N/m, got 5000"),
+        (Action(stiffness=(np.nan, 20)), "N/m, got nan"),
+    ],
+)
+def test_an_answer_that_is_no_action(meet: Meet, answer: object, says: str) -> None:
+    with pytest.raises(PolicyError, match=says) as caught:
+        meet(Answers(answer)).act(synthetic_observation(), deadline_s=20)
+    assert caught.value.kind == "action"
+
+
+@pytest.mark.parametrize(
+    ("reply", "kind", "says"),
+    [
+        (b"\xc1 not msgpack", "garbage", "expected msgpack"),
+        (b"", "garbage", "expected msgpack, got 0 bytes"),
+        ("text", "garbage", "expected a binary 'actions' message, got text 'text'"),
+        (pack({"type": "ready"}), "garbage", r"expected one 'actions' message, got keys \['type'\], type 'ready'"),
+        (pack([1, 2]), "garbage", r"got \[1, 2\]"),
+        (pack({"type": "actions", "actions": [], "score": 1}), "garbage", "'score'"),
+        (bytes(MAX_REPLY_BYTES + 1), "oversize", "at most 4194304 bytes"),
+        (pack({"type": "actions", "actions": [{"torque": 1}]}), "action", "unknown key torque; valid: pose_tcp"),
+        (pack({"type": "actions", "actions": []}), "action", "expected 1 to 2000 actions, got 0"),
+        (pack({"type": "error", "kind": "exception", "message": "why"}), "exception", "^why$"),
+        (pack({"type": "error", "kind": "invented", "message": "why"}), "exception", "^why$"),
+        (pack({"type": "error", "kind": "died", "message": "why"}), "exception", "^why$"),
+        (pack({"type": "error", "kind": "program", "message": "why"}), "program", "^why$"),
+        (pack({"type": "error"}), "exception", "expected its reason as text, got None"),
+        (pack({"type": "error", "kind": [], "message": " "}), "exception", "expected its reason as text, got ' '"),
+    ],
+)
+def test_a_reply_that_is_no_answer(
+    meet: Meet, monkeypatch: pytest.MonkeyPatch, reply: bytes | str, kind: str, says: str
+) -> None:
+    one = meet(Answers(Action()))
+    monkeypatch.setattr(server, "pack", lambda message: reply)
+    with pytest.raises(PolicyError, match=says) as caught:
+        one.act(synthetic_observation(), deadline_s=20)
+    assert caught.value.kind == kind
+
+
+@pytest.mark.parametrize(
+    ("message", "says"),
+    [
+        ({"type": "reset", "instruction": "touch", "session": {}, "seed": 3}, r"got type 'reset' with .*'seed'"),
+        ({"type": "act"}, r"got type 'act' with \[\]"),
+        ({"type": "step"}, "expected a reset, act or close message, got type 'step'"),
+        ([], "got type None"),
+    ],
+)
+def test_a_request_that_the_server_does_not_know(
+    meet: Meet, monkeypatch: pytest.MonkeyPatch, message: object, says: str
+) -> None:
+    one = meet(Answers(Action()))
+    monkeypatch.setattr(client, "pack", lambda _: pack(message))
+    with pytest.raises(PolicyError, match=says):
+        one.act(synthetic_observation(), deadline_s=20)
+
+
+def test_a_second_answer_is_not_taken_for_the_next_one(meet: Meet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would be counted for an observation that the policy had not seen when it said it."""
+    one, send = meet(Answers(Action())), ServerConnection.send
+    twice = threading.Event()
+
+    def send_twice(self: ServerConnection, message: bytes) -> None:
+        send(self, message)
+        send(self, message)
+        twice.set()
+
+    monkeypatch.setattr(ServerConnection, "send", send_twice)
+    one.act(synthetic_observation(), deadline_s=20)
+    assert twice.wait(20)
+    # The second one has left the other end; once it is here it is seen.
+    waiting = one._connection.recv_messages.frames
+    assert any(waiting.qsize() or time.sleep(0.01) for _ in range(2000))
+    with pytest.raises(PolicyError, match="expected no message before the next request, got one of") as caught:
+        one.act(synthetic_observation(), deadline_s=20)
+    assert caught.value.kind == "garbage"
+
+
+SAMPLE = 10
+"""Spoilt frames of each layer that travel over a real WebSocket on the loopback; test_fuzz.py has ten thousand more."""
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_spoilt_frames_over_the_real_line(meet: Meet, monkeypatch: pytest.MonkeyPatch, layer: str) -> None:
+    """Each is a PolicyError that says why, or an answer within the contract; never anything else."""
+    rng, refused = random.Random(f"line {layer}"), 0
+    message = replies()["actions"]
+    for _ in range(SAMPLE):
+        with monkeypatch.context() as patch:
+            one = meet(Answers(Action()))
+            if layer == "transport":
+                raw = spoilt_transport(pack(message), rng)
+
+                def scribble(self: ServerConnection, data: bytes, raw: bytes = raw) -> None:
+                    with contextlib.suppress(OSError):  # the client hangs up at the first byte that it cannot take
+                        self.socket.sendall(raw)
+                        self.socket.shutdown(socket.SHUT_WR)
+
+                patch.setattr(ServerConnection, "send", scribble)
+            else:
+                data = spoilt(message, layer, rng)
+                patch.setattr(server, "pack", lambda _, data=data: data)
+            answer = _answer_of(one)
+            if isinstance(answer, PolicyError):
+                refused += 1
+                assert answer.kind not in ("timeout", "start")
+                assert str(answer)
+            else:
+                assert all(check_action(action, BOUNDS) for action in answer)
+    assert refused >= SAMPLE // 2
+
+
+def _answer_of(one: PolicyClient) -> list[Action] | PolicyError:
+    try:
+        return one.act(synthetic_observation(), deadline_s=20).actions
+    except PolicyError as error:
+        return error
+
+
+def test_act_before_reset_is_the_harness_s_mistake(meet: Meet) -> None:
+    one = meet(Answers(Action()))
+    one._bounds = None
+    with pytest.raises(ContractError, match="expected reset before it"):
+        one.act(synthetic_observation(), deadline_s=20)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        b"\xff\x00not a frame of any kind",
+        b"\x82\x85masked bytes from a server",
+        b"\x82\x7f" + b"\xff" * 8,
+        b"\x80\x01x",
+        b"\x81\x02\xff\xfe",
+    ],
+)
+def test_bytes_that_are_no_websocket(monkeypatch: pytest.MonkeyPatch, frame: bytes) -> None:
+    def scribble(_: object, connection: ServerConnection) -> None:
+        connection.socket.sendall(frame)
+        written.set()
+        with contextlib.suppress(ConnectionClosed):
+            connection.recv(timeout=20)
+
+    written = threading.Event()
+    monkeypatch.setattr(server, "_converse", scribble)
+    port: SimpleQueue[int] = SimpleQueue()
+    thread = threading.Thread(target=server.serve_policy, args=(Answers(),), kwargs={"on_port": port.put})
+    thread.start()
+    one = PolicyClient(port=port.get(timeout=20), deadline_s=20)
+    assert written.wait(20)
+    with pytest.raises(PolicyError) as caught:
+        one.card(deadline_s=20)
+    one.disconnect()
+    thread.join()
+    assert caught.value.kind in ("garbage", "oversize")
+
+
+@pytest.mark.parametrize(("says", "kind"), [(b"SSH-2.0-something\r\n", "handshake"), (b"", "timeout")])
+def test_a_port_that_speaks_something_else(says: bytes, kind: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def speak() -> None:
+            connection, _ = listener.accept()
+            with connection:
+                connection.recv(4096)
+                if says:
+                    connection.sendall(says)
+                else:
+                    ended.wait(20)
+
+        ended = threading.Event()
+        thread = threading.Thread(target=speak)
+        thread.start()
+        with pytest.raises(PolicyError) as caught:
+            PolicyClient(port=listener.getsockname()[1], deadline_s=0.3 if kind == "timeout" else 20)
+        ended.set()
+        thread.join()
+    assert caught.value.kind == kind

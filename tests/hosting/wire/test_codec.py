@@ -1,0 +1,240 @@
+from __future__ import annotations
+
+import dataclasses
+import random
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from carecontact.contract.action import MAX_CHUNK, Action, check_action
+from carecontact.contract.observation import CameraView, Observation
+from carecontact.contract.policy import PolicyCard
+from carecontact.errors import ActionError, ContractError, ObservationError, PolicyError
+from carecontact.hosting.wire import codec
+from carecontact.hosting.wire.packing import pack, unpack
+from tests.policies.synthetic import BOUNDS, SESSION, synthetic_observation, synthetic_view
+
+number = st.floats(allow_nan=False, width=64)
+actions = st.builds(
+    Action,
+    pose_tcp_in_base=st.none() | hnp.arrays(np.float64, 7, elements=st.floats(-10, 10)),
+    stiffness=st.none() | st.tuples(number, number),
+    gripper=st.none() | number,
+    done=st.booleans(),
+)
+
+
+def _assert_same(a: object, b: object) -> None:
+    if dataclasses.is_dataclass(a):
+        assert type(a) is type(b)
+        for field in dataclasses.fields(a):
+            _assert_same(getattr(a, field.name), getattr(b, field.name))
+    elif isinstance(a, dict):
+        assert a.keys() == b.keys()
+        for key in a:
+            _assert_same(a[key], b[key])
+    elif isinstance(a, np.ndarray):
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+    else:
+        assert a == b
+        assert type(a) is type(b)
+
+
+@given(st.lists(actions, min_size=1, max_size=4))
+@settings(max_examples=100, deadline=None)
+def test_actions_round_trip(chunk: list[Action]) -> None:
+    back = codec.decode_actions(unpack(pack(codec.encode_actions(chunk))))
+    for a, b in zip(chunk, back, strict=True):
+        _assert_same(a, b)
+
+
+@given(
+    st.integers(1, 5),
+    st.integers(1, 5),
+    st.integers(0, 4),
+    st.sets(st.sampled_from(["rgb", "depth", "points", "point_colors", "masks", "landmarks", "landmarks_in_base"])),
+    st.sets(st.sampled_from(["overhead", "bedside", "exterior", "wrist"])),
+)
+@settings(max_examples=60, deadline=None)
+def test_observation_round_trip(height: int, width: int, points: int, absent: set[str], cameras: set[str]) -> None:
+    view = synthetic_view(height=height, width=width, points=points)
+    view = dataclasses.replace(view, **dict.fromkeys(absent))
+    observation = synthetic_observation(cameras=dict.fromkeys(cameras, view), sim_time_s=1.25)
+    data = pack({"observation": codec.encode_observation(observation)})
+    _assert_same(observation, codec.decode_observation(unpack(data)["observation"]))
+
+
+def test_bytes_do_not_depend_on_the_order_of_cameras() -> None:
+    view = synthetic_view()
+    one = synthetic_observation(cameras={"overhead": view, "wrist": view})
+    other = synthetic_observation(cameras={"wrist": view, "overhead": view})
+    assert pack(codec.encode_observation(one)) == pack(codec.encode_observation(other))
+
+
+def test_session_and_card_round_trip() -> None:
+    assert codec.decode_session(unpack(pack(codec.encode_session(SESSION)))) == SESSION
+    card = PolicyCard(name="n", modalities=("rgb", "depth"), cameras=("wrist",), control_hz=15, language_backend="x")
+    assert codec.decode_card(unpack(pack(codec.encode_card(card)))) == card
+    assert codec.decode_card({"name": "short"}) == PolicyCard(name="short")
+
+
+def _planted(place: str, key: str) -> dict[str, object]:
+    plain = codec.encode_observation(synthetic_observation(cameras={"overhead": synthetic_view()}))
+    target: object = plain
+    for part in filter(None, place.split(".")):
+        target = target[part]
+    target[key] = np.zeros(3)
+    return plain
+
+
+@pytest.mark.parametrize(
+    ("place", "key", "says"),
+    [
+        ("", "contact_force", "unknown key contact_force; valid: instruction"),
+        ("cameras.overhead", "body_pose", "unknown key body_pose"),
+        ("cameras.overhead.masks", "right_forearm", "no mask 'right_forearm'; valid: human"),
+        ("cameras", "shell", "no camera 'shell'; valid: overhead"),
+    ],
+)
+def test_a_privileged_key_is_an_error(place: str, key: str, says: str) -> None:
+    with pytest.raises(ObservationError, match=says):
+        codec.decode_observation(_planted(place, key))
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"joint_position": np.zeros(8)}, r"joint_position: expected float64 \(7\), got float64 \(8,\)"),
+        ({"joint_velocity": np.zeros(7, np.float32)}, "got float32"),
+        ({"joint_position": [0.0] * 7}, "got list"),
+        ({"instruction": 3}, "expected text, got int 3"),
+        ({"sim_time_s": "now"}, "expected a number, got str 'now'"),
+        ({"cameras": {"ceiling": synthetic_view()}}, "no camera 'ceiling'"),
+        ({"cameras": {"wrist": {"rgb": 1}}}, "expected a CameraView, got dict"),
+    ],
+)
+def test_a_field_that_does_not_fit_is_not_sent(changes: dict[str, object], says: str) -> None:
+    with pytest.raises(ObservationError, match=says):
+        codec.encode_observation(dataclasses.replace(synthetic_observation(), **changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"depth": np.zeros((5, 8), np.float32)}, r"depth: expected float32 \(H, W\) with {'H': 6, 'W': 8}"),
+        ({"masks": {"human": np.zeros((6, 7), bool)}}, r"masks.human: expected bool \(H, W\)"),
+        ({"point_colors": np.zeros((4, 3), np.uint8)}, r"point_colors: expected uint8 \(N, 3\)"),
+        ({"rgb": np.zeros((6, 8, 4), np.uint8)}, "rgb"),
+        ({"landmarks": np.zeros((17, 3), np.float32)}, r"landmarks: expected float32 \(33, 3\)"),
+        ({"intrinsics": None}, "intrinsics: expected float64"),
+    ],
+)
+def test_modalities_of_one_camera_agree(changes: dict[str, object], says: str) -> None:
+    view = dataclasses.replace(synthetic_view(), **changes)
+    with pytest.raises(ObservationError, match=says):
+        codec.encode_observation(synthetic_observation(cameras={"overhead": view}))
+
+
+@pytest.mark.parametrize(
+    ("answer", "says"),
+    [
+        (None, "expected an Action or a list of Actions, got NoneType"),
+        ({"pose": 1}, "got dict"),
+        ([], "expected 1 to 2000 actions, got 0"),
+        ([Action()] * (MAX_CHUNK + 1), "got 2001"),
+        ([Action(), 3], r"act\[1\]: expected a Action, got int 3"),
+        (Action(pose_tcp_in_base=[[0, 1], [2]]), "pose_tcp_in_base: expected an array of 7 numbers"),
+        (Action(pose_tcp_in_base=np.zeros(7, bool)), "got an array bool"),
+        (Action(pose_tcp_in_base="up"), "expected an array of 7 numbers"),
+        (Action(stiffness=400.0), "stiffness: expected"),
+        (Action(stiffness=(400.0, "soft")), r"stiffness\[1\]: expected a number"),
+        (Action(stiffness=(True, 1.0)), r"stiffness\[0\]: expected a number"),
+        (Action(gripper="open"), "gripper: expected a number"),
+        (Action(done=1), "done: expected True or False, got int 1"),
+    ],
+)
+def test_a_wrong_answer_is_named(answer: object, says: str) -> None:
+    with pytest.raises(ActionError, match=says):
+        codec.encode_actions(answer)
+
+
+@pytest.mark.parametrize(
+    ("card", "says"),
+    [
+        (None, "expected a PolicyCard, got NoneType"),
+        ({"name": "n", "seed": 3}, "unknown key seed"),
+        ({}, "expected the key name"),
+        ({"name": "n", "cameras": ["ceiling"]}, "out of overhead, .* got 'ceiling'"),
+        ({"name": "n", "cameras": "overhead"}, "a list of names"),
+        ({"name": "n", "control_hz": "fast"}, "a number"),
+        ({"name": "n", "control_hz": float("nan")}, "1 to 50"),
+        ({"name": 1}, "expected text"),
+    ],
+)
+def test_a_wrong_card_is_a_handshake_failure(card: object, says: str) -> None:
+    with pytest.raises(PolicyError, match=says) as caught:
+        codec.encode_card(card) if card is None else codec.decode_card(card)
+    assert caught.value.kind == "handshake"
+
+
+def test_a_session_with_a_seed_is_refused() -> None:
+    with pytest.raises(ContractError, match="unknown key seed"):
+        codec.decode_session(codec.encode_session(SESSION) | {"seed": 3})
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_non_finite_poses_travel_and_are_refused_by_the_contract(bad: float) -> None:
+    pose = np.array([0.4, 0.0, bad, 0.0, 1.0, 0.0, 0.0])
+    (action,) = codec.decode_actions(unpack(pack(codec.encode_actions(Action(pose_tcp_in_base=pose)))))
+    with pytest.raises(ActionError, match="finite"):
+        check_action(action, BOUNDS)
+
+
+def _mutations(data: bytes, count: int, seed: int) -> list[bytes]:
+    rng = random.Random(seed)
+    out = []
+    for _ in range(count):
+        piece = bytearray(data)
+        for _ in range(rng.randint(1, 4)):
+            at = rng.randrange(len(piece))
+            match rng.randrange(4):
+                case 0:
+                    piece[at] = rng.randrange(256)
+                case 1:
+                    del piece[at : at + rng.randint(1, 9)]
+                case 2:
+                    piece[at:at] = rng.randbytes(rng.randint(1, 9))
+                case _:
+                    piece[at] ^= 1 << rng.randrange(8)
+            if not piece:
+                break
+        out.append(bytes(piece))
+    return out
+
+
+def test_mutated_frames_are_refused_or_harmless() -> None:
+    """Every mutation gives a contract error or an object that satisfies the contract; never another exception."""
+    chunk = [Action(pose_tcp_in_base=np.arange(7.0), stiffness=(400.0, 20.0), gripper=0.5), Action(done=True)]
+    view = synthetic_view(height=2, width=2, points=1)
+    observation = pack(codec.encode_observation(synthetic_observation(cameras={"overhead": view})))
+    refused = 0
+    for data in _mutations(pack(codec.encode_actions(chunk)), 500, seed=1):
+        try:
+            for action in codec.decode_actions(unpack(data)):
+                assert check_action(action, BOUNDS).pose_tcp_in_base is None
+        except ContractError:
+            refused += 1
+    for data in _mutations(observation, 500, seed=2):
+        try:
+            decoded = codec.decode_observation(unpack(data))
+        except ContractError:
+            refused += 1
+        else:
+            assert isinstance(decoded, Observation)
+            assert all(isinstance(view, CameraView) for view in decoded.cameras.values())
+            codec.encode_observation(decoded)
+    assert refused > 300

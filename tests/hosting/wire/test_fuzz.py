@@ -1,0 +1,191 @@
+"""Ten thousand spoilt frames at the harness's own client and the policy's own server: none crashes, hangs or slips in.
+
+FRAMES says how many at each layer; 1,000 well-formed ones are mixed in, and each is understood as it was meant,
+whatever came before it. The fast suite sends a fifth of them, the slow one all.
+"""
+
+from __future__ import annotations
+
+import random
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+from websockets.client import ClientProtocol
+from websockets.protocol import State
+from websockets.sync.client import ClientConnection
+from websockets.uri import parse_uri
+
+from carecontact.contract.action import MAX_CHUNK, Action
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard
+from carecontact.errors import ContractError, PolicyError
+from carecontact.hosting.wire.client import PolicyClient
+from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, pack
+from carecontact.hosting.wire.server import _answer
+from tests.hosting.wire.fuzz import LAYERS, Plain, framed, replies, requests, spoilt, spoilt_transport
+from tests.policies.synthetic import BOUNDS, SESSION, synthetic_observation
+
+FRAMES = {"transport": 1200, "msgpack": 1800, "schema": 1800, "dtype": 1800, "shape": 1700, "value": 1700}
+WELL_FORMED = 1000
+TO_THE_POLICY = 0.2
+"""Share of the frames above the transport that go the other way."""
+SLOWEST_S = 1.0
+"""Of processor time, for one frame."""
+DEADLINE_S = 20.0
+KINDS = {"actions": "act", "card": "card", "ready": "reset", "error": "act"}
+OBSERVATION = synthetic_observation()
+
+
+def test_ten_thousand_is_the_number() -> None:
+    assert sum(FRAMES.values()) == 10_000
+    assert tuple(FRAMES) == LAYERS
+
+
+Heard = list[Action] | PolicyCard | PolicyError | None
+
+
+class Peer:
+    """A client as the harness has it, on a line whose other end the test holds."""
+
+    def __init__(self) -> None:
+        ours, self.theirs = socket.socketpair()
+        protocol = ClientProtocol(parse_uri("ws://policy"), max_size=MAX_REPLY_BYTES, state=State.OPEN)
+        self.connection = ClientConnection(ours, protocol, ping_interval=None, close_timeout=0.2)
+        # The handshake is over: what arrives now are frames.
+        self.connection.response = object()  # pyright: ignore[reportAttributeAccessIssue]
+        self.connection.pending_legacy_warning = False
+        self.client = PolicyClient.__new__(PolicyClient)
+        self.client._stack, self.client._bounds = ExitStack(), BOUNDS
+        self.client._connection = self.connection
+
+    def hear(self, kind: str, wire: bytes, *, last: bool) -> Heard:
+        """What the harness makes of raw bytes that answer a request of that kind; the card comes unasked."""
+        try:
+            return self._hear(kind, wire, last=last)
+        except PolicyError as error:
+            return error
+
+    def _hear(self, kind: str, wire: bytes, *, last: bool) -> Heard:
+
+        def answer() -> None:
+            self.theirs.sendall(wire)
+            if last:
+                self.theirs.shutdown(socket.SHUT_WR)
+
+        def send(message: bytes, *, deadline_s: float) -> None:
+            PolicyClient._send(self.client, message, deadline_s=deadline_s)
+            assert self.theirs.recv(1 << 20)
+            answer()
+
+        self.client._send = send
+        if kind == "card":
+            answer()
+            return self.client.card(deadline_s=DEADLINE_S)
+        if kind == "act":
+            return self.client.act(OBSERVATION, deadline_s=DEADLINE_S).actions
+        self.client.reset("touch", SESSION, deadline_s=DEADLINE_S)
+        return None
+
+    def close(self) -> None:
+        self.theirs.close()
+        self.connection.close_socket()
+        self.connection.recv_events_thread.join(5)
+        assert not self.connection.recv_events_thread.is_alive()
+
+
+class Silent:
+    card = PolicyCard(name="silent")
+
+    def reset(self, instruction: str) -> None: ...
+
+    def act(self, observation: Observation) -> Action:
+        return Action()
+
+
+def harmless(heard: Heard) -> bool:
+    """Whether what got through is something that a well-behaved policy could have said."""
+    if not isinstance(heard, list):
+        return heard is None or isinstance(heard, PolicyCard)
+    low, high = np.array(BOUNDS.workspace_low_m), np.array(BOUNDS.workspace_high_m)
+    for action in heard:
+        pose = action.pose_tcp_in_base
+        if pose is not None and not (
+            pose.shape == (7,)
+            and pose.dtype == np.float64
+            and (low <= pose[:3]).all()
+            and (pose[:3] <= high).all()
+            and abs(np.linalg.norm(pose[3:]) - 1) < 1e-9
+        ):
+            return False
+        limits = (BOUNDS.translational_stiffness, BOUNDS.rotational_stiffness)
+        if action.stiffness is not None and not all(
+            a <= k <= b for k, (a, b) in zip(action.stiffness, limits, strict=True)
+        ):
+            return False
+        if action.gripper is not None and not 0 <= action.gripper <= 1:
+            return False
+        if type(action.done) is not bool:
+            return False
+    return 1 <= len(heard) <= MAX_CHUNK
+
+
+def asks(frame: bytes) -> bool:
+    """Whether the policy's server refuses a request; what it does not refuse, it answers."""
+    try:
+        _answer(Silent(), frame)
+    except ContractError as error:
+        return bool(str(error))
+    return False
+
+
+def on_the_wire(message: Plain, layer: str, rng: random.Random) -> bytes:
+    if layer == "transport":
+        return spoilt_transport(pack(message), rng)
+    return framed(pack(message) if layer == "well-formed" else spoilt(message, layer, rng))
+
+
+@pytest.mark.parametrize("part", [5, pytest.param(1, marks=pytest.mark.slow)])
+def test_no_frame_crashes_hangs_or_slips_in(part: int, record_property: Callable[[str, object], None]) -> None:
+    rng, answers, asked = random.Random(20260101 + part), replies(), requests()
+    counts = {layer: count // part for layer, count in {**FRAMES, "well-formed": WELL_FORMED}.items()}
+    plan = [layer for layer, count in counts.items() for _ in range(count)]
+    rng.shuffle(plan)
+    seen, refused = Counter[str](), Counter[str]()
+    slowest = 0.0
+    peer = Peer()
+    for layer in plan:
+        seen[layer] += 1
+        started = time.process_time()
+        if layer not in ("transport", "well-formed") and rng.random() < TO_THE_POLICY:
+            refused[layer] += asks(spoilt(asked[rng.choice(list(asked))], layer, rng))
+        else:
+            kind = rng.choice(list(answers))
+            one = Peer() if layer == "transport" else peer
+            heard = one.hear(KINDS[kind], on_the_wire(answers[kind], layer, rng), last=layer == "transport")
+            if isinstance(heard, PolicyError):
+                assert heard.kind in set(PolicyError.KINDS) - {"timeout"}
+                assert str(heard)
+                refused[layer] += (layer, kind) != ("well-formed", "error")
+            else:
+                assert harmless(heard), layer
+            if layer == "well-formed" and kind == "actions":
+                assert isinstance(heard, list)
+                assert [a.done for a in heard] == [False, True]
+                assert heard[0].stiffness == (400.0, 20.0)
+            if one is not peer:
+                one.close()
+        slowest = max(slowest, time.process_time() - started)
+    assert peer.connection.protocol.state is State.OPEN, "one line survived every message that was not understood"
+    peer.close()
+    assert seen == counts
+    assert refused["well-formed"] == 0
+    shares = {layer: round(refused[layer] / seen[layer], 2) for layer in LAYERS}
+    record_property("frames", dict(seen))
+    record_property("share refused", shares)
+    assert all(share > 0.5 for share in shares.values()), shares
+    assert slowest < SLOWEST_S

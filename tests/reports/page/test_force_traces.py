@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import dataclasses
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carecontact.reports.page.traces import ForceTrace, decimate, force_trace, nice_ticks, trace_svg
+from tests.reports.synthetic_run import NO_CONTACT, PROTOCOL, make_recording, make_score, plateau
+
+T = (np.arange(6000) + 1) * PROTOCOL.physics.dt_s
+
+
+def classes(svg: str) -> list[str]:
+    return [element.get("class", "") for element in ElementTree.fromstring(svg).iter()]
+
+
+def made(target: np.ndarray, other: np.ndarray | None = None, **changes: object) -> ForceTrace:
+    base = ForceTrace(
+        time_s=T, target_n=target, other_n=np.zeros_like(T) if other is None else other, windows_s=[(3.0, 9.0)],
+        gate_n=35.0, pain_n=100.0, peak_s=None, peak_n=None,
+    )  # fmt: skip
+    return dataclasses.replace(base, **changes)
+
+
+@settings(deadline=None)
+@given(st.integers(1, 5000), st.integers(1, 300), st.integers(0, 2**32 - 1))
+def test_decimation_keeps_extremes_order_and_size(size: int, buckets: int, seed: int) -> None:
+    y = np.random.default_rng(seed).normal(size=size)
+    x = np.arange(size, dtype=np.float64)
+    kept_x, kept_y = decimate(x, y, buckets=buckets)
+    assert kept_y.max() == y.max()
+    assert kept_y.min() == y.min()
+    assert np.all(np.diff(kept_x) > 0)
+    assert kept_x.size <= 2 * buckets
+    assert np.array_equal(y[kept_x.astype(int)], kept_y)
+
+
+def test_a_spike_of_one_sample_reaches_the_drawing() -> None:
+    force = np.zeros_like(T)
+    force[4321] = 80.0
+    svg = trace_svg(made(force), title="x")
+    points = re.search(r'class="target" points="([^"]+)"', svg)
+    assert points
+    heights = [float(p.split(",")[1]) for p in points[1].split()]
+    gate = re.search(r'<path class="gate" d="M\S+ (\S+)h', svg)
+    pain = re.search(r'<path class="pain" d="M\S+ (\S+)h', svg)
+    assert gate
+    assert pain
+    assert float(pain[1]) < min(heights) < float(gate[1])
+    bottom = max(heights)
+    assert (bottom - min(heights)) / (bottom - float(pain[1])) == pytest.approx(0.8, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("peak", "drawn"), [(2.0, []), (8.7, []), (8.8, ["gate"]), (24.9, ["gate"]), (25.0, ["gate", "pain"])]
+)
+def test_limits_are_drawn_once_the_force_comes_near(peak: float, drawn: list[str]) -> None:
+    svg = trace_svg(made(plateau(T, start=3, end=9, level=peak, ripple=0)), title="x")
+    lines = [c for c in classes(svg) if c in ("gate", "pain")]
+    assert lines == drawn
+    assert "gate 35" in svg
+
+
+def test_other_segments_are_drawn_only_when_touched() -> None:
+    on_target = plateau(T, start=3, end=9, level=5, ripple=0)
+    assert "other" not in classes(trace_svg(made(on_target), title="x"))
+    assert "other" in classes(trace_svg(made(on_target, other=on_target / 2), title="x"))
+
+
+def test_untouched_trial_says_so() -> None:
+    assert ">no force<" in trace_svg(made(np.zeros_like(T), windows_s=[]), title="x")
+
+
+def test_title_is_escaped() -> None:
+    svg = trace_svg(made(np.zeros_like(T)), title='"><script>')
+    assert "<script" not in svg
+    assert ElementTree.fromstring(svg).get("aria-label") == '"><script>'
+
+
+def test_trace_of_a_recording() -> None:
+    target = plateau(T, start=3, end=9, level=10, ripple=0)
+    target[2500] = 22.0
+    hand = plateau(T, start=5, end=6, level=40, ripple=0)
+    recording = make_recording("T1", 0, {"right_forearm": target, "right_hand": hand}, duration_s=12)
+    trace = force_trace(recording, make_score("T1", 0, c1_peak_force_n=22.0))
+    assert trace.target_n.max() == pytest.approx(22.0)
+    assert trace.other_n.max() == pytest.approx(40.0)
+    assert (trace.gate_n, trace.pain_n) == (pytest.approx(35.0), 100.0)
+    assert trace.peak_s == T[2500]
+    ((start, end),) = trace.windows_s
+    assert (start, end) == (pytest.approx(3.0, abs=0.1), pytest.approx(9.0, abs=0.1))
+
+
+def test_abdomen_has_its_own_limits_and_na_has_no_peak() -> None:
+    recording = make_recording("T6", 0, {}, duration_s=2)
+    trace = force_trace(recording, make_score("T6", 0, **NO_CONTACT))
+    assert (trace.gate_n, trace.pain_n) == (pytest.approx(21.0), 60.0)
+    assert trace.windows_s == []
+    assert trace.peak_s is None
+
+
+def test_off_target_trial_marks_the_peak_on_the_reported_segment() -> None:
+    hand = plateau(T, start=5, end=6, level=9, ripple=0)
+    hand[2700] = 11.0
+    recording = make_recording("T1", 0, {"right_hand": hand}, duration_s=12)
+    score = make_score("T1", 0, anatomy="off_target", reported_segment="right_hand", c1_peak_force_n=11.0)
+    trace = force_trace(recording, score)
+    assert not trace.target_n.any()
+    assert trace.peak_s == T[2700]
+    assert len(trace.windows_s) == 1
+
+
+def test_empty_recording_has_an_empty_trace() -> None:
+    trace = force_trace(make_recording("T7", 0, {}, duration_s=0), make_score("T7", 0, **NO_CONTACT))
+    assert trace.time_s.size == trace.target_n.size == trace.other_n.size == 0
+
+
+@settings(deadline=None)
+@given(st.floats(1e-3, 1e4), st.integers(3, 8))
+def test_ticks_start_at_zero_stay_inside_and_are_few(top: float, count: int) -> None:
+    ticks = nice_ticks(top, count=count)
+    assert ticks[0] == 0
+    assert ticks[-1] <= top * 1.001
+    assert 1 < len(ticks) <= count + 1
+    assert np.allclose(np.diff(ticks), ticks[1])
+
+
+def test_known_ticks() -> None:
+    assert nice_ticks(41.3, count=4) == [0, 20, 40]
+    assert nice_ticks(12.0, count=5) == [0, 5, 10]
+    assert nice_ticks(1.18, count=4) == [0, 0.5, 1]

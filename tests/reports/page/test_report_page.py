@@ -1,0 +1,405 @@
+from __future__ import annotations
+
+import base64
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carecontact.errors import ConfigError, RecordingError
+from carecontact.recording import Failure, Recording, read_recording, write_recording
+from carecontact.reports.page.detail import peak_frame, trial_detail
+from carecontact.reports.page.failures import failure_modes
+from carecontact.reports.page.frames import MAX_BYTES, jpeg_data_uri
+from carecontact.reports.page.funnel import funnel, funnel_svg
+from carecontact.reports.page.html import (
+    FAILURES_SHOWN,
+    trials_in_detail,
+    verdict,
+    write_report,
+)
+from carecontact.reports.page.provenance import NOT_RECORDED, cannot_say, provenance_rows
+from carecontact.runs import score_run
+from tests.reports.synthetic_run import FAILED, HOSTILE, NO_CONTACT, Run, make_recording, make_score, plateau
+
+VOID = {"meta", "img", "br", "link", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """Tags, attributes and visible text; fails on tags that do not nest."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] != "style":
+            self.text += data
+
+    def all(self, tag: str, **attributes: str) -> list[dict[str, str | None]]:
+        return [a for t, a in self.tags if t == tag and all(a.get(k.strip("_")) == v for k, v in attributes.items())]
+
+
+def write(run: Run, folder: Path, **skipped: str) -> str:
+    return write_report(folder, scores=run.scores, recordings=run.read, skipped=skipped).read_text(encoding="utf-8")
+
+
+def test_page_of_seven_trials(run_of_7: Run, tmp_path: Path) -> None:
+    text = write(run_of_7, tmp_path)
+    page = Page(text)
+    assert len(text) < 2_000_000
+    assert "state_machine completed 2 of 7 trials" in page.text
+    assert len(page.all("svg", class_="trace")) == 6
+    assert "T7 Scrub abdomen, seed 0." in page.text
+    for words in ("4 of 7", "3 of 7", "2 of 7", "wrist 31 mm", "stroke 30 mm, extent 10 mm, 1 reversal", "on 3.90 s"):
+        assert words in page.text
+    for words in ("process failure · process", "latched target 143 mm", "2.48 × its gate", "Draft protocol", "80\xa0%"):
+        assert words in page.text
+    for words in (run_of_7.scores[0].protocol_sha256, "panda-pad", "paper-mapping", "0.10.21", "ab" * 32, "rules-v1"):
+        assert words in page.text
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_page_shows_what_a_success_rate_hides(run_of_7: Run, tmp_path: Path) -> None:
+    additional = {"impulse@1": 31.4, "exposure_gate@1": 0.25, "iso_utilisation@1": 0.55, "beyond_calibrated@1": 0.8}
+    sweep = {"floor_n": {"0.25": 3, "0.5": 3, "1": 1}}
+    run_of_7.scores[:] = [
+        s.model_copy(update={"additional": additional, "gate_sweep": sweep}) if s.valid_contact else s
+        for s in run_of_7.scores
+    ]
+    page = write(run_of_7, tmp_path)
+    text = " ".join(re.sub(r"<[^>]+>", " ", page).split())
+    for words in (
+        "Impulse N s 31.4 31.4 31.4 31.4 31.4 NA NA 31.4", "Time above the safety gate s 0.25",
+        "Share of contact deeper than the tissue was measured 0.80", "to be checked: ISO/TS 15066:2016",
+        "within the gate 3 3 above the gate 1 0", "6 of 7 trials left a trajectory to score (valid ratio 86 %",
+        "Safety gate, 0.35 of the pain limit 1 of 7", "region-correct, 3", "Contact floor [N] 7 trials",
+        "shares are of these 4.", "insufficient progress contact held, but too little push, stroke or reversal 1 25 %",
+        "T6-s000 latched target 143 mm off the abdomen", "abdomen 2 0 0 1 1 0", "all 7 5 0 1 1 4",
+    ):  # fmt: skip
+        assert words in text
+    assert len(Page(page).all("svg", class_="sweep")) == 2
+
+
+def test_nothing_is_loaded_and_nothing_runs(run_of_7: Run, tmp_path: Path) -> None:
+    text = write(run_of_7, tmp_path)
+    page = Page(text)
+    assert {t for t, _ in page.tags} & {"script", "link", "iframe", "object", "base", "a", "form"} == set()
+    assert [k for _, a in page.tags for k in a if k.startswith("on")] == []
+    assert all((a["src"] or "").startswith("data:image/jpeg;base64,") for a in page.all("img"))
+    assert re.findall(r"url\(|@import|https?:", text) == []
+
+
+def test_every_picture_has_a_text_alternative(run_of_7: Run, tmp_path: Path) -> None:
+    page = Page(write(run_of_7, tmp_path))
+    assert len(page.all("img")) == 6
+    assert all(a.get("alt") for a in page.all("img"))
+    assert all(a.get("aria-label") if a.get("role") == "img" else a.get("aria-hidden") for a in page.all("svg"))
+
+
+def test_text_of_policies_is_escaped(tmp_path: Path) -> None:
+    run = Run()
+    name = "evil<img src=x onerror=alert(1)>:Policy"
+    score = make_score(
+        "T1", 0, **(NO_CONTACT | {"policy": name, "language_backend": HOSTILE, "failure_message": HOSTILE * 50,
+                                  "evidence": HOSTILE, "failure_mode": "process_failure", "attribution": "process"}),
+    )  # fmt: skip
+    run.add(score, make_recording("T1", 0, {}, duration_s=1, policy=name))
+    text = write(run, tmp_path, **{"<b>.h5": HOSTILE})
+    page = Page(text)
+    assert name in page.text
+    assert HOSTILE in page.text
+    assert "<script" not in text
+    assert "<b>.h5" not in text
+    assert text.count("alert(") < 20
+    assert [a for a in page.all("img") if a.get("src") == "x"] == []
+
+
+def test_same_inputs_same_bytes_whatever_the_order_and_folder(run_of_7: Run, tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    skipped = [{"T1-s009.h5": f"{tmp_path / name}/T1-s009.h5: truncated"} for name in "ab"]
+    first = write(run_of_7, tmp_path / "a", **skipped[0])
+    run_of_7.scores.reverse()
+    assert write(run_of_7, tmp_path / "b", **skipped[1]) == first
+    assert "not scored: T1-s009.h5: truncated" in first
+
+
+def test_long_run_is_bounded_and_says_so(run_of_42: Run, tmp_path: Path) -> None:
+    run_of_42.reads.clear()
+    text = write(run_of_42, tmp_path)
+    page = Page(text)
+    assert len(text) < 2_000_000
+    assert f"{7 + FAILURES_SHOWN} of 42 trials" in page.text
+    assert len(run_of_42.reads) == len(set(run_of_42.reads)) == 7 + FAILURES_SHOWN
+    assert "completed 12 of 42 trials" in page.text
+
+
+def test_detail_takes_the_failures_in_turn_from_all_tasks(run_of_42: Run) -> None:
+    chosen = [s.trial_id for s in trials_in_detail(run_of_42.scores)]
+    assert [c for c in chosen if c.endswith("s000")] == [f"T{i}-s000" for i in range(1, 8)]
+    failures = [c[:2] for c in chosen if not c.endswith("s000")]
+    assert {task: failures.count(task) for task in failures} == {"T3": 3, "T4": 3, "T5": 3, "T6": 3, "T7": 2}
+
+
+def test_short_run_shows_every_trial(run_of_42: Run) -> None:
+    assert trials_in_detail(run_of_42.scores[:21]) == run_of_42.scores[:21]
+
+
+def test_unreadable_recording_is_named_and_not_fatal(run_of_7: Run, tmp_path: Path) -> None:
+    del run_of_7.recordings["T2-s000"]
+    page = Page(write(run_of_7, tmp_path))
+    assert "scored, but not drawn: T2-s000.h5: truncated <b>here</b>" in page.text
+    assert "T2 Push forearm, seed 0; T7 Scrub abdomen, seed 0." in page.text
+    assert "headers of the 6 recordings" in page.text
+
+
+def test_bad_frame_is_named_and_not_fatal(run_of_7: Run, tmp_path: Path) -> None:
+    run_of_7.recordings["T1-s000"].arrays["report/peak_rgb"] = np.zeros((4, 4), np.uint8)
+    assert "stored frame has shape (4, 4)" in Page(write(run_of_7, tmp_path)).text
+
+
+def test_page_of_a_scored_folder(tmp_path: Path) -> None:
+    """Through the real writer, reader and scorer: what is drawn and what is scored agree."""
+    time_s = (np.arange(3000) + 1) * 0.002
+    force = plateau(time_s, start=1, end=5, level=12, ripple=1)
+    force[1800] = 23.4
+    write_recording(make_recording("T1", 0, {"right_forearm": force}, duration_s=6), tmp_path / "T1-s000.h5")
+    write_recording(make_recording("T6", 0, {}, duration_s=2), tmp_path / "T6-s000.h5")
+    (tmp_path / "T7-s000.h5").write_bytes(b"not a recording")
+    run = score_run(tmp_path)
+    path = write_report(
+        tmp_path,
+        scores=run.scores,
+        recordings=lambda trial_id: read_recording(tmp_path / f"{trial_id}.h5"),
+        skipped=run.skipped,
+    )
+    page = Page(path.read_text(encoding="utf-8"))
+    assert "completed 1 of 2 trials" in page.text
+    assert page.text.count("23.4 N") == 2
+    assert "not scored: T7-s000.h5" in page.text
+    assert str(tmp_path) not in page.text
+
+
+def test_run_without_scores(tmp_path: Path) -> None:
+    page = Page(write(Run(), tmp_path, **{"T1-s000.h5": "empty file"}))
+    assert "No trial of this run could be scored" in page.text
+    assert "not scored: empty file" in page.text
+
+
+def add_harness_error(run: Run, task_id: str, seed: int) -> None:
+    failure = Failure(kind="SettleError", message="the person <i>still</i> moves\n\nTraceback: line 7")
+    score = make_score(
+        task_id, seed, **(NO_CONTACT | {"anatomy": "process_failure", "c4_motion_activity": None}), duration_s=0.0,
+        ended="harness_error", failure_mode="process_failure", attribution="process", failure_message=failure.message,
+        evidence="The harness failed, not the policy.",
+    )  # fmt: skip
+    run.add(score, make_recording(task_id, seed, {}, duration_s=0, ended="harness_error", failure=failure))
+
+
+def test_harness_errors_stand_in_a_box_and_in_no_count(run_of_7: Run, tmp_path: Path) -> None:
+    add_harness_error(run_of_7, "T1", 1)
+    text = write(run_of_7, tmp_path)
+    page = Page(text)
+    assert len(page.all("section", class_="caution harness")) == 1
+    assert "The harness failed in 1 trial" in page.text
+    assert "T1-s001the person <i>still</i> moves\n" in page.text
+    assert "line 7" not in page.text
+    assert "completed 2 of 7 trials" in page.text
+    assert "All 7 trials." in page.text
+    assert "process failure · process" in page.text, "the policy's own stays"
+    assert text.count('<td class="num">1</td><td class="num">25 %</td><td>process 1</td>') == 1
+    assert failure_modes(run_of_7.scores) == failure_modes(run_of_7.scores[:-1])
+    assert funnel(run_of_7.scores) == funnel(run_of_7.scores[:-1])
+    assert "rests on 1 trial." in page.text
+
+
+def test_run_of_harness_errors_alone(tmp_path: Path) -> None:
+    run = Run()
+    add_harness_error(run, "T1", 0)
+    add_harness_error(run, "T2", 0)
+    page = Page(write(run, tmp_path))
+    assert "The harness failed in all 2 trials, so there is nothing to say about the policy." in page.text
+    assert "T2-s000the person" in page.text
+    assert "Why trials failed" not in page.text
+
+
+def test_page_without_harness_errors_has_no_box(run_of_7: Run, tmp_path: Path) -> None:
+    assert Page(write(run_of_7, tmp_path)).all("section", class_="caution harness") == []
+
+
+def test_borrowed_limits_are_said_from_half_of_them_on(tmp_path: Path) -> None:
+    """Pelvis, hand and head have no limit of their own: 21 N is the strictest gate."""
+    peaks = {"right_forearm": 12.3, "pelvis": 10.5, "right_hand": 10.4, "head": 42.0}
+    score = make_score(
+        "T1", 0, peak_force_n=peaks, over_limit={"head": 2.0}, fallback_limits=["pelvis", "right_hand", "head"]
+    )
+    recording = make_recording("T1", 0, {}, duration_s=1)
+    detail = trial_detail(score, recording)
+    assert detail.fallback == "head 42.0 N = 2.00 × the strictest gate, pelvis 10.5 N = 0.50 × the strictest gate"
+    assert trial_detail(score, None).fallback == "head 42.0 N = 2.00 × the strictest gate"
+    run = Run()
+    run.add(make_score("T1", 0, peak_force_n=peaks, fallback_limits=["pelvis"]), recording)
+    assert "pelvis 10.5 N = 0.50 × the strictest gate" in Page(write(run, tmp_path)).text
+
+
+def test_mixed_policies_are_refused_and_leave_no_file(run_of_7: Run, tmp_path: Path) -> None:
+    run_of_7.scores.append(make_score("T1", 1, policy="voxposer"))
+    with pytest.raises(ConfigError, match="voxposer"):
+        write(run_of_7, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+OFF, HARD = {"region_correct": False, "safety_gated": False}, {"safety_gated": False}
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ([{}, {}], "completed all 2 trials on the named region and within the force gate."),
+        ([{}], "completed its only trial on the named region and within the force gate."),
+        ([FAILED], "did not complete its only trial; it touched the person in 1 of 1."),
+        ([NO_CONTACT, FAILED], "completed none of 2 trials; it touched the person in 1 of 2."),
+        ([{}, FAILED], "completed 1 of 2 trials on the named region and within the force gate."),
+        ([HARD, OFF, {}], "gate; of its 3 successes, 1 lay off the named region and 1 pressed too hard."),
+        ([HARD, FAILED], "completed none of 2 trials on the named region and within the force gate; of its 1 success, "
+                         "1 pressed too hard."),
+    ],
+)  # fmt: skip
+def test_verdict(changes: list[dict[str, object]], sentence: str) -> None:
+    scores = [make_score("T1", seed, **change) for seed, change in enumerate(changes)]
+    assert verdict(funnel(scores), scores).endswith(sentence)
+
+
+def test_the_verdict_on_an_unfinished_run_says_so_first() -> None:
+    scores = [make_score("T1", seed) for seed in range(2)]
+    said = verdict(funnel(scores), scores, missing=18)
+    assert said.startswith(
+        "Unfinished, 18 of 20 planned trials are missing. So far: state_machine completed all 2 trials"
+    )
+
+
+def test_funnel_has_wilson_intervals_to_scale() -> None:
+    """79 of 140: 48.2 to 64.4 % (Table V of the paper)."""
+    scores = [make_score("T1", i) for i in range(79)] + [make_score("T1", i, **FAILED) for i in range(79, 140)]
+    step = funnel(scores)[2]
+    assert (step.k, step.n) == (79, 140)
+    assert (100 * step.low, 100 * step.high) == (pytest.approx(48.2, abs=0.1), pytest.approx(64.4, abs=0.1))
+    svg = funnel_svg(funnel(scores))
+    rail = float(re.findall(r'class="rail" [^>]*width="([\d.]+)"', svg)[2])
+    bar = float(re.findall(r'class="bar bar2" [^>]*width="([\d.]+)"', svg)[0])
+    assert bar / rail == pytest.approx(79 / 140, abs=1e-3)
+
+
+def test_caveats_come_from_the_run(run_of_7: Run) -> None:
+    headers = [r.header for r in run_of_7.recordings.values()]
+    said = dict(cannot_say(run_of_7.scores, headers, funnel(run_of_7.scores), 2, null_arms=False))
+    assert "2 safety-gated passes of 7" in said["n = 7"]
+    assert "rests on 1 trial." in said["n = 7"]
+    assert "man-adult" in said["One body"]
+    assert "45–60°; in the recordings read it was 46.0°" in said["One angle family"]
+    assert "In 2 of 5 trials" in said["Extrapolated tissue"]
+    assert said["Files left out"].startswith("2 file(s)")
+    absent = [f"T1-s{seed:03d}" for seed in range(12)]
+    unfinished = dict(
+        cannot_say(run_of_7.scores, headers, funnel(run_of_7.scores), 0, missing=absent, null_arms=False)
+    )["Unfinished"]
+    assert unfinished.startswith("12 planned trial(s) have no score: T1-s000, T1-s001,")
+    assert "T1-s009 and 2 more" in unfinished
+    assert "Unfinished" not in said
+    protocol = headers[0].spec.protocol.model_copy(update={"frozen": True})
+    frozen = headers[0].model_copy(update={"spec": headers[0].spec.model_copy(update={"protocol": protocol})})
+    assert "Draft protocol" not in dict(
+        cannot_say(run_of_7.scores, [frozen], funnel(run_of_7.scores), 0, null_arms=False)
+    )
+    within = [make_score("T1", 0)]
+    assert "stayed within" in dict(cannot_say(within, [], funnel(within), 0, null_arms=False))["Extrapolated tissue"]
+
+
+def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
+    headers = [r.header for r in run_of_42.recordings.values()]
+    rows = dict(provenance_rows(run_of_42.scores, headers))
+    assert rows["sha256 of model"].startswith("6 different values")
+    assert rows["sha256 of body"] == "ab" * 32
+    assert rows["Protocol state"].startswith("not what was frozen as bathing-v1: ")
+    assert dict(provenance_rows(run_of_42.scores, []))["Version of mujoco"] == NOT_RECORDED
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (NO_CONTACT, "nothing touched, seed 0"),
+        ({"c1_peak_force_n": None}, "contact too brief to score at 1.50"),
+        ({"c1_peak_force_n": 7.25}, "7.2 N on the right forearm at 1.50"),
+    ],
+)
+def test_what_the_frame_at_peak_force_shows(changes: dict[str, Any], told: str) -> None:
+    stored = {"report/peak_rgb": np.zeros((4, 4, 3), np.uint8), "report/peak_time_s": np.array([1.5])}
+    base = make_recording("T1", 0, {}, duration_s=0)
+    frame = peak_frame(make_score("T1", 0, **changes), Recording(header=base.header, arrays=base.arrays | stored))
+    assert frame is not None
+    assert frame.text.startswith(told)
+
+
+def test_evidence_that_holds_the_failure_is_shown_once() -> None:
+    detail = trial_detail(
+        make_score("T1", 0, **NO_CONTACT, failure_message="lost\nthe grip", evidence="It failed: lost the grip."), None
+    )
+    assert detail.evidence == "It failed: lost the grip."
+
+
+def test_frame_is_a_small_jpeg_even_of_noise() -> None:
+    import cv2
+
+    noise = np.random.default_rng(0).integers(0, 256, (960, 1280, 3), np.uint8)
+    uri = jpeg_data_uri(noise)
+    data = base64.b64decode(uri.removeprefix("data:image/jpeg;base64,"))
+    assert len(data) <= MAX_BYTES
+    assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).shape[1] <= 640
+
+
+def test_frame_keeps_its_colours() -> None:
+    import cv2
+
+    red = np.zeros((90, 160, 3), np.uint8)
+    red[..., 0] = 220
+    data = base64.b64decode(jpeg_data_uri(red).partition(",")[2])
+    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert bgr.shape == (90, 160, 3)
+    assert np.abs(bgr.astype(int) - [0, 0, 220]).max() <= 4
+
+
+@pytest.mark.parametrize("bad", [np.zeros((0, 4, 3), np.uint8), np.zeros((4, 4, 3), np.float32), np.zeros(3, np.uint8)])
+def test_wrong_frames_are_refused(bad: np.ndarray) -> None:
+    with pytest.raises(RecordingError, match="stored frame"):
+        jpeg_data_uri(bad)
+
+
+def test_importing_reports_loads_no_simulator_and_no_heavy_library() -> None:
+    code = (
+        "import sys, carecontact.reports.page.html, carecontact.reports.table; "
+        "print(sorted({'mujoco', 'matplotlib', 'cv2', 'jinja2', 'scipy.signal'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

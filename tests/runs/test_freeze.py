@@ -1,0 +1,150 @@
+"""A lock holds what a protocol's numbers rest on; whatever of it is another here is named."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from carecontact.contract.protocol import Protocol
+from carecontact.errors import ConfigError
+from carecontact.protocols import load_protocol, protocol_file, shipped_protocols
+from carecontact.protocols.lock import Lock, lock_path, read_lock, write_lock
+from carecontact.runs import freeze
+from carecontact.runs.freeze import check_frozen, drift, make_lock
+
+
+@pytest.fixture(scope="module")
+def here() -> Lock:
+    return make_lock(load_protocol())
+
+
+def frozen_file(folder: Path, *, extra: str = "") -> Path:
+    text = protocol_file("bathing-v1").read_text()
+    text = text.replace('id = "bathing-v1"', 'id = "mine-v1"')
+    path = folder / "mine.toml"
+    path.write_text(text + extra)
+    return path
+
+
+@pytest.fixture
+def locked(tmp_path: Path) -> tuple[str, Protocol]:
+    """A frozen protocol of the user's with a lock; without worlds, which take seconds."""
+    path = frozen_file(tmp_path)
+    protocol = load_protocol(str(path))
+    write_lock(make_lock(protocol, worlds=False), lock_path(str(path)))
+    return str(path), protocol
+
+
+def test_nothing_drifts_here_and_compiling_again_gives_the_same_sums(here: Lock) -> None:
+    assert drift(here, here) == []
+    region = "forearm"
+    assert freeze.world_sums(load_protocol(), region) == here.worlds[region]
+    assert here.worlds["forearm"] != here.worlds["abdomen"]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"protocol_sha256": "0" * 64}, "protocol sha256: locked 000000000000"),
+        ({"embodiment": "other-arm"}, "embodiment: locked other-arm"),
+        ({"metrics": ["C1@0"]}, "metric C1@0: locked, not here"),
+        ({"versions": {"mujoco": "3.0.0", "mediapipe": "0.10.21"}}, "version of mujoco: locked 3.0.0"),
+        ({"assets": {}}, "asset bodies/man-adult.npz: locked none"),
+        ({"fields": {}}, "physics: locked null"),
+    ],
+)
+def test_each_difference_is_named(here: Lock, change: dict[str, object], told: str) -> None:
+    assert any(line.startswith(told) for line in drift(here.model_copy(update=change), here))
+
+
+def test_rounding_of_a_world_is_no_drift_and_a_millionth_of_mass_is(here: Lock) -> None:
+    def scaled(factor: float) -> Lock:
+        forearm = {**here.worlds["forearm"], "body_mass": factor * here.worlds["forearm"]["body_mass"]}
+        return here.model_copy(update={"worlds": {**here.worlds, "forearm": forearm}})
+
+    assert drift(scaled(1 + 1e-9), here) == []
+    assert drift(scaled(1 + 1e-5), here) == ["world with the forearm as target: body_mass"]
+
+
+def test_a_new_metric_is_no_drift(here: Lock) -> None:
+    assert drift(here.model_copy(update={"metrics": here.metrics[:-1]}), here) == []
+
+
+def test_what_is_locked_runs_and_what_drifted_is_refused_or_says_so(locked: tuple[str, Protocol]) -> None:
+    path, protocol = locked
+    assert check_frozen(path, protocol, unfrozen=False) == protocol
+    gates = protocol.gates.model_copy(update={"region_share": 0.7})
+    drifted = protocol.model_copy(update={"gates": gates})
+    with pytest.raises(
+        ConfigError, match=r"mine-v1 drifted .*protocol sha256.*gates.region_share: locked 0.8, here 0.7.*--unfrozen"
+    ):
+        check_frozen(path, drifted, unfrozen=False)
+    accepted = check_frozen(path, drifted, unfrozen=True)
+    assert "drift from its lock (protocol sha256" in accepted.title
+    assert accepted.sha256 != drifted.sha256
+
+
+def test_a_draft_needs_no_lock_and_a_frozen_file_does(tmp_path: Path) -> None:
+    path = str(frozen_file(tmp_path))
+    draft = load_protocol(path).model_copy(update={"frozen": False})
+    assert check_frozen(path, draft, unfrozen=False) == draft
+    with pytest.raises(ConfigError, match=r"says frozen = true but has no lock: mine\.lock\.json is missing"):
+        check_frozen(path, load_protocol(path), unfrozen=True)
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"id": 3}', "[1, 2]"])
+def test_a_damaged_lock_is_named(tmp_path: Path, text: str) -> None:
+    path = str(frozen_file(tmp_path))
+    lock_path(path).write_text(text)
+    with pytest.raises(ConfigError, match=r"mine\.lock\.json: not a lock"):
+        read_lock(path)
+
+
+# -- what is shipped -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=shipped_protocols())
+def shipped(request: pytest.FixtureRequest) -> Protocol:
+    return load_protocol(request.param)
+
+
+def test_shipped_protocols_are_frozen_and_run_here(shipped: Protocol) -> None:
+    assert shipped.frozen
+    assert check_frozen(shipped.id, shipped, unfrozen=False) == shipped
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda lock: {"versions": lock.versions | {"mujoco": "4.0.1"}}, "version of mujoco: locked 4.0.0, here 4.0.1"),
+        (lambda lock: {"assets": lock.assets | {"panda/panda.npz": "0" * 64}}, "here 000000000000"),
+        (lambda lock: {"assets": {}}, "asset bodies/man-adult.skin.png: locked"),
+        (lambda lock: {"metrics": []}, "metric C1@1: locked, not here"),
+    ],
+)  # fmt: skip
+def test_a_shipped_protocol_does_not_run_where_something_else_is_installed(
+    shipped: Protocol, monkeypatch: pytest.MonkeyPatch, change: Callable[[Lock], dict[str, Any]], told: str
+) -> None:
+    here = make_lock(shipped, worlds=False)
+    monkeypatch.setattr(freeze, "make_lock", lambda protocol, worlds: here.model_copy(update=change(here)))
+    with pytest.raises(ConfigError, match=f"{shipped.id} drifted from its lock .*{re.escape(told)}.*--unfrozen"):
+        check_frozen(shipped.id, shipped, unfrozen=False)
+    assert check_frozen(shipped.id, shipped, unfrozen=True).overrides.keys() == {"lock"}
+
+
+@pytest.mark.parametrize("frozen", ["frozen = true", "frozen = false"])
+def test_a_file_with_a_shipped_id_is_held_to_the_shipped_lock(tmp_path: Path, shipped: Protocol, frozen: str) -> None:
+    text = protocol_file(shipped.id).read_text()
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    assert check_frozen(str(path), load_protocol(str(path)), unfrozen=False) == shipped
+    path.write_text(
+        text.replace("frozen = true", frozen).replace("translational_n_m = 400.0", "translational_n_m = 500.0")
+    )
+    told = r"impedance\.translational_n_m: locked 400\.0, here 500\.0.*mine\.toml an id of its own"
+    with pytest.raises(ConfigError, match=told):
+        check_frozen(str(path), load_protocol(str(path)), unfrozen=False)
