@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from carecontact.hosting.process import PolicyProcess
+from carecontact.hosting.setup import PolicySetup
 from tests.policies.synthetic import SESSION, synthetic_observation
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -13,7 +14,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def test_my_policy_raises_the_tool_and_ends() -> None:
     observation = synthetic_observation()
     with PolicyProcess(
-        "my_policy:MyPolicy", first_deadline_s=20, deadline_s=20, search_path=[str(EXAMPLES)]
+        PolicySetup.of("my_policy:MyPolicy", search_path=[str(EXAMPLES)]), first_deadline_s=20, deadline_s=20
     ) as process:
         process.start()
         process.reset("gently touch the right forearm", SESSION)

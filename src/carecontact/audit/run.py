@@ -20,6 +20,7 @@ from carecontact.contract.policy import CAMERAS, PolicyCard
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.prepare import settled_world
+from carecontact.hosting.setup import PolicySetup
 from carecontact.recording.versions import package_versions
 from carecontact.sim.simulation import Settled, Simulation
 
@@ -55,13 +56,12 @@ class Audit:
 
 def audit(
     protocol: Protocol,
-    policies: Sequence[str],
+    policies: Sequence[PolicySetup],
     *,
     quick: bool,
-    search_path: Sequence[str] = (),
     on_event: Callable[[str], None] = lambda said: None,
 ) -> Audit:
-    """Run every part on every policy (registered names or ``module:Class``).
+    """Run every part on every policy.
 
     The quick form presses one region with all that the policies ask for on one card; the full one presses every
     region of the protocol with each card, and lets the policies' own trials run to their end.
@@ -87,10 +87,10 @@ def audit(
             quiet = spec.model_copy(update={"protocol": canary.without_noise(protocol)})
             if number == 0:
                 for index, policy in enumerate(policies):
-                    on_event(f"a trial of {policy}")
+                    on_event(f"a trial of {policy.ref}")
                     trial = watch(
-                        _shortened(spec, policy, quick=quick), policy=policy, prepare=keyframe.parked,
-                        log=logs / f"real-{index:02d}", search_path=search_path,
+                        _shortened(spec, policy, quick=quick), policy=policy.ref.text, prepare=keyframe.parked,
+                        log=logs / f"real-{index:02d}", setup=policy,
                     )  # fmt: skip
                     add(schema.audit_schema([trial]))
                     trial.forget()
@@ -121,7 +121,8 @@ def audit(
             # Hundreds of megabytes a region.
             shutil.rmtree(logs)
     parts = tuple(_merged(part.NAME, part.TITLE, found.get(part.NAME, [])) for part in PARTS)
-    return Audit(protocol=protocol, policies=tuple(policies), quick=quick, parts=parts)
+    names = tuple(policy.ref.text for policy in policies)
+    return Audit(protocol=protocol, policies=names, quick=quick, parts=parts)
 
 
 def write(result: Audit, folder: Path) -> Path:
@@ -131,12 +132,19 @@ def write(result: Audit, folder: Path) -> Path:
     return path
 
 
-def _shortened(spec: TrialSpec, policy: str, *, quick: bool) -> TrialSpec:
+def _shortened(spec: TrialSpec, policy: PolicySetup, *, quick: bool) -> TrialSpec:
     protocol = spec.protocol
     if quick:
         phases = protocol.phases.model_copy(update={"time_limit_s": QUICK_TRIAL_S})
         protocol = protocol.model_copy(update={"phases": phases})
-    return spec.model_copy(update={"policy": policy, "protocol": protocol})
+    return spec.model_copy(
+        update={
+            "policy": policy.ref.text,
+            "policy_arguments": dict(policy.arguments),
+            "policy_environment": tuple(policy.environment),
+            "protocol": protocol,
+        }
+    )
 
 
 def _cards(trials: Sequence[Watched], *, together: bool) -> list[PolicyCard]:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import os
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -17,7 +15,6 @@ from carecontact.contract.action import Action, ActionBounds, check_action
 from carecontact.contract.embodiment import EMBODIMENT
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
-from carecontact.contract.policy_address import remote_address
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.log import TrialLog
@@ -28,19 +25,22 @@ from carecontact.episode.vision import person_segmenter
 from carecontact.errors import ActionError, PolicyError
 from carecontact.hosting.conversation import PolicyConversation
 from carecontact.hosting.opening import open_policy
+from carecontact.hosting.setup import PolicySetup
+from carecontact.hosting.wire import codec
 from carecontact.observation.builder import ObservationBuilder, RawReadings
 from carecontact.observation.keypoints import MediaPipePose
 from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS, EndReason, Failure, Header, Recording
 from carecontact.recording.versions import package_versions
-from carecontact.runs.identity import POLICY_PATH
 from carecontact.sim.close_up import render_close_up
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Samples, Settled, Simulation
+from carecontact.trials.request import check_setup, setup_of
 from carecontact.world.robot import panda_sha256
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
+    from pathlib import Path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +73,8 @@ class _Peak:
 def run_trial(
     spec: TrialSpec,
     *,
-    search_path: Sequence[str] | None = None,
+    policy: PolicySetup | None = None,
+    weights: Path | None = None,
     prepare: Callable[[TrialSpec], tuple[Simulation, Settled, str]] | None = None,
     on_look: Callable[[Look], None] | None = None,
     on_policy: Callable[[bool], None] | None = None,
@@ -81,26 +82,27 @@ def run_trial(
     """A policy's failure is part of the recording; what is raised is the harness's own (SceneError and its kin).
 
     Args:
-        search_path: where ``module:Class`` is looked for first.
+        policy: how the trial's policy is reached; default: as its name in ``spec`` alone says.
+        weights: folder with the weights of the protocol's segmenter.
         prepare: gives the world at t = 0, as ``settled_world`` does; the audit has its own.
         on_look: told after every answer what the policy was shown and what it was made of; nothing of it is kept here.
         on_policy: told True when the process of a local policy is about to start, False when it is gone.
     """
     started = time.monotonic()
     protocol = spec.protocol
+    setup = policy or setup_of(spec)
+    check_setup(spec, setup)
     if prepare is None:
         simulation, settled, model_sha256 = settled_world(protocol, task_id=spec.task_id, seed=spec.seed)
     else:
         simulation, settled, model_sha256 = prepare(spec)
     scene = simulation.scene
     settled_wall = time.monotonic()
-    if search_path is None:
-        search_path = [p for p in os.environ.get(POLICY_PATH, "").split(os.pathsep) if p]
     trial = _Trial(spec, simulation, settled, on_look)
-    tell = on_policy if on_policy is not None and remote_address(spec.policy) is None else _tell_nobody
+    tell = on_policy if on_policy is not None and setup.ref.kind != "remote" else _tell_nobody
     with SceneRenderer(scene.model, protocol=protocol) as renderer:
         tell(True)
-        card, ended = trial.run(renderer, list(search_path))
+        card, ended = trial.run(renderer, setup, weights)
         tell(False)
         if trial.perception is not None:
             trial.log.extra |= trial.perception.arrays()
@@ -114,7 +116,7 @@ def run_trial(
         trial.log.extra["wall/report_renders"] = np.array([(renderer.renders - rendered).total()], "<f8")
     header = Header(
         spec=spec, ended=ended.reason, failure=ended.failure,
-        card=None if card is None else json.loads(json.dumps(asdict(card))),
+        card=None if card is None else codec.encode_card(card),
         embodiment=EMBODIMENT, comfort_arm_deg=settled.comfort_arm_deg, segments=list(SEGMENTS), regions=list(REGIONS),
         human_joints=simulation.joint_names, pose_base_in_world=simulation.pose_base_in_world.tolist(),
         versions=package_versions(spec.protocol.vision.segmenter),
@@ -144,20 +146,21 @@ class _Trial:
         self._cut_n = np.array([self.protocol.phases.truncation_over_pain * self.protocol.f_pain(s) for s in SEGMENTS])
         self._target = SEGMENTS.index(REGION_SEGMENT[self.task.region])
 
-    def run(self, renderer: SceneRenderer, search_path: list[str]) -> tuple[PolicyCard | None, _Ended]:
+    def run(
+        self, renderer: SceneRenderer, setup: PolicySetup, weights: Path | None
+    ) -> tuple[PolicyCard | None, _Ended]:
         phases = self.protocol.phases
         card: PolicyCard | None = None
         self.simulation.start()
         self.log.add_state()
         try:
             with open_policy(
-                self.spec.policy, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s,
-                search_path=search_path,
-            ) as process:  # fmt: skip
+                setup, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s
+            ) as process:
                 try:
                     card = process.start()
                     process.reset(self.task.prompt, self._session())
-                    return card, self._act_loop(process, card, renderer)
+                    return card, self._act_loop(process, card, renderer, weights)
                 finally:
                     # What it printed may hold times and paths, so it is evidence but no part of the recording's hash.
                     process.close()
@@ -171,10 +174,12 @@ class _Trial:
         with suppress(PolicyError):
             self.log.add_notes(error.notes, failed=True)
 
-    def _act_loop(self, process: PolicyConversation, card: PolicyCard, renderer: SceneRenderer) -> _Ended:
+    def _act_loop(
+        self, process: PolicyConversation, card: PolicyCard, renderer: SceneRenderer, weights: Path | None
+    ) -> _Ended:
         simulation, impedance = self.simulation, self.protocol.impedance
         noise = sensor_noise(self.protocol, self.spec.seed, salt=self.spec.noise_salt)
-        segmenter = person_segmenter(self.protocol) if "masks" in card.modalities else None
+        segmenter = person_segmenter(self.protocol, weights) if "masks" in card.modalities else None
         builder = ObservationBuilder(
             renderer, card, self.protocol, MediaPipePose(), noise=noise, segmenter=segmenter
         )  # fmt: skip

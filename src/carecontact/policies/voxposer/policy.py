@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from inspect import Parameter, Signature
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -18,7 +19,7 @@ from carecontact.contract.geometry import pixels
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.errors import ConfigError, ContractError, ProgramError
-from carecontact.policies.language.selection import chosen_transcript
+from carecontact.policies.language.selection import transcript_of
 from carecontact.policies.language.transcript import Transcript
 from carecontact.policies.region_geometry import PerceptionFailure
 from carecontact.policies.voxposer import fixed_values as fixed
@@ -84,9 +85,19 @@ class VoxPoser:
     horizon_s = fixed.HORIZON_S
     settle_s = fixed.SETTLE_S
 
-    def __init__(self, *, transcript: Transcript | None = None) -> None:
-        """``transcript``: default as the run's --language says, the shipped authored completions if it says nothing."""
-        self._transcript = transcript or _chosen(self.authored)
+    def __init__(self, *, language: str | Transcript | None = None, record: Path | None = None) -> None:
+        """
+        Args:
+            language: replay:FILE.jsonl, live:MODEL, or a transcript itself; default: the shipped completions, which a
+                person wrote.
+            record: file to which the completions of a live model are added.
+
+        Raises ConfigError for rules-v1 or a language that cannot be read, DependencyError for live without its package.
+        """
+        if not isinstance(language, Transcript):
+            shipped = resources.files(__package__ or __name__) / "completions" / self.authored
+            language = _transcript(language or f"replay:{shipped}", record)
+        self._transcript = language
         self.card = PolicyCard(
             name=self.name,
             modalities=("rgb", "depth", "points", "masks", "landmarks"),
@@ -376,9 +387,8 @@ def _unreachable(*args: object, **kwargs: object) -> None:
     raise AssertionError("a program went on at a call where it should have waited")
 
 
-def _chosen(authored: str) -> Transcript:
-    shipped = resources.files(__package__ or __name__) / "completions" / authored
-    transcript = chosen_transcript(f"replay:{shipped}")
+def _transcript(language: str, record: Path | None) -> Transcript:
+    transcript = transcript_of(language, record=record)
     if transcript is None:
         raise ConfigError("voxposer needs programs: --language replay:FILE.jsonl or live:MODEL, not rules-v1")
     return transcript
