@@ -49,7 +49,9 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
 
 def _given(headers: Sequence[Header]) -> list[tuple[str, str]]:
     """Arguments and variables, only where a policy was given any; a remote policy's card alone names them."""
-    cards = [h.card or {"arguments": h.spec.policy_arguments, "environment": h.spec.policy_environment} for h in headers]
+    specs = [h.spec for h in headers]
+    planned = [{"arguments": spec.policy_arguments, "environment": spec.policy_environment} for spec in specs]
+    cards = [header.card or plan for header, plan in zip(headers, planned, strict=True)]
     arguments = [" ".join(f"{name}={text}" for name, text in card.get("arguments", {}).items()) for card in cards]
     variables = [" ".join(card.get("environment", ())) for card in cards]
     rows = (("Policy arguments", arguments), ("Policy variables", variables))
