@@ -53,7 +53,7 @@ def calibrate(
     rules = load_protocol(protocol)
     file = read_trials(trials, region=region)
     curves = [make_curve(trial) for trial in file.trials]
-    row = _row(rules, region)
+    row = rules.person.tissue[region]
     for curve in curves:
         if curve.deepest_m > row.thickness_m:
             raise ConfigError(
@@ -93,11 +93,6 @@ def calibrate(
 
 def _count(curves: Sequence[Curve], kind: str = "") -> str:
     return f"{len(curves)} {kind}trial{'s' * (len(curves) != 1)}"
-
-
-def _row(rules: Protocol, region: str) -> Tissue:
-    rows: dict[str, Tissue] = {**rules.person.tissue}
-    return rows[region]
 
 
 def _content(

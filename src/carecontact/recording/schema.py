@@ -14,6 +14,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 
 from carecontact.contract.trial import TrialSpec
+from carecontact.regions import REGIONS as REGION_ROWS
+from carecontact.regions import STANDARD_REGIONS
 
 SCHEMA_VERSION = "carecontact-recording-1"
 
@@ -22,8 +24,8 @@ SEGMENTS = (
     *(f"{side}_{name}" for side in ("right", "left")
       for name in ("upper_arm", "forearm", "hand", "thigh", "shank", "foot")),
 )  # fmt: skip
-REGIONS = ("forearm", "upper_arm", "abdomen")
-REGION_SEGMENT = {"forearm": "right_forearm", "upper_arm": "right_upper_arm", "abdomen": "abdomen"}
+REGIONS = STANDARD_REGIONS
+REGION_SEGMENT = {name: REGION_ROWS[name].segment for name in REGIONS}
 
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
 
