@@ -32,7 +32,7 @@ def validate(
 
     from carecontact.validation.run import CHECKS, write
     from carecontact.validation.run import validate as run_checks
-    from carecontact.world.human.body import load_body
+    from carecontact.world.human.library import load_body
 
     rules = adapted(load_protocol(protocol), tissue=tissue, fast=fast)
     names = tuple(CHECKS) if checks == "all" else tuple(part.strip() for part in checks.split(","))
