@@ -41,7 +41,7 @@ class Validate:
         """Return 1 if any check fails on any body."""
         from carecontact.protocols import adapted, load_protocol
         from carecontact.validation.run import CHECKS
-        from carecontact.world.human.body import load_body
+        from carecontact.world.human.library import load_body
 
         rules = adapted(load_protocol(self.rules.protocol), tissue=self.physics.tissue, fast=self.physics.fast)
         names = tuple(CHECKS) if self.checks == "all" else tuple(part.strip() for part in self.checks.split(","))

@@ -10,7 +10,7 @@ from carecontact.scoring.filters import rate_faults
 
 def check_protocol(protocol: Protocol) -> None:
     """Raises ConfigError naming every field that the world or the scorer cannot do; imports no simulator."""
-    from carecontact.world.human.body import load_body
+    from carecontact.world.human.library import load_body
 
     faults: list[str] = []
     try:
