@@ -19,9 +19,7 @@ LEAST_SD_N = 1e-3
 """A force steadier than this has no variance to explain."""
 
 
-@metric(
-    "force_predicted_r2@1", title="R² of force from commands and encoders", unit="1", better="neither", order=80
-)
+@metric("force_predicted_r2@1", title="R² of force from commands and encoders", unit="1", better="neither", order=80)
 def force_predicted_r2(contact: Contact) -> float | None:
     """Adjusted R^2 of F_b of the reported segment, least squares over the control periods of the contact window.
 

@@ -57,7 +57,8 @@ class Metric:
             raise ConfigError(f"metric {self.id!r}: the id must be NAME@VERSION, for example {self.id or 'grip'}@1")
         if self.field is not None and self.field not in TrialScore.model_fields:
             raise ConfigError(
-                f"metric {self.id}: TrialScore has no field {self.field!r}; without a field the value is in `additional`"
+                f"metric {self.id}: TrialScore has no field {self.field!r}; "
+                "leave field out and the value stands in TrialScore.additional"
             )
         if self.matters is not None and self.better == "neither":
             raise ConfigError(f"metric {self.id}: matters needs a direction; better must be 'higher' or 'lower'")
