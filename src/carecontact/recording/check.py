@@ -30,15 +30,7 @@ def check_recording(recording: Recording, place: str) -> Recording:
     ARRAYS and OPTIONAL_ARRAYS, whose named dimensions must agree with one another and with the header's lists.
     """
     header = recording.header
-    if header.schema_version != SCHEMA_VERSION:
-        raise RecordingError(f"{place}: schema {header.schema_version!r}; this release reads {SCHEMA_VERSION!r}")
-    if header.spec.task_id not in {t.id for t in header.spec.protocol.tasks}:
-        raise RecordingError(f"{place}: task {header.spec.task_id!r} is not in protocol {header.spec.protocol.id!r}")
-    _check_names(header, place)
-    if len(header.pose_base_in_world) != 7:
-        raise RecordingError(f"{place}: pose_base_in_world has {len(header.pose_base_in_world)} numbers, expected 7")
-    if not all(isfinite(number) for number in header.pose_base_in_world):
-        raise RecordingError(f"{place}: pose_base_in_world holds {header.pose_base_in_world}; expected finite numbers")
+    check_header(header, place)
     missing = sorted(ARRAYS.keys() - recording.arrays.keys())
     if missing:
         raise RecordingError(f"{place}: required array(s) missing: {', '.join(missing)}")
@@ -69,6 +61,19 @@ def check_recording(recording: Recording, place: str) -> Recording:
                     f"with {name} = {expected} as in {source}"
                 )
     return recording
+
+
+def check_header(header: Header, place: str) -> None:
+    """Raises RecordingError, which begins with ``place``, for a header that no trial of this schema can have."""
+    if header.schema_version != SCHEMA_VERSION:
+        raise RecordingError(f"{place}: schema {header.schema_version!r}; this release reads {SCHEMA_VERSION!r}")
+    if header.spec.task_id not in {t.id for t in header.spec.protocol.tasks}:
+        raise RecordingError(f"{place}: task {header.spec.task_id!r} is not in protocol {header.spec.protocol.id!r}")
+    _check_names(header, place)
+    if len(header.pose_base_in_world) != 7:
+        raise RecordingError(f"{place}: pose_base_in_world has {len(header.pose_base_in_world)} numbers, expected 7")
+    if not all(isfinite(number) for number in header.pose_base_in_world):
+        raise RecordingError(f"{place}: pose_base_in_world holds {header.pose_base_in_world}; expected finite numbers")
 
 
 def _check_names(header: Header, place: str) -> None:
