@@ -31,8 +31,8 @@ from carecontact.calibration.identify import Identified, identify
 from carecontact.calibration.replay import Group, Replay, Replayed, group_curves
 from carecontact.contract.protocol import Protocol, Tissue
 from carecontact.errors import ConfigError
-from carecontact.protocols import FAST_DT_S, load_protocol
-from carecontact.world.human.body import load_body
+from carecontact.protocols import FAST_DT_S
+from carecontact.world.human.library import load_body
 from carecontact.world.human.tissue import check_step
 
 CERTIFICATE, ROW, FIGURE = "certificate.json", "tissue.toml", "calibration.png"
@@ -47,10 +47,15 @@ class Calibration:
 
 
 def calibrate(
-    trials: Path, *, region: str, body: str, protocol: str, out: Path, on_progress: Callable[[str], None]
+    trials: Path, *, region: str, body: str, rules: Protocol, out: Path, on_progress: Callable[[str], None]
 ) -> Calibration:
-    """Read, identify, fit, write. Raises ConfigError for what the user can mend."""
-    rules = load_protocol(protocol)
+    """Read, identify, fit, write. Raises ConfigError for what the user can fix.
+
+    Args:
+        region: a soft one of the protocol.
+        body: whose surface is pressed.
+        rules: the protocol whose mesh, mass and thickness the tissue keeps.
+    """
     file = read_trials(trials, region=region)
     curves = [make_curve(trial) for trial in file.trials]
     row = rules.person.tissue[region]
@@ -151,7 +156,7 @@ def _content(
         responses=responses(curves, groups, fit.replayed),
         band=BAND,
         hashes={"data": file.sha256, **model_hashes(replay, body, tissue)},
-        versions={"carecontact": __version__, "mujoco": version("mujoco"), "protocol": rules.id},
+        versions={"carecontact": __version__, "mujoco": version("mujoco"), "protocol": rules.title},
         notes=notes,
     )  # fmt: skip
 

@@ -38,21 +38,24 @@ def overridden(protocol: Protocol, changes: Mapping[str, object]) -> Protocol:
     content = cast("dict[str, Any]", _plain(protocol))
     wanted = _with_rows(protocol, changes)
     # What brings others along goes first, and tables before their fields: then the more exact one stays.
+    changed: list[str] = []
     for path in sorted(wanted, key=lambda p: (p not in FOLLOWS.values(), p.count("."))):
         parts = path.split(".")
         now = _at(content, parts, path)
-        content = _with(content, parts, _converted(wanted[path], now))
+        value = _converted(wanted[path], now)
+        if value != now:
+            changed.append(path)
+            content = _with(content, parts, value)
     try:
         made = Protocol.model_validate(content)
     except ValidationError as error:
         given = ", ".join(f"{path}={value!s:.40}" for path, value in changes.items())
         raise ConfigError(wrong_fields(f"{protocol.id} with {given}", error)) from None
     said = dict(protocol.overrides)
-    for path in wanted:
-        parts = path.split(".")
-        if _at(made, parts, path) != _at(protocol, parts, path):
-            _forget(said, path)
-            said[FOLLOWS.get(path, path)] = _spelled(made, FOLLOWS.get(path, path))
+    for path in changed:
+        leader = FOLLOWS.get(path, path)
+        said = {old: value for old, value in said.items() if not old.startswith(f"{path}.")}
+        said[leader] = _spelled(made, leader)
     return made.model_copy(update={"overrides": said})
 
 
@@ -103,12 +106,6 @@ def _spelled(protocol: Protocol, path: str) -> str:
     if isinstance(value, float):
         return f"{value:g}"
     return value if isinstance(value, str) else json.dumps(value)
-
-
-def _forget(said: dict[str, str], path: str) -> None:
-    """Drop what was recorded of fields inside one that is replaced as a whole."""
-    for old in [old for old in said if old.startswith(f"{path}.")]:
-        del said[old]
 
 
 def _plain(node: object) -> object:

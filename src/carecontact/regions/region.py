@@ -19,7 +19,7 @@ class Tube:
     pushed_from_side: bool = False
     """Whether the mesh is also fine at mid-length on the sides, where a tool pushes."""
     closed_by: tuple[str, str]
-    """Neighbouring segments, without their side, whose surface closes the rigid ends: nearer the trunk, then farther."""
+    """Segments, without their side, whose surface closes the rigid ends: the one nearer the trunk, then the other."""
     near_end_from: float = -0.03
     """Where the nearer rigid end begins, as a share of the same line; negative: before the joint."""
     held_out_m: tuple[tuple[float, float], ...] = ()

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from carecontact import __version__
 from carecontact.contract.protocol import Protocol, protocol_title
 from carecontact.errors import ConfigError
-from carecontact.protocols import adapted
+from carecontact.protocols import overridden
 from carecontact.reports.compare.comparison import Comparison, compare_runs, plain
 from carecontact.reports.compare.null_floors import NullFloors, null_floors
 from carecontact.reports.compare.outcomes import RATES, SCORES, Outcome
@@ -235,9 +235,7 @@ def _conditions(protocol: Protocol) -> list[Condition]:
 
 
 def _under(protocol: Protocol, condition: Condition) -> Protocol:
-    said = dict(condition)
-    stiffness = said.get(STIFFNESS)
-    return adapted(protocol, tissue=said.get(TISSUE), stiffness_n_m=None if stiffness is None else float(stiffness))
+    return overridden(protocol, dict(condition))
 
 
 def _wanted(protocol: Protocol) -> list[tuple[str, Condition]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Generic, Literal, TypeVar, cast
 
 from carecontact.contract.protocol import BEHAVIOURS, Section
 from carecontact.errors import ConfigError
@@ -86,10 +86,10 @@ class Behaviour(ABC, Generic[G]):
 
 def behaviour_of(action: str) -> Behaviour[Any]:
     """Raises UnknownNameError for an action that nothing registers, ConfigError for a row that is not a Behaviour."""
-    row = BEHAVIOURS[action]
+    row: object = BEHAVIOURS[action]
     if not isinstance(row, Behaviour):
         raise ConfigError(f"action {action!r} is registered as {type(row).__name__}; expected a Behaviour object")
-    return row
+    return cast("Behaviour[Any]", row)
 
 
 def actions_that_move() -> frozenset[str]:

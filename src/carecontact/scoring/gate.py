@@ -20,7 +20,7 @@ class Measures:
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """What was achieved, with what depends on the gates: they decide what counts as a hold and which episode is best."""
+    """What was achieved, with what depends on the gates: what counts as a hold, and which episode is best."""
 
     held_steps: int
     """Longest stretch of physics steps that count toward a hold (``Behaviour.holding``)."""

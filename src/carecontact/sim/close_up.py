@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.sim.rendering import SceneRenderer
+from carecontact.contract.embodiment import PANDA
 from carecontact.regions import REGIONS
+from carecontact.sim.rendering import SceneRenderer
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
 
@@ -21,7 +22,8 @@ def render_close_up(
 ) -> npt.NDArray[np.uint8]:
     """(H, W, 3) of the exterior camera's size, looking at the tool's tip. For people to look at, never for a policy."""
     return renderer.free_view(
-        data, look_at=data.site("tcp").xpos + [0, 0, 0.02], distance_m=0.36, azimuth_deg=REGIONS[region].close_up_azimuth_deg,
+        data, look_at=data.site(PANDA.tcp_site).xpos + [0, 0, 0.02], distance_m=0.36,
+        azimuth_deg=REGIONS[region].close_up_azimuth_deg,
         elevation_deg=-20.0, size_of="exterior", edit=lambda made: dent(scene, data, made),
     )  # fmt: skip
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from carecontact.regions import REGIONS
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
 from carecontact.world.human.anthropometry import segment_inertias
-from carecontact.regions import REGIONS
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
 

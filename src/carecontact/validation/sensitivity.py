@@ -64,9 +64,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     return CheckResult(check="sensitivity", title=TITLE, measures=tuple(measures), curves={"values": values})
 
 
-def _run_one(
-    subject: Subject, motion: Motion, stiffness: float, damping: float, friction: float | None
-) -> Scores:
+def _run_one(subject: Subject, motion: Motion, stiffness: float, damping: float, friction: float | None) -> Scores:
     simulation = subject.hovering(REGION)
     change(simulation, stiffness=stiffness, damping=damping, friction=friction)
     return scores_of(simulation, REGION, perform(simulation, REGION, motion))

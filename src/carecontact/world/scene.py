@@ -14,8 +14,9 @@ from carecontact.errors import SceneError
 from carecontact.regions import REGIONS, Belly, Tube
 from carecontact.world.cameras import add_cameras
 from carecontact.world.furniture import add_furniture, add_light
-from carecontact.world.human.body import Array, Body, load_body
+from carecontact.world.human.body import Array, Body
 from carecontact.world.human.joints import Hinge
+from carecontact.world.human.library import load_body
 from carecontact.world.human.pose import root_position, trunk_rotation
 from carecontact.world.human.refine import refined
 from carecontact.world.human.region_frame import RegionFrame, rigid_frame, soft_frame, upward_in_bind

@@ -38,7 +38,8 @@ class Gates(Section):
     """Every field besides those named here is an action with the table of its behaviour: ``gates.push.force_n``."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(_gate)]]
+    # Pydantic takes the type of extra fields from this annotation.
+    __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(_gate)]]  # pyright: ignore[reportIncompatibleVariableOverride]
 
     version: Literal["gates-v1"]
     region_share: Fraction

@@ -6,7 +6,7 @@ import hashlib
 import json
 from typing import Any, Literal, Self
 
-from pydantic import SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from carecontact.contract.protocol import consistency
 from carecontact.contract.protocol.contact import ContactDefinition
@@ -40,7 +40,7 @@ class Protocol(Section):
     contact: ContactDefinition
     gates: Gates
     limits: ForceLimits
-    overrides: dict[str, str] = {}
+    overrides: dict[str, str] = Field(default_factory=dict[str, str])
     """Fields that a command replaced for this run: dotted path -> new value (``protocols.overrides``)."""
 
     @model_serializer(mode="wrap")

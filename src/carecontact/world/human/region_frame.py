@@ -43,7 +43,10 @@ def soft_frame(shell: Shell) -> RegionFrame:
 
 
 def rigid_frame(body: Body, region: str) -> RegionFrame:
-    """Of a region without a shell: the whole segment, measured on its rigid surface. Raises SceneError if it has none."""
+    """Of a region without a shell: the whole segment, measured on its rigid surface.
+
+    Raises SceneError for a segment that has none.
+    """
     segment = REGIONS[region].segment
     x = _axis(body, segment)
     outward = upward_in_bind(body, segment)

@@ -62,7 +62,9 @@ def add_skeleton(
         bodies[segment] = made
         row = inertias[segment]
         made.explicitinertial = True
-        mass, centre, tensor = without_points(row, *shell_points.get(soft.get(segment, ""), (np.zeros(0), np.zeros((0, 3)))))
+        mass, centre, tensor = without_points(
+            row, *shell_points.get(soft.get(segment, ""), (np.zeros(0), np.zeros((0, 3))))
+        )
         made.mass = mass
         made.ipos = centre - at
         made.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
