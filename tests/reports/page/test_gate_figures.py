@@ -9,7 +9,6 @@ import pytest
 from carecontact.protocols import load_protocol
 from carecontact.reports.page.gate_figures import (
     BOTTOM,
-    GATES,
     HEIGHT,
     LEFT,
     PANEL_BOTTOM,
@@ -20,9 +19,7 @@ from carecontact.reports.page.gate_figures import (
     WIDTH,
     gamma_svg,
     gate_panels,
-    own_value,
 )
-from carecontact.scoring.gate_sweep import SWEEPS
 from tests.reports.synthetic_run import FAILED, make_score
 
 PROTOCOL = load_protocol()
@@ -65,8 +62,3 @@ def test_panels_count_the_trials_that_have_to_pass_the_gate() -> None:
     marked = re.search(r'class="name"[^>]*>([\d.]+)<', floor.svg)
     assert marked is not None
     assert marked[1] == "0.5"
-
-
-def test_the_protocols_own_value_is_one_of_each_sweep() -> None:
-    assert GATES.keys() == SWEEPS.keys()
-    assert all(own_value(PROTOCOL, name) in values for name, values in SWEEPS.items())
