@@ -22,7 +22,7 @@ from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.reports.paper import read_paper
 from carecontact.reports.study import run_name, sorted_out, study, study_json
 from carecontact.reports.study_page import study_page
-from carecontact.runs.scores import pack_results
+from carecontact.runs.results_file import pack_results
 
 
 def main(arguments: list[str] | None = None) -> int:

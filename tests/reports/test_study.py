@@ -16,7 +16,7 @@ from carecontact.reports.paper import read_paper
 from carecontact.reports.study import STIFFNESS, TISSUE, Study, sorted_out, study, study_json
 from carecontact.reports.study_page import SWEEP_TITLE, escaped, study_page
 from carecontact.runs import RunScores, read_results
-from carecontact.runs.scores import write_scores
+from carecontact.runs.results_file import write_scores
 from tests.reports.synthetic_run import FAILED, make_score
 
 PROTOCOL, PAPER = load_protocol(), read_paper()

@@ -21,7 +21,8 @@ from carecontact.reports.compare.paired_lines import Line
 from carecontact.reports.page.failures import AnatomyRow, Cause, anatomy, causes, failure_modes
 from carecontact.reports.paper import Paper
 from carecontact.reports.table import SummaryRow, summary_rows
-from carecontact.runs.scores import RunScores, joined, judged
+from carecontact.runs.pooling import judged
+from carecontact.runs.run_scores import RunScores, joined
 from carecontact.stats import Proportion, RankingSweep, ranking_sweep, wilson_interval
 
 STUDY_SCHEMA = "carecontact-study-1"
