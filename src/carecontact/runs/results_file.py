@@ -79,6 +79,14 @@ def read_results(path: Path | str) -> RunScores:
     )
 
 
+def skipped_before(folder: Path) -> set[str]:
+    """Names of the recordings that the last scoring of a folder skipped; none where there is no result to ask."""
+    try:
+        return set(read_results(folder / RESULTS_NAME).skipped)
+    except (ConfigError, OSError):
+        return set()
+
+
 def _fault(stored: _Results) -> str | None:
     """What of a results file no scorer can have written; None where there is nothing."""
     twice = [trial_id for trial_id, k in Counter(s.trial_id for s in stored.trials).items() if k > 1]
