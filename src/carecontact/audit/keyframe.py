@@ -14,7 +14,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.episode.prepare import settled_world
 from carecontact.episode.randomization import comfort_arm_deg
 from carecontact.errors import SceneError
-from carecontact.policies.state_machine.primitives import UP, Leg, radial_quat, sample, travel
+from carecontact.policies.motion import UP, Leg, radial_quat, sample, travel
 from carecontact.recording.schema import REGIONS
 from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.world.human.tissue import anchor_joints

@@ -6,6 +6,7 @@ from carecontact.recording.migration import MIGRATIONS, RawRecording
 from carecontact.recording.reader import VerifiedRecording, read_header, read_recording, read_verified, stored_sha256
 from carecontact.recording.schema import (
     ARRAYS,
+    OPTIONAL_ARRAYS,
     REGION_SEGMENT,
     REGIONS,
     SCHEMA_VERSION,
@@ -21,6 +22,7 @@ from carecontact.recording.writer import write_recording
 __all__ = [
     "ARRAYS",
     "MIGRATIONS",
+    "OPTIONAL_ARRAYS",
     "REGIONS",
     "REGION_SEGMENT",
     "SCHEMA_VERSION",

@@ -7,8 +7,17 @@ from math import isfinite
 
 import numpy as np
 
+from carecontact.contract.policy import CAMERAS
 from carecontact.errors import RecordingError
-from carecontact.recording.schema import ARRAYS, REGION_SEGMENT, SCHEMA_VERSION, Header, Recording, dimensions
+from carecontact.recording.schema import (
+    ARRAYS,
+    OPTIONAL_ARRAYS,
+    REGION_SEGMENT,
+    SCHEMA_VERSION,
+    Header,
+    Recording,
+    dimensions,
+)
 
 PATH = re.compile(r"(policy|scorer|actions|state|report|perception|wall)(/[A-Za-z0-9_.-]+)+")
 STORABLE_KINDS = "biuf"
@@ -18,7 +27,7 @@ def check_recording(recording: Recording, place: str) -> Recording:
     """Returns the recording; ``place`` begins the message.
 
     Raises RecordingError naming the array and what was expected: schema version, presence, dtype and the shapes of
-    ARRAYS, whose named dimensions must agree with one another and with the header's lists.
+    ARRAYS and OPTIONAL_ARRAYS, whose named dimensions must agree with one another and with the header's lists.
     """
     header = recording.header
     check_header(header, place)
@@ -35,8 +44,10 @@ def check_recording(recording: Recording, place: str) -> Recording:
         "S": (len(header.segments), "header.segments"),
         "R": (len(header.regions), "header.regions"),
         "J": (len(header.human_joints), "header.human_joints"),
+        "V": (len(CAMERAS), "contract.policy.CAMERAS"),
     }
-    for path, (dtype, _) in ARRAYS.items():
+    described = ARRAYS | {path: row for path, row in OPTIONAL_ARRAYS.items() if path in recording.arrays}
+    for path, (dtype, _) in described.items():
         array, dims = recording.arrays[path], dimensions(path)
         if array.dtype.newbyteorder("<") != np.dtype(dtype).newbyteorder("<"):
             raise RecordingError(f"{place}: {path} has dtype {array.dtype}, expected {np.dtype(dtype)}")

@@ -8,7 +8,7 @@ import pytest
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import Session
 from carecontact.errors import ProgramError
-from carecontact.policies.state_machine.fixed_values import CAP_RADIUS_M
+from carecontact.policies.motion import CAP_RADIUS_M
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.grid import Grid
 from carecontact.policies.voxposer.phased import VoxPoserPhased

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.action import Action
-from carecontact.policies.state_machine.primitives import slerp
+from carecontact.policies.motion import slerp
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.grid import Grid
 from carecontact.policies.voxposer.maps import ValueMap

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pydantic_monty import ClassInstance
 
 from carecontact.contract.geometry import matrix_from_quat
-from carecontact.policies.state_machine.primitives import tool_quat
+from carecontact.policies.motion import tool_quat
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.grid import Grid, Voxel
 from carecontact.policies.voxposer.maps import KINDS, VALUE_RANGE, MapKind, ValueMap

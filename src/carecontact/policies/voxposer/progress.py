@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pydantic_monty import ClassInstance
 
 from carecontact.contract.action import Action
-from carecontact.policies.state_machine.fixed_values import CAP_RADIUS_M
+from carecontact.policies.motion import CAP_RADIUS_M
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.executor import Motion, motion
 from carecontact.policies.voxposer.functions import number, numbers
