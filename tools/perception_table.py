@@ -39,7 +39,7 @@ from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.appearance import SKIN_TONES, draw_appearance
-from carecontact.world.human.body import body_names
+from carecontact.world.human.library import body_names
 from carecontact.world.scene import build_scene
 from panda_kinematics import Arm, pointing_down
 

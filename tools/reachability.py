@@ -26,7 +26,7 @@ from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.protocol import Protocol
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Simulation
-from carecontact.world.human.body import body_names
+from carecontact.world.human.library import body_names
 from carecontact.world.human.pose import RIGHT_SHOULDER_M
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.place import Place

@@ -10,7 +10,7 @@ import pytest
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.anthropometry import segment_inertias
-from carecontact.world.human.body import body_names
+from carecontact.world.human.library import body_names
 from carecontact.world.human.pose import BOARD_HEIGHT_M
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene, build_scene

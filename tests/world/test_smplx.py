@@ -10,8 +10,9 @@ import pytest
 from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Simulation
-from carecontact.world.human.body import PARENT, Body, load_body
+from carecontact.world.human.body import PARENT, Body
 from carecontact.world.human.joints import hinges
+from carecontact.world.human.library import load_body
 from carecontact.world.human.skin import texture_of
 from carecontact.world.human.smplx import DENSITY_KG_M3, JOINTS, SEGMENT_JOINTS, SUPINATION_DEG
 from carecontact.world.scene import build_scene

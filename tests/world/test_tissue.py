@@ -11,7 +11,7 @@ from carecontact.errors import ConfigError
 from carecontact.protocols import adapted, load_protocol
 from carecontact.sim.bench import Bench, Indenter
 from carecontact.validation.reference import ABDOMEN, FOREARM, Reference
-from carecontact.world.human.body import body_names, load_body
+from carecontact.world.human.library import body_names, load_body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
 from carecontact.world.human.tissue import (

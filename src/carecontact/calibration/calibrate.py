@@ -32,7 +32,7 @@ from carecontact.calibration.replay import Group, Replay, Replayed, group_curves
 from carecontact.contract.protocol import Protocol, Tissue
 from carecontact.errors import ConfigError
 from carecontact.protocols import FAST_DT_S, load_protocol
-from carecontact.world.human.body import load_body
+from carecontact.world.human.library import load_body
 from carecontact.world.human.tissue import check_step
 
 CERTIFICATE, ROW, FIGURE = "certificate.json", "tissue.toml", "calibration.png"

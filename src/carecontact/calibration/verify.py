@@ -16,7 +16,7 @@ from carecontact.calibration.curve import make_curve
 from carecontact.calibration.fit import agreements
 from carecontact.calibration.replay import Replay, group_curves
 from carecontact.errors import ConfigError
-from carecontact.world.human.body import load_body
+from carecontact.world.human.library import load_body
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
+from carecontact.cli.groups import VisionGroup
 from carecontact.contract.protocol import Protocol, Vision
 from carecontact.errors import ConfigError
 
 
-def chosen_vision(protocol: Protocol, *, segmenter: str | None, weights: Path | None) -> Vision:
-    """What the protocol names unless ``segmenter`` does. Loads the models once, since each trial would fail alike.
+def chosen_vision(protocol: Protocol, options: VisionGroup) -> Vision:
+    """Return the options' segmenter, else the protocol's. Loads its models once, since each trial would fail alike.
 
-    Raises ConfigError for weights that nothing needs, that are not given, or that do not load; DependencyError.
+    Raises ConfigError for weights that nothing uses, that are missing, or that do not load; DependencyError.
     """
+    segmenter, weights = options.segmenter, options.weights
     name = segmenter or protocol.vision.segmenter
     if name == "mediapipe":
         if weights is not None:

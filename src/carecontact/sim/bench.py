@@ -14,13 +14,13 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, SceneError
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name, tissue_body_name
 from carecontact.world.human.tissue import add_tissue, anchor_directions, coupling_tendons
-from carecontact.world.robot import CAP_SEMI_AXES_M
 from carecontact.world.scene import by_conjugate_gradients, compile_with_tissue, region_shell, set_physics
 
 Shape = Literal["flat", "hemisphere", "cap"]
@@ -393,7 +393,10 @@ def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter) -> None:
     size = indenter.size_m or 0.0
     if indenter.shape == "cap":
         probe.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=CAP_SEMI_AXES_M, pos=[0, 0, CAP_SEMI_AXES_M[2]], **common
+            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+            size=PANDA.cap_semi_axes_m,
+            pos=[0, 0, PANDA.cap_semi_axes_m[2]],
+            **common,
         )
     elif indenter.shape == "hemisphere":
         probe.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[size, 0, 0], pos=[0, 0, size], **common)

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
 from carecontact.world.scene import Scene
@@ -22,7 +23,7 @@ def render_close_up(
 ) -> npt.NDArray[np.uint8]:
     """(H, W, 3) of the exterior camera's size, looking at the tool's tip. For people to look at, never for a policy."""
     return renderer.free_view(
-        data, look_at=data.site("tcp").xpos + [0, 0, 0.02], distance_m=0.36, azimuth_deg=AZIMUTH_DEG[region],
+        data, look_at=data.site(PANDA.tcp_site).xpos + [0, 0, 0.02], distance_m=0.36, azimuth_deg=AZIMUTH_DEG[region],
         elevation_deg=-20.0, size_of="exterior", edit=lambda made: dent(scene, data, made),
     )  # fmt: skip
 

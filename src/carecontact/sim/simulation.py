@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.errors import SettleError
 from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
 from carecontact.sim.history import SensorHistory
@@ -78,8 +79,8 @@ class Simulation:
         self._human_qpos = np.array([j.qposadr[0] for j in joints])
         self.joint_range = np.array([j.range for j in joints])
         self._human_bodies = [b for b in range(self.model.nbody) if self.model.body(b).name.startswith("human_")]
-        self._robot_dof = np.array([self.model.joint(f"robot_joint{i}").dofadr[0] for i in range(1, 8)])
-        self._base = self.model.body("robot_base")
+        self._robot_dof = np.array([self.model.joint(name).dofadr[0] for name in PANDA.joints])
+        self._base = self.model.body(PANDA.base_body)
         self._anchor_qpos = {
             name: np.array([self.model.joint(f"{name}_v{k}_n").qposadr[0] for k in region.vertex_index])
             for name, region in scene.regions.items()

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.recording.schema import REGION_SEGMENT
 from carecontact.scoring.filters import low_pass
 from carecontact.sim.simulation import Samples, Simulation
@@ -99,7 +100,7 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int) -> Scrub:
     line = (np.abs(skin @ across) < 0.012) & (skin[:, 2] > -0.03)
     profile = np.polynomial.Polynomial.fit(skin[line] @ along, skin[line, 2], 3)
     period, dt = simulation.protocol.physics.target_period_s, simulation.model.opt.timestep
-    tip = simulation.data.site("tcp")
+    tip = simulation.data.site(PANDA.tcp_site)
     depth = newton / stiffness
 
     def go(place: float) -> list[Samples]:

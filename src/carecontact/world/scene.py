@@ -12,9 +12,10 @@ import numpy as np
 from carecontact.contract.protocol import Protocol, Tissue
 from carecontact.world.cameras import add_cameras
 from carecontact.world.furniture import add_furniture, add_light
-from carecontact.world.human.body import Array, Body, load_body
+from carecontact.world.human.body import Array, Body
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.joints import hinges as all_hinges
+from carecontact.world.human.library import load_body
 from carecontact.world.human.pose import lying_pose_deg, root_position, rotation_from_bind, trunk_rotation
 from carecontact.world.human.refine import refined
 from carecontact.world.human.shell import Shell, limb_shell, trunk_shell

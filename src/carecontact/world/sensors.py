@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.skeleton import body_name, tissue_body_name
@@ -22,7 +23,7 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], *, samples: int) -> No
 
     def contact(name: str, second: str, second_type: mujoco.mjtObj, data: int, reduce: int, num: int) -> None:
         spec.add_sensor(
-            name=name, type=kind.mjSENS_CONTACT, objtype=obj.mjOBJ_XBODY, objname="robot_base", reftype=second_type,
+            name=name, type=kind.mjSENS_CONTACT, objtype=obj.mjOBJ_XBODY, objname=PANDA.base_body, reftype=second_type,
             refname=second, intprm=[data, reduce, num], nsample=samples,
         )  # fmt: skip
 
@@ -44,10 +45,10 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], *, samples: int) -> No
     def frame(name: str, sensor: mujoco.mjtSensor, objtype: mujoco.mjtObj, objname: str) -> None:
         spec.add_sensor(name=name, type=sensor, objtype=objtype, objname=objname, nsample=samples)
 
-    frame("tcp_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, "tcp")
-    frame("tcp_quat", kind.mjSENS_FRAMEQUAT, obj.mjOBJ_SITE, "tcp")
-    frame("tcp_velocity", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, "tcp")
-    frame("tcp_rotation", kind.mjSENS_FRAMEANGVEL, obj.mjOBJ_SITE, "tcp")
+    frame("tcp_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, PANDA.tcp_site)
+    frame("tcp_quat", kind.mjSENS_FRAMEQUAT, obj.mjOBJ_SITE, PANDA.tcp_site)
+    frame("tcp_velocity", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, PANDA.tcp_site)
+    frame("tcp_rotation", kind.mjSENS_FRAMEANGVEL, obj.mjOBJ_SITE, PANDA.tcp_site)
     frame("wrist_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_XBODY, body_name("right_hand"))
     for region in REGIONS:
         frame(f"region_{region}_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, f"region_{region}")

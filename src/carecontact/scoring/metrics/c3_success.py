@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from carecontact.recording import Header
 from carecontact.scoring.contact import Contact, Mask, longest_run, steps
-from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import metric
 from carecontact.scoring.progress import Episode, measure_episodes, wrist_displacement
 
 
@@ -109,8 +109,32 @@ def _best_episode(contact: Contact, measured: list[Episode]) -> Episode | None:
     return max(measured, key=rank, default=None)
 
 
-def _compute(contact: Contact) -> float:
-    return float(judge(contact).success)
+@dataclass(frozen=True, kw_only=True)
+class Success:
+    """C3, and the figures that the gates of the three actions look at. Lengths are 0 where there was no episode."""
+
+    c3_success: bool
+    longest_on_s: float
+    on_share: float | None
+    stroke_m: float
+    extent_m: float
+    reversals: int
+    wrist_displacement_m: float
+    wrist_displacement_any_m: float
 
 
-METRICS.register("C3@1", Metric(id="C3@1", title="Task success", unit="1", better="higher", compute=_compute))
+@metric("C3@1", title="Task success", unit="1", better="higher", field="c3_success", median=False, order=0)
+def success(contact: Contact) -> Success:
+    """Never NA: a trial without valid contact is no success."""
+    gate = judge(contact)
+    best = gate.best
+    return Success(
+        c3_success=gate.success,
+        longest_on_s=gate.longest_on_s,
+        on_share=best.on_share if best else None,
+        stroke_m=best.stroke_m if best else 0.0,
+        extent_m=best.extent_m if best else 0.0,
+        reversals=best.reversals if best else 0,
+        wrist_displacement_m=gate.wrist_m,
+        wrist_displacement_any_m=gate.wrist_any_m,
+    )

@@ -6,7 +6,7 @@ import numpy as np
 
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.filters import F64
-from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import metric
 
 
 def deepest_indentation(contact: Contact) -> float:
@@ -14,6 +14,13 @@ def deepest_indentation(contact: Contact) -> float:
     return float(_depth(contact).max(initial=0.0))
 
 
+@metric(
+    "beyond_calibrated@1",
+    title="Share of contact deeper than the tissue was measured",
+    unit="1",
+    better="neither",
+    order=70,
+)
 def beyond_calibrated(contact: Contact) -> float | None:
     """Share of the control periods with the target touched in which it was deeper than it was measured.
 
@@ -32,15 +39,3 @@ def _depth(contact: Contact) -> F64:
     """(P,) largest inward anchor displacement of the target region [m]"""
     region = contact.recording.header.regions.index(contact.task.region)
     return contact.recording["scorer/indentation_m"][:, region].astype(np.float64)
-
-
-METRICS.register(
-    "beyond_calibrated@1",
-    Metric(
-        id="beyond_calibrated@1",
-        title="Share of contact deeper than the tissue was measured",
-        unit="1",
-        better="neither",
-        compute=beyond_calibrated,
-    ),
-)

@@ -7,10 +7,11 @@ import numpy as np
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.recording import REGION_SEGMENT
 from carecontact.scoring.contact import Contact
-from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import metric
 from carecontact.scoring.region import surface_normal
 
 
+@metric("shear_work@1", title="Shear work", unit="J", better="neither", order=60)
 def shear_work(contact: Contact) -> float | None:
     """Tangential contact force on the reported region times tangential slip of the tool point over it [J], net.
 
@@ -42,8 +43,3 @@ def shear_work(contact: Contact) -> float | None:
     here = np.searchsorted(step, both)
     travel = point[here + 1] - point[here]  # of which the tangential force sees the tangential part
     return float((tangential[here] * travel).sum())
-
-
-METRICS.register(
-    "shear_work@1", Metric(id="shear_work@1", title="Shear work", unit="J", better="neither", compute=shear_work)
-)
