@@ -1,7 +1,7 @@
-"""Where a body region is, from one observation: "joint + column".
+"""Where a body region is, from one observation: key points give its joints, and the point cloud gives its surface.
 
-Key points give the limb's joints, a little under the surface that the camera sees; the line between them is moved onto
-the middle of the visible limb; the top surface above it is read from the person's cloud.
+The joints lie a little under the surface that the camera sees. The line between them is moved onto the middle of the
+visible limb, and the top surface above that line is read from the person's points.
 """
 
 from __future__ import annotations
@@ -27,17 +27,18 @@ LANDMARK = {
     "left hip": 23,
     "right hip": 24,
 }
-"""MediaPipe Pose order."""
+"""Index of each key point in the order of MediaPipe Pose."""
 JOINT_DEPTH_M = {"shoulder": 0.045, "elbow": 0.040, "wrist": 0.025, "hip": 0.090}
-"""From the skin in front to the joint's centre, along the line of sight; adult, rounded, assumed."""
+"""Depth of a joint's centre behind the skin in front of it, along the line of sight; for adults, rounded, assumed."""
 MIN_VISIBILITY = 0.5
+"""Key points that the estimator rates lower count as hidden."""
 LIMB_LENGTH_M = (0.15, 0.40)
 TRUNK_LENGTH_M = (0.30, 0.70)
-"""Outside these a skeleton is not a person's: small children to very tall adults."""
+"""Lengths from small children to very tall adults; a skeleton outside them is not a person's."""
 MIN_COLUMN_POINTS = 5
 COLUMN_RADIUS_M = 0.012
 SEARCH_HALF_WIDTH_M, TRUNK_SEARCH_M = 0.07, 0.25
-"""Of the strip round a limb's line, and round the trunk's, in which the silhouette is looked for."""
+"""Half widths of the strips round a limb's line, and round the trunk's, in which the outline is looked for."""
 MAX_SHIFT_M = 0.04
 PROFILE = np.linspace(0.1, 0.9, 17)
 """Fractions of the region's length at which the top surface is read."""
@@ -45,32 +46,35 @@ MIN_PROFILE = 9
 
 
 class PerceptionFailure(ContractError):
-    """The region cannot be found in what was seen; the message says why."""
+    """A region cannot be found in an observation; the message gives the reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RegionGeometry:
-    """One region as seen, in base. The axis runs proximal to distal (abdomen: caudal to cranial)."""
+    """One region as seen, in base. Its axis runs from proximal to distal (abdomen: from caudal to cranial)."""
 
     region: str
     centre_m: F64
-    """(3,) on the skin, above the middle of the axis"""
+    """(3,) point of the skin above the middle of the axis [m]."""
     axis: F64
-    """(3,) unit, along the skin"""
+    """(3,) unit vector along the skin."""
     normal: F64
-    """(3,) unit, out of the skin, orthogonal to the axis"""
+    """(3,) unit vector out of the skin, orthogonal to the axis."""
     lateral: F64
-    """(3,) unit, horizontal, normal x axis"""
+    """(3,) horizontal unit vector, normal x axis."""
     radius_m: float
     """Half the visible width."""
     half_length_m: float
     profile_m: F64
-    """(K, 2): distance along the axis from the centre, height of the skin above the line through centre along axis"""
+    """(K, 2) distance along the axis from the centre, and height of the skin over the line along the axis [m]."""
     support_height_m: float | None
-    """z in base of what the limb lies on, seen beside it; None if hidden."""
+    """Height in base of what the limb lies on, as seen beside the limb; None if it is hidden."""
 
     def surface(self, along_m: float) -> F64:
-        """(3,) point of the skin at a distance along the axis from the centre, held constant beyond what was seen."""
+        """Return the (3,) point of the skin at a distance along the axis from the centre [m].
+
+        Beyond what was seen, the profile keeps its last height.
+        """
         rise = float(np.interp(along_m, self.profile_m[:, 0], self.profile_m[:, 1]))
         return self.centre_m + along_m * self.axis + np.array([0.0, 0.0, rise])
 
@@ -78,9 +82,17 @@ class RegionGeometry:
 def region_from_observation(
     observation: Observation, region: str, *, side: str = "right", camera: str = "overhead"
 ) -> RegionGeometry:
-    """Raises PerceptionFailure when key points are missing, hidden or absurd, or the surface has too few points.
+    """Return where a region is seen.
 
-    Needs the modalities depth, points, masks and landmarks of ``camera``.
+    Args:
+        observation: must hold depth, points, masks and landmarks of ``camera``.
+        region: name of the region.
+        side: ``right`` or ``left``, the person's own; it makes no difference for the abdomen.
+        camera: name of the camera.
+
+    Raises:
+        PerceptionFailure: a modality is missing, key points are hidden or cannot be a person's, or the surface has too
+            few points.
     """
     view = observation.cameras.get(camera)
     if view is None or view.landmarks is None or view.masks is None or view.points is None or view.depth is None:
@@ -121,12 +133,12 @@ def _limb_line(view: CameraView, sight: LimbSight, side: str, region: str) -> tu
 
 
 def person_points(view: CameraView) -> F64:
-    """(N, 3) the person's surface in base [m]."""
+    """Return the (N, 3) points of the person's surface in base [m]; the view must hold depth, points and masks."""
     return _points_of(view, "human")
 
 
 def _points_of(view: CameraView, name: str) -> F64:
-    """(N, 3) cloud of one mask; ``points`` are the pixels with a depth, row by row."""
+    """Return the (N, 3) points of one mask. A view's ``points`` are its pixels with a depth, row by row."""
     assert view.points is not None
     assert view.depth is not None
     assert view.masks is not None
@@ -134,7 +146,7 @@ def _points_of(view: CameraView, name: str) -> F64:
 
 
 def _joint(view: CameraView, name: str) -> F64:
-    """(3,) joint centre: the surface under the key point, then further along the line of sight."""
+    """Return a joint's centre (3,): the surface under the key point, moved on along the line of sight."""
     assert view.landmarks is not None
     index = LANDMARK[name]
     visibility = float(view.landmarks[index, 2])
@@ -169,7 +181,7 @@ def _fit(region: str, person: F64, bed: F64, start: F64, end: F64, search: float
     lateral = np.array([-direction[1], direction[0], 0.0])
     radius, shift = _silhouette(region, person, start, direction, lateral, length, search)
     if isinstance(REGIONS[region].sight, LimbSight):
-        # Key points stray across a limb less than along it, but its outline is surer still.
+        # Across a limb, its outline is more accurate than key points.
         start = start + shift * lateral
     heights = np.array([_column(person, start + f * length * direction) for f in PROFILE])
     seen = np.isfinite(heights)
@@ -201,7 +213,7 @@ def _fit(region: str, person: F64, bed: F64, start: F64, end: F64, search: float
 def _silhouette(
     region: str, person: F64, start: F64, direction: F64, lateral: F64, length: float, search: float
 ) -> tuple[float, float]:
-    """Half width of the visible limb round its middle, and how far its middle line is from the joints' line [m]."""
+    """Return the visible limb's half width near its middle, and how far its middle lies beside the joints' line [m]."""
     offset = person - start
     along, across = offset @ direction, offset @ lateral
     strip = across[(np.abs(along - 0.5 * length) < 0.2 * length) & (np.abs(across) < search)]
@@ -215,7 +227,10 @@ def _silhouette(
 
 
 def _column(person: F64, place: F64) -> float:
-    """Height of the top surface above a place: median of the upper third within COLUMN_RADIUS_M; NaN if too few."""
+    """Return the height of the top surface at a place: the median of the upper third of points within COLUMN_RADIUS_M.
+
+    NaN means that there are too few points.
+    """
     near = np.hypot(person[:, 0] - place[0], person[:, 1] - place[1]) < COLUMN_RADIUS_M
     heights = np.sort(person[near, 2])
     return float(np.median(heights[-max(1, len(heights) // 3) :])) if len(heights) >= MIN_COLUMN_POINTS else np.nan
