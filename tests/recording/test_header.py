@@ -124,8 +124,12 @@ def test_an_absent_and_a_foreign_file(tmp_path: Path) -> None:
         read_header(path)
 
 
-def test_an_earlier_schema_is_migrated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("needed", [(), ("scorer/time_s",)], ids=["of the header alone", "with the arrays"])
+def test_an_earlier_schema_is_migrated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, needed: tuple[str, ...]
+) -> None:
     def lift(raw: RawRecording) -> RawRecording:
+        assert all(raw.arrays[path].size for path in needed)
         return RawRecording(header={**raw.header, "schema_version": SCHEMA_VERSION}, arrays=raw.arrays)
 
     monkeypatch.setitem(MIGRATIONS, "carecontact-recording-0", lift)

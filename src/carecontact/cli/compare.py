@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from carecontact.reports.compare.comparison import Comparison, RunInfo
     from carecontact.reports.compare.null_floors import NullFloors
     from carecontact.reports.compare.paired_lines import Line, RateLine, ScoreLine
-    from carecontact.runs.scores import RunScores
+    from carecontact.runs.run_scores import RunScores
 
 RESULTS = "results.json"
 COMPARISON, OVERVIEW = "comparison.json", "overview.json"

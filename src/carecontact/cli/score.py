@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from carecontact.runs.scores import RunScores
+    from carecontact.runs.run_scores import RunScores
     from carecontact.scoring.result import TrialScore
 
 RESULTS = "results.json"
@@ -68,7 +68,7 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
     from carecontact.protocols.frozen_state import drifted_sha256
     from carecontact.reports.table import listed
     from carecontact.runs import score_run, write_scores
-    from carecontact.runs.scores import harness_errors, judged
+    from carecontact.runs.pooling import harness_errors, judged
     from carecontact.trials.supervisor import check_jobs
 
     check_jobs(jobs)
@@ -165,7 +165,7 @@ def print_table(scores: Sequence[TrialScore]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from carecontact.runs.scores import judged
+    from carecontact.runs.pooling import judged
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for header in ("task", "trials", "success", "region-correct", "safety-gated"):
@@ -198,7 +198,7 @@ def print_load(console: Console, scores: Sequence[TrialScore]) -> None:
     from carecontact.reports.page.limit_rows import limit_rows
     from carecontact.reports.page.load import load
     from carecontact.runs.aggregate import quadrants, valid_ratio
-    from carecontact.runs.scores import judged
+    from carecontact.runs.pooling import judged
 
     found = load(scores)
     if not found.n[-1]:
@@ -268,7 +268,7 @@ def _need_recordings(folder: Path) -> None:
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; name the --out of a run")
     if not any(folder.glob("*.h5")):
-        from carecontact.runs.scores import misnamed
+        from carecontact.runs.score_folder import misnamed
 
         told = "".join(f"; {path.name} does not end in .h5" for path in misnamed(folder)[:1])
         raise ConfigError(f"{folder}: holds no recordings (*.h5); name the --out of a run{told}")

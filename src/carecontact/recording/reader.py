@@ -48,8 +48,8 @@ def read_header(path: Path | str) -> Header:
 
     Verifies that the file has the length that it was written with, that header and stored checksum pass HDF5's own
     checksums, and that the header says nothing that no trial can say. A flipped bit in an array stays unseen, and so
-    does a missing array: only ``read_recording`` finds those. A recording of an earlier schema is read whole, because
-    its migration may need the arrays.
+    does a missing array: only ``read_recording`` finds those. A recording of an earlier schema is read whole if its
+    migration needs the arrays.
 
     Raises RecordingError as ``read_recording`` does, for what is verified.
     """
@@ -59,7 +59,10 @@ def read_header(path: Path | str) -> Header:
         read_bytes(path, found, CHECKSUM)
         data = _parse_json(path, read_bytes(path, found, HEADER))
     if check_version(data.get("schema_version"), str(path)) != SCHEMA_VERSION:
-        return read_recording(path).header
+        try:
+            data = migrate(RawRecording(header=data, arrays={}), str(path)).header
+        except RecordingError:
+            return read_recording(path).header
     header = _parse_header(path, data)
     check_header(header, str(path))
     return header

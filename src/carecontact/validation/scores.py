@@ -53,8 +53,7 @@ def scores_of(simulation: Simulation, region: str, performance: Performance) -> 
     measured = simulation.scene.regions[region].tissue.measured_depth_m
     return Scores(
         c1_n=float(contact.force_in_window.max()),
-        c1_filtered_n=np.nan if peak is None else peak.c1_peak_filtered_n,
-        c5_n=spread,
+        c1_filtered_n=np.nan if peak is None else peak.c1_peak_filtered_n, c5_n=spread,
         stroke_m=sum(episode.stroke_m for episode in measure_episodes(contact)),
         beyond_measured=float((depth > measured).sum() / max(1, (depth > TOUCHED_M).sum())),
     )  # fmt: skip

@@ -12,7 +12,7 @@ from typing import Any
 
 from carecontact.contract.protocol import Protocol
 from carecontact.runs.aggregate import GAMMAS, LEVELS, gamma_sweep, gate_sweep
-from carecontact.runs.scores import judged
+from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import wilson_interval
 

@@ -9,14 +9,18 @@ from typing import Any
 
 import pytest
 from tools.results import main
+from tools.study.page.markdown import escaped
+from tools.study.page.page import study_page
+from tools.study.page.sweeps import SWEEP_TITLE
+from tools.study.paper import read_paper
+from tools.study.plan import STIFFNESS, TISSUE
+from tools.study.sorted_runs import sorted_out
+from tools.study.study import Study, study, study_json
 
 from carecontact.errors import ConfigError
 from carecontact.protocols import adapted, load_protocol
-from carecontact.reports.paper import read_paper
-from carecontact.reports.study import STIFFNESS, TISSUE, Study, sorted_out, study, study_json
-from carecontact.reports.study_page import SWEEP_TITLE, escaped, study_page
 from carecontact.runs import RunScores, read_results
-from carecontact.runs.scores import write_scores
+from carecontact.runs.results_file import write_scores
 from tests.reports.synthetic_run import FAILED, make_score
 
 PROTOCOL, PAPER = load_protocol(), read_paper()

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from tools.results import main
 
-from carecontact.cli.compare import read_scores
 from carecontact.reports.compare.comparison import compare_runs
 from carecontact.reports.compare.paired_lines import RateLine
+from carecontact.runs.stored_scores import read_scores
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "docs" / "results"

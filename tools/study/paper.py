@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass
-from importlib import resources
+from pathlib import Path
 
 from carecontact.reports.compare.outcomes import RATES, Outcome
 
@@ -38,7 +38,7 @@ class Paper:
 
 
 def read_paper() -> Paper:
-    content = tomllib.loads((resources.files("carecontact.reports") / "paper.toml").read_text("utf-8"))
+    content = tomllib.loads(Path(__file__).with_name("paper.toml").read_text("utf-8"))
     failures = {row["policy"]: row for row in content["failures"]}
     return Paper(
         runs_per_method=content["runs_per_method"],
