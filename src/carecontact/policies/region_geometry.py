@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from carecontact.contract.observation import CameraView, Observation
 from carecontact.errors import ContractError
-from carecontact.policies.language.backend import RegionName
+from carecontact.regions import REGIONS, LimbSight, TrunkSight
 
 F64 = npt.NDArray[np.float64]
 
@@ -30,22 +30,6 @@ LANDMARK = {
 """Index of each key point in the order of MediaPipe Pose."""
 JOINT_DEPTH_M = {"shoulder": 0.045, "elbow": 0.040, "wrist": 0.025, "hip": 0.090}
 """Depth of a joint's centre behind the skin in front of it, along the line of sight; for adults, rounded, assumed."""
-KEY_POINTS_AHEAD = {"forearm": (0.0, 0.0), "upper_arm": (0.11, 0.06), "abdomen": (-0.035, -0.025)}
-"""What is added to the first and the second joint, as shares of the line between them: the estimator marks joints short
-of their centres or beyond. Means over rendered persons seen from above (seeds below 1000); they are a property of
-the estimator and not of anatomy."""
-LIMB_JOINTS = {"forearm": ("elbow", "wrist"), "upper_arm": ("shoulder", "elbow")}
-
-ABDOMEN_FRACTION = 0.27
-"""Where the middle of the abdomen lies on the way from hips to shoulders: the umbilicus is at 0.61 of stature, and hip
-and shoulder joints are at 0.53 and 0.82 (Drillis and Contini 1966)."""
-ABDOMEN_LENGTH_FRACTION = 0.40
-"""Length of the soft belly, symphysis to lower ribs, as a share of the distance from hips to shoulders; assumed."""
-
-UPPER_ARM_FREE_FROM = 0.33
-"""Share of the line from shoulder to elbow that lies above the fold of the armpit, where arm and trunk are one;
-assumed."""
-
 MIN_VISIBILITY = 0.5
 """Key points that the estimator rates lower count as hidden."""
 LIMB_LENGTH_M = (0.15, 0.40)
@@ -53,8 +37,8 @@ TRUNK_LENGTH_M = (0.30, 0.70)
 """Lengths from small children to very tall adults; a skeleton outside them is not a person's."""
 MIN_COLUMN_POINTS = 5
 COLUMN_RADIUS_M = 0.012
-SEARCH_HALF_WIDTH_M = 0.07
-"""Half width of the strip round a limb's line in which its outline is looked for."""
+SEARCH_HALF_WIDTH_M, TRUNK_SEARCH_M = 0.07, 0.25
+"""Half widths of the strips round a limb's line, and round the trunk's, in which the outline is looked for."""
 MAX_SHIFT_M = 0.04
 PROFILE = np.linspace(0.1, 0.9, 17)
 """Fractions of the region's length at which the top surface is read."""
@@ -69,7 +53,7 @@ class PerceptionFailure(ContractError):
 class RegionGeometry:
     """One region as seen, in base. Its axis runs from proximal to distal (abdomen: from caudal to cranial)."""
 
-    region: RegionName
+    region: str
     centre_m: F64
     """(3,) point of the skin above the middle of the axis [m]."""
     axis: F64
@@ -96,7 +80,7 @@ class RegionGeometry:
 
 
 def region_from_observation(
-    observation: Observation, region: RegionName, *, side: str = "right", camera: str = "overhead"
+    observation: Observation, region: str, *, side: str = "right", camera: str = "overhead"
 ) -> RegionGeometry:
     """Return where a region is seen.
 
@@ -114,25 +98,38 @@ def region_from_observation(
     if view is None or view.landmarks is None or view.masks is None or view.points is None or view.depth is None:
         raise PerceptionFailure(f"camera {camera}: depth, points, masks and landmarks are needed")
     person = person_points(view)
-    if region == "abdomen":
-        hips = (_joint(view, "left hip") + _joint(view, "right hip")) / 2
-        shoulders = (_joint(view, "left shoulder") + _joint(view, "right shoulder")) / 2
-        trunk = _checked_length(shoulders - hips, TRUNK_LENGTH_M, "trunk")
-        hips, shoulders = _at_centres(region, hips, shoulders)
-        middle = hips + ABDOMEN_FRACTION * (shoulders - hips)
-        half = 0.5 * ABDOMEN_LENGTH_FRACTION * trunk
-        along = (shoulders - hips) / trunk
-        start, end = middle - half * along, middle + half * along
-        search = 0.25
-    else:
-        first, second = LIMB_JOINTS[region]
-        start, end = _joint(view, f"{side} {first}"), _joint(view, f"{side} {second}")
-        _checked_length(end - start, LIMB_LENGTH_M, f"{side} {region.replace('_', ' ')}")
-        start, end = _at_centres(region, start, end)
-        if region == "upper_arm":
-            start = start + UPPER_ARM_FREE_FROM * (end - start)
-        search = SEARCH_HALF_WIDTH_M
+    match REGIONS[region].sight:
+        case TrunkSight() as sight:
+            start, end = _trunk_line(view, sight)
+            search = TRUNK_SEARCH_M
+        case LimbSight() as sight:
+            start, end = _limb_line(view, sight, side, region)
+            search = SEARCH_HALF_WIDTH_M
+        case None:
+            raise PerceptionFailure(f"no joints are known between which the {region.replace('_', ' ')} lies")
     return _fit(region, person, _points_of(view, "bed"), start, end, search)
+
+
+def _trunk_line(view: CameraView, sight: TrunkSight) -> tuple[F64, F64]:
+    """(3,) and (3,) ends of a region's line along the trunk, nearer the feet first."""
+    lower, upper = sight.joints
+    first = (_joint(view, f"left {lower}") + _joint(view, f"right {lower}")) / 2
+    second = (_joint(view, f"left {upper}") + _joint(view, f"right {upper}")) / 2
+    trunk = _checked_length(second - first, TRUNK_LENGTH_M, "trunk")
+    first, second = _at_centres(sight, first, second)
+    middle = first + sight.middle * (second - first)
+    half = 0.5 * sight.length * trunk
+    along = (second - first) / trunk
+    return middle - half * along, middle + half * along
+
+
+def _limb_line(view: CameraView, sight: LimbSight, side: str, region: str) -> tuple[F64, F64]:
+    """(3,) and (3,) ends of a region's line along a limb, nearer the trunk first."""
+    first, second = sight.joints
+    start, end = _joint(view, f"{side} {first}"), _joint(view, f"{side} {second}")
+    _checked_length(end - start, LIMB_LENGTH_M, f"{side} {region.replace('_', ' ')}")
+    start, end = _at_centres(sight, start, end)
+    return start + sight.free_from * (end - start), end
 
 
 def person_points(view: CameraView) -> F64:
@@ -164,8 +161,8 @@ def _joint(view: CameraView, name: str) -> F64:
     return surface + JOINT_DEPTH_M[name.split()[1]] * sight / np.linalg.norm(sight)
 
 
-def _at_centres(region: RegionName, first: F64, second: F64) -> tuple[F64, F64]:
-    ahead, along = KEY_POINTS_AHEAD[region], second - first
+def _at_centres(sight: LimbSight | TrunkSight, first: F64, second: F64) -> tuple[F64, F64]:
+    ahead, along = sight.ahead, second - first
     return first + ahead[0] * along, second + ahead[1] * along
 
 
@@ -176,14 +173,14 @@ def _checked_length(vector: F64, limits: tuple[float, float], what: str) -> floa
     return length
 
 
-def _fit(region: RegionName, person: F64, bed: F64, start: F64, end: F64, search: float) -> RegionGeometry:
+def _fit(region: str, person: F64, bed: F64, start: F64, end: F64, search: float) -> RegionGeometry:
     length = float(np.linalg.norm((end - start)[:2]))
     if length < 0.5 * float(np.linalg.norm(end - start)):
         raise PerceptionFailure(f"the {region.replace('_', ' ')} points up at the camera")
     direction = np.append((end - start)[:2] / length, 0.0)
     lateral = np.array([-direction[1], direction[0], 0.0])
     radius, shift = _silhouette(region, person, start, direction, lateral, length, search)
-    if region != "abdomen":
+    if isinstance(REGIONS[region].sight, LimbSight):
         # Across a limb, its outline is more accurate than key points.
         start = start + shift * lateral
     heights = np.array([_column(person, start + f * length * direction) for f in PROFILE])
@@ -214,7 +211,7 @@ def _fit(region: RegionName, person: F64, bed: F64, start: F64, end: F64, search
 
 
 def _silhouette(
-    region: RegionName, person: F64, start: F64, direction: F64, lateral: F64, length: float, search: float
+    region: str, person: F64, start: F64, direction: F64, lateral: F64, length: float, search: float
 ) -> tuple[float, float]:
     """Return the visible limb's half width near its middle, and how far its middle lies beside the joints' line [m]."""
     offset = person - start
@@ -224,7 +221,7 @@ def _silhouette(
         raise PerceptionFailure(f"no surface near the {region.replace('_', ' ')} ({len(strip)} points)")
     low, high = np.percentile(strip, [2, 98])
     shift = float(low + high) / 2
-    if region != "abdomen" and abs(shift) > MAX_SHIFT_M:
+    if isinstance(REGIONS[region].sight, LimbSight) and abs(shift) > MAX_SHIFT_M:
         raise PerceptionFailure(f"key points miss the {region.replace('_', ' ')} by {abs(shift) * 1000:.0f} mm")
     return float(high - low) / 2, shift
 

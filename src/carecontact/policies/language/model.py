@@ -12,9 +12,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, create_model
 from carecontact.errors import LanguageError
 from carecontact.policies.language.backend import ActionVerb, Intent, Manner, Option, RegionName, Side
 from carecontact.policies.language.completion import Message
-from carecontact.policies.language.rules import SIDED
 from carecontact.policies.language.transcript import Transcript
 from carecontact.policies.language.untrusted import one_line
+from carecontact.regions import REGIONS
 
 PROMPT_VERSION = "state-machine-v1"
 
@@ -63,7 +63,7 @@ class LanguageModel:
         if said.unclear.strip():
             unclear = one_line(said.unclear, limit=300)
             raise LanguageError(f"instruction {instruction!r}: {self.name} finds it unclear: {unclear}")
-        if (said.region in SIDED) != (said.side != "none"):
+        if REGIONS[said.region].sided != (said.side != "none"):
             raise LanguageError(f"instruction {instruction!r}: {self.name} reads side {said.side} of {said.region}")
         return Intent(action=said.action, region=said.region, side=said.side, manner=said.manner)
 

@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from carecontact.contract.geometry import pixels
 from carecontact.contract.observation import CameraView, Observation
-from carecontact.policies.language.backend import RegionName
 from carecontact.policies.region_geometry import (
     LANDMARK,
     MIN_VISIBILITY,
@@ -19,17 +18,21 @@ from carecontact.policies.region_geometry import (
 )
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.grid import Grid
+from carecontact.regions import REGIONS, STANDARD_REGIONS
 
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 GRIPPER = "gripper"
-REGIONS: dict[str, tuple[RegionName, str]] = {
-    "right forearm": ("forearm", "right"), "left forearm": ("forearm", "left"),
-    "right upper arm": ("upper_arm", "right"), "left upper arm": ("upper_arm", "left"), "abdomen": ("abdomen", "right"),
-}  # fmt: skip
+PARTS = {
+    f"{side} {name.replace('_', ' ')}" if REGIONS[name].sided else name.replace("_", " "): (name, side)
+    for name in STANDARD_REGIONS
+    for side in (("right", "left") if REGIONS[name].sided else ("right",))
+}
+"""Name in a program -> region and side. The standard regions alone: the names are part of the prompt, by which recorded
+completions are found."""
 JOINTS = tuple(f"{side} {joint}" for side in ("right", "left") for joint in ("wrist", "elbow", "shoulder", "hip"))
-NAMES = (GRIPPER, *REGIONS, *JOINTS)
+NAMES = (GRIPPER, *PARTS, *JOINTS)
 """Every name that ``Scene.find`` takes."""
 
 
@@ -103,7 +106,7 @@ class Scene:
     def _seen(self, name: str) -> Part:
         if name in JOINTS:
             return self._joint(name)
-        region, side = REGIONS[name]
+        region, side = PARTS[name]
         assert self._observation is not None
         found = region_from_observation(self._observation, region, side=side, camera=self._camera)
         offset = person_points(self.view) - found.centre_m
