@@ -8,6 +8,7 @@ import sys
 import pytest
 
 NO_SIMULATOR = ("scoring", "stats", "recording", "contract", "policies", "reports")
+HEAVY = {"numpy", "scipy", "pydantic", "matplotlib", "h5py", "jinja2", "mujoco", "mediapipe", "cv2", "websockets"}
 
 
 def loaded_after(code: str) -> set[str]:
@@ -41,9 +42,15 @@ def test_help_loads_nothing_heavy() -> None:
     loaded = loaded_after(
         "from carecontact.cli import main\ntry:\n    main(['run', '--help'])\nexcept SystemExit:\n    pass"
     )
-    assert "carecontact.cli.options" in loaded
-    heavy = {"numpy", "scipy", "pydantic", "matplotlib", "h5py", "jinja2", "mujoco", "mediapipe", "cv2", "websockets"}
-    assert not loaded & heavy
+    assert "carecontact.cli.run" in loaded
+    assert not loaded & {"carecontact.cli.serve", "carecontact.cli.compare"}, "only the command that is called"
+    assert not loaded & HEAVY
+
+
+def test_the_list_of_commands_loads_nothing_heavy() -> None:
+    loaded = loaded_after("from carecontact.cli import main\ntry:\n    main([])\nexcept SystemExit:\n    pass")
+    assert {"carecontact.cli.run", "carecontact.cli.serve", "carecontact.cli.compare"} <= loaded
+    assert not loaded & HEAVY
 
 
 def test_scoring_and_reporting_commands_load_no_simulator() -> None:

@@ -32,7 +32,7 @@ from carecontact.episode.perception import PerceptionLog, true_target
 from carecontact.episode.randomization import comfort_arm_deg, dress, sensor_noise, streams
 from carecontact.observation.builder import ObservationBuilder
 from carecontact.observation.keypoints import KeyPoints, MediaPipePose
-from carecontact.protocols import adapted, load_protocol
+from carecontact.protocols import load_protocol, overridden
 from carecontact.recording.perception import JOINTS
 from carecontact.recording.schema import REGIONS
 from carecontact.sim.rendering import SceneRenderer
@@ -304,7 +304,9 @@ def main() -> None:
     kept: list[Row] = []
     for seed in wanted:
         start = time.monotonic()
-        protocol = adapted(load_protocol(), body=names[seed % len(names)]).model_copy(update={"variation": VARIED})
+        protocol = overridden(load_protocol(), {"person.body": names[seed % len(names)]}).model_copy(
+            update={"variation": VARIED}
+        )
         mark = fingerprint(protocol)
         made = [r for r in rows if r["seed"] == seed and r.get("fingerprint") == mark]
         kept += made

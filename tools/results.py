@@ -16,13 +16,18 @@ import json
 import sys
 from pathlib import Path
 
-from carecontact.cli.compare import read_scores
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script, to find the package tools.study
+
+from tools.study.page.page import study_page
+from tools.study.paper import read_paper
+from tools.study.plan import run_name
+from tools.study.sorted_runs import sorted_out
+from tools.study.study import study, study_json
+
 from carecontact.errors import CarecontactError
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
-from carecontact.reports.paper import read_paper
-from carecontact.reports.study import run_name, sorted_out, study, study_json
-from carecontact.reports.study_page import study_page
-from carecontact.runs.scores import pack_results
+from carecontact.runs.results_file import pack_results
+from carecontact.runs.stored_scores import read_scores
 
 
 def main(arguments: list[str] | None = None) -> int:

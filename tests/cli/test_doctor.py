@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from carecontact.cli import doctor
-from carecontact.cli.doctor import Finding, apt_line, check_assets, check_gl, check_packages, gl_backend
+from carecontact.cli import machine
+from carecontact.cli.doctor import Doctor
+from carecontact.cli.machine import Finding, apt_line, check_assets, check_gl, check_packages, gl_backend
 
 
 @pytest.mark.parametrize(
@@ -27,27 +28,27 @@ def test_backend(
 
 def test_missing_library_is_named_with_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setitem(doctor.GL_LIBRARIES, "egl", ("libCertainlyNotHere.so.1",))
-    monkeypatch.setitem(doctor.GL_LIBRARIES, "osmesa", ("libNorThis.so.1",))
+    monkeypatch.setitem(machine.GL_LIBRARIES, "egl", ("libCertainlyNotHere.so.1",))
+    monkeypatch.setitem(machine.GL_LIBRARIES, "osmesa", ("libNorThis.so.1",))
     finding = check_gl()
     assert not finding.fine
-    assert "libCertainlyNotHere.so.1" in finding.told
-    assert (finding.mend or "").endswith("apt-get install -y libegl1 libgl1 libgl1-mesa-dri")
+    assert "libCertainlyNotHere.so.1" in finding.detail
+    assert (finding.fix or "").endswith("apt-get install -y libegl1 libgl1 libgl1-mesa-dri")
     assert apt_line("osmesa").endswith("apt-get install -y libosmesa6")
 
 
 def test_missing_package_is_named_with_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(doctor.PACKAGES, "no-such-distribution", "no-such-distribution==1")
+    monkeypatch.setitem(machine.PACKAGES, "no-such-distribution", "no-such-distribution==1")
     finding = check_packages()
     assert not finding.fine
-    assert finding.told == "not installed: no-such-distribution"
-    assert (finding.mend or "").endswith("-m pip install no-such-distribution==1")
+    assert finding.detail == "not installed: no-such-distribution"
+    assert (finding.fix or "").endswith("-m pip install no-such-distribution==1")
 
 
 def test_shipped_assets_match_their_provenance() -> None:
     finding = check_assets()
     assert finding.fine
-    told = finding.told.split(", ")
+    told = finding.detail.split(", ")
     assert {"bodies/man-adult.npz", "bodies/man-adult.skin.png", "bodies/woman-old-heavy.npz"} < set(told)
     assert told[-1] == "panda/panda.npz"
 
@@ -56,10 +57,10 @@ def test_shipped_assets_match_their_provenance() -> None:
 def test_exit_status_and_output(
     fine: bool, status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    finding = Finding(name="x", fine=fine, told="so it is", mend=None if fine else "do this")
+    finding = Finding(name="x", fine=fine, detail="so it is", fix=None if fine else "do this")
     for name in ("check_python", "check_packages", "check_gl", "check_frame", "check_pose", "check_assets"):
-        monkeypatch.setattr(doctor, name, lambda: finding)
-    assert doctor.doctor() == status
+        monkeypatch.setattr(machine, name, lambda: finding)
+    assert Doctor()() == status
     told = capsys.readouterr().out
     assert ("install it with: do this" in told) is not fine
 
@@ -73,5 +74,5 @@ def test_exit_status_and_output(
     ],
 )
 def test_probe_survives_what_it_probes(code: str, expected: str | None) -> None:
-    problem = doctor._probe(code, environment={})
+    problem = machine._probe(code, environment={})
     assert problem is None if expected is None else expected in (problem or "")

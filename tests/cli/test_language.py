@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from carecontact.cli.groups import LanguageGroup
 from carecontact.cli.language import language_environment
 from carecontact.errors import ConfigError
 from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
@@ -22,7 +23,7 @@ def replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_policys_process_finds_the_file(replay: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    given = language_environment("state-machine", language="replay:r.jsonl", record=None)
+    given = language_environment("state-machine", LanguageGroup(language="replay:r.jsonl", record=None))
     assert given == {LANGUAGE_VARIABLE: f"replay:{replay}", RECORD_VARIABLE: ""}
     for name, value in given.items():
         monkeypatch.setenv(name, value)
@@ -35,7 +36,7 @@ def test_the_policys_process_finds_the_file(replay: Path, monkeypatch: pytest.Mo
 
 def test_without_the_option_a_shells_own_variables_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(LANGUAGE_VARIABLE, "live:someone")
-    for name, value in language_environment("state-machine", language=None, record=None).items():
+    for name, value in language_environment("state-machine", LanguageGroup(language=None, record=None)).items():
         monkeypatch.setenv(name, value)
     assert chosen_transcript("rules-v1") is None
 
@@ -43,7 +44,7 @@ def test_without_the_option_a_shells_own_variables_do_not_count(monkeypatch: pyt
 def test_rules_and_live(tmp_path: Path) -> None:
     assert language_name("rules-v1") == "rules-v1"
     assert language_name("live:m-1") == "live:m-1"
-    given = language_environment("my_module:Mine", language="live:m-1", record=tmp_path / "new.jsonl")
+    given = language_environment("my_module:Mine", LanguageGroup(language="live:m-1", record=tmp_path / "new.jsonl"))
     assert given == {LANGUAGE_VARIABLE: "live:m-1", RECORD_VARIABLE: str(tmp_path / "new.jsonl")}
 
 
@@ -72,7 +73,7 @@ def test_rules_and_live(tmp_path: Path) -> None:
 )
 def test_what_cannot_be_is_told(policy: str, language: str | None, record: str | None, told: str) -> None:
     with pytest.raises(ConfigError, match=told):
-        language_environment(policy, language=language, record=Path(record) if record else None)
+        language_environment(policy, LanguageGroup(language=language, record=Path(record) if record else None))
 
 
 @pytest.mark.parametrize(
@@ -85,7 +86,7 @@ def test_names_that_models_have(name: str) -> None:
 def test_an_address_that_is_none_is_told_before_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPENAI_BASE_URL", "me:opensesame@models.example")
     with pytest.raises(ConfigError, match="OPENAI_BASE_URL: expected http") as raised:
-        language_environment("state-machine", language="live:m", record=None)
+        language_environment("state-machine", LanguageGroup(language="live:m", record=None))
     assert "opensesame" not in str(raised.value)
 
 

@@ -12,20 +12,19 @@ from pathlib import Path
 import pytest
 
 import carecontact
-import carecontact.cli.run as cli_run
 from carecontact.cli import main
 from carecontact.cli.demo import missing_successes
 from carecontact.cli.score import differences
 from carecontact.recording import Recording, read_recording, write_recording
 from carecontact.runs import score_run
-from carecontact.trials.supervisor import run_trials
+from carecontact.trials import supervisor
 
 FAKE = (sys.executable, str(Path(__file__).parents[1] / "trials" / "fake_worker.py"))
 
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> pytest.MonkeyPatch:
-    monkeypatch.setattr(cli_run, "run_trials", functools.partial(run_trials, worker_command=FAKE))
+    monkeypatch.setattr(supervisor, "run_trials", functools.partial(supervisor.run_trials, worker_command=FAKE))
     monkeypatch.setenv("FAKE_LOG", str(tmp_path / "ran.txt"))
     monkeypatch.setenv("FAKE_PLAN", "{}")
     monkeypatch.setenv("PYTHONPATH", str(Path(carecontact.__file__).parents[1]))
@@ -186,7 +185,7 @@ def test_what_an_interrupt_leaves_is_told_truly(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    fake.setattr(cli_run, "run_trials", interrupted)
+    fake.setattr(supervisor, "run_trials", interrupted)
     fake.setattr("carecontact.cli.score.rescore", interrupted)
     options = {"run": ["--policy", "hover", "--out", "r"], "demo": [], "score": ["."]}
     assert main([command, *options[command]]) == 130

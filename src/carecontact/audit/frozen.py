@@ -12,11 +12,11 @@ import numpy as np
 
 from carecontact.audit.differences import differences
 from carecontact.audit.finding import Finding, Part
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.policy import PolicyCard
 from carecontact.hosting.wire import codec
 from carecontact.observation import builder as builders
 from carecontact.observation.keypoints import MediaPipePose
-from carecontact.sim.proprioception import BASE_BODY, ROBOT_JOINTS, TCP_SITE
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 
@@ -107,8 +107,8 @@ def scrambled(simulation: Simulation, rng: np.random.Generator, *, keep: Callabl
 
 def _encoders(model: mujoco.MjModel) -> Callable[[str], Any]:
     """Where the robot's own readings and the calibrated cameras are."""
-    joints = [model.joint(name) for name in ROBOT_JOINTS]
-    base, tcp = model.body(BASE_BODY).id, model.site(TCP_SITE).id
+    joints = [model.joint(name) for name in PANDA.joints]
+    base, tcp = model.body(PANDA.base_body).id, model.site(PANDA.tcp_site).id
     rows: dict[str, Any] = {
         "qpos": [int(j.qposadr[0]) for j in joints], "qvel": [int(j.dofadr[0]) for j in joints],
         "xpos": base, "xmat": base, "xquat": base, "site_xpos": tcp, "site_xmat": tcp,

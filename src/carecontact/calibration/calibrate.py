@@ -15,9 +15,8 @@ from carecontact.calibration.figure import write_figure
 from carecontact.calibration.fit import fit_law
 from carecontact.calibration.identify import identify
 from carecontact.calibration.replay import Replay, group_curves
-from carecontact.contract.protocol import Tissue
+from carecontact.contract.protocol import Protocol, Tissue
 from carecontact.errors import ConfigError
-from carecontact.protocols import load_protocol
 from carecontact.world.human.library import load_body
 
 CERTIFICATE, ROW, FIGURE = "certificate.json", "tissue.toml", "calibration.png"
@@ -30,22 +29,26 @@ class Calibration:
 
 
 def calibrate(
-    trials: Path, *, region: str, body: str, protocol: str, out: Path, on_progress: Callable[[str], None]
+    trials: Path, *, region: str, body: str, rules: Protocol, out: Path, on_progress: Callable[[str], None]
 ) -> Calibration:
     """Read the trials, identify a simple law, fit the tissue row, and write all three files into ``out``.
 
+    Args:
+        region: a soft one of the protocol.
+        body: whose surface is pressed.
+        rules: the protocol whose mesh, mass and thickness the tissue keeps.
+
     Raises ConfigError for what the user can fix.
     """
-    rules = load_protocol(protocol)
     file = read_trials(trials, region=region)
     curves = [make_curve(trial) for trial in file.trials]
-    rows: dict[str, Tissue] = {**rules.person.tissue}
-    _check_depths(curves, region, rows[region])
+    row = rules.person.tissue[region]
+    _check_depths(curves, region, row)
     on_progress(f"{count_of(curves)} of the {region}")
     laws = identify(curves)
     groups = group_curves(curves)
     on_progress(f"identified: {laws[0].law.name}; {len(groups)} presses to replay")
-    replay = Replay(body=load_body(body), region=region, tissue=rows[region], groups=groups)
+    replay = Replay(body=load_body(body), region=region, tissue=row, groups=groups)
     fit = fit_law(curves, replay=replay, on_progress=on_progress)
     content = make_content(file, curves, laws, replay, fit, region=region, body=body, rules=rules)
     out.mkdir(parents=True, exist_ok=True)

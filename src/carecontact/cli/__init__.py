@@ -15,12 +15,12 @@ INTERRUPTED, BROKEN_PIPE = 130, 141
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command line; returns its exit status. Errors a user can mend are one message and status 2."""
+    """Run one command line; returns its exit status. Errors that the user can fix give one message and status 2."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     if arguments == ["--version"]:
         print(f"carecontact {__version__}")
         return 0
-    from carecontact.cli.options import parse
+    from carecontact.cli.commands import parse
 
     # A polite kill must stop the trials' processes as Ctrl-C does; they live in sessions of their own.
     signal.signal(signal.SIGTERM, signal.default_int_handler)

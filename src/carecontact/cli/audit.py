@@ -2,47 +2,76 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.policy_name import check_policy, public_name
+import tyro
+
+from carecontact.cli.groups import FLAT, RulesGroup, Switch
 from carecontact.errors import ConfigError
-from carecontact.protocols import adapted, load_protocol
-from carecontact.runs.preflight import check_protocol
 
 if TYPE_CHECKING:
     from carecontact.audit.finding import Finding, Part
+    from carecontact.audit.run import Audit as AuditResult
 
 SHOWN = 8
 """Findings of one part that are printed; all are in the file."""
 
 
-def audit(*, policies: tuple[str, ...], quick: bool, body: str | None, protocol: str, out: Path) -> int:
-    """Exit status 1 if a part found a leak, or could not look. Raises ConfigError for what cannot be audited."""
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"--out {out}: this is a file; name a folder")
-    twice = sorted({name for name in policies if policies.count(name) > 1})
-    if twice:
-        raise ConfigError(f"--policy: {', '.join(twice)} is named twice")
-    rules = adapted(load_protocol(protocol), body=body)
-    check_protocol(rules)
-    if rules.vision.segmenter != "mediapipe":
-        raise ConfigError(f"--protocol {protocol}: only the segmenter mediapipe can be audited, this one names another")
-    from carecontact.policies.registry import POLICIES
+@dataclass(frozen=True, kw_only=True)
+class Audit:
+    """Try to catch the benchmark cheating: does anything that a policy is sent depend on what it must not know?"""
 
-    folder = Path.cwd()
-    names = tuple(public_name(name) for name in policies) or tuple(POLICIES)
-    for name in names:
-        check_policy(name, search_path=folder, deadline_s=rules.phases.first_call_deadline_s)
-    from carecontact.audit.run import audit as run_audit
-    from carecontact.audit.run import write
+    policy: tuple[str, ...] = ()
+    """Policies to audit: names from `carecontact list policies`, or module:Class; default: every registered one."""
+    quick: Switch = False
+    """Audit one region with short trials, for continuous integration. The full audit takes minutes."""
+    rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/audit")
+    """Folder for audit.json."""
 
-    # Now, not after minutes of work.
-    out.mkdir(parents=True, exist_ok=True)
-    print(f"{rules.title}, {rules.person.body}{', quick' if quick else ''}: {', '.join(names)}", flush=True)
-    result = run_audit(
-        rules, names, quick=quick, search_path=[str(folder)], on_event=lambda said: print(f"  {said}", flush=True)
-    )
+    after_interrupt: ClassVar[str] = "; nothing was written"
+
+    def __call__(self) -> int:
+        """Return 1 if a part found a leak or could not look. Raises ConfigError for what cannot be audited."""
+        from carecontact.audit.run import audit, write
+        from carecontact.cli.policy_name import check_policy, public_name
+        from carecontact.policies.registry import POLICIES
+        from carecontact.runs.preflight import check_protocol
+
+        if self.out.exists() and not self.out.is_dir():
+            raise ConfigError(f"--out {self.out}: this is a file; name a folder")
+        twice = sorted({name for name in self.policy if self.policy.count(name) > 1})
+        if twice:
+            raise ConfigError(f"--policy: {', '.join(twice)} is named twice")
+        rules = self.rules.load()
+        check_protocol(rules)
+        if rules.vision.segmenter != "mediapipe":
+            raise ConfigError(
+                f"--protocol {self.rules.protocol}: only the segmenter mediapipe can be audited, this protocol names "
+                f"{rules.vision.segmenter}"
+            )
+        folder = Path.cwd()
+        names = tuple(public_name(name) for name in self.policy) or tuple(POLICIES)
+        for name in names:
+            check_policy(name, search_path=folder, deadline_s=rules.phases.first_call_deadline_s)
+        # Now, not after minutes of work.
+        self.out.mkdir(parents=True, exist_ok=True)
+        print(f"{rules.title}, {rules.person.body}{', quick' if self.quick else ''}: {', '.join(names)}", flush=True)
+        result = audit(
+            rules,
+            names,
+            quick=self.quick,
+            search_path=[str(folder)],
+            on_event=lambda event: print(f"  {event}", flush=True),
+        )
+        _print(result)
+        print(f"{'passed' if result.passed else 'FAILED'}: {write(result, self.out)}")
+        return 0 if result.passed else 1
+
+
+def _print(result: AuditResult) -> None:
     width = max(len(part.title) for part in result.parts)
     for part in result.parts:
         print(f"{'pass' if part.passed else 'FAIL'}  {part.name:14} {part.title:{width}}  {_looked_at(part)}")
@@ -52,8 +81,6 @@ def audit(*, policies: tuple[str, ...], quick: bool, body: str | None, protocol:
             print(f"        and {len(part.findings) - SHOWN} more in audit.json")
         for missing in part.missing:
             print(f"        no {missing}: nothing was shown")
-    print(f"{'passed' if result.passed else 'FAILED'}: {write(result, out)}")
-    return 0 if result.passed else 1
 
 
 def _looked_at(part: Part) -> str:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
+import tyro
+
+from carecontact.cli.groups import FLAT, ChangedProtocolGroup
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -19,25 +23,44 @@ PERCENT = {
 }
 
 
-def calibrate(
-    *, trials: Path, region: str | None, body: str, protocol: str, out: Path, certificate: Path | None
-) -> int:
-    """Exit status 1 if a certificate does not verify."""
-    if certificate is not None:
-        return _verify(trials, certificate)
-    if region is None:
-        raise ConfigError("--region is missing; valid: forearm, upper_arm, abdomen")
-    from carecontact.calibration.calibrate import calibrate as run
+@dataclass(frozen=True, kw_only=True)
+class Calibrate:
+    """Fit the tissue of one region to measured indentation trials and write a certificate; see docs/calibration.md.
+    Mesh, mass and thickness of the tissue stay the protocol's."""
 
-    began = time.monotonic()
-    made = run(
-        trials, region=region, body=body, protocol=protocol, out=out,
-        on_progress=lambda line: print(f"{time.monotonic() - began:6.0f} s  {line}", flush=True),
-    )  # fmt: skip
-    _show(made.certificate.content)
-    for path in made.written:
-        print(path)
-    return 0
+    trials: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRIALS.csv")]
+    region: str | None = None
+    """Soft region of the protocol, such as forearm, upper_arm or abdomen. Rows whose site begins with this name are
+    used. Required unless --verify is given."""
+    body: str = "man-adult"
+    """Person whose surface is pressed; see `carecontact list bodies`."""
+    rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=ChangedProtocolGroup)
+    out: Path = Path("runs/calibration")
+    """Folder for certificate.json, tissue.toml and calibration.png."""
+    verify: Path | None = None
+    """A certificate.json: simulate it again on the same trials and compare. Exit status 1 if it is outside its band."""
+
+    after_interrupt: ClassVar[str] = "; nothing was written"
+
+    def __call__(self) -> int:
+        """Return 1 if a certificate does not verify."""
+        if self.verify is not None:
+            return _verify(self.trials, self.verify)
+        from carecontact.calibration.calibrate import calibrate
+
+        rules = self.rules.load()
+        if self.region not in rules.soft_regions:
+            wrong = "is missing" if self.region is None else f"{self.region!r} is not a soft region of {rules.id}"
+            raise ConfigError(f"--region {wrong}; valid: {', '.join(rules.soft_regions)}")
+        began = time.monotonic()
+        made = calibrate(
+            self.trials, region=self.region, body=self.body, rules=rules, out=self.out,
+            on_progress=lambda line: print(f"{time.monotonic() - began:6.0f} s  {line}", flush=True),
+        )  # fmt: skip
+        _show(made.certificate.content)
+        for path in made.written:
+            print(path)
+        return 0
 
 
 def _verify(trials: Path, path: Path) -> int:

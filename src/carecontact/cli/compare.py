@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from string import ascii_uppercase
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
+import tyro
+
+from carecontact.cli.groups import Switch
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
     from carecontact.reports.compare.comparison import Comparison, RunInfo
     from carecontact.reports.compare.null_floors import NullFloors
     from carecontact.reports.compare.paired_lines import Line, RateLine, ScoreLine
-    from carecontact.runs.scores import RunScores
+    from carecontact.runs.run_scores import RunScores
 
 RESULTS = "results.json"
 COMPARISON, OVERVIEW = "comparison.json", "overview.json"
@@ -23,6 +27,26 @@ TESTS = ("paired", "Holm", "worst rank", "unpaired")
 COLUMNS = ("", "A", "B", "A - B [95 %]", "pairs", *(f"p\n{test}" for test in TESTS), "verdict")
 WIDTH = 158
 """Below it there is no table."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare:
+    """Compare runs of one protocol. Two runs: trial by trial, what differs and which differences could not have been
+    seen. More runs: rates, every pair, and whether their ranking survives other gates. See docs/statistics.md."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN_A [RUN_B ...]")]
+    """Folders of runs, or their results.json alone; differences are A minus B."""
+    null: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")] = ()
+    """Runs of blind baselines: what they pass stands beside each run. With them one run is enough."""
+    per_task: Switch = False
+    """For two runs: print a table for each task too; the tables of the tasks are a family of their own."""
+    out: Path | None = None
+    """Folder for comparison.json (two runs) and overview.json (more, or blind baselines); default: write neither."""
+
+    after_interrupt: ClassVar[str] = ""
+
+    def __call__(self) -> int:
+        return compare(self.runs, nulls=self.null, per_task=self.per_task, out=self.out)
 
 
 def compare(runs: Sequence[Path], *, nulls: Sequence[Path], per_task: bool, out: Path | None) -> int:

@@ -4,43 +4,47 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.run import run
+from carecontact.cli.groups import FLAT, JobsGroup
 from carecontact.errors import ConfigError, RecordingError
-from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
-from carecontact.recording import read_recording
-from carecontact.recording.reason import reason_of
-from carecontact.runs import score_run
-from carecontact.runs.manifest import FAILED, MANIFEST, read_manifest
-from carecontact.scoring.result import TrialScore
-from carecontact.trials.supervisor import check_jobs, remove_abandoned
+
+if TYPE_CHECKING:
+    from carecontact.scoring.result import TrialScore
 
 POLICY = "state-machine"
 SEED = 0
 
 
-def demo(*, out: Path, jobs: int | None) -> int:
-    began = time.monotonic()
-    check_jobs(jobs)
-    protocol = load_protocol(DEFAULT_PROTOCOL)
-    trial_ids = [f"{task.id}-s{SEED:03d}" for task in protocol.tasks]
-    remove_earlier_demo(out, trial_ids=trial_ids)
-    run(
-        policy=POLICY,
-        out=out,
-        tasks="all",
-        seeds=str(SEED),
-        protocol=DEFAULT_PROTOCOL,
-        jobs=jobs,
-        retry_failed=False,
-        purpose="demo",
-    )
-    problems = check_demo(out, trial_ids=trial_ids)
-    for problem in problems:
-        print(f"demo: {problem}")
-    print(f"demo {'failed' if problems else 'succeeded'} in {time.monotonic() - began:.0f} s")
-    return 1 if problems else 0
+@dataclass(frozen=True, kw_only=True)
+class Demo:
+    """Run the seven tasks once with the state machine, into a fresh folder. Fails unless the robot really touched,
+    pushed and scrubbed."""
+
+    out: Path = Path("runs/demo")
+    """Folder for the demo. An earlier demo in it is replaced; anything else is left alone."""
+    parallel: Annotated[JobsGroup, FLAT] = field(default_factory=JobsGroup)
+
+    after_interrupt: ClassVar[str] = "; finished trials are kept until the next demo there, which starts anew"
+
+    def __call__(self) -> int:
+        from carecontact.cli.run import Run
+        from carecontact.protocols import load_protocol
+        from carecontact.trials.supervisor import check_jobs
+
+        began = time.monotonic()
+        check_jobs(self.parallel.jobs)
+        run = Run(policy=POLICY, out=self.out, seeds=str(SEED), parallel=self.parallel)
+        trial_ids = [f"{task.id}-s{SEED:03d}" for task in load_protocol(run.rules.protocol).tasks]
+        remove_earlier_demo(self.out, trial_ids=trial_ids)
+        run.execute(purpose="demo")
+        problems = check_demo(self.out, trial_ids=trial_ids)
+        for problem in problems:
+            print(f"demo: {problem}")
+        print(f"demo {'failed' if problems else 'succeeded'} in {time.monotonic() - began:.0f} s")
+        return 1 if problems else 0
 
 
 def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
@@ -48,6 +52,9 @@ def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
 
     Raises ConfigError for a folder that holds anything but such a demo.
     """
+    from carecontact.runs.manifest import MANIFEST, read_manifest
+    from carecontact.trials.supervisor import remove_abandoned
+
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: this is a file; name a folder")
     if not out.exists() or not any(out.iterdir()):
@@ -69,7 +76,12 @@ def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
 
 
 def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
-    """Whatever keeps this folder from being a demonstration, in lines."""
+    """Return one line for each thing that keeps this folder from being a demonstration."""
+    from carecontact.recording import read_recording
+    from carecontact.recording.reason import reason_of
+    from carecontact.runs import score_run
+    from carecontact.runs.manifest import FAILED
+
     problems = []
     for trial_id in trial_ids:
         try:
@@ -84,5 +96,9 @@ def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
 
 
 def missing_successes(scores: Sequence[TrialScore]) -> list[str]:
+    """A line for each action of the demo's protocol of which no trial succeeded."""
+    from carecontact.protocols import load_protocol
+
     done = {score.action for score in scores if score.c3_success}
-    return [f"no {action} succeeded" for action in ("touch", "push", "scrub") if action not in done]
+    wanted = dict.fromkeys(task.action for task in load_protocol().tasks)
+    return [f"no {action} succeeded" for action in wanted if action not in done]

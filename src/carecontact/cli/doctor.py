@@ -1,208 +1,26 @@
-"""``carecontact doctor``: can this machine run trials, and if not, which line mends it."""
+"""``carecontact doctor``: can this machine run trials, and if not, which line installs what is missing."""
 
 from __future__ import annotations
 
-import ctypes
-import hashlib
-import json
-import os
-import subprocess
-import sys
-from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import metadata, resources
-
-from carecontact.trials.supervisor import available_cores
-
-PYTHON = ((3, 11), (3, 13))
-"""At least, and below."""
-PACKAGES = {
-    "mujoco": "mujoco==4.0.0",
-    "numpy": "'numpy>=2,<3'",
-    "scipy": "scipy",
-    "h5py": "h5py",
-    "pydantic": "'pydantic>=2.9'",
-    "pydantic-monty": "'pydantic-monty>=1.4,<2'",
-    "websockets": "websockets",
-    "msgpack": "msgpack",
-    "matplotlib": "matplotlib",
-    "jinja2": "jinja2",
-    "opencv-python-headless": "opencv-python-headless",
-    "protobuf": "'protobuf>=4.25,<7'",
-    "mediapipe": "--no-deps mediapipe==0.10.21",
-}
-"""Distribution -> what pip is asked for."""
-GL_LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}
-GL_PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
-MEMORY_PER_TRIAL_GIB = 1.0
-"""Measured: 0.6 for a trial, and its policy's process comes on top."""
-PROBE_LIMIT_S = 120.0
-
-FRAME_PROBE = """
-import mujoco
-model = mujoco.MjModel.from_xml_string(
-    "<mujoco><worldbody><light pos='0 0 3'/><geom type='sphere' size='.3' rgba='1 0 0 1'/>"
-    "<camera name='c' pos='0 -2 0' xyaxes='1 0 0 0 0 1'/></worldbody></mujoco>")
-data = mujoco.MjData(model)
-mujoco.mj_forward(model, data)
-with mujoco.Renderer(model, 120, 160) as renderer:
-    renderer.update_scene(data, "c")
-    image = renderer.render()
-assert image[60, 80, 0] > 30 + image[0, 0, 0], "the picture does not show the sphere that is in the scene"
-"""
-POSE_PROBE = """
-import mediapipe, numpy
-with mediapipe.solutions.pose.Pose(static_image_mode=True, model_complexity=1) as pose:
-    pose.process(numpy.zeros((480, 640, 3), numpy.uint8))
-"""
+from typing import ClassVar
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
-    name: str
-    fine: bool
-    told: str
-    mend: str | None = None
-    """The line that installs what is missing."""
+class Doctor:
+    """Check that this machine can run trials. For what is missing, print the line that installs it."""
 
+    after_interrupt: ClassVar[str] = ""
 
-def doctor() -> int:
-    """Print every finding; exit status 1 if something that a trial needs failed."""
-    failed = 0
-    for check in (check_python, check_packages, check_gl, check_frame, check_pose, check_assets, check_machine):
-        finding = check()
-        failed += not finding.fine
-        print(f"{'ok  ' if finding.fine else 'FAIL'} {finding.name:10} {finding.told}", flush=True)
-        if finding.mend:
-            print(f"     install it with: {finding.mend}", flush=True)
-    print("this machine can run trials" if not failed else f"{failed} thing(s) to mend", flush=True)
-    return 1 if failed else 0
+    def __call__(self) -> int:
+        """Return 1 if something that a trial needs failed."""
+        from carecontact.cli.machine import findings
 
-
-def check_python() -> Finding:
-    low, high = PYTHON
-    version = ".".join(map(str, sys.version_info[:3]))
-    fine = low <= sys.version_info[:2] < high
-    return Finding(name="python", fine=fine, told=version if fine else f"{version}; needs 3.11 or 3.12")
-
-
-def check_packages() -> Finding:
-    found: dict[str, str] = {}
-    absent: list[str] = []
-    for package in PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            absent.append(package)
-    if absent:
-        lines = [f"{sys.executable} -m pip install {PACKAGES[package]}" for package in absent]
-        return Finding(name="packages", fine=False, told=f"not installed: {', '.join(absent)}", mend="; ".join(lines))
-    return Finding(name="packages", fine=True, told=", ".join(f"{name} {version}" for name, version in found.items()))
-
-
-def loads(library: str) -> bool:
-    try:
-        ctypes.CDLL(library)
-    except OSError:
-        return False
-    return True
-
-
-def gl_backend(*, loads: Callable[[str], bool] = loads) -> tuple[str, list[str]]:
-    """The OpenGL backend a trial will use (``MUJOCO_GL`` if set, else egl, else osmesa), and libraries it lacks."""
-    wanted = os.environ.get("MUJOCO_GL", "").lower()
-    candidates = [wanted] if wanted in GL_LIBRARIES else list(GL_LIBRARIES)
-    lacking = {backend: [lib for lib in GL_LIBRARIES[backend] if not loads(lib)] for backend in candidates}
-    backend = next((b for b in candidates if not lacking[b]), candidates[0])
-    return backend, lacking[backend]
-
-
-def check_gl() -> Finding:
-    backend, lacking = gl_backend()
-    how = "chosen by MUJOCO_GL" if os.environ.get("MUJOCO_GL", "").lower() == backend else "chosen by what is installed"
-    if lacking:
-        return Finding(
-            name="OpenGL", fine=False, told=f"{backend}: {' and '.join(lacking)} missing", mend=apt_line(backend)
-        )
-    return Finding(name="OpenGL", fine=True, told=f"{backend}, {how}")
-
-
-def apt_line(backend: str) -> str:
-    sudo = "" if hasattr(os, "geteuid") and os.geteuid() == 0 else "sudo "
-    return f"{sudo}apt-get install -y {GL_PACKAGES[backend]}"
-
-
-def check_frame() -> Finding:
-    backend, lacking = gl_backend()
-    if lacking:
-        return Finding(name="frame", fine=False, told="not tried: no OpenGL")
-    problem = _probe(FRAME_PROBE, environment={"MUJOCO_GL": backend})
-    if problem:
-        return Finding(
-            name="frame", fine=False, told=f"MuJoCo renders nothing with {backend}: {problem}", mend=apt_line(backend)
-        )
-    return Finding(name="frame", fine=True, told=f"MuJoCo {metadata.version('mujoco')} rendered one with {backend}")
-
-
-def check_pose() -> Finding:
-    problem = _probe(POSE_PROBE, environment={})
-    if problem is None:
-        return Finding(name="vision", fine=True, told="MediaPipe Pose ran")
-    mend = (
-        f"{sys.executable} -m pip install --no-deps mediapipe==0.10.21 && {sys.executable} -m pip install 'protobuf<7'"
-    )
-    return Finding(name="vision", fine=False, told=f"MediaPipe Pose does not run: {problem}", mend=mend)
-
-
-def check_assets() -> Finding:
-    """Every baked file against the hash in its provenance file."""
-    checked, wrong = [], []
-    for folder in (resources.files("carecontact") / "assets").iterdir():
-        if not folder.is_dir():
-            continue
-        for note in folder.iterdir():
-            if not note.name.endswith(".provenance.json"):
-                continue
-            stem = note.name.removesuffix(".provenance.json")
-            baked = next((p for p in (folder / f"{stem}.npz", folder / f"{stem}.png") if p.is_file()), None)
-            name = f"{folder.name}/{baked.name if baked else stem}"
-            expected = json.loads(note.read_bytes())["sha256"]
-            if baked and hashlib.sha256(baked.read_bytes()).hexdigest() == expected:
-                checked.append(name)
-            else:
-                wrong.append(f"{name} is missing or is not what its provenance file says")
-    if wrong or not checked:
-        mend = f"{sys.executable} -m pip install --force-reinstall --no-deps carecontact"
-        return Finding(name="assets", fine=False, told="; ".join(wrong) or "none are there", mend=mend)
-    return Finding(name="assets", fine=True, told=", ".join(sorted(checked)))
-
-
-def check_machine() -> Finding:
-    cores = available_cores()
-    told = f"{cores} core(s)"
-    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
-        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
-        told += f", {memory:.0f} GiB of memory"
-        if memory < MEMORY_PER_TRIAL_GIB * cores:
-            told += f"; use --jobs {max(1, int(memory / MEMORY_PER_TRIAL_GIB))}"
-    return Finding(name="machine", fine=True, told=told)
-
-
-def _probe(code: str, *, environment: dict[str, str]) -> str | None:
-    """Run code in a process of its own, since what is broken here may crash it; None or the last line it said."""
-    try:
-        done = subprocess.run(
-            [sys.executable, "-P", "-c", code],
-            env={**os.environ, **environment},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=PROBE_LIMIT_S,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return f"no answer within {PROBE_LIMIT_S:g} s"
-    if done.returncode == 0:
-        return None
-    return (done.stderr.strip().splitlines() or [f"its process ended with status {done.returncode}"])[-1]
+        failed = 0
+        for finding in findings():
+            failed += not finding.fine
+            print(f"{'ok  ' if finding.fine else 'FAIL'} {finding.name:10} {finding.detail}", flush=True)
+            if finding.fix:
+                print(f"     install it with: {finding.fix}", flush=True)
+        print("this machine can run trials" if not failed else f"{failed} thing(s) to fix", flush=True)
+        return 1 if failed else 0

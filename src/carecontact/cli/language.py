@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from carecontact.cli.groups import LanguageGroup
 from carecontact.errors import ConfigError
 from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
 
 
-def language_environment(policy: str, *, language: str | None, record: Path | None) -> dict[str, str]:
-    """For the trials' processes; empty values where nothing was asked for, so that a shell's own are not inherited.
+def language_environment(policy: str, options: LanguageGroup) -> dict[str, str]:
+    """Return variables for the trials' processes, empty without an option, so that a shell's own are not inherited.
 
     Raises ConfigError for a policy that takes no such language, a replay file that is none, or a record of nothing;
     DependencyError for ``live:`` without its package.
     """
+    language, record = options.language, options.record
     if record is not None and not (language or "").startswith("live:"):
         raise ConfigError("--record: only the answers of --language live:MODEL can be recorded")
     if record is not None:

@@ -2,43 +2,60 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.vision import chosen_vision
-from carecontact.contract.observation import MODALITIES
-from carecontact.contract.policy import CAMERAS, PolicyCard
+from carecontact.cli.groups import FLAT, RulesGroup, VisionGroup
 from carecontact.errors import ConfigError
-from carecontact.protocols import adapted, load_protocol
-from carecontact.reports.pictures.sheet import check_sheet_path, save_sheet
-from carecontact.runs.plan import compact
-from carecontact.runs.preflight import check_protocol
+
+if TYPE_CHECKING:
+    from carecontact.contract.protocol import Protocol
 
 
-def look(
-    *,
-    task: str,
-    seed: int,
-    protocol: str,
-    body: str | None,
-    out: Path | None,
-    segmenter: str | None = None,
-    weights: Path | None = None,
-) -> int:
-    """``out``: default ``look-<task>-s<seed>.png`` here. Raises ConfigError for what the protocol does not have."""
-    loaded = load_protocol(protocol)
-    rules = adapted(loaded, body=body, vision=chosen_vision(loaded, segmenter=segmenter, weights=weights))
-    ids = [t.id for t in rules.tasks]
-    if task not in ids:
-        raise ConfigError(f"--task: {task!r} is no task of {rules.id}; valid: {', '.join(ids)}")
-    if seed not in rules.randomization.seeds:
-        raise ConfigError(f"--seed: {seed} is not in {rules.id}; its seeds: {compact(rules.randomization.seeds)}")
-    path = check_sheet_path(out or Path(f"look-{task}-s{seed:03d}.png"))
-    check_protocol(rules)
-    from carecontact.episode.first_look import first_look
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """Draw everything that a policy sees when a trial begins on one sheet: every camera and every modality."""
 
-    card = PolicyCard(name="look", modalities=MODALITIES, cameras=CAMERAS)
-    observation = first_look(rules, task_id=task, seed=seed, card=card, weights=weights)
-    name = rules.task(task).name
-    save_sheet(observation, path, title=f"Not told to it: {task} {name}, seed {seed}, {rules.title}.")
-    print(f"{path}: {task} seed {seed}, {len(CAMERAS)} cameras")
-    return 0
+    task: str
+    """Task of the protocol, such as T1."""
+    seed: int = 0
+    """Seed of the protocol."""
+    rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
+    vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
+    out: Path | None = None
+    """Picture to write, .png, .jpg or .pdf; default: look-TASK-sSEED.png in the current folder."""
+
+    after_interrupt: ClassVar[str] = "; nothing was written"
+
+    def __call__(self) -> int:
+        """Raises ConfigError for a task or seed that the protocol does not have."""
+        from carecontact.cli.vision import with_vision
+        from carecontact.contract.observation import MODALITIES
+        from carecontact.contract.policy import CAMERAS, PolicyCard
+        from carecontact.episode.first_look import first_look
+        from carecontact.reports.pictures.sheet import check_sheet_path, save_sheet
+        from carecontact.runs.preflight import check_protocol
+
+        rules = with_vision(self.rules.load(), self.vision)
+        self._check_trial(rules)
+        trial = f"{self.task}-s{self.seed:03d}"
+        path = check_sheet_path(self.out or Path(f"look-{trial}.png"))
+        check_protocol(rules)
+        card = PolicyCard(name="look", modalities=MODALITIES, cameras=CAMERAS)
+        observation = first_look(rules, task_id=self.task, seed=self.seed, card=card, weights=self.vision.weights)
+        name = rules.task(self.task).name
+        title = f"Not told to it: {self.task} {name}, seed {self.seed}, {rules.title}."
+        save_sheet(observation, path, title=title)
+        print(f"{path}: {self.task} seed {self.seed}, {len(CAMERAS)} cameras")
+        return 0
+
+    def _check_trial(self, rules: Protocol) -> None:
+        from carecontact.runs.plan import compact
+
+        ids = [task.id for task in rules.tasks]
+        if self.task not in ids:
+            raise ConfigError(f"--task: {self.task!r} is not a task of {rules.id}; valid: {', '.join(ids)}")
+        if self.seed not in rules.randomization.seeds:
+            seeds = compact(rules.randomization.seeds)
+            raise ConfigError(f"--seed: {self.seed} is not in {rules.id}; its seeds: {seeds}")

@@ -1,8 +1,28 @@
-"""``carecontact list``: what can be named."""
+"""``carecontact list``: the names that the command line accepts."""
 
 from __future__ import annotations
 
-from carecontact.protocols import load_protocol, shipped_protocols
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar, Literal
+
+import tyro
+
+from carecontact.cli.groups import FLAT, ProtocolGroup
+
+
+@dataclass(frozen=True, kw_only=True)
+class List:
+    """List the names that the command line accepts."""
+
+    what: Annotated[
+        Literal["tasks", "policies", "protocols", "bodies", "tissue", "metrics", "all"], tyro.conf.Positional
+    ] = "all"
+    rules: Annotated[ProtocolGroup, FLAT] = field(default_factory=ProtocolGroup)
+
+    after_interrupt: ClassVar[str] = ""
+
+    def __call__(self) -> int:
+        return show(self.what, protocol=self.rules.protocol)
 
 
 def show(what: str, *, protocol: str) -> int:
@@ -15,6 +35,8 @@ def show(what: str, *, protocol: str) -> int:
 
 
 def _tasks(protocol: str) -> list[tuple[str, str]]:
+    from carecontact.protocols import load_protocol
+
     return [(task.id, f"{task.name}: {task.prompt!r}") for task in load_protocol(protocol).tasks]
 
 
@@ -26,6 +48,8 @@ def _policies(protocol: str) -> list[tuple[str, str]]:
 
 
 def _protocols(protocol: str) -> list[tuple[str, str]]:
+    from carecontact.protocols import load_protocol, shipped_protocols
+
     loaded = {name: load_protocol(name) for name in shipped_protocols()}
     return [
         (name, f"{'frozen' if p.frozen else 'draft'}: {p.description} sha256 {p.sha256[:12]}")

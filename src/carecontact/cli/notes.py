@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, ClassVar
 
-from carecontact.recording import read_recording
-from carecontact.reports.pictures.notes_picture import save_notes_picture
-from carecontact.reports.pictures.sheet import check_sheet_path
+import tyro
 
 
-def notes(recording: Path, *, out: Path | None) -> int:
-    """``out``: default ``notes-<trial>.png`` here. Raises ConfigError where there is nothing to draw, RecordingError
-    for a file that is none."""
-    path = check_sheet_path(out or Path(f"notes-{recording.stem}.png"))
-    save_notes_picture(read_recording(recording), path)
-    print(f"{path}: {recording.stem}")
-    return 0
+@dataclass(frozen=True, kw_only=True)
+class Notes:
+    """Draw the notes that a policy left in a trial over what it saw: the state machine's options and choice, or
+    VoxPoser's value maps and paths."""
+
+    recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRIAL.h5")]
+    out: Path | None = None
+    """Picture to write, .png, .jpg or .pdf; default: notes-TRIAL.png in the current folder."""
+
+    after_interrupt: ClassVar[str] = "; nothing was written"
+
+    def __call__(self) -> int:
+        """Raises ConfigError where there is nothing to draw, RecordingError for a file that is not a recording."""
+        from carecontact.recording import read_recording
+        from carecontact.reports.pictures.notes_picture import save_notes_picture
+        from carecontact.reports.pictures.sheet import check_sheet_path
+
+        path = check_sheet_path(self.out or Path(f"notes-{self.recording.stem}.png"))
+        save_notes_picture(read_recording(self.recording), path)
+        print(f"{path}: {self.recording.stem}")
+        return 0

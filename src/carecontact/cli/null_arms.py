@@ -16,7 +16,7 @@ from carecontact.recording.writer import replace_file
 
 if TYPE_CHECKING:
     from carecontact.reports.compare.null_floors import NullFloors
-    from carecontact.runs.scores import RunScores
+    from carecontact.runs.run_scores import RunScores
 
 NULL_ARMS = "null_arms.json"
 

@@ -3,40 +3,66 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
+from carecontact.cli.groups import FLAT, RulesGroup
 from carecontact.errors import ConfigError
-from carecontact.protocols import adapted, load_protocol
+
+if TYPE_CHECKING:
+    from carecontact.contract.protocol import Protocol
+    from carecontact.validation.result import CheckResult
 
 SCHEMA = "carecontact-probe-1"
 
 
-def probe(*, metrics: str, body: str | None, protocol: str, out: Path) -> int:
-    """Exit status 1 if a score does not follow its sweep."""
-    from carecontact.validation.figures import draw_figure
-    from carecontact.validation.probes import PROBES, draw, run
-    from carecontact.validation.subject import Subject
+@dataclass(frozen=True, kw_only=True)
+class Probe:
+    """Prove that each score follows what it scores: run four scripted sweeps in simulation and plot them."""
 
-    names = tuple(PROBES) if metrics == "all" else tuple(part.strip() for part in metrics.split(","))
-    if not set(names) <= set(PROBES) or len(set(names)) != len(names):
-        raise ConfigError(
-            f"--metrics {metrics!r}: expected ids parted by commas, each once; valid: {', '.join(PROBES)}"
-        )
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"--out {out}: this is a file; name a folder")
-    rules = adapted(load_protocol(protocol), body=body)
-    subject = Subject(rules)
-    print(f"{rules.title}, {rules.person.body}", flush=True)
-    results = []
-    for name in names:
-        result = run(subject, PROBES[name])
-        results.append(result)
-        levels, scores = result.curves["scores"]
-        print(f"{'pass' if result.passed else 'FAIL'}  {name}  {result.title}")
-        for level, score in zip(levels, scores, strict=True):
-            print(f"        {PROBES[name].level} {level:<6g} {score:.4g}", flush=True)
-    passed = all(result.passed for result in results)
+    metrics: str = "all"
+    """Ids parted by commas, such as C1@1,C5@1, or all (C1@1, C2@1, C4@1, C5@1)."""
+    rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
+    out: Path = Path("runs/probe")
+    """Folder for probe.json and probe.png."""
+
+    after_interrupt: ClassVar[str] = "; nothing was written"
+
+    def __call__(self) -> int:
+        """Return 1 if a score does not follow its sweep."""
+        from carecontact.validation.probes import PROBES, run
+        from carecontact.validation.subject import Subject
+
+        names = tuple(PROBES) if self.metrics == "all" else tuple(part.strip() for part in self.metrics.split(","))
+        if not set(names) <= set(PROBES) or len(set(names)) != len(names):
+            raise ConfigError(
+                f"--metrics {self.metrics!r}: expected ids parted by commas, each once; valid: {', '.join(PROBES)}"
+            )
+        if self.out.exists() and not self.out.is_dir():
+            raise ConfigError(f"--out {self.out}: this is a file; name a folder")
+        rules = self.rules.load()
+        subject = Subject(rules)
+        print(f"{rules.title}, {rules.person.body}", flush=True)
+        results = []
+        for name in names:
+            result = run(subject, PROBES[name])
+            results.append(result)
+            levels, scores = result.curves["scores"]
+            print(f"{'pass' if result.passed else 'FAIL'}  {name}  {result.title}")
+            for level, score in zip(levels, scores, strict=True):
+                print(f"        {PROBES[name].level} {level:<6g} {score:.4g}", flush=True)
+        passed = all(result.passed for result in results)
+        _write(self.out, rules, results, passed=passed)
+        print(f"{'passed' if passed else 'FAILED'}: {self.out / 'probe.json'}, {self.out / 'probe.png'}")
+        return 0 if passed else 1
+
+
+def _write(out: Path, rules: Protocol, results: list[CheckResult], *, passed: bool) -> None:
+    from carecontact.validation.figures import draw_figure
+    from carecontact.validation.probes import draw
+
     out.mkdir(parents=True, exist_ok=True)
     content = {
         "schema": SCHEMA, "passed": passed, "protocol": {"id": rules.id, "sha256": rules.sha256},
@@ -44,5 +70,3 @@ def probe(*, metrics: str, body: str | None, protocol: str, out: Path) -> int:
     }  # fmt: skip
     (out / "probe.json").write_text(json.dumps(content, indent=2) + "\n")
     draw_figure(partial(draw, results), out / "probe.png")
-    print(f"{'passed' if passed else 'FAILED'}: {out / 'probe.json'}, {out / 'probe.png'}")
-    return 0 if passed else 1

@@ -2,13 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+import tyro
+
 from carecontact.errors import ConfigError
-from carecontact.protocols import load_protocol, protocol_file, shipped_protocols
-from carecontact.protocols.lock import lock_path, read_lock, write_lock
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protocols:
+    """List protocols, show one, verify that it equals its lock, or lock a file of your own."""
+
+    what: Annotated[Literal["list", "show", "verify", "lock"], tyro.conf.Positional]
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE.toml")] = "bathing-v1"
+    """Id of a shipped protocol, or a .toml file."""
+
+    after_interrupt: ClassVar[str] = ""
+
+    def __call__(self) -> int:
+        if self.what == "list":
+            from carecontact.cli.names import List
+
+            return List(what="protocols")()
+        return {"show": show, "verify": verify, "lock": lock}[self.what](self.name)
 
 
 def show(name: str) -> int:
-    """The file as it was written, comments and all, under what it amounts to."""
+    """Print the file as it was written, with its comments, under a summary of its hash, lock and tissue."""
+    from carecontact.protocols import load_protocol, protocol_file
+    from carecontact.protocols.lock import lock_path, read_lock
+
     protocol, lock = load_protocol(name), read_lock(name)
     print(f"# {protocol.id}, sha256 {protocol.sha256}")
     print(f"# {'frozen' if protocol.frozen else 'draft'}, {'no lock' if lock is None else lock_path(name).name}")
@@ -21,7 +45,9 @@ def show(name: str) -> int:
 
 
 def verify(name: str) -> int:
-    """Exit status 1 where anything differs from the lock, compiled worlds included, or there is no lock."""
+    """Return 1 where anything differs from the lock, compiled worlds included, or where there is no lock."""
+    from carecontact.protocols import load_protocol
+    from carecontact.protocols.lock import lock_path
     from carecontact.runs.freeze import drift, is_borrowed, lock_of, make_lock
 
     protocol = load_protocol(name)
@@ -44,6 +70,8 @@ def verify(name: str) -> int:
 
 def lock(name: str) -> int:
     """Write FILE.lock.json beside a protocol file of the user's."""
+    from carecontact.protocols import load_protocol, shipped_protocols
+    from carecontact.protocols.lock import lock_path, write_lock
     from carecontact.runs.freeze import make_lock
 
     protocol, path = load_protocol(name), lock_path(name)

@@ -2,81 +2,104 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.language import language_environment
-from carecontact.cli.policy_name import check_policy, public_name
-from carecontact.cli.progress import progress
-from carecontact.cli.score import report, rescore
-from carecontact.cli.vision import chosen_vision
-from carecontact.episode.vision import WEIGHTS
-from carecontact.protocols import adapted, load_protocol
-from carecontact.runs.freeze import check_frozen
-from carecontact.runs.identity import POLICY_PATH
-from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
-from carecontact.runs.preflight import check_protocol
-from carecontact.trials.supervisor import check_jobs, run_trials
+from carecontact.cli.groups import FLAT, JobsGroup, LanguageGroup, PhysicsGroup, RulesGroup, Switch, VisionGroup
 
 if TYPE_CHECKING:
+    from carecontact.contract.protocol import Protocol
     from carecontact.runs.manifest import Purpose
     from carecontact.trials.supervisor import RunSummary
 
 
-def run(
-    *,
-    policy: str,
-    out: Path,
-    tasks: str,
-    seeds: str,
-    protocol: str,
-    body: str | None = None,
-    tissue: str | None = None,
-    stiffness: float | None = None,
-    language: str | None = None,
-    record: Path | None = None,
-    fast: bool = False,
-    segmenter: str | None = None,
-    weights: Path | None = None,
-    unfrozen: bool = False,
-    jobs: int | None,
-    retry_failed: bool,
-    purpose: Purpose = "run",
-) -> int:
-    """``body``, ``tissue``, ``stiffness``, ``fast``: see ``protocols.adapted``; ``segmenter``, ``weights``: see
-    ``chosen_vision``; ``unfrozen``: see ``check_frozen``; ``language``, ``record``: see ``language_environment``.
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """Run trials of one policy, score them and write the report. The same command again does only what is missing."""
 
-    Exit status 1 if the harness failed in any trial or a recording was skipped; a policy that fails is a result."""
-    check_jobs(jobs)
-    policy = public_name(policy)
-    loaded = check_frozen(protocol, load_protocol(protocol), unfrozen=unfrozen)
-    vision = chosen_vision(loaded, segmenter=segmenter, weights=weights)
-    rules = adapted(loaded, body=body, tissue=tissue, fast=fast, stiffness_n_m=stiffness, vision=vision)
-    check_protocol(rules)
-    task_ids, seed_list = parse_tasks(tasks, protocol=rules), parse_seeds(seeds, protocol=rules)
-    folder = Path.cwd()
-    spoken = language_environment(policy, language=language, record=record)
-    check_policy(policy, search_path=folder, deadline_s=rules.phases.first_call_deadline_s)
-    specs = plan_trials(protocol=rules, policy=policy, tasks=task_ids, seeds=seed_list)
-    print(f"{policy}: {len(specs)} trial(s) of {rules.title} into {out}", flush=True)
-    with progress() as on_event:
-        summary = run_trials(
-            specs,
-            out=out,
-            jobs=jobs,
-            retry_failed=retry_failed,
-            environment={POLICY_PATH: str(folder), WEIGHTS: str(weights.resolve()) if weights else "", **spoken},
-            on_event=on_event,
-            purpose=purpose,
-        )
-    # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
-    scores = rescore(out, compare=not summary.ran)
-    report(out, run=scores)
-    return 1 if _tell_failures(summary, out=out) or scores.skipped else 0
+    policy: str
+    """Name from `carecontact list policies`, or module:Class, importable from the current folder, or ws://HOST:PORT of
+    a policy that `carecontact serve` serves."""
+    out: Path
+    """Folder for recordings, results.json and report.html."""
+    tasks: str = "all"
+    """T1,T2 or T1-T7 or all."""
+    seeds: str = "all"
+    """3 or 0-19 or 0,4,7 or all."""
+    rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
+    physics: Annotated[PhysicsGroup, FLAT] = field(default_factory=PhysicsGroup)
+    stiffness: float | None = None
+    """Stiffness of the arm's translation [N/m], in place of the protocol's; every output names this change. A stiffness
+    that the policy sets itself stays."""
+    vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
+    unfrozen: Switch = False
+    """Run a frozen protocol although it drifted from its lock (see `carecontact protocol verify`). Every output shows
+    it."""
+    language: Annotated[LanguageGroup, FLAT] = field(default_factory=LanguageGroup)
+    parallel: Annotated[JobsGroup, FLAT] = field(default_factory=JobsGroup)
+    retry_failed: Switch = False
+    """Run trials again that ended as process_failure or harness_error."""
+
+    after_interrupt: ClassVar[str] = "; finished trials are kept, the same command goes on from here"
+
+    def __call__(self) -> int:
+        return self.execute(purpose="run")
+
+    def execute(self, *, purpose: Purpose) -> int:
+        """Return 1 if the harness failed in any trial or a recording was skipped; a policy that fails is a result."""
+        from carecontact.cli.language import language_environment
+        from carecontact.cli.policy_name import check_policy, public_name
+        from carecontact.cli.progress import progress
+        from carecontact.cli.score import report, rescore
+        from carecontact.episode.vision import WEIGHTS
+        from carecontact.runs.identity import POLICY_PATH
+        from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
+        from carecontact.trials.supervisor import check_jobs, run_trials
+
+        check_jobs(self.parallel.jobs)
+        policy = public_name(self.policy)
+        rules = self._protocol()
+        tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
+        folder = Path.cwd()
+        spoken = language_environment(policy, self.language)
+        check_policy(policy, search_path=folder, deadline_s=rules.phases.first_call_deadline_s)
+        specs = plan_trials(protocol=rules, policy=policy, tasks=tasks, seeds=seeds)
+        print(f"{policy}: {len(specs)} trial(s) of {rules.title} into {self.out}", flush=True)
+        weights = str(self.vision.weights.resolve()) if self.vision.weights else ""
+        with progress() as on_event:
+            summary = run_trials(
+                specs,
+                out=self.out,
+                jobs=self.parallel.jobs,
+                retry_failed=self.retry_failed,
+                environment={POLICY_PATH: str(folder), WEIGHTS: weights, **spoken},
+                on_event=on_event,
+                purpose=purpose,
+            )
+        # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
+        scores = rescore(self.out, compare=not summary.ran)
+        report(self.out, run=scores)
+        return 1 if _print_failures(summary, out=self.out) or scores.skipped else 0
+
+    def _protocol(self) -> Protocol:
+        """Raises ConfigError for a protocol that cannot run, and UnknownNameError."""
+        from carecontact.cli.vision import with_vision
+        from carecontact.protocols import load_protocol
+        from carecontact.runs.freeze import check_frozen
+        from carecontact.runs.preflight import check_protocol
+
+        name = self.rules.protocol
+        loaded = check_frozen(name, load_protocol(name), unfrozen=self.unfrozen)
+        stiffness = {} if self.stiffness is None else {"impedance.translational_n_m": self.stiffness}
+        changed = self.rules.changed(loaded, **self.physics.changes(), stiffness=stiffness)
+        rules = with_vision(changed, self.vision)
+        check_protocol(rules)
+        return rules
 
 
-def _tell_failures(summary: RunSummary, *, out: Path) -> int:
-    """Number of trials that the harness failed to run."""
+def _print_failures(summary: RunSummary, *, out: Path) -> int:
+    """Return the number of trials that the harness failed to run."""
     by_end = {end: [t for t, e in summary.ended.items() if e == end] for end in ("process_failure", "harness_error")}
     for end, whose in (("process_failure", "the policy's process"), ("harness_error", "the harness")):
         if by_end[end]:

@@ -3,32 +3,43 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
+from carecontact.cli.groups import Folder, Switch
 from carecontact.errors import ConfigError, DependencyError
-from carecontact.protocols.frozen_state import drifted_sha256
-from carecontact.runs.manifest import read_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rich.console import Console
 
-    from carecontact.runs.scores import RunScores
+    from carecontact.runs.run_scores import RunScores
     from carecontact.scoring.result import TrialScore
 
 RESULTS = "results.json"
-
-
 FEW = 12
 """Up to this many recordings a second process costs more than it saves."""
 
 
-def score(folder: Path, *, jobs: int | None = None) -> int:
-    """Exit status 1 if a recording was skipped."""
-    return 1 if rescore(folder, jobs=jobs).skipped else 0
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Compute the scores of a run again from its recordings. This needs no simulator."""
+
+    folder: Folder
+    append: Switch = False
+    """Only add the metrics that results.json does not have yet; everything in it stays as it is."""
+    jobs: int | None = None
+    """Number of processes; default: one per core, fewer for a few recordings."""
+
+    after_interrupt: ClassVar[str] = ""
+
+    def __call__(self) -> int:
+        """Return 1 if a recording was skipped."""
+        if self.append:
+            return append(self.folder)
+        return 1 if rescore(self.folder, jobs=self.jobs).skipped else 0
 
 
 def append(folder: Path) -> int:
@@ -54,9 +65,10 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
 
     Where nothing could be scored, results.json stays as it is. ``jobs``: processes; default: as many as pay.
     """
+    from carecontact.protocols.frozen_state import drifted_sha256
     from carecontact.reports.table import listed
     from carecontact.runs import score_run, write_scores
-    from carecontact.runs.scores import harness_errors, judged
+    from carecontact.runs.pooling import harness_errors, judged
     from carecontact.trials.supervisor import check_jobs
 
     check_jobs(jobs)
@@ -141,6 +153,8 @@ def processes(recordings: int) -> int:
 
 def beside_plan(folder: Path, run: RunScores) -> RunScores:
     """The run with what its manifest plans and nobody scored; without a manifest as it is."""
+    from carecontact.runs.manifest import read_manifest
+
     manifest = read_manifest(folder)
     scored = {score.trial_id for score in run.scores}
     planned = () if manifest is None else manifest.trials
@@ -151,7 +165,7 @@ def print_table(scores: Sequence[TrialScore]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from carecontact.runs.scores import judged
+    from carecontact.runs.pooling import judged
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for header in ("task", "trials", "success", "region-correct", "safety-gated"):
@@ -184,7 +198,7 @@ def print_load(console: Console, scores: Sequence[TrialScore]) -> None:
     from carecontact.reports.page.limit_rows import limit_rows
     from carecontact.reports.page.load import load
     from carecontact.runs.aggregate import quadrants, valid_ratio
-    from carecontact.runs.scores import judged
+    from carecontact.runs.pooling import judged
 
     found = load(scores)
     if not found.n[-1]:
@@ -254,7 +268,7 @@ def _need_recordings(folder: Path) -> None:
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; name the --out of a run")
     if not any(folder.glob("*.h5")):
-        from carecontact.runs.scores import misnamed
+        from carecontact.runs.score_folder import misnamed
 
         told = "".join(f"; {path.name} does not end in .h5" for path in misnamed(folder)[:1])
         raise ConfigError(f"{folder}: holds no recordings (*.h5); name the --out of a run{told}")

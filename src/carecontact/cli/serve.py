@@ -3,35 +3,57 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, ClassVar
 
-from carecontact.cli.language import language_environment
-from carecontact.cli.policy_name import check_policy
+import tyro
+
+from carecontact.cli.groups import FLAT, LanguageGroup
 from carecontact.errors import ConfigError
-from carecontact.hosting.serving import LOAD_DEADLINE_S, serve_trials
 
 
-def serve(policy: str, *, host: str, port: int, at_once: int | None, language: str | None) -> int:
-    """Until it is interrupted. Raises ConfigError for what cannot be served or where nothing can listen."""
-    from carecontact.contract.policy_address import remote_address
-    from carecontact.trials.supervisor import available_cores
+@dataclass(frozen=True, kw_only=True)
+class Serve:
+    """Serve a policy to `carecontact run --policy ws://HOST:PORT` on another host, until Ctrl-C. Every trial that
+    connects gets a process of its own. Anyone who reaches the port may use it: see docs/threat-model.md."""
 
-    if not 0 <= port <= 65535:
-        raise ConfigError(f"--port {port}: expected 0 to 65535")
-    if at_once is not None and at_once < 1:
-        raise ConfigError(f"--at-once {at_once}: must be at least 1")
-    if remote_address(policy) is not None:
-        raise ConfigError(f"{policy}: this is served already; give a registered name or module:Class")
-    folder = Path.cwd()
-    os.environ.update(language_environment(policy, language=language, record=None))
-    check_policy(policy, search_path=folder, deadline_s=LOAD_DEADLINE_S)
-    serve_trials(
-        policy,
-        host=host,
-        port=port,
-        at_once=at_once or available_cores(),
-        search_path=[str(folder)],
-        on_port=lambda bound: print(f"{policy}: serving at {host} port {bound}", flush=True),
-        on_event=lambda said: print(said, flush=True),
-    )
-    return 0
+    policy: Annotated[str, tyro.conf.Positional]
+    """Name from `carecontact list policies`, or module:Class, importable from the current folder."""
+    host: str = "127.0.0.1"
+    """Address of this host to listen at; 0.0.0.0 for all of them."""
+    port: int = 8765
+    """Port to listen at; 0 for one that is free."""
+    at_once: int | None = None
+    """Number of trials that run at once, further ones wait; default: one per core."""
+    language: Annotated[LanguageGroup, FLAT] = field(default_factory=LanguageGroup)
+
+    after_interrupt: ClassVar[str] = "; its policies have ended"
+
+    def __call__(self) -> int:
+        """Serve until interrupted. Raises ConfigError for what cannot be served or where nothing can listen."""
+        from carecontact.cli.language import language_environment
+        from carecontact.cli.policy_name import check_policy
+        from carecontact.contract.policy_address import remote_address
+        from carecontact.hosting.serving import LOAD_DEADLINE_S, serve_trials
+        from carecontact.trials.supervisor import available_cores
+
+        if not 0 <= self.port <= 65535:
+            raise ConfigError(f"--port {self.port}: expected 0 to 65535")
+        if self.at_once is not None and self.at_once < 1:
+            raise ConfigError(f"--at-once {self.at_once}: must be at least 1")
+        if remote_address(self.policy) is not None:
+            raise ConfigError(f"{self.policy}: this is served already; give a registered name or module:Class")
+        folder = Path.cwd()
+        os.environ.update(language_environment(self.policy, self.language))
+        check_policy(self.policy, search_path=folder, deadline_s=LOAD_DEADLINE_S)
+        serve_trials(
+            self.policy,
+            host=self.host,
+            port=self.port,
+            at_once=self.at_once or available_cores(),
+            search_path=[str(folder)],
+            on_port=lambda bound: print(f"{self.policy}: serving at {self.host} port {bound}", flush=True),
+            on_event=lambda event: print(event, flush=True),
+        )
+        return 0

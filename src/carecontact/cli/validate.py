@@ -3,68 +3,83 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
+from carecontact.cli.groups import FLAT, ChangedProtocolGroup, PhysicsGroup, Switch
 from carecontact.errors import ConfigError
-from carecontact.protocols import adapted, load_protocol
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from carecontact.contract.protocol import Protocol
     from carecontact.validation.result import CheckResult, Measure
     from carecontact.validation.run import Validation
 
 
-def validate(
-    *,
-    bodies: tuple[str, ...],
-    tissue: str | None = None,
-    fast: bool = False,
-    quick: bool,
-    checks: str,
-    protocol: str,
-    out: Path,
-    verbose: bool,
-) -> int:
-    """Exit status 1 if any check fails on any body."""
-    from rich.console import Console
+@dataclass(frozen=True, kw_only=True)
+class Validate:
+    """Prove that the simulated person is physically valid: eight checks and two measurements, with pass lines."""
 
-    from carecontact.validation.run import CHECKS, write
-    from carecontact.validation.run import validate as run_checks
-    from carecontact.world.human.library import load_body
+    body: tuple[str, ...] = ()
+    """Bodies to check; see `carecontact list bodies`; default: the protocol's."""
+    physics: Annotated[PhysicsGroup, FLAT] = field(default_factory=PhysicsGroup)
+    quick: Switch = False
+    """Run the short form of every check, for continuous integration. The full form takes many minutes a body."""
+    checks: str = "all"
+    """Names parted by commas, such as force-balance,energy, or all."""
+    rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=ChangedProtocolGroup)
+    out: Path = Path("runs/validation")
+    """Folder for validation.json and the figures."""
+    verbose: Switch = False
+    """Print every measured quantity, not only those that missed their line."""
 
-    rules = adapted(load_protocol(protocol), tissue=tissue, fast=fast)
-    names = tuple(CHECKS) if checks == "all" else tuple(part.strip() for part in checks.split(","))
-    if not all(names) or len(set(names)) != len(names):
-        raise ConfigError(
-            f"--checks {checks!r}: expected names parted by commas, each once; valid: {', '.join(CHECKS)}"
-        )
-    wanted = bodies or (rules.person.body,)
-    for body in wanted:
-        load_body(body)
-    console = Console(highlight=False, width=None if Console().is_terminal else 140)
-    passed = True
-    for body in wanted:
+    after_interrupt: ClassVar[str] = "; the checks that were finished are in validation.json"
+
+    def __call__(self) -> int:
+        """Return 1 if any check fails on any body."""
+        from carecontact.protocols import load_protocol
+        from carecontact.validation.run import CHECKS
+        from carecontact.world.human.library import load_body
+
+        rules = self.rules.changed(load_protocol(self.rules.protocol), **self.physics.changes())
+        names = tuple(CHECKS) if self.checks == "all" else tuple(part.strip() for part in self.checks.split(","))
+        if not all(names) or len(set(names)) != len(names):
+            raise ConfigError(
+                f"--checks {self.checks!r}: expected names parted by commas, each once; valid: {', '.join(CHECKS)}"
+            )
+        wanted = self.body or (rules.person.body,)
+        for body in wanted:
+            load_body(body)
+        passed = True
+        for body in wanted:
+            # A body may be a file: its name as a folder keeps letters and digits only.
+            folder = self.out / re.sub(r"[^A-Za-z0-9_-]+", "_", body) if len(wanted) > 1 else self.out
+            passed &= self._validate(rules, body, names, folder)
+        return 0 if passed else 1
+
+    def _validate(self, rules: Protocol, body: str, names: tuple[str, ...], folder: Path) -> bool:
+        from rich.console import Console
+
+        from carecontact.validation.run import CHECKS, validate, write
+
+        console = Console(highlight=False, width=None if Console().is_terminal else 140)
         title = f"{rules.title}, tissue {rules.person.tissue_set}"
-        console.print(f"{body}, {title}{', quick' if quick else ''}", style="bold")
+        console.print(f"{body}, {title}{', quick' if self.quick else ''}", style="bold")
 
-        # A body may be a file: its name as a folder keeps letters and digits only.
-        folder = out / re.sub(r"[^A-Za-z0-9_-]+", "_", body) if len(wanted) > 1 else out
-
-        def keep(so_far: Validation, folder: Path = folder) -> None:
+        def keep(so_far: Validation) -> None:
             console.print(_line(so_far.results[-1]))
             write(so_far, folder)
 
-        validation = run_checks(rules, body=body, quick=quick, checks=names, on_check=keep)
+        validation = validate(rules, body=body, quick=self.quick, checks=names, on_check=keep)
         missed = [(result, measure) for result in validation.results for measure in result.missed]
-        if verbose or missed:
-            rows = [(r, m) for r in validation.results for m in r.measures] if verbose else missed
+        if self.verbose or missed:
+            rows = [(r, m) for r in validation.results for m in r.measures] if self.verbose else missed
             console.print(_table(rows))
         some = "" if len(names) == len(CHECKS) else f" ({len(names)} of {len(CHECKS)} checks)"
         print(f"{'passed' if validation.passed else 'FAILED'}{some}: {folder / 'validation.json'}")
-        passed &= validation.passed
-    return 0 if passed else 1
+        return validation.passed
 
 
 def _line(result: CheckResult) -> str:

@@ -51,6 +51,7 @@ class PolicyCard:
         rate = fields["control_hz"]
         if isinstance(rate, bool) or not isinstance(rate, int | float) or not 1 <= rate <= 50:
             _wrong("control_hz", "a number from 1 to 50 [Hz]", rate)
+        object.__setattr__(self, "control_hz", float(rate))  # as it arrives over the wire
 
 
 def _wrong(field: str, expected: str, got: object) -> NoReturn:

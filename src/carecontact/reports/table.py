@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from carecontact.runs.scores import check_one_run, judged
+from carecontact.runs.pooling import check_one_run, judged
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Median, median
 

@@ -10,7 +10,8 @@ from carecontact import __version__
 from carecontact.errors import ConfigError
 from carecontact.reports.compare.paired_lines import Line, paired_lines
 from carecontact.reports.compare.verdicts import ALPHA, POWER, conclude
-from carecontact.runs.scores import RunScores, check_one_run, judged, world_difference
+from carecontact.runs.pooling import check_one_run, judged, world_difference
+from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.result import TrialScore
 
 COMPARISON_SCHEMA = "carecontact-comparison-1"

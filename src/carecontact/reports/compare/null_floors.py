@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from carecontact.errors import ConfigError
 from carecontact.reports.compare.comparison import check_comparable, trials_by_key
 from carecontact.reports.compare.outcomes import RATES
-from carecontact.runs.scores import RunScores, judged
+from carecontact.runs.pooling import judged
+from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Proportion, RateDifference, paired_difference, unpaired_difference, wilson_interval
 

@@ -16,7 +16,7 @@ from carecontact.reports.compare.paired_lines import Line, rate_lines
 from carecontact.reports.compare.rankings import Ranking, rank
 from carecontact.reports.compare.verdicts import ALPHA, POWER, conclude
 from carecontact.reports.table import SummaryRow, summary_rows
-from carecontact.runs.scores import RunScores
+from carecontact.runs.run_scores import RunScores
 
 OVERVIEW_SCHEMA = "carecontact-overview-1"
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from carecontact.runs.scores import judged
+from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
 
 MODE_MEANING = {

@@ -23,7 +23,7 @@ from carecontact.reports.page.load import load, rounded
 from carecontact.reports.page.provenance import cannot_say, provenance_rows
 from carecontact.reports.table import COLUMNS, POOLED, sorted_scores, summary_rows
 from carecontact.runs.aggregate import quadrants, valid_ratio
-from carecontact.runs.scores import check_one_run, harness_errors, judged
+from carecontact.runs.pooling import check_one_run, harness_errors, judged
 from carecontact.scoring.result import TrialScore
 
 FILE_NAME = "report.html"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from carecontact.runs.scores import judged
+from carecontact.runs.pooling import judged
 from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Proportion, wilson_interval

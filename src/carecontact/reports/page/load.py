@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from carecontact.reports.table import NA, sorted_scores
-from carecontact.runs.scores import judged
+from carecontact.runs.pooling import judged
 from carecontact.scoring.metrics.metric import METRICS
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Median, median

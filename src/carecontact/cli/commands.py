@@ -1,0 +1,85 @@
+"""The commands of ``carecontact``, and the parser that turns a command line into one of them."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from contextlib import redirect_stderr
+from importlib import import_module
+from typing import Any, ClassVar, Protocol
+
+import tyro
+
+from carecontact.errors import ConfigError
+
+
+class Command(Protocol):
+    """A dataclass of options. A call does the work and returns the exit status."""
+
+    after_interrupt: ClassVar[str]
+    """What Ctrl-C has left behind, as a continuation of the word "interrupted"."""
+
+    def __call__(self) -> int: ...
+
+
+class UsageError(ConfigError):
+    """The command line names an option, a value or a command that does not exist."""
+
+
+COMMANDS = {
+    "run": "run:Run",
+    "serve": "serve:Serve",
+    "demo": "demo:Demo",
+    "score": "score:Score",
+    "report": "report:Report",
+    "compare": "compare:Compare",
+    "validate": "validate:Validate",
+    "calibrate": "calibrate:Calibrate",
+    "look": "look:Look",
+    "audit": "audit:Audit",
+    "notes": "notes:Notes",
+    "probe": "probe:Probe",
+    "protocol": "protocol:Protocols",
+    "list": "names:List",
+    "doctor": "doctor:Doctor",
+}
+"""Name -> module of this package and class in it."""
+
+
+def command_class(name: str) -> type[Any]:
+    module, _, made = COMMANDS[name].partition(":")
+    return getattr(import_module(f"carecontact.cli.{module}"), made)
+
+
+def parse(arguments: Sequence[str]) -> Command:
+    """Return the command with its options, ready to call.
+
+    Prints the help and exits if the arguments request it or are empty. Raises UsageError for wrong options.
+    """
+    errors = io.StringIO()
+    try:
+        with redirect_stderr(errors):
+            if arguments and arguments[0] in COMMANDS:
+                name, *options = arguments
+                return tyro.cli(command_class(name), prog=f"carecontact {name}", args=options)
+            return tyro.extras.subcommand_cli_from_dict(
+                {name: command_class(name) for name in COMMANDS},
+                prog="carecontact",
+                description="Does a robot policy touch people well?",
+                args=list(arguments) or ["--help"],
+            )
+    except SystemExit as end:
+        if end.code != 2:
+            raise
+        raise UsageError(_in_one_line(errors.getvalue())) from None
+
+
+def _in_one_line(box: str) -> str:
+    """Keep from tyro's framed page what is wrong and where help is; drop the indented help texts."""
+    rows = [line.strip("│\n ").rstrip() for line in box.splitlines() if not line.startswith(" " * 8, 2)]
+    sections = [" ".join(section.split()) for section in "\n".join(rows[1:-1]).split("─" * 8)]
+    sections = [section.strip("─ ") for section in sections if section.strip("─ ")]
+    if not sections:
+        return " ".join(box.split())
+    more = [section for section in sections[1:] if section.startswith(("Unrecognized", "For full helptext"))]
+    return "; ".join([sections[0].partition(" Got errors:")[0].rstrip("."), *more])

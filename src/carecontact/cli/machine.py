@@ -1,0 +1,201 @@
+"""What ``carecontact doctor`` checks on this machine."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import metadata, resources
+
+PYTHON = ((3, 11), (3, 13))
+"""At least, and below."""
+PACKAGES = {
+    "mujoco": "mujoco==4.0.0",
+    "numpy": "'numpy>=2,<3'",
+    "scipy": "scipy",
+    "h5py": "h5py",
+    "pydantic": "'pydantic>=2.9'",
+    "pydantic-monty": "'pydantic-monty>=1.4,<2'",
+    "websockets": "websockets",
+    "msgpack": "msgpack",
+    "matplotlib": "matplotlib",
+    "jinja2": "jinja2",
+    "opencv-python-headless": "opencv-python-headless",
+    "protobuf": "'protobuf>=4.25,<7'",
+    "mediapipe": "--no-deps mediapipe==0.10.21",
+}
+"""Distribution -> what pip is asked for."""
+GL_LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}
+GL_PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
+MEMORY_PER_TRIAL_GIB = 1.0
+"""Measured: 0.6 for a trial, and its policy's process comes on top."""
+PROBE_LIMIT_S = 120.0
+
+FRAME_PROBE = """
+import mujoco
+model = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><light pos='0 0 3'/><geom type='sphere' size='.3' rgba='1 0 0 1'/>"
+    "<camera name='c' pos='0 -2 0' xyaxes='1 0 0 0 0 1'/></worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+with mujoco.Renderer(model, 120, 160) as renderer:
+    renderer.update_scene(data, "c")
+    image = renderer.render()
+assert image[60, 80, 0] > 30 + image[0, 0, 0], "the picture does not show the sphere that is in the scene"
+"""
+POSE_PROBE = """
+import mediapipe, numpy
+with mediapipe.solutions.pose.Pose(static_image_mode=True, model_complexity=1) as pose:
+    pose.process(numpy.zeros((480, 640, 3), numpy.uint8))
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    name: str
+    fine: bool
+    detail: str
+    fix: str | None = None
+    """The line that installs what is missing."""
+
+
+def findings() -> Iterator[Finding]:
+    """Run every check, one at a time."""
+    for check in (check_python, check_packages, check_gl, check_frame, check_pose, check_assets, check_machine):
+        yield check()
+
+
+def check_python() -> Finding:
+    low, high = PYTHON
+    version = ".".join(map(str, sys.version_info[:3]))
+    fine = low <= sys.version_info[:2] < high
+    return Finding(name="python", fine=fine, detail=version if fine else f"{version}; needs 3.11 or 3.12")
+
+
+def check_packages() -> Finding:
+    found: dict[str, str] = {}
+    absent: list[str] = []
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            absent.append(package)
+    if absent:
+        lines = [f"{sys.executable} -m pip install {PACKAGES[package]}" for package in absent]
+        return Finding(name="packages", fine=False, detail=f"not installed: {', '.join(absent)}", fix="; ".join(lines))
+    return Finding(name="packages", fine=True, detail=", ".join(f"{name} {version}" for name, version in found.items()))
+
+
+def loads(library: str) -> bool:
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
+def gl_backend(*, loads: Callable[[str], bool] = loads) -> tuple[str, list[str]]:
+    """The OpenGL backend a trial will use (``MUJOCO_GL`` if set, else egl, else osmesa), and libraries it lacks."""
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    candidates = [wanted] if wanted in GL_LIBRARIES else list(GL_LIBRARIES)
+    lacking = {backend: [lib for lib in GL_LIBRARIES[backend] if not loads(lib)] for backend in candidates}
+    backend = next((b for b in candidates if not lacking[b]), candidates[0])
+    return backend, lacking[backend]
+
+
+def check_gl() -> Finding:
+    backend, lacking = gl_backend()
+    how = "chosen by MUJOCO_GL" if os.environ.get("MUJOCO_GL", "").lower() == backend else "chosen by what is installed"
+    if lacking:
+        return Finding(
+            name="OpenGL", fine=False, detail=f"{backend}: {' and '.join(lacking)} missing", fix=apt_line(backend)
+        )
+    return Finding(name="OpenGL", fine=True, detail=f"{backend}, {how}")
+
+
+def apt_line(backend: str) -> str:
+    sudo = "" if hasattr(os, "geteuid") and os.geteuid() == 0 else "sudo "
+    return f"{sudo}apt-get install -y {GL_PACKAGES[backend]}"
+
+
+def check_frame() -> Finding:
+    backend, lacking = gl_backend()
+    if lacking:
+        return Finding(name="frame", fine=False, detail="not tried: no OpenGL")
+    problem = _probe(FRAME_PROBE, environment={"MUJOCO_GL": backend})
+    if problem:
+        return Finding(
+            name="frame", fine=False, detail=f"MuJoCo renders nothing with {backend}: {problem}", fix=apt_line(backend)
+        )
+    return Finding(name="frame", fine=True, detail=f"MuJoCo {metadata.version('mujoco')} rendered one with {backend}")
+
+
+def check_pose() -> Finding:
+    problem = _probe(POSE_PROBE, environment={})
+    if problem is None:
+        return Finding(name="vision", fine=True, detail="MediaPipe Pose ran")
+    fix = (
+        f"{sys.executable} -m pip install --no-deps mediapipe==0.10.21 && {sys.executable} -m pip install 'protobuf<7'"
+    )
+    return Finding(name="vision", fine=False, detail=f"MediaPipe Pose does not run: {problem}", fix=fix)
+
+
+def check_assets() -> Finding:
+    """Compare every baked file with the hash in its provenance file."""
+    checked, wrong = [], []
+    for folder in (resources.files("carecontact") / "assets").iterdir():
+        if not folder.is_dir():
+            continue
+        for note in folder.iterdir():
+            if not note.name.endswith(".provenance.json"):
+                continue
+            stem = note.name.removesuffix(".provenance.json")
+            baked = next((p for p in (folder / f"{stem}.npz", folder / f"{stem}.png") if p.is_file()), None)
+            name = f"{folder.name}/{baked.name if baked else stem}"
+            expected = json.loads(note.read_bytes())["sha256"]
+            if baked and hashlib.sha256(baked.read_bytes()).hexdigest() == expected:
+                checked.append(name)
+            else:
+                wrong.append(f"{name} is missing or is not what its provenance file says")
+    if wrong or not checked:
+        fix = f"{sys.executable} -m pip install --force-reinstall --no-deps carecontact"
+        return Finding(name="assets", fine=False, detail="; ".join(wrong) or "none are there", fix=fix)
+    return Finding(name="assets", fine=True, detail=", ".join(sorted(checked)))
+
+
+def check_machine() -> Finding:
+    from carecontact.trials.supervisor import available_cores
+
+    cores = available_cores()
+    detail = f"{cores} core(s)"
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
+        detail += f", {memory:.0f} GiB of memory"
+        if memory < MEMORY_PER_TRIAL_GIB * cores:
+            detail += f"; use --jobs {max(1, int(memory / MEMORY_PER_TRIAL_GIB))}"
+    return Finding(name="machine", fine=True, detail=detail)
+
+
+def _probe(code: str, *, environment: dict[str, str]) -> str | None:
+    """Run code in a process of its own, since what is broken here may crash it; None or the last line it said."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", code],
+            env={**os.environ, **environment},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=PROBE_LIMIT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"no answer within {PROBE_LIMIT_S:g} s"
+    if done.returncode == 0:
+        return None
+    return (done.stderr.strip().splitlines() or [f"its process ended with status {done.returncode}"])[-1]
