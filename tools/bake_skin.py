@@ -17,7 +17,7 @@ from pathlib import Path
 import cv2
 
 from carecontact.world.human.appearance import fine_paint
-from carecontact.world.human.body import body_names, load_body
+from carecontact.world.human.library import body_names, load_body
 from carecontact.world.human.skin import GREY, Appearance
 
 LIGHT, BROWN, DARK, PINK = (214, 164, 134), (168, 118, 88), (116, 78, 58), (226, 178, 156)

@@ -24,7 +24,8 @@ from carecontact.contract.protocol import Tissue
 from carecontact.protocols.tissue_sets import load_tissue_set, shipped_tissue_sets
 from carecontact.sim.bench import LAW_FIELDS, Bench, Indenter
 from carecontact.validation.reference import ABDOMEN, FOREARM, UPPER_ARM_ANTERIOR, Reference
-from carecontact.world.human.body import Body, load_body
+from carecontact.world.human.body import Body
+from carecontact.world.human.library import load_body
 from carecontact.world.scene import off_target
 
 SPEED_M_S = 0.005

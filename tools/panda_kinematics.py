@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.geometry import pose_matrix
-from carecontact.world.robot import JOINT_ARMATURE, TCP_Z_M, panda_asset
+from carecontact.world.robot import JOINT_ARMATURE, panda_asset
 
 Array = npt.NDArray[np.float64]
 
@@ -37,7 +38,7 @@ class Arm:
             pose = pose @ self.frames[i] @ turn
             out.append(pose)
         out.append(pose @ self.frames[7])
-        out.append(out[-1] @ pose_matrix(np.array([0, 0, TCP_Z_M]), np.array([1.0, 0, 0, 0])))
+        out.append(out[-1] @ pose_matrix(np.array([0, 0, PANDA.tcp_z_m]), np.array([1.0, 0, 0, 0])))
         return np.stack(out, 1)
 
     def jacobian(self, links: Array) -> Array:

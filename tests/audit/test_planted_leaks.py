@@ -15,20 +15,20 @@ from carecontact.audit.derivation import audit_derivation
 from carecontact.audit.frozen import audit_frozen
 from carecontact.audit.handshake import audit_handshake, audit_start
 from carecontact.audit.keyframe import CONTROL_HZ, Keyframe
-from carecontact.audit.run import _starts
+from carecontact.audit.region import two_starts
 from carecontact.audit.schema import audit_schema
 from carecontact.audit.watched import Watched, press, watch
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.episode import Episode
 from carecontact.episode.perception import PerceptionLog
 from carecontact.hosting import process
 from carecontact.observation.builder import ObservationBuilder
 from carecontact.recording.perception import JOINTS
 from carecontact.sim.proprioception import Proprioception
 from carecontact.sim.rendering import SceneRenderer
-from carecontact.sim.simulation import Settled, Simulation
-from carecontact.trials import trial
+from carecontact.sim.simulation import Simulation
 from tests.audit.conftest import BLIND, Press, places, send_a_privileged_key
 
 
@@ -147,7 +147,7 @@ def leaky_pair(
     The seed leaks through session, environment and options, the stiffness through a joint's speed.
     """
     folder = tmp_path_factory.mktemp("witness")
-    build, session, environment = ObservationBuilder.build, trial._Trial._session, process._environment
+    build, session, environment = ObservationBuilder.build, Episode.session, process._environment
     options = process._options
     seeds: list[int] = []
 
@@ -156,14 +156,14 @@ def leaky_pair(
         hidden = 1e-15 * float(self._renderer._model.jnt_stiffness.sum())
         return dataclasses.replace(seen, joint_velocity=seen.joint_velocity + hidden)
 
-    def leaky_session(self: trial._Trial) -> Session:
+    def leaky_session(self: Episode) -> Session:
         seeds.append(self.spec.seed)
-        honest = session(self)
+        honest = session.__get__(self)
         return dataclasses.replace(honest, time_limit_s=honest.time_limit_s + 1e-9 * self.spec.seed)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ObservationBuilder, "build", leaky_build)
-        patch.setattr(trial._Trial, "_session", leaky_session)
+        patch.setattr(Episode, "session", property(leaky_session))
         pair: list[Watched] = []
         for one, prepare in ((spec, keyframe.near), (other_hidden_values(spec), keyframe.twin)):
             told = f"run {one.trial_id}"
@@ -187,24 +187,24 @@ def test_the_seed_in_the_handshake(leaky_pair: tuple[Watched, Watched]) -> None:
 def test_the_person_s_arm_in_session_and_encoders(
     monkeypatch: pytest.MonkeyPatch, keyframe: Keyframe, spec: TrialSpec, tmp_path: Path
 ) -> None:
-    honest = _starts(spec, keyframe, folder=tmp_path)
+    honest = two_starts(spec, keyframe, folder=tmp_path)
     part = audit_start(*honest)
     assert part.passed, part
-    begin, session, speed = trial._Trial.__init__, trial._Trial._session, Proprioception.joint_velocity
+    begin, session, speed = Episode.__init__, Episode.session, Proprioception.joint_velocity
     settled_deg: list[float] = []
 
-    def leaky_begin(self: trial._Trial, spec: TrialSpec, simulation: Simulation, settled: Settled, *rest: Any) -> None:
-        begin(self, spec, simulation, settled, *rest)
-        settled_deg.append(settled.comfort_arm_deg)
+    def leaky_begin(self: Episode, spec: TrialSpec, **rest: Any) -> None:
+        begin(self, spec, **rest)
+        settled_deg.append(self._settled.comfort_arm_deg)
 
-    def leaky_session(self: trial._Trial) -> Session:
-        told = session(self)
+    def leaky_session(self: Episode) -> Session:
+        told = session.__get__(self)
         return dataclasses.replace(told, time_limit_s=told.time_limit_s + 1e-6 * self.simulation.comfort_arm_deg())
 
-    monkeypatch.setattr(trial._Trial, "__init__", leaky_begin)
-    monkeypatch.setattr(trial._Trial, "_session", leaky_session)
+    monkeypatch.setattr(Episode, "__init__", leaky_begin)
+    monkeypatch.setattr(Episode, "session", property(leaky_session))
     monkeypatch.setattr(Proprioception, "joint_velocity", lambda self, data: speed(self, data) + 1e-9 * settled_deg[-1])
-    part = audit_start(*_starts(spec, keyframe, folder=tmp_path))
+    part = audit_start(*two_starts(spec, keyframe, folder=tmp_path))
     assert places(part) == {"session.time_limit_s", "observation.joint_velocity"}
     assert abs(settled_deg[0] - settled_deg[1]) > 2
     # The same person twice would have shown nothing.

@@ -19,7 +19,7 @@ from carecontact.calibration.replay import Replay, group_curves
 from carecontact.contract.protocol import Tissue
 from carecontact.protocols import load_protocol
 from carecontact.sim.bench import Bench
-from carecontact.world.human.body import load_body
+from carecontact.world.human.library import load_body
 
 REGIONS = ("forearm", "abdomen")
 pytestmark = pytest.mark.slow

@@ -1,54 +1,37 @@
-"""The log against a simulation that is a clock and known numbers."""
+"""The log against a clock and known numbers."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
-from carecontact.contract.action import Action
 from carecontact.contract.observation import CameraView, Observation
 from carecontact.episode.log import MAX_LOSSLESS_FRAMES, MAX_NOTES, MAX_NOTES_BYTES, MAX_STEP_NOTES, TrialLog
 from carecontact.errors import PolicyError
 from carecontact.recording.schema import ARRAYS, REGIONS, SEGMENTS, dimensions
-from carecontact.sim.simulation import Samples, Settled, Simulation
+from carecontact.sim.simulation import Samples
 
 JOINTS = ["a", "b", "c"]
 PERIOD_S, STEPS = 0.02, 10
 
 
 class Clock:
-    """As much of a Simulation as the log reads."""
+    """Samples and values that are known functions of the time."""
 
     def __init__(self) -> None:
         self.steps = 0
-        self.joint_names = JOINTS
-        self.joint_range = np.array([[-1.0, 1.0]] * 3)
-        self.interpolator = SimpleNamespace(pose=np.zeros(7))
-        shells = {
-            name: SimpleNamespace(shell=SimpleNamespace(length_m=k + 0.1, radius_m=k + 0.2, axis_depth_m=k + 0.3))
-            for k, name in enumerate(REGIONS)
-        }
-        self.scene = SimpleNamespace(regions=shells)
 
     @property
     def time_s(self) -> float:
         return self.steps * PERIOD_S / STEPS
 
-    def indentation(self) -> np.ndarray:
-        return np.full(len(REGIONS), self.time_s / 100)
-
-    def integration_state(self) -> np.ndarray:
-        return np.array([self.time_s, 1.0, 2.0])
-
     def advance(self, steps: int = STEPS) -> list[Samples]:
         time = (self.steps + np.arange(steps)) * PERIOD_S / STEPS
         self.steps += steps
-        self.interpolator.pose = np.full(7, self.time_s)
         s = len(SEGMENTS)
 
         def ramp(*shape: int) -> np.ndarray:
@@ -63,12 +46,12 @@ class Clock:
         ]  # fmt: skip
 
 
-SETTLED = Settled(
-    duration_s=2.0,
-    comfort_arm_deg=50.0,
-    joint_position=np.array([0.1, 0.2, 0.3]),
-    wrist_in_world=np.array([1.0, 2.0, 3.0]),
-)
+CONSTANTS = {
+    "scorer/human_joint_range": np.array([[-1.0, 1.0]] * 3),
+    "scorer/human_joint_settled": np.array([0.1, 0.2, 0.3]),
+    "scorer/wrist_settled_in_world": np.array([1.0, 2.0, 3.0]),
+    "scorer/region_size_m": np.arange(9.0).reshape(3, 3),
+}
 
 
 @pytest.fixture
@@ -77,8 +60,21 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def log(clock: Clock) -> TrialLog:
-    return TrialLog(cast(Simulation, clock), SETTLED)
+def log() -> TrialLog:
+    return TrialLog(human_joints=len(JOINTS), constants=CONSTANTS)
+
+
+def add_period(log: TrialLog, clock: Clock, *blocks: int) -> None:
+    """One period of the clock, in blocks of so many steps; keeps the state where the log wants one."""
+    samples = [sample for steps in blocks or (STEPS,) for sample in clock.advance(steps)]
+    now = clock.time_s
+    log.add_period(samples, time_s=now, indentation_m=np.full(len(REGIONS), now / 100), target_in_base=np.full(7, now))
+    if log.wants_state(now):
+        log.add_state(now, np.array([now, 1.0, 2.0]))
+
+
+def row(pose: float | np.ndarray = np.nan, stiffness: tuple[float, float] = (400.0, 20.0)) -> dict[str, np.ndarray]:
+    return {"actions/pose_tcp_in_base": np.full(7, pose), "actions/stiffness": np.array(stiffness)}
 
 
 def observation(time: float, **images: Any) -> Observation:
@@ -113,8 +109,8 @@ def test_an_empty_trial_has_every_array(log: TrialLog) -> None:
 def test_a_full_trial_fits_the_schema(clock: Clock, log: TrialLog) -> None:
     for k in range(3):
         log.add_observation(observation(clock.time_s), sha(str(k)))
-        log.add_action(Action(pose_tcp_in_base=np.full(7, float(k))), (400.0, 20.0))
-        log.add_samples(clock.advance())
+        log.add_action(clock.time_s, row(float(k)))
+        add_period(log, clock)
     arrays = log.arrays()
     assert_fits_the_schema(arrays)
     assert set(arrays) == set(ARRAYS)
@@ -124,7 +120,7 @@ def test_a_full_trial_fits_the_schema(clock: Clock, log: TrialLog) -> None:
 
 def test_each_stream_goes_to_its_own_array_in_the_order_of_time(clock: Clock, log: TrialLog) -> None:
     for _ in range(4):
-        log.add_samples(clock.advance())
+        add_period(log, clock)
     arrays = log.arrays()
     time = np.arange(4 * STEPS) * PERIOD_S / STEPS
     np.testing.assert_allclose(arrays["scorer/time_s"], time, atol=1e-12)
@@ -141,7 +137,7 @@ def test_each_stream_goes_to_its_own_array_in_the_order_of_time(clock: Clock, lo
 
 
 def test_several_blocks_at_once_are_one_stretch(clock: Clock, log: TrialLog) -> None:
-    log.add_samples([*clock.advance(3), *clock.advance(7)])
+    add_period(log, clock, 3, 7)
     arrays = log.arrays()
     np.testing.assert_allclose(arrays["scorer/time_s"], np.arange(10) * 0.002, atol=1e-12)
     assert len(arrays["scorer/period_time_s"]) == 1
@@ -149,7 +145,7 @@ def test_several_blocks_at_once_are_one_stretch(clock: Clock, log: TrialLog) -> 
 
 def test_period_values_are_those_at_its_end(clock: Clock, log: TrialLog) -> None:
     for _ in range(3):
-        log.add_samples(clock.advance())
+        add_period(log, clock)
     arrays = log.arrays()
     ends = np.array([0.02, 0.04, 0.06])
     np.testing.assert_allclose(arrays["scorer/period_time_s"], ends)
@@ -157,25 +153,23 @@ def test_period_values_are_those_at_its_end(clock: Clock, log: TrialLog) -> None
     np.testing.assert_allclose(arrays["scorer/target_in_base"], np.outer(ends, np.ones(7)), rtol=1e-6)
 
 
-def test_settled_values_and_sizes(log: TrialLog) -> None:
+def test_constants_travel_along(log: TrialLog) -> None:
     arrays = log.arrays()
-    np.testing.assert_array_equal(arrays["scorer/human_joint_settled"], SETTLED.joint_position)
-    np.testing.assert_array_equal(arrays["scorer/wrist_settled_in_world"], SETTLED.wrist_in_world)
-    np.testing.assert_array_equal(arrays["scorer/human_joint_range"], [[-1, 1]] * 3)
-    np.testing.assert_allclose(arrays["scorer/region_size_m"], [[0.1, 0.2, 0.3], [1.1, 1.2, 1.3], [2.1, 2.2, 2.3]])
+    for path, array in CONSTANTS.items():
+        np.testing.assert_array_equal(arrays[path], array)
 
 
 def test_states_are_kept_once_a_second(clock: Clock, log: TrialLog) -> None:
     for _ in range(160):
-        log.add_samples(clock.advance())
+        add_period(log, clock)
     arrays = log.arrays()
     np.testing.assert_allclose(arrays["state/time_s"], [0.02, 1.02, 2.02, 3.02])
     np.testing.assert_array_equal(arrays["state/integration"][:, 0], arrays["state/time_s"])
 
 
-def test_a_state_can_be_asked_for(clock: Clock, log: TrialLog) -> None:
-    log.add_state()
-    log.add_samples(clock.advance())
+def test_a_state_that_is_there_counts_for_its_second(clock: Clock, log: TrialLog) -> None:
+    log.add_state(clock.time_s, np.zeros(3))
+    add_period(log, clock)
     assert log.arrays()["state/time_s"].tolist() == [0.0]
 
 
@@ -189,12 +183,12 @@ def test_observations_keep_time_and_the_hash_of_what_was_sent(log: TrialLog) -> 
 
 def test_actions_name_the_observation_they_answer(clock: Clock, log: TrialLog) -> None:
     log.add_observation(observation(0.0), sha("0"))
-    log.add_action(Action(pose_tcp_in_base=np.arange(7.0)), (400.0, 20.0))
-    log.add_samples(clock.advance())
-    log.add_action(Action(), (400.0, 20.0))
-    log.add_samples(clock.advance())
+    log.add_action(clock.time_s, row(np.arange(7.0)))
+    add_period(log, clock)
+    log.add_action(clock.time_s, row())
+    add_period(log, clock)
     log.add_observation(observation(0.04), sha("1"))
-    log.add_action(Action(stiffness=(100.0, 5.0), done=True), (100.0, 5.0))
+    log.add_action(clock.time_s, row(stiffness=(100.0, 5.0)))
     arrays = log.arrays()
     assert arrays["actions/observation_index"].tolist() == [0, 0, 1]
     np.testing.assert_allclose(arrays["actions/time_s"], [0.0, 0.02, 0.04])
@@ -243,9 +237,9 @@ def test_extra_arrays_travel_along(log: TrialLog) -> None:
 
 
 def test_reading_the_arrays_does_not_end_the_log(clock: Clock, log: TrialLog) -> None:
-    log.add_samples(clock.advance())
+    add_period(log, clock)
     assert len(log.arrays()["scorer/time_s"]) == STEPS
-    log.add_samples(clock.advance())
+    add_period(log, clock)
     assert len(log.arrays()["scorer/time_s"]) == 2 * STEPS
 
 

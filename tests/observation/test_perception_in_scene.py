@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.episode.perception import PerceptionLog, iou, true_target
@@ -18,7 +19,6 @@ from carecontact.observation.keypoints import MediaPipePose
 from carecontact.policies.region_geometry import LANDMARK, region_from_observation
 from carecontact.protocols import load_protocol
 from carecontact.recording.perception import ARRAYS, JOINTS
-from carecontact.sim.proprioception import ROBOT_JOINTS
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.world.furniture import FURNITURE_GROUP, SUPPORT
@@ -90,7 +90,7 @@ def test_calibration_knows_nothing_of_the_person(seen: tuple[Simulation, SceneRe
     simulation, _, observation = seen
     protocol, model, angles = simulation.protocol, simulation.model, observation.joint_position
     scrambled = copy.deepcopy(model)
-    person = np.setdiff1d(np.arange(model.nq), [model.joint(name).qposadr[0] for name in ROBOT_JOINTS])
+    person = np.setdiff1d(np.arange(model.nq), [model.joint(name).qposadr[0] for name in PANDA.joints])
     rng = np.random.default_rng(0)
     with SceneRenderer(model, protocol=protocol) as one, SceneRenderer(scrambled, protocol=protocol) as other:
         # Not even through the state that a fresh copy of the world begins with.

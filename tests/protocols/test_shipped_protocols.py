@@ -9,7 +9,7 @@ from carecontact.contract.protocol import SEGMENT_PARTS, Protocol, Variation
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol, shipped_protocols
 from carecontact.protocols.lock import read_lock
 from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
-from carecontact.world.human.body import body_names
+from carecontact.world.human.library import body_names
 
 
 @pytest.fixture(scope="module", params=shipped_protocols())

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carecontact.errors import RecordingError
-from carecontact.recording import ARRAYS, Recording, canonical_hash, read_recording, write_recording
+from carecontact.recording import ARRAYS, OPTIONAL_ARRAYS, Recording, canonical_hash, read_recording, write_recording
+from carecontact.recording.schema import dimensions
 from tests.scoring.synthetic import before_start, make_recording, touch
 
 EXTRA = {"wall/act_s": np.linspace(0, 1, 400), "policy/frames/0/overhead/rgb": np.full((8, 8, 3), 7, np.uint8)}
@@ -196,3 +197,26 @@ def test_links_are_refused(tmp_path: Path, image: bytes) -> None:
 def test_paths_outside_the_schema_are_refused(tmp_path: Path, path: str) -> None:
     with pytest.raises(RecordingError, match="unexpected array path"):
         write_recording(make_recording(extra={path: np.zeros(1)}), tmp_path / "T1-s000.h5")
+
+
+def shaped(path: str, recording: Recording, *, more: int = 0) -> np.ndarray:
+    """Zeros that fit the schema and the recording; ``more``: so much longer along the first dimension."""
+    sizes = {"C": 5, "V": 4}
+    for required in ARRAYS:
+        sizes |= dict(zip(dimensions(required), recording[required].shape, strict=True))
+    shape = [int(name) if name.isdecimal() else sizes[name] for name in dimensions(path)]
+    return np.zeros([shape[0] + more, *shape[1:]], OPTIONAL_ARRAYS[path][0])
+
+
+@pytest.mark.parametrize("path", sorted(OPTIONAL_ARRAYS))
+def test_an_optional_array_is_stored_and_has_to_fit(tmp_path: Path, path: str) -> None:
+    plain = make_recording()
+    stored = Recording(header=plain.header, arrays=plain.arrays | {path: shaped(path, plain)})
+    kept = read_recording(write_recording(stored, tmp_path / "T1-s000.h5"))
+    assert kept[path].shape == stored[path].shape
+    assert canonical_hash(stored) != canonical_hash(plain)
+    fits_alone = path in ("scorer/cell_area", "scorer/cell_in_region")  # their length is the number of cells
+    cells = {"scorer/cell_pressure": shaped("scorer/cell_pressure", plain)} if fits_alone else {}
+    wrong = Recording(header=plain.header, arrays=plain.arrays | cells | {path: shaped(path, plain, more=1)})
+    with pytest.raises(RecordingError, match=path if not fits_alone else "scorer/cell_"):
+        write_recording(wrong, tmp_path / "T1-s001.h5")

@@ -94,3 +94,14 @@ def test_a_header_of_another_spelling_is_the_same_recording(tmp_path: Path) -> N
     del header["spec"]["protocol"]["overrides"]
     recording = read_recording(store(tmp_path / "T1-s000.h5", header, touch().arrays))
     assert canonical_hash(recording) == canonical_hash(touch())
+
+
+@pytest.mark.parametrize(("card", "control"), [({"name": "p"}, "cartesian-impedance"), (None, None)])
+def test_schema_1_is_lifted_with_the_controller_that_every_trial_had(
+    tmp_path: Path, card: dict | None, control: str | None
+) -> None:
+    header = json.loads(header_json(touch().header)) | {"schema_version": "carecontact-recording-1", "card": card}
+    del header["control"]
+    recording = read_recording(store(tmp_path / "T1-s000.h5", header, touch().arrays))
+    assert (recording.header.schema_version, recording.header.control) == (SCHEMA_VERSION, control)
+    assert recording.arrays.keys() == touch().arrays.keys()

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from carecontact.runs import results, summarise
 from carecontact.runs.aggregate import GAMMAS, exceedances, gamma_sweep, gate_sweep, quadrants, valid_ratio, within
-from carecontact.runs.scores import RunScores
+from carecontact.runs.run_scores import RunScores
 from carecontact.scoring import TrialScore, score_recording
 from tests.scoring.synthetic import before_start, hold, make_recording, push, scrub, touch
 

@@ -14,7 +14,7 @@ from carecontact.cli import main
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.recording import write_recording
 from carecontact.runs import append_metrics, score_run, write_scores
-from carecontact.scoring import METRICS, Metric
+from carecontact.scoring import METRICS, metric
 from carecontact.scoring.contact import Contact
 from tests.scoring.synthetic import before_start, make_recording, push, scrub, touch
 
@@ -38,7 +38,7 @@ def mean_force(contact: Contact) -> float | None:
 @pytest.fixture
 def new_metric() -> Iterator[str]:
     """A second version of C1, as a later release or another package would register it."""
-    METRICS.register(NEW, Metric(id=NEW, title="Mean force", unit="N", better="lower", compute=mean_force))
+    metric(NEW, title="Mean force", unit="N", better="lower")(mean_force)
     yield NEW
     del METRICS._rows[NEW]
 
@@ -128,7 +128,7 @@ def test_harness_errors_are_in_no_median(folder: Path, new_metric: str) -> None:
     write_recording(type(recording)(header=header, arrays=recording.arrays), folder / "T1-s009.h5")
     del METRICS._rows[NEW]
     write_scores(folder, score_run(folder))
-    METRICS.register(NEW, Metric(id=NEW, title="Mean force", unit="N", better="lower", compute=mean_force))
+    metric(NEW, title="Mean force", unit="N", better="lower")(mean_force)
     append_metrics(folder)
     assert json.loads((folder / "results.json").read_text())["overall"]["additional"][NEW]["n"] == 4
 
@@ -156,7 +156,7 @@ def test_another_recording_under_the_same_name_is_refused(folder: Path, new_metr
         ("[1]", "schema None"),
         ('{"schema": "carecontact-results-0"}', "schema 'carecontact-results-0'"),
         ('{"schema": "carecontact-results-1"}', "holds no trials"),
-        ('{"schema": "carecontact-results-1", "overall": {}, "trials": [{}]}', r"trials\[0\] lacks ended"),
+        ('{"schema": "carecontact-results-1", "overall": {}, "trials": [{}]}', r"trials\[0\] lacks action, ended"),
     ],
 )
 def test_nothing_to_append_to(folder: Path, content: str | None, told: str) -> None:

@@ -13,7 +13,7 @@ import carecontact
 from carecontact.errors import ConfigError
 from carecontact.recording import Recording, write_recording
 from carecontact.runs import RunScores, read_results, results, score_run, write_scores
-from carecontact.runs.scores import pack_results
+from carecontact.runs.results_file import pack_results
 from carecontact.scoring import score_recording
 from carecontact.stats import wilson_interval
 from tests.scoring.synthetic import before_start, make_recording, push, scrub, touch
@@ -166,7 +166,7 @@ def test_empty_and_absent_runs(tmp_path: Path) -> None:
     data = json.loads(write_scores(tmp_path, score_run(tmp_path)).read_text())
     assert data["overall"]["n_episodes"] == 0
     assert data["overall"]["pc_success"] is None
-    with pytest.raises(ConfigError, match="does not exist"):
+    with pytest.raises(ConfigError, match="no such folder"):
         score_run(tmp_path / "absent")
 
 

@@ -10,7 +10,7 @@ from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, SceneError
 from carecontact.protocols import load_protocol
 from carecontact.sim.bench import LAW_FIELDS, Bench, Indenter, touch_depth
-from carecontact.world.human.body import load_body
+from carecontact.world.human.library import load_body
 from carecontact.world.human.tissue import add_tissue, set_damping
 from carecontact.world.scene import region_shell
 

@@ -7,7 +7,7 @@ import pytest
 from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol
 from carecontact.validation.run import CHECKS, validate
-from carecontact.world.human.body import body_names
+from carecontact.world.human.library import body_names
 from tests.validation.defects import (
     at_ten_milliseconds,
     half_stiff,

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.peak import Peak
 from carecontact.episode.prepare import settled_world
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire.packing import pack
@@ -17,7 +18,6 @@ from carecontact.recording import read_recording, write_recording
 from carecontact.recording.notes import read_notes
 from carecontact.scoring import score_recording
 from carecontact.sim.simulation import Settled, Simulation
-from carecontact.trials import trial
 from carecontact.trials.trial import run_trial
 from tests.hosting.wire.fuzz import replies
 
@@ -83,7 +83,7 @@ def test_the_trial_ends_as_the_policys_process_failure(
     if layer == "transport":
         (tmp_path / "raw").touch()
     # The report's two pictures are not what is tested here.
-    monkeypatch.setattr(trial._Trial, "add_report_frames", lambda self, renderer: None)
+    monkeypatch.setattr(Peak, "pictures", lambda self, renderer, region: {})
     spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="spoilt_policy:P")
     recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(tmp_path)]), prepare=begin)
     kept = read_recording(write_recording(recording, tmp_path / "trial.h5"))

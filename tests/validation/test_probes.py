@@ -148,7 +148,7 @@ def test_a_wrong_metric_fails(
 ) -> None:  # fmt: skip
     made = {id(t.recording): contact for t, contact in zip(stored[metric], contacts[metric], strict=True)}
     monkeypatch.setattr(probes, "find_contact", lambda recording: made[id(recording)])
-    other = replace(METRICS[metric], compute=wrong_metrics(metric)[name])
+    other = replace(METRICS[metric], measure=wrong_metrics(metric)[name])
     assert not judge(PROBES[metric], stored[metric], other).passed
 
 

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from carecontact.world.human.body import Body, load_body
+from carecontact.world.human.body import Body
 from carecontact.world.human.joints import hinges
+from carecontact.world.human.library import load_body
 from carecontact.world.human.pose import axis_rotation, rotation_from_bind
 from carecontact.world.human.smplx import JOINTS, LANDMARKS, SEGMENT_JOINTS, TO_MESH
 

@@ -10,8 +10,9 @@ import pytest
 
 from carecontact.errors import AssetError, UnknownNameError
 from carecontact.recording.schema import SEGMENTS
-from carecontact.world.human import body as body_module
-from carecontact.world.human.body import PARENT, Body, body_names, load_body
+from carecontact.world.human import library
+from carecontact.world.human.body import PARENT, Body
+from carecontact.world.human.library import body_names, load_body
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 
@@ -22,7 +23,7 @@ def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     source = resources.files("carecontact") / "assets" / "bodies"
     with resources.as_file(source) as folder:
         shutil.copytree(folder, tmp_path / "assets" / "bodies")
-    monkeypatch.setattr(body_module.resources, "files", lambda _: tmp_path)
+    monkeypatch.setattr(library.resources, "files", lambda _: tmp_path)
     return tmp_path / "assets" / "bodies"
 
 

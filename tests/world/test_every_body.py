@@ -7,10 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from carecontact.protocols import load_protocol
+from carecontact.protocols import load_protocol, overridden
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.anthropometry import segment_inertias
-from carecontact.world.human.body import body_names
+from carecontact.world.human.library import body_names
 from carecontact.world.human.pose import BOARD_HEIGHT_M
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene, build_scene
@@ -23,7 +23,7 @@ EVERY = [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for
 
 @cache
 def scene_with(name: str) -> Scene:
-    return build_scene(PROTOCOL.overridden(body=name), target="upper_arm", skin=name in QUICK)
+    return build_scene(overridden(PROTOCOL, {"person.body": name}), target="upper_arm", skin=name in QUICK)
 
 
 @pytest.mark.parametrize("name", EVERY)

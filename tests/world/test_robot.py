@@ -4,9 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.errors import SceneError
 from carecontact.protocols import load_protocol
-from carecontact.world.robot import CAP_RADIUS_M, TCP_Z_M, add_robot, panda_asset
+from carecontact.world.robot import add_robot, panda_asset
 
 PROTOCOL = load_protocol()
 
@@ -39,7 +40,7 @@ def test_flange_pose_matches_the_manufacturers_dh_table(model: mujoco.MjModel) -
     mujoco.mj_forward(model, data)
     base, hand = data.body("robot_base"), data.body("robot_hand")
     np.testing.assert_allclose(base.xmat.reshape(3, 3).T @ (hand.xpos - base.xpos), pose[:3, 3], atol=1e-9)
-    tool_z = (data.site("tcp").xpos - hand.xpos) / TCP_Z_M
+    tool_z = (data.site("tcp").xpos - hand.xpos) / PANDA.tcp_z_m
     np.testing.assert_allclose(base.xmat.reshape(3, 3).T @ tool_z, pose[:3, 2], atol=1e-9)
     np.testing.assert_allclose(data.site("tcp").xmat.reshape(3, 3)[:, 2], tool_z, atol=1e-9)
 
@@ -70,13 +71,13 @@ def test_cap_is_the_outermost_part_of_the_hand(model: mujoco.MjModel) -> None:
     hand, tcp = model.body("robot_hand").id, data.site("tcp")
     out = tcp.xmat.reshape(3, 3)[:, 2]
     cap = model.geom("robot_tool_cap").id
-    assert model.geom_size[cap, 0] == pytest.approx(CAP_RADIUS_M)
-    assert (data.geom_xpos[cap] - tcp.xpos) @ out == pytest.approx(-CAP_RADIUS_M)
+    assert model.geom_size[cap, 0] == pytest.approx(PANDA.tool_radius_m)
+    assert (data.geom_xpos[cap] - tcp.xpos) @ out == pytest.approx(-PANDA.tool_radius_m)
     for geom in np.flatnonzero((model.geom_bodyid == hand) & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)):
         mesh = model.geom_dataid[geom]
         first, n = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
         vertices = model.mesh_vert[first : first + n] @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        assert ((vertices - tcp.xpos) @ out).max() < -CAP_RADIUS_M / 4
+        assert ((vertices - tcp.xpos) @ out).max() < -PANDA.tool_radius_m / 4
 
 
 def test_collision_bits_and_groups(model: mujoco.MjModel) -> None:

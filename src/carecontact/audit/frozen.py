@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,11 +12,11 @@ import numpy as np
 
 from carecontact.audit.differences import differences
 from carecontact.audit.finding import Finding, Part
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.policy import PolicyCard
 from carecontact.hosting.wire import codec
 from carecontact.observation import builder as builders
 from carecontact.observation.keypoints import MediaPipePose
-from carecontact.sim.proprioception import BASE_BODY, ROBOT_JOINTS, TCP_SITE
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 
@@ -36,7 +36,7 @@ HIDDEN_OF_MODEL = (
 """Of MjModel: mechanics of person, tissue and robot, none of which is drawn."""
 
 
-def audit_frozen(simulation: Simulation, cards: list[PolicyCard], *, instruction: str) -> Part:
+def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruction: str) -> Part:
     """``simulation``: at a moment of contact. Its data and model are left as they were."""
     findings: list[Finding] = []
     fields = changed = images = 0
@@ -107,8 +107,8 @@ def scrambled(simulation: Simulation, rng: np.random.Generator, *, keep: Callabl
 
 def _encoders(model: mujoco.MjModel) -> Callable[[str], Any]:
     """Where the robot's own readings and the calibrated cameras are."""
-    joints = [model.joint(name) for name in ROBOT_JOINTS]
-    base, tcp = model.body(BASE_BODY).id, model.site(TCP_SITE).id
+    joints = [model.joint(name) for name in PANDA.joints]
+    base, tcp = model.body(PANDA.base_body).id, model.site(PANDA.tcp_site).id
     rows: dict[str, Any] = {
         "qpos": [int(j.qposadr[0]) for j in joints], "qvel": [int(j.dofadr[0]) for j in joints],
         "xpos": base, "xmat": base, "xquat": base, "site_xpos": tcp, "site_xmat": tcp,

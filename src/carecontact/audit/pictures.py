@@ -13,7 +13,7 @@ from carecontact.contract.protocol import Camera, Protocol
 from carecontact.sim.rendering import DEPTH_RANGE_M
 from carecontact.world.cameras import add_cameras
 from carecontact.world.furniture import SUPPORT, add_furniture, add_light
-from carecontact.world.human.body import load_body
+from carecontact.world.human.library import load_body
 from carecontact.world.human.pose import root_position
 from carecontact.world.robot import add_robot
 

@@ -18,6 +18,7 @@ from carecontact.audit.differences import differences
 from carecontact.audit.pictures import Pictures, cell_model
 from carecontact.audit.raw_log import IMAGES, SPEC, LoggedLook, WorldState, read_looks, read_meta, read_spec
 from carecontact.audit.state import DRAWN, robot_addresses
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.randomization import dress, lay, sensor_noise
 from carecontact.observation.sensor_noise import SensorNoise
@@ -83,7 +84,11 @@ class _World:
             ("sim_time_s", now_s, look.sim_time_s),
             ("joint_position", angles, raw.joint_position),
             ("joint_velocity", state.joint_velocity, raw.joint_velocity),
-            ("pose_tcp_in_base", _in_base(data, data.site("tcp").xpos, data.site("tcp").xmat), raw.pose_tcp_in_base),
+            (
+                "pose_tcp_in_base",
+                _in_base(data, data.site(PANDA.tcp_site).xpos, data.site(PANDA.tcp_site).xmat),
+                raw.pose_tcp_in_base,
+            ),
         ]
         for name, view in raw.views.items():
             camera, optics = data.cam(name), intrinsics(self._cameras[name].model_dump())
@@ -140,7 +145,7 @@ def _at(model: mujoco.MjModel, angles: F64) -> mujoco.MjData:
 
 def _in_base(data: mujoco.MjData, position: F64, rotation: F64) -> F64:
     """World position (3,) and matrix (3, 3) or (9,) -> (4, 4) pose in the robot's base."""
-    base, pose = data.body("robot_base"), np.eye(4)
+    base, pose = data.body(PANDA.base_body), np.eye(4)
     to_base = base.xmat.reshape(3, 3).T
     pose[:3, :3] = to_base @ rotation.reshape(3, 3)
     pose[:3, 3] = to_base @ (position - base.xpos)

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from carecontact.audit.raw_log import WorldState
+from carecontact.contract.embodiment import PANDA
 from carecontact.sim.simulation import Simulation
 
 DRAWN = int(
@@ -13,7 +14,6 @@ DRAWN = int(
     | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
 )  # fmt: skip
 """Parts of the integration state from which every picture follows; sensor history, a hundred times as long, is none."""
-JOINTS = tuple(f"robot_joint{i}" for i in range(1, 8))
 
 
 class StateReader:
@@ -37,5 +37,5 @@ class StateReader:
 
 def robot_addresses(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
     """Of the seven joints in qpos and qvel."""
-    joints = [model.joint(name) for name in JOINTS]
+    joints = [model.joint(name) for name in PANDA.joints]
     return [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]

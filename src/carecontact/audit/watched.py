@@ -14,6 +14,7 @@ import numpy.typing as npt
 from carecontact.audit.keyframe import CONTROL_HZ
 from carecontact.audit.raw_log import Meta, write_look, write_meta
 from carecontact.audit.state import StateReader
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import CarecontactError
@@ -23,7 +24,6 @@ from carecontact.hosting.witness import TASK, TOLD
 from carecontact.recording.schema import Recording
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.trials.trial import Look, run_trial
-from carecontact.world.robot import TCP_Z_M
 
 Prepare = Callable[[TrialSpec], tuple[Simulation, Settled, str]]
 
@@ -133,7 +133,7 @@ def watch(
             Meta(
                 policy=policy, instruction=protocol.task(spec.task_id).prompt, modalities=card.modalities,
                 cameras=card.cameras, bed_height_in_base_m=scene.mattress_top_m - scene.robot_base_m[2],
-                tcp_in_hand_m=(0.0, 0.0, TCP_Z_M),
+                tcp_in_hand_m=(0.0, 0.0, PANDA.tcp_z_m),
                 cell={
                     "robot_base_m": scene.robot_base_m, "robot_yaw_deg": scene.robot_yaw_deg,
                     "cameras": {name: camera.model_dump() for name, camera in protocol.cameras.items()},

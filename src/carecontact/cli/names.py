@@ -70,7 +70,7 @@ def _protocols(protocol: str) -> list[tuple[str, str]]:
 
 
 def _bodies(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.world.human.body import body_names, load_body
+    from carecontact.world.human.library import body_names, load_body
 
     sexes = {"F": "woman", "M": "man"}
     rows = [

@@ -50,7 +50,8 @@ class Run:
         """Return 1 if the harness failed in any trial or a recording was skipped; a policy that fails is a result."""
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.cli.progress import progress
-        from carecontact.cli.score import report, rescore
+        from carecontact.cli.report_page import write_page
+        from carecontact.cli.rescoring import rescore
         from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
         from carecontact.trials.supervisor import check_jobs, run_trials
 
@@ -81,26 +82,21 @@ class Run:
             )
         # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
         scores = rescore(self.out, compare=not summary.ran)
-        report(self.out, run=scores)
+        write_page(self.out, scores)
         return 1 if _print_failures(summary, out=self.out) or scores.skipped else 0
 
     def _protocol(self) -> Protocol:
         """Raises ConfigError for a protocol that cannot run, and UnknownNameError."""
-        from carecontact.cli.vision import chosen_vision
-        from carecontact.protocols import adapted, load_protocol
+        from carecontact.cli.vision import with_vision
+        from carecontact.protocols import load_protocol
         from carecontact.runs.freeze import check_frozen
         from carecontact.runs.preflight import check_protocol
 
         name = self.rules.protocol
         loaded = check_frozen(name, load_protocol(name), unfrozen=self.unfrozen)
-        rules = adapted(
-            loaded,
-            body=self.rules.body,
-            tissue=self.physics.tissue,
-            fast=self.physics.fast,
-            stiffness_n_m=self.stiffness,
-            vision=chosen_vision(loaded, self.vision),
-        )
+        stiffness = {} if self.stiffness is None else {"impedance.translational_n_m": self.stiffness}
+        changed = self.rules.changed(loaded, **self.physics.changes(), stiffness=stiffness)
+        rules = with_vision(changed, self.vision)
         check_protocol(rules)
         return rules
 

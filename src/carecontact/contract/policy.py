@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import NoReturn, Protocol, cast, runtime_checkable
 
 from carecontact.contract.action import ACTION_SPACES, Action, ActionBounds
@@ -39,26 +39,37 @@ class PolicyCard:
     def __post_init__(self) -> None:
         """Raises ContractError naming the field, what was expected and what was got."""
         # Whatever its annotations say, a card is written by hand.
-        fields = {name: cast(object, value) for name, value in vars(self).items()}
+        given = {name: cast(object, value) for name, value in vars(self).items()}
         for name in ("name", "language_backend"):
-            text = fields[name]
+            text = given[name]
             if not isinstance(text, str) or not text.isprintable() or not 0 < len(text) <= MAX_NAME:
                 _wrong(name, f"1 to {MAX_NAME} printable characters", text)
         if self.action_space not in ACTION_SPACES:
             _wrong("action_space", f"one of {', '.join(ACTION_SPACES)}", self.action_space)
         for kind, valid in (("modalities", MODALITIES), ("cameras", CAMERAS)):
-            names = fields[kind]
+            names = given[kind]
             expected = f"a tuple of names out of {', '.join(valid)}"
             if not isinstance(names, tuple | list):
                 _wrong(kind, expected, names)
             for name in cast(Sequence[object], names):
                 if name not in valid:
                     _wrong(kind, expected, name)
-        check_arguments(fields["arguments"])
-        check_variables(fields["environment"])
-        rate = fields["control_hz"]
+        check_arguments(given["arguments"])
+        check_variables(given["environment"])
+        rate = given["control_hz"]
         if isinstance(rate, bool) or not isinstance(rate, int | float) or not 1 <= rate <= 50:
             _wrong("control_hz", "a number from 1 to 50 [Hz]", rate)
+        object.__setattr__(self, "control_hz", float(rate))  # as it arrives over the wire
+
+    def plain(self) -> dict[str, object]:
+        """The card as JSON has it, with lists for tuples.
+
+        Arguments and variables are left out where there are none, so that such a card is written as it always was.
+        """
+        entries = {field.name: getattr(self, field.name) for field in fields(self)}
+        entries |= {name: list(entries[name]) for name in ("modalities", "cameras", "environment")}
+        entries["arguments"] = dict(self.arguments)
+        return {name: value for name, value in entries.items() if value or name not in ("arguments", "environment")}
 
 
 def check_arguments(given: object) -> None:

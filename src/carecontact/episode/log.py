@@ -1,19 +1,20 @@
-"""Collects a trial's streams in memory and turns them into a recording's arrays."""
+"""Collects a trial's streams in memory and turns them into a recording's arrays; knows no simulator and no policy."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.errors import PolicyError
 from carecontact.recording.schema import empty_arrays
-from carecontact.sim.simulation import Samples, Settled, Simulation
+
+F64 = npt.NDArray[np.float64]
+Arrays = dict[str, npt.NDArray[Any]]
 
 MAX_LOSSLESS_FRAMES = 64
 MAX_NOTES_BYTES = 32 << 20
@@ -21,7 +22,7 @@ MAX_STEP_NOTES, MAX_NOTES = 64, 4096
 """Entries of a step's notes, and datasets of all notes of a trial: each costs milliseconds to write, however empty."""
 STATE_PERIOD_S = 1.0
 
-_SCORER = {
+STREAMS = {
     "scorer/time_s": ("time_s", "<f8"),
     "scorer/force_human_from_robot_in_world": ("force", "<f4"),
     "scorer/normal_force": ("normal", "<f4"),
@@ -33,36 +34,62 @@ _SCORER = {
     "scorer/tcp_rotation_speed": ("tcp_rotation_speed", "<f4"),
     "scorer/region_pose_in_world": ("region_pose", "<f4"),
 }
+"""Array of a recording -> field of ``Samples`` and dtype."""
+
+
+class Samples(Protocol):
+    """One entry a physics step; the fields are those that STREAMS names."""
+
+    @property
+    def time_s(self) -> F64: ...
 
 
 class TrialLog:
-    def __init__(self, simulation: Simulation, settled: Settled) -> None:
-        self._simulation, self._settled = simulation, settled
+    """Every method adds rows; ``arrays`` may be read at any time and ends nothing."""
+
+    def __init__(self, *, human_joints: int, regions: int, constants: Mapping[str, npt.NDArray[Any]]) -> None:
+        """
+        Args:
+            human_joints: number of scored joints of the person.
+            regions: number of the protocol's regions.
+            constants: arrays that hold for the whole trial, by their path.
+        """
+        self._empty, self._constants = empty_arrays(human_joints, regions=regions), dict(constants)
         self._samples: list[Samples] = []
-        self._periods: list[tuple[float, npt.NDArray[np.float64], npt.NDArray[np.float64]]] = []
+        self._periods: list[tuple[float, F64, F64]] = []
         self._observations: list[tuple[float, bytes]] = []
-        self._actions: list[tuple[float, npt.NDArray[np.float64], tuple[float, float], int]] = []
-        self._states: list[tuple[float, npt.NDArray[np.float64]]] = []
-        self._frames: dict[str, npt.NDArray[Any]] = {}
+        self._actions: list[tuple[float, int, Mapping[str, F64]]] = []
+        self._states: list[tuple[float, F64]] = []
+        self._frames: Arrays = {}
         self._notes_bytes = self._notes_count = 0
-        self.extra: dict[str, npt.NDArray[Any]] = {}
+        self.extra: Arrays = {}
+        """Optional arrays, by their path."""
 
-    def add_samples(self, samples: list[Samples]) -> None:
+    def add_period(self, samples: Sequence[Samples], *, time_s: float, indentation_m: F64, target_in_base: F64) -> None:
+        """One control period: its samples, and what held at its end, ``time_s``.
+
+        Args:
+            indentation_m: (R,) largest indentation of each region.
+            target_in_base: (7,) position [m] and quat_wxyz of the impedance target.
+        """
         self._samples.extend(samples)
-        now = self._simulation.time_s
-        self._periods.append((now, self._simulation.indentation(), self._simulation.interpolator.pose))
-        if not self._states or now - self._states[-1][0] >= STATE_PERIOD_S - 1e-9:
-            self.add_state()
+        self._periods.append((time_s, indentation_m, target_in_base))
 
-    def add_state(self) -> None:
-        self._states.append((self._simulation.time_s, self._simulation.integration_state()))
+    def wants_state(self, time_s: float) -> bool:
+        """Whether STATE_PERIOD_S has passed since the last state."""
+        return not self._states or time_s - self._states[-1][0] >= STATE_PERIOD_S - 1e-9
+
+    def add_state(self, time_s: float, state: F64) -> None:
+        """``state``: (n,) the simulator's integration state."""
+        self._states.append((time_s, state))
 
     def add_observation(self, observation: Observation, sent_sha256: bytes) -> None:
+        """``sent_sha256``: (32,) digest of the message that carried the observation."""
         self.add_frames(observation)
         self._observations.append((observation.sim_time_s, sent_sha256))
 
     def add_frames(self, observation: Observation) -> None:
-        """Of the observation that comes next; alone where the policy failed at that step."""
+        """Keep the images of the next observation; alone where the policy failed at that step."""
         index = len(self._observations)
         for name, view in observation.cameras.items():
             for modality in ("rgb", "depth"):
@@ -71,9 +98,10 @@ class TrialLog:
                     self._frames[f"policy/frames/{index:04d}/{name}/{modality}"] = image
 
     def add_notes(self, notes: Mapping[str, object], *, failed: bool = False) -> None:
-        """What the policy wants to be kept of its latest step, ``failed``: of the one that it failed at.
+        """Keep what the policy noted of its latest step; ``failed``: of the step at which it failed.
 
-        Raises PolicyError for what no JSON can hold.
+        Raises:
+            PolicyError: ``oversize`` for too many entries, arrays or bytes; ``garbage`` for what JSON cannot hold.
         """
         if not notes:
             return
@@ -86,8 +114,7 @@ class TrialLog:
             text = json.dumps(rest, sort_keys=True).encode()
         except (TypeError, ValueError) as error:
             raise PolicyError("garbage", f"notes: arrays belong at the top, the rest is JSON: {error}") from None
-        size = len(text) + sum(array.nbytes for array in arrays.values())
-        self._notes_bytes += size
+        self._notes_bytes += len(text) + sum(array.nbytes for array in arrays.values())
         if self._notes_bytes > MAX_NOTES_BYTES:
             raise PolicyError("oversize", f"notes of more than {MAX_NOTES_BYTES} bytes in one trial")
         self._notes_count += len(arrays) + 1
@@ -95,36 +122,32 @@ class TrialLog:
             raise PolicyError("oversize", f"notes of more than {MAX_NOTES} arrays in one trial, one for a step's JSON")
         self.extra |= {**arrays, f"{place}/json": np.frombuffer(text, "u1")}
 
-    def add_action(self, action: Action, stiffness: tuple[float, float]) -> None:
-        pose = np.full(7, np.nan) if action.pose_tcp_in_base is None else action.pose_tcp_in_base
-        self._actions.append((self._simulation.time_s, pose, stiffness, len(self._observations) - 1))
+    def add_action(self, time_s: float, row: Mapping[str, F64]) -> None:
+        """The action that became the target at ``time_s``.
 
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        out = empty_arrays(len(self._simulation.joint_names))
-        for path, (field, dtype) in _SCORER.items():
+        Args:
+            row: array path -> its entry; the same paths at every action of a trial.
+        """
+        self._actions.append((time_s, len(self._observations) - 1, row))
+
+    def arrays(self) -> Arrays:
+        """All arrays of the recording so far."""
+        out = self._empty | self._constants
+        for path, (field, dtype) in STREAMS.items():
             if self._samples:
                 out[path] = np.concatenate([getattr(s, field) for s in self._samples]).astype(dtype)
-        shells = [self._simulation.scene.regions[r].shell for r in ("forearm", "upper_arm", "abdomen")]
-        out |= {
-            "scorer/human_joint_range": self._simulation.joint_range.astype("<f8"),
-            "scorer/human_joint_settled": self._settled.joint_position.astype("<f8"),
-            "scorer/wrist_settled_in_world": self._settled.wrist_in_world.astype("<f8"),
-            "scorer/region_size_m": np.array([[s.length_m, s.radius_m, s.axis_depth_m] for s in shells], "<f8"),
-        }
         if self._periods:
             out["scorer/period_time_s"] = np.array([p[0] for p in self._periods], "<f8")
             out["scorer/indentation_m"] = np.array([p[1] for p in self._periods], "<f4")
             out["scorer/target_in_base"] = np.array([p[2] for p in self._periods], "<f4")
         if self._observations:
-            out["policy/observation_time_s"] = np.array([o[0] for o in self._observations], "<f8")
-            out["policy/observation_sha256"] = np.frombuffer(b"".join(o[1] for o in self._observations), "u1").reshape(
-                -1, 32
-            )
+            digests = b"".join(sha256 for _, sha256 in self._observations)
+            out["policy/observation_time_s"] = np.array([time_s for time_s, _ in self._observations], "<f8")
+            out["policy/observation_sha256"] = np.frombuffer(digests, "u1").reshape(-1, 32)
         if self._actions:
             out["actions/time_s"] = np.array([a[0] for a in self._actions], "<f8")
-            out["actions/pose_tcp_in_base"] = np.array([a[1] for a in self._actions], "<f8")
-            out["actions/stiffness"] = np.array([a[2] for a in self._actions], "<f8")
-            out["actions/observation_index"] = np.array([a[3] for a in self._actions], "<i4")
+            out["actions/observation_index"] = np.array([a[1] for a in self._actions], "<i4")
+            out |= {path: np.array([a[2][path] for a in self._actions], "<f8") for path in self._actions[0][2]}
         if self._states:
             out["state/time_s"] = np.array([s[0] for s in self._states], "<f8")
             out["state/integration"] = np.array([s[1] for s in self._states], "<f8")

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
 from carecontact.contract.protocol import Protocol
 from carecontact.episode.randomization import comfort_arm_deg, dress, lay
 from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.world.scene import build_scene
 
+World = tuple[Simulation, Settled, str]
+"""A simulation at t = 0, how its person settled, and the sha256 of its model before dressing and settling."""
 
-def settled_world(protocol: Protocol, *, task_id: str, seed: int) -> tuple[Simulation, Settled, str]:
-    """Built, dressed as the seed says and settled; how it settled, and the sha256 of the model before both.
 
-    Raises SceneError or SettleError.
+def settled_world(protocol: Protocol, *, task_id: str, seed: int) -> World:
+    """Build the task's world, dress it as the seed says and let the person settle.
+
+    Raises:
+        SceneError: the world cannot be built.
+        SettleError: the person does not come to rest.
     """
     scene = build_scene(protocol, target=protocol.task(task_id).region)
     # Before anything is changed: looks and place are the seed's, settling writes the seed's rest angles, a policy its
@@ -22,3 +32,13 @@ def settled_world(protocol: Protocol, *, task_id: str, seed: int) -> tuple[Simul
     lay(scene, seed)
     simulation = Simulation(scene)
     return simulation, settle(simulation, comfort_arm_deg(protocol, seed), model_sha256=model_sha256), model_sha256
+
+
+def constants_of(simulation: Simulation, settled: Settled) -> Mapping[str, npt.NDArray[np.float64]]:
+    """Arrays of a recording that hold for the whole trial, by their path."""
+    return {
+        "scorer/human_joint_range": simulation.joint_range.astype("<f8"),
+        "scorer/human_joint_settled": settled.joint_position.astype("<f8"),
+        "scorer/wrist_settled_in_world": settled.wrist_in_world.astype("<f8"),
+        "scorer/region_size_m": simulation.scene.region_size_m.astype("<f8"),
+    }

@@ -1,1 +1,1 @@
-"""Policies and the process boundary they live behind. Imports the contract and nothing of the world."""
+"""The policies that ship with the benchmark and what they share; they import the contract and nothing of the world."""

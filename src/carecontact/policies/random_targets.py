@@ -1,4 +1,4 @@
-"""The null arm that moves about: what it passes, a gate gives away."""
+"""The blind baseline that moves about: a gate that it passes is too easy."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from carecontact.errors import ContractError
 
 CAMERA = "overhead"
 NEW_TARGET_S = 1.0
-"""At the session's speed limit some 0.25 m of way."""
+"""Time between two targets: at the session's speed limit, the tool moves about 0.25 m."""
 POINTING_DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 
 
 class RandomTargets:
-    """A new target every NEW_TARGET_S, uniform over the workspace, the tool pointing down, until time is over.
+    """Moves to a new target every NEW_TARGET_S until time is up: uniform over the workspace, the tool pointing down.
 
-    The numbers come from what it is told and sees first: nothing else differs between trials that a policy may know.
+    The instruction and the first depth image seed the random numbers: nothing else that a policy may know differs
+    between trials.
     """
 
     card = PolicyCard(name="random", modalities=("depth",), cameras=(CAMERA,), control_hz=1.0 / NEW_TARGET_S)
@@ -30,16 +31,18 @@ class RandomTargets:
         self._instruction = ""
 
     def configure(self, session: Session) -> None:
+        """Take over the workspace and the time limit."""
         self._session = session
 
     def reset(self, instruction: str) -> None:
+        """Keep the instruction: it seeds the random numbers."""
         self._instruction = instruction
 
     def act(self, observation: Observation) -> list[Action]:
-        """The whole trial as one chunk."""
+        """Return the targets of the whole trial as one chunk. Raises ContractError without a session or depth image."""
         depth = observation.cameras[CAMERA].depth
         if self._session is None or depth is None:
-            raise ContractError("act() needs a session and the depth image that the card names")
+            raise ContractError(f"act() needs a session from configure() and the depth image of camera {CAMERA}")
         digest = hashlib.sha256(self._instruction.encode() + depth.tobytes()).digest()
         rng = np.random.default_rng(np.frombuffer(digest, np.uint32))
         bounds = self._session.action_bounds

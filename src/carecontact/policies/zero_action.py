@@ -1,4 +1,4 @@
-"""The null arm that does nothing: whatever it scores is the benchmark's floor."""
+"""The blind baseline that does nothing: whatever it scores is the benchmark's floor."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from carecontact.contract.policy import PolicyCard
 
 
 class ZeroAction:
-    """Keeps the parked pose, sees nothing and is never done, so every trial runs to its time limit."""
+    """Keeps the parked pose, sees nothing and never ends a trial, so that every trial runs to its time limit."""
 
     card = PolicyCard(name="zero-action", cameras=(), control_hz=1.0)
 
     def reset(self, instruction: str) -> None:
-        """The instruction makes no difference."""
+        """Ignore the instruction."""
 
     def act(self, observation: Observation) -> list[Action]:
-        """Half a minute of keeping the last target: one answer for a usual trial."""
+        """Return 30 actions that keep the last target: at 1 Hz, half a minute, which is a usual trial."""
         return [Action()] * 30

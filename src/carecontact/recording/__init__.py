@@ -1,11 +1,12 @@
-"""A trial is a file: schema, writer, reader and canonical hash. Needs no simulator."""
+"""A trial is a file: schema, writer, reader and canonical hash, without a simulator."""
 
 from carecontact.recording.canonical import canonical_hash
 from carecontact.recording.check import check_recording
 from carecontact.recording.migration import MIGRATIONS, RawRecording
-from carecontact.recording.reader import VerifiedRecording, read_recording, read_verified
+from carecontact.recording.reader import VerifiedRecording, read_header, read_recording, read_verified, stored_sha256
 from carecontact.recording.schema import (
     ARRAYS,
+    OPTIONAL_ARRAYS,
     REGION_SEGMENT,
     REGIONS,
     SCHEMA_VERSION,
@@ -21,6 +22,7 @@ from carecontact.recording.writer import write_recording
 __all__ = [
     "ARRAYS",
     "MIGRATIONS",
+    "OPTIONAL_ARRAYS",
     "REGIONS",
     "REGION_SEGMENT",
     "SCHEMA_VERSION",
@@ -34,7 +36,9 @@ __all__ = [
     "canonical_hash",
     "check_recording",
     "empty_arrays",
+    "read_header",
     "read_recording",
     "read_verified",
+    "stored_sha256",
     "write_recording",
 ]

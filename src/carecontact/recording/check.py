@@ -7,8 +7,10 @@ from math import isfinite
 
 import numpy as np
 
+from carecontact.contract.policy import CAMERAS
 from carecontact.errors import RecordingError
-from carecontact.recording.schema import ARRAYS, REGION_SEGMENT, SCHEMA_VERSION, Header, Recording, dimensions
+from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, SCHEMA_VERSION, Header, Recording, dimensions
+from carecontact.regions import REGIONS
 
 PATH = re.compile(r"(policy|scorer|actions|state|report|perception|wall)(/[A-Za-z0-9_.-]+)+")
 STORABLE_KINDS = "biuf"
@@ -18,18 +20,10 @@ def check_recording(recording: Recording, place: str) -> Recording:
     """Returns the recording; ``place`` begins the message.
 
     Raises RecordingError naming the array and what was expected: schema version, presence, dtype and the shapes of
-    ARRAYS, whose named dimensions must agree with one another and with the header's lists.
+    ARRAYS and OPTIONAL_ARRAYS, whose named dimensions must agree with one another and with the header's lists.
     """
     header = recording.header
-    if header.schema_version != SCHEMA_VERSION:
-        raise RecordingError(f"{place}: schema {header.schema_version!r}; this release reads {SCHEMA_VERSION!r}")
-    if header.spec.task_id not in {t.id for t in header.spec.protocol.tasks}:
-        raise RecordingError(f"{place}: task {header.spec.task_id!r} is not in protocol {header.spec.protocol.id!r}")
-    _check_names(header, place)
-    if len(header.pose_base_in_world) != 7:
-        raise RecordingError(f"{place}: pose_base_in_world has {len(header.pose_base_in_world)} numbers, expected 7")
-    if not all(isfinite(number) for number in header.pose_base_in_world):
-        raise RecordingError(f"{place}: pose_base_in_world holds {header.pose_base_in_world}; expected finite numbers")
+    check_header(header, place)
     missing = sorted(ARRAYS.keys() - recording.arrays.keys())
     if missing:
         raise RecordingError(f"{place}: required array(s) missing: {', '.join(missing)}")
@@ -43,8 +37,10 @@ def check_recording(recording: Recording, place: str) -> Recording:
         "S": (len(header.segments), "header.segments"),
         "R": (len(header.regions), "header.regions"),
         "J": (len(header.human_joints), "header.human_joints"),
+        "V": (len(CAMERAS), "contract.policy.CAMERAS"),
     }
-    for path, (dtype, _) in ARRAYS.items():
+    described = ARRAYS | {path: row for path, row in OPTIONAL_ARRAYS.items() if path in recording.arrays}
+    for path, (dtype, _) in described.items():
         array, dims = recording.arrays[path], dimensions(path)
         if array.dtype.newbyteorder("<") != np.dtype(dtype).newbyteorder("<"):
             raise RecordingError(f"{place}: {path} has dtype {array.dtype}, expected {np.dtype(dtype)}")
@@ -60,12 +56,25 @@ def check_recording(recording: Recording, place: str) -> Recording:
     return recording
 
 
+def check_header(header: Header, place: str) -> None:
+    """Raises RecordingError, which begins with ``place``, for a header that no trial of this schema can have."""
+    if header.schema_version != SCHEMA_VERSION:
+        raise RecordingError(f"{place}: schema {header.schema_version!r}; this release reads {SCHEMA_VERSION!r}")
+    if header.spec.task_id not in {t.id for t in header.spec.protocol.tasks}:
+        raise RecordingError(f"{place}: task {header.spec.task_id!r} is not in protocol {header.spec.protocol.id!r}")
+    _check_names(header, place)
+    if len(header.pose_base_in_world) != 7:
+        raise RecordingError(f"{place}: pose_base_in_world has {len(header.pose_base_in_world)} numbers, expected 7")
+    if not all(isfinite(number) for number in header.pose_base_in_world):
+        raise RecordingError(f"{place}: pose_base_in_world holds {header.pose_base_in_world}; expected finite numbers")
+
+
 def _check_names(header: Header, place: str) -> None:
     """Columns are found by name: each name once, and all there that the task is scored by."""
     protocol = header.spec.protocol
     region = protocol.task(header.spec.task_id).region
     needed = {
-        "segments": [REGION_SEGMENT[region], *protocol.contact.neighbourhood[region]],
+        "segments": [REGIONS[region].segment, *protocol.contact.neighbourhood[region]],
         "regions": [region],
         "human_joints": list[str](),
     }

@@ -27,7 +27,16 @@ class RawRecording:
 
 Migration = Callable[[RawRecording], RawRecording]
 
-MIGRATIONS: dict[str, Migration] = {}
+
+def from_1(raw: RawRecording) -> RawRecording:
+    """Version 2 names the controller; every trial of version 1 had the Cartesian impedance. It renamed no array."""
+    control = None if raw.header.get("card") is None else "cartesian-impedance"
+    return RawRecording(
+        header={**raw.header, "schema_version": "carecontact-recording-2", "control": control}, arrays=raw.arrays
+    )
+
+
+MIGRATIONS: dict[str, Migration] = {"carecontact-recording-1": from_1}
 """Schema version -> pure function that returns the recording in a later version. Version 1 is the first."""
 
 

@@ -1,7 +1,8 @@
 """What is in a trial file: a header and a flat mapping of array paths.
 
-S segments, J scored human joints, R = 3 soft regions, T physics steps from t = 0 to the end, P control periods,
-A observations, M executed actions. World frame unless said otherwise; SI units.
+S segments, J scored human joints, R regions (``Protocol.regions``), T physics steps from t = 0 to the end, P control
+periods, A observations, M executed actions, C declared cells of the target region, V = 4 cameras in the contract's
+order. World frame unless said otherwise; SI units.
 """
 
 from __future__ import annotations
@@ -14,16 +15,18 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 
 from carecontact.contract.trial import TrialSpec
+from carecontact.regions import REGIONS as REGION_ROWS
+from carecontact.regions import STANDARD_REGIONS
 
-SCHEMA_VERSION = "carecontact-recording-1"
+SCHEMA_VERSION = "carecontact-recording-2"
 
 SEGMENTS = (
     "pelvis", "abdomen", "thorax", "neck", "head",
     *(f"{side}_{name}" for side in ("right", "left")
       for name in ("upper_arm", "forearm", "hand", "thigh", "shank", "foot")),
 )  # fmt: skip
-REGIONS = ("forearm", "upper_arm", "abdomen")
-REGION_SEGMENT = {"forearm": "right_forearm", "upper_arm": "right_upper_arm", "abdomen": "abdomen"}
+REGIONS = STANDARD_REGIONS
+REGION_SEGMENT = {name: REGION_ROWS[name].segment for name in REGIONS}
 
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
 
@@ -54,10 +57,27 @@ ARRAYS: dict[str, tuple[str, str]] = {
     "state/time_s": ("f8", "(K,)"),
     "state/integration": ("f8", "(K, n) mjSTATE_INTEGRATION vectors"),
 }
-"""Required arrays: dtype and meaning. Further paths are allowed: ``policy/frames/<index>/<camera>/<modality>``,
-``policy/notes/<index>/*`` (``recording.notes``),
-``report/peak_rgb`` (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``perception/*``
-(``recording.perception``), ``wall/*`` (the only place for wall-clock data; outside the canonical hash)."""
+"""Required arrays: dtype and meaning."""
+
+OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
+    "actions/joint": ("f8", "(M, 7) joint positions [rad] or velocities, as the card's action space has them"),
+    "actions/axis_stiffness": ("f8", "(M, 6) in force, per axis of the target: x y z [N/m], about x y z [N m/rad]"),
+    "actions/damping_ratio": ("f8", "(M,) in force"),
+    "actions/wrench_in_tcp": ("f8", "(M, 6) feedforward in force: force [N], torque [N m]"),
+    "policy/believed_pose_camera_in_base": ("f8", "(A, V, 7) as the policy was shown it, with its calibration error"),
+    "policy/believed_pose_base_in_world": ("f8", "(A, 7) where the cell's calibration has the robot's base"),
+    "scorer/human_joint_reaction": ("f4", "(T, J) [N m] torque of each scored joint's end stop"),
+    "scorer/cell_in_region": ("f4", "(C, 3) [m] centre of each cell in the target region's frame"),
+    "scorer/cell_area": ("f4", "(C,) [m^2]"),
+    "scorer/cell_pressure": ("f4", "(P, C) [Pa]"),
+    "scorer/cell_slip": ("f4", "(P, C) [m] way that the tool slid over the cell during the period"),
+    "scorer/cell_shear": ("f4", "(P, C, 2) [Pa] along the region's axis and along its circumference"),
+}
+"""Arrays that are there only where they were used, with dtype and meaning. These paths are allowed as well:
+``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
+(H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``perception/*``
+(``recording.perception``), and ``wall/*``, the only place for what may differ between two runs of the same trial: it is
+outside the canonical hash. ``wall/isolation`` holds, as text, how far the policy's process was isolated."""
 
 
 class Failure(BaseModel):
@@ -77,6 +97,8 @@ class Header(BaseModel):
     """Of the policy (process_failure) or of the harness (harness_error)."""
     card: dict[str, Any] | None
     """The policy's card as shown in the handshake; None if it never came."""
+    control: str | None = None
+    """Id of the controller that executed the actions; None if the card never came."""
     embodiment: str
     comfort_arm_deg: float | None
     """Measured after settling."""
@@ -100,9 +122,12 @@ class Recording:
         return self.arrays[path]
 
 
-def empty_arrays(joint_count: int) -> dict[str, npt.NDArray[Any]]:
-    """All required arrays at zero length, for trials that ended before t = 0."""
-    sizes = {"T": 0, "S": len(SEGMENTS), "J": joint_count, "R": len(REGIONS), "P": 0, "A": 0, "M": 0, "K": 0, "n": 0}
+def empty_arrays(joint_count: int, *, regions: int = len(STANDARD_REGIONS)) -> dict[str, npt.NDArray[Any]]:
+    """All required arrays at zero length, for trials that ended before t = 0.
+
+    ``joint_count``, ``regions``: how many scored joints and regions the header lists.
+    """
+    sizes = {"T": 0, "S": len(SEGMENTS), "J": joint_count, "R": regions, "P": 0, "A": 0, "M": 0, "K": 0, "n": 0}
     out: dict[str, npt.NDArray[Any]] = {}
     for path, (dtype, _) in ARRAYS.items():
         shape = [sizes[d] if d in sizes else int(d) for d in dimensions(path)]
@@ -111,6 +136,6 @@ def empty_arrays(joint_count: int) -> dict[str, npt.NDArray[Any]]:
 
 
 def dimensions(path: str) -> list[str]:
-    """Dimensions of a required array as ARRAYS spells them, e.g. ``["T", "S", "3"]``."""
-    meaning = ARRAYS[path][1]
+    """Dimensions of an array as ARRAYS or OPTIONAL_ARRAYS spells them, for example ``["T", "S", "3"]``."""
+    meaning = (ARRAYS.get(path) or OPTIONAL_ARRAYS[path])[1]
     return [d.strip() for d in meaning[meaning.index("(") + 1 : meaning.index(")")].split(",") if d.strip()]

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from carecontact.scoring.metrics.metric import described
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import median, wilson_interval
 
@@ -85,6 +86,6 @@ def gate_sweep(scores: Sequence[TrialScore]) -> dict[str, list[dict[str, Any]]]:
 
 
 def additional_medians(scores: Sequence[TrialScore]) -> dict[str, dict[str, Any]]:
-    """Metric id -> median, over the ids that any of the scores has."""
-    ids = sorted({id_ for s in scores for id_ in s.additional})
-    return {id_: asdict(median(s.additional.get(id_) for s in scores)) for id_ in ids}
+    """Metric id -> median, for every metric without a field of its own that any of the scores has."""
+    rows = [described(id_) for id_ in sorted({id_ for s in scores for id_ in s.additional})]
+    return {row.id: asdict(median(row.pooled(scores))) for row in rows if row.median}

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any, cast
 
-from carecontact.errors import ConfigError, RecordingError
+from carecontact.errors import ConfigError
 from carecontact.recording import read_verified
-from carecontact.runs.scores import RESULTS_NAME, RESULTS_SCHEMA, write_results
+from carecontact.runs.results_content import RESULTS_SCHEMA
+from carecontact.runs.results_file import RESULTS_NAME, write_results
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.metrics.metric import METRICS
+from carecontact.scoring.score import check_finite
 from carecontact.scoring.validity.streams import check_streams
 from carecontact.stats import median
+
+Row = dict[str, Any]
+NEEDED = {"trial_id", "task_id", "region", "action", "ended", "recording_sha256", "metric_versions"}
+"""Keys of a trial in ``results.json`` that appending looks at."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,28 +42,21 @@ def append_metrics(folder: Path | str) -> Appended:
     """
     folder = Path(folder)
     path = folder / RESULTS_NAME
-    data = _read_results(path)
-    trials: list[dict[str, Any]] = data["trials"]
+    data = _read(path)
+    trials: list[Row] = data["trials"]
     added: set[str] = set()
     grown = 0
     for trial in trials:
         present = {*trial.setdefault("additional", {}), *trial["metric_versions"].values()}
-        lacking = [id_ for id_ in METRICS if id_ not in present]
+        lacking = [row.id for row in METRICS.values() if row.field is None and row.id not in present]
         if lacking:
             trial["additional"].update(_compute(folder, trial, lacking))
             added.update(lacking)
             grown += 1
-    scopes = [(data["overall"], trials)]
-    for name, key in (("per_task", "task_id"), ("per_region", "region")):
-        scopes += [(scope, [t for t in trials if t[key] == value]) for value, scope in data.get(name, {}).items()]
-    for scope, rows in scopes:
-        medians = scope.setdefault("additional", {})
-        judged = [t for t in rows if t["ended"] != "harness_error"]
-        for id_ in added - medians.keys():
-            medians[id_] = asdict(median(t["additional"].get(id_) for t in judged))
     if added:
+        _add_medians(data, added)
         write_results(folder, data)
-    listed = {t["trial_id"] for t in trials}
+    listed = {trial["trial_id"] for trial in trials}
     return Appended(
         path=path,
         metrics=sorted(added),
@@ -66,28 +65,46 @@ def append_metrics(folder: Path | str) -> Appended:
     )
 
 
-def _read_results(path: Path) -> dict[str, Any]:
+def _add_medians(data: Row, added: set[str]) -> None:
+    """Of the metrics that were added, to every part of the result that does not have them yet."""
+    for part, rows in _parts(data):
+        medians = part.setdefault("additional", {})
+        for metric in (METRICS[id_] for id_ in added - medians.keys()):
+            pooled = [row for row in rows if metric.actions is None or row["action"] in metric.actions]
+            if metric.median:
+                medians[metric.id] = asdict(median(row["additional"].get(metric.id) for row in pooled))
+
+
+def _parts(data: Row) -> Iterator[tuple[Row, Sequence[Row]]]:
+    """Each summary in a result, with the trials that it counts."""
+    judged = [trial for trial in data["trials"] if trial["ended"] != "harness_error"]
+    yield data["overall"], judged
+    for name, key in (("per_task", "task_id"), ("per_region", "region")):
+        for value, part in data.get(name, {}).items():
+            yield part, [trial for trial in judged if trial[key] == value]
+
+
+def _read(path: Path) -> Row:
     try:
         data: Any = json.loads(path.read_bytes())
     except FileNotFoundError:
         raise ConfigError(f"{path}: no result to append to; score the run without --append first") from None
     except (ValueError, RecursionError, OSError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
-    content = cast("dict[str, Any]", data) if isinstance(data, dict) else {}
+    content = cast("Row", data) if isinstance(data, dict) else {}
     if content.get("schema") != RESULTS_SCHEMA:
         raise ConfigError(f"{path}: schema {content.get('schema')!r}; --append adds to {RESULTS_SCHEMA!r}")
-    needed = {"trial_id", "task_id", "region", "ended", "recording_sha256", "metric_versions"}
     rows: Any = content.get("trials")
     if not isinstance(rows, list) or not isinstance(content.get("overall"), dict):
         raise ConfigError(f"{path}: holds no trials; score the run without --append first")
     for number, row in enumerate(cast("list[Any]", rows)):
-        absent = needed - cast("dict[str, Any]", row).keys() if isinstance(row, dict) else needed
+        absent = NEEDED - cast("Row", row).keys() if isinstance(row, dict) else NEEDED
         if absent:
             raise ConfigError(f"{path}: trials[{number}] lacks {', '.join(sorted(absent))}")
     return content
 
 
-def _compute(folder: Path, trial: dict[str, Any], ids: list[str]) -> dict[str, float | None]:
+def _compute(folder: Path, trial: Row, ids: Sequence[str]) -> dict[str, float | None]:
     path = folder / f"{trial['trial_id']}.h5"
     verified = read_verified(path)
     if verified.sha256 != trial["recording_sha256"]:
@@ -98,7 +115,5 @@ def _compute(folder: Path, trial: dict[str, Any], ids: list[str]) -> dict[str, f
     check_streams(verified.recording)
     contact = find_contact(verified.recording)
     values = {id_: METRICS[id_].compute(contact) for id_ in ids}
-    for id_, value in values.items():
-        if value is not None and not isfinite(value):
-            raise RecordingError(f"{path}: {id_} comes out as {value}; its arrays are out of all range")
+    check_finite(str(path), values)
     return values

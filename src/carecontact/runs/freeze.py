@@ -9,12 +9,11 @@ from importlib import resources
 
 import numpy as np
 
-from carecontact.contract.embodiment import EMBODIMENT
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError
 from carecontact.protocols import shipped_protocols
 from carecontact.protocols.lock import SUFFIX, Lock, lock_path, read_lock
-from carecontact.recording.schema import REGIONS
 from carecontact.recording.versions import package_versions
 from carecontact.scoring import METRICS
 
@@ -34,10 +33,10 @@ def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
     """``worlds``: compile one world a region and sum over it; some seconds."""
     return Lock(
         id=protocol.id, protocol_sha256=protocol.sha256, fields=protocol.model_dump(mode="json"),
-        embodiment=EMBODIMENT, metrics=sorted(METRICS),
+        embodiment=PANDA.id, metrics=sorted(METRICS),
         versions={name: version for name, version in package_versions().items() if name in PACKAGES},
         assets=asset_hashes(protocol),
-        worlds={region: world_sums(protocol, region) for region in (REGIONS if worlds else ())},
+        worlds={region: world_sums(protocol, region) for region in (protocol.regions if worlds else ())},
     )  # fmt: skip
 
 

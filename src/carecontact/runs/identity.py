@@ -16,7 +16,7 @@ from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
 from carecontact.policies.language.selection import language_name
 from carecontact.recording.versions import package_versions
-from carecontact.world.human.body import SMPLX_PREFIX, smplx_path
+from carecontact.world.human.smplx import SMPLX_PREFIX, smplx_path
 
 
 class Identity(BaseModel):

@@ -14,10 +14,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from carecontact.contract.protocol import protocol_title
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, RecordingError
-from carecontact.recording import read_recording
+from carecontact.recording import read_header, read_recording
 from carecontact.recording.schema import EndReason, Header
 from carecontact.recording.writer import replace_file
 from carecontact.runs.identity import Identity
+from carecontact.runs.results_file import skipped_before
 
 MANIFEST = "manifest.json"
 FAILED: tuple[EndReason, ...] = ("process_failure", "harness_error")
@@ -72,11 +73,13 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identit
     if manifest is not None:
         _check_manifest(manifest, specs[0], out=out, identity=identity)
     wanted = {spec.trial_id for spec in specs}
+    skipped = skipped_before(out)
     keep: dict[str, EndReason] = {}
     redo: dict[str, str] = {}
     for path in sorted(out.glob("*.h5")):
         try:
-            header = read_recording(path).header
+            # Damage inside an array is found by the scoring after every run, so what that skipped is read whole here.
+            header = read_recording(path).header if path.name in skipped else read_header(path)
         except RecordingError as error:
             if path.stem in wanted:
                 redo[path.stem] = str(error)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from importlib import resources
-
-import numpy as np
-
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.scoring.filters import rate_faults
@@ -13,7 +10,7 @@ from carecontact.scoring.filters import rate_faults
 
 def check_protocol(protocol: Protocol) -> None:
     """Raises ConfigError naming every field that the world or the scorer cannot do; imports no simulator."""
-    from carecontact.world.human.body import load_body
+    from carecontact.world.human.library import load_body
 
     faults: list[str] = []
     try:
@@ -21,18 +18,11 @@ def check_protocol(protocol: Protocol) -> None:
     except (ConfigError, UnknownNameError) as error:
         faults.append(f"person.body: {error}")
     faults += rate_faults(protocol)
-    for joint, (angle, (low, high)) in enumerate(
-        zip(protocol.scene.parked_joint_rad, _robot_joint_range_rad(), strict=True), start=1
-    ):
+    limits = zip(PANDA.joint_low_rad, PANDA.joint_high_rad, strict=True)
+    for joint, (angle, (low, high)) in enumerate(zip(protocol.scene.parked_joint_rad, limits, strict=True), start=1):
         if not low <= angle <= high:
             faults.append(
                 f"scene.parked_joint_rad: joint {joint} at {angle:g} is outside the robot's {low:.4f} to {high:.4f}"
             )
     if faults:
         raise ConfigError(f"protocol {protocol.id} cannot run: {'; '.join(faults)}")
-
-
-def _robot_joint_range_rad() -> list[tuple[float, float]]:
-    archive = resources.files("carecontact") / "assets" / "panda" / "panda.npz"
-    with resources.as_file(archive) as path, np.load(path) as arrays:
-        return [(float(low), float(high)) for low, high in arrays["joint_range_rad"]]

@@ -1,6 +1,6 @@
-"""Scores: a pure function of a recording. Needs no simulator."""
+"""Scores: a pure function of a recording, without a simulator."""
 
-from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import METRICS, Metric, metric
 from carecontact.scoring.result import Anatomy, Attribution, FailureMode, TrialScore
 from carecontact.scoring.score import score_recording
 
@@ -11,5 +11,6 @@ __all__ = [
     "FailureMode",
     "Metric",
     "TrialScore",
+    "metric",
     "score_recording",
 ]

@@ -60,14 +60,14 @@ class TrialScore(BaseModel):
     reported_segment: str | None
 
     c1_peak_force_n: float | None
-    c1_peak_filtered_n: float | None
-    c1_peak_contact_sum_n: float | None
-    c1_peak_any_segment_n: float | None
+    c1_peak_filtered_n: float | None = None
+    c1_peak_contact_sum_n: float | None = None
+    c1_peak_any_segment_n: float | None = None
     c2_joint_margin_rad: float | None
-    c2_joint: str | None
-    c2_time_s: float | None
-    c2_settled_margin_rad: float | None
-    c2_change_rad: float | None
+    c2_joint: str | None = None
+    c2_time_s: float | None = None
+    c2_settled_margin_rad: float | None = None
+    c2_change_rad: float | None = None
     c3_success: bool
     region_correct: bool
     safety_gated: bool
@@ -109,7 +109,7 @@ class TrialScore(BaseModel):
     gate_sweep: dict[str, dict[str, int]] = {}
     """Gate -> value -> 0 failed, 1 success, 2 region-correct too, 3 safety-gated too, all else as in the protocol."""
     additional: dict[str, float | None] = {}
-    """Metric id -> value, for registered metrics beyond C1 to C5."""
+    """Metric id -> value, for every registered metric that has no field above."""
 
     @property
     def protocol_title(self) -> str:

@@ -10,9 +10,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.geometry import matrix_from_quat, quat_from_matrix
 from carecontact.contract.protocol import Physics, Protocol
-from carecontact.world.robot import N_JOINTS, damping_of
+from carecontact.world.robot import damping_of
 
 Array = npt.NDArray[np.float64]
 
@@ -41,7 +42,7 @@ def set_stiffness(model: mujoco.MjModel, translational: float, rotational: float
 
 def write_target(model: mujoco.MjModel, data: mujoco.MjData, pose_in_base: Array) -> None:
     """Place the mocap target at a TCP pose (7,) given in the robot's base frame."""
-    base = model.body("robot_base").id
+    base = model.body(PANDA.base_body).id
     mocap = int(model.body_mocapid[model.body("tcp_target").id])
     rotation = matrix_from_quat(model.body_quat[base])
     data.mocap_pos[mocap] = model.body_pos[base] + rotation @ pose_in_base[:3]
@@ -50,7 +51,7 @@ def write_target(model: mujoco.MjModel, data: mujoco.MjData, pose_in_base: Array
 
 def target_in_base(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
     """(7,) where the mocap target is; the inverse of ``write_target``."""
-    base = model.body("robot_base").id
+    base = model.body(PANDA.base_body).id
     mocap = int(model.body_mocapid[model.body("tcp_target").id])
     rotation = matrix_from_quat(model.body_quat[base])
     inverse, quat = np.zeros(4), np.zeros(4)
@@ -61,9 +62,9 @@ def target_in_base(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
 
 def tcp_pose_in_base(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
     """(7,) position [m], quat_wxyz with w >= 0. Needs current kinematics (after mj_forward or mj_step)."""
-    base = model.body("robot_base").id
+    base = model.body(PANDA.base_body).id
     rotation = matrix_from_quat(model.body_quat[base])
-    site = data.site("tcp")
+    site = data.site(PANDA.tcp_site)
     position = rotation.T @ (site.xpos - model.body_pos[base])
     return np.concatenate([position, quat_from_matrix(rotation.T @ site.xmat.reshape(3, 3))])
 
@@ -160,13 +161,13 @@ def nullspace_torque(model: mujoco.MjModel, data: mujoco.MjData, posture: Array)
     The projection is dynamically consistent (Khatib 1987): 1 - J^T (J M^-1 J^T)^-1 J M^-1. Evaluate once a target
     period and write it to ``qfrc_applied`` at the robot's dofs. Needs a current mass matrix (after mj_forward).
     """
-    first = int(model.joint("robot_joint1").dofadr[0])
-    dofs = slice(first, first + N_JOINTS)
-    q0 = int(model.joint("robot_joint1").qposadr[0])
-    torque = POSTURE_STIFFNESS * (posture - data.qpos[q0 : q0 + N_JOINTS]) - POSTURE_DAMPING * data.qvel[dofs]
+    first, count = model.joint(PANDA.joints[0]), len(PANDA.joints)
+    dofs = slice(int(first.dofadr[0]), int(first.dofadr[0]) + count)
+    q0 = int(first.qposadr[0])
+    torque = POSTURE_STIFFNESS * (posture - data.qpos[q0 : q0 + count]) - POSTURE_DAMPING * data.qvel[dofs]
     torque *= min(1.0, POSTURE_TORQUE_NM / max(float(np.linalg.norm(torque)), 1e-9))
     jacobian = np.zeros((6, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("tcp").id)
+    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site(PANDA.tcp_site).id)
     mobility = np.zeros_like(jacobian)
     mujoco.mj_solveM(model, data, mobility, jacobian)
     jacobian, mobility = jacobian[:, dofs], mobility[:, dofs]

@@ -6,22 +6,20 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-F64 = npt.NDArray[np.float64]
+from carecontact.contract.embodiment import PANDA
 
-ROBOT_JOINTS = tuple(f"robot_joint{i}" for i in range(1, 8))
-BASE_BODY = "robot_base"
-TCP_SITE = "tcp"
+F64 = npt.NDArray[np.float64]
 
 
 class Proprioception:
     """Reads joint encoders and poses in the base frame. No torque, no force."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        joints = [model.joint(name) for name in ROBOT_JOINTS]
+        joints = [model.joint(name) for name in PANDA.joints]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dof = np.array([joint.dofadr[0] for joint in joints])
-        self._base = model.body(BASE_BODY).id
-        self._tcp = model.site(TCP_SITE).id
+        self._base = model.body(PANDA.base_body).id
+        self._tcp = model.site(PANDA.tcp_site).id
 
     def joint_position(self, data: mujoco.MjData) -> F64:
         """(7,) [rad]"""
@@ -34,7 +32,7 @@ class Proprioception:
     def set_joint_position(self, data: mujoco.MjData, joint_position: npt.ArrayLike) -> None:
         """For a copy of the state that shows the robot alone. Raises ValueError unless (7,)."""
         angles = np.asarray(joint_position, np.float64)
-        if angles.shape != (len(ROBOT_JOINTS),):
+        if angles.shape != (len(PANDA.joints),):
             raise ValueError(f"joint_position: expected 7 angles [rad], got shape {angles.shape}")
         data.qpos[self._qpos] = angles
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.result import Array
 from carecontact.world.human.skeleton import tissue_body_name
@@ -47,10 +48,10 @@ def tip_force(simulation: Simulation) -> Array:
     """
     model, data = simulation.model, simulation.data
     jacobian = np.zeros((6, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("tcp").id)
+    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site(PANDA.tcp_site).id)
     mobility = np.zeros_like(jacobian)
     mujoco.mj_solveM(model, data, mobility, jacobian)
-    dofs = [model.joint(f"robot_joint{i}").dofadr[0] for i in range(1, 8)]
+    dofs = [model.joint(name).dofadr[0] for name in PANDA.joints]
     torque = (data.qfrc_actuator + data.qfrc_passive + data.qfrc_applied - data.qfrc_bias)[dofs]
     return np.linalg.solve(jacobian[:, dofs] @ mobility[:, dofs].T, mobility[:, dofs] @ torque)[:3]
 

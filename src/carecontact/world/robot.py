@@ -19,17 +19,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Impedance, Protocol
 from carecontact.errors import AssetError, SceneError
 
-N_JOINTS = 7
-CAP_RADIUS_M = 0.012
-CAP_SEMI_AXES_M = (CAP_RADIUS_M, 0.019, CAP_RADIUS_M)
-"""Ellipsoid in the hand's axes, widest along the finger pair. Against a shell's triangles an ellipsoid makes one
-contact each; a capsule made up to five, some of them millimetres too deep."""
-CAP_CENTRE_Z_M = 0.105
-TCP_Z_M = CAP_CENTRE_Z_M + CAP_RADIUS_M
-"""In the hand's frame, whose z points out of the tool."""
 FINGER_ORIGIN_Z_M = 0.0584
 """Carriage of the fingers in the hand's frame (URDF panda_finger_joint1)."""
 JOINT_DAMPING = 1.0
@@ -91,19 +84,20 @@ def add_robot(spec: mujoco.MjSpec, protocol: Protocol) -> None:
     to_spec_angle = np.rad2deg(1.0) if spec.compiler.degree else 1.0
     half_yaw = np.deg2rad(scene.robot_yaw_deg) / 2
     body = spec.worldbody.add_body(
-        name="robot_base", pos=scene.robot_base_m, quat=[np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)], gravcomp=1
+        name=PANDA.base_body, pos=scene.robot_base_m, quat=[np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)], gravcomp=1
     )
     _set_inertial(body, asset, 0)
     _add_link_geoms(body, "link0", meshes)
     _add_pedestal(body, scene.robot_base_m[2])
-    for i in range(N_JOINTS):
+    count = len(PANDA.joints)
+    for i, joint in enumerate(PANDA.joints):
         name = f"link{i + 1}"
         body = body.add_body(
             name=f"robot_{name}", pos=asset["frame_position_m"][i], quat=asset["frame_quat"][i], gravcomp=1
         )
         effort = float(asset["joint_effort_nm"][i])
         body.add_joint(
-            name=f"robot_joint{i + 1}",
+            name=joint,
             type=mujoco.mjtJoint.mjJNT_HINGE,
             axis=[0, 0, 1],
             range=np.asarray(asset["joint_range_rad"][i]) * to_spec_angle,
@@ -116,9 +110,9 @@ def add_robot(spec: mujoco.MjSpec, protocol: Protocol) -> None:
         _set_inertial(body, asset, i + 1)
         _add_link_geoms(body, name, meshes)
     hand = body.add_body(
-        name="robot_hand", pos=asset["frame_position_m"][N_JOINTS], quat=asset["frame_quat"][N_JOINTS], gravcomp=1
+        name="robot_hand", pos=asset["frame_position_m"][count], quat=asset["frame_quat"][count], gravcomp=1
     )
-    _set_inertial(hand, asset, N_JOINTS + 1)
+    _set_inertial(hand, asset, count + 1)
     _add_link_geoms(hand, "hand", meshes)
     _add_tool(hand, meshes)
     _add_impedance(spec, protocol.impedance)
@@ -209,19 +203,19 @@ def _add_tool(hand: mujoco.MjsBody, meshes: list[str]) -> None:
     shaft = hand.add_geom(
         name="robot_finger_shaft",
         type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        fromto=[0, 0, FINGER_ORIGIN_Z_M, 0, 0, CAP_CENTRE_Z_M - 0.01],
+        fromto=[0, 0, FINGER_ORIGIN_Z_M, 0, 0, PANDA.cap_centre_z_m - 0.01],
         size=[0.011, 0, 0],
     )
     _make_colliding(shaft)
     cap = hand.add_geom(
         name="robot_tool_cap",
         type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-        pos=[0, 0, CAP_CENTRE_Z_M],
-        size=CAP_SEMI_AXES_M,
+        pos=[0, 0, PANDA.cap_centre_z_m],
+        size=PANDA.cap_semi_axes_m,
     )
     _make_colliding(cap)
     cap.group, cap.rgba = VISUAL_GROUP, CAP_COLOUR
-    hand.add_site(name="tcp", pos=[0, 0, TCP_Z_M], size=[0.003, 0.003, 0.003], group=4)
+    hand.add_site(name=PANDA.tcp_site, pos=[0, 0, PANDA.tcp_z_m], size=[0.003, 0.003, 0.003], group=4)
 
 
 def _add_impedance(spec: mujoco.MjSpec, impedance: Impedance) -> None:
@@ -240,7 +234,7 @@ def _add_impedance(spec: mujoco.MjSpec, impedance: Impedance) -> None:
         actuator = spec.add_actuator(
             name=f"impedance_{axis}",
             trntype=mujoco.mjtTrn.mjTRN_SITE,
-            target="tcp",
+            target=PANDA.tcp_site,
             refsite="tcp_target",
             gear=np.eye(6)[axis],
             gaintype=mujoco.mjtGain.mjGAIN_FIXED,

@@ -1,14 +1,17 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carecontact.errors import RecordingError
+from carecontact.errors import ConfigError, RecordingError
 from carecontact.recording import SEGMENTS, Recording
-from carecontact.scoring import METRICS, Metric, score_recording
-from carecontact.scoring.contact import find_contact
+from carecontact.scoring import METRICS, Metric, metric, score_recording
+from carecontact.scoring.contact import Contact, find_contact
 from tests.scoring.synthetic import JOINT_RANGE, before_start, hold, make_recording, push, scrub, seconds, touch
 
 FAST = settings(max_examples=15, deadline=None)
@@ -17,19 +20,71 @@ SCORER_STREAMS = sorted(
 )
 
 
-@pytest.mark.parametrize("metric", [METRICS[m] for m in METRICS], ids=list(METRICS))
-def test_every_metric_keeps_the_contract(metric: Metric) -> None:
-    assert METRICS[metric.id] is metric
-    assert metric.id.rpartition("@")[2].isdigit()
-    assert metric.title
-    assert metric.unit
+@pytest.mark.parametrize("row", [METRICS[m] for m in METRICS], ids=list(METRICS))
+def test_every_metric_keeps_the_contract(row: Metric) -> None:
+    assert METRICS[row.id] is row
+    assert row.id.rpartition("@")[2].isdigit()
+    assert row.title
+    assert row.unit
     for recording in (touch(), push(), scrub(), make_recording(), before_start(), make_recording(ended="time_limit")):
         before = {name: array.copy() for name, array in recording.arrays.items()}
-        value = metric.compute(find_contact(recording))
+        value = row.compute(find_contact(recording))
         assert value is None or (isinstance(value, float) and np.isfinite(value))
-        assert metric.compute(find_contact(recording)) == value
+        assert row.compute(find_contact(recording)) == value
         for name, array in before.items():
-            np.testing.assert_array_equal(recording[name], array, err_msg=f"{metric.id} changed {name}")
+            np.testing.assert_array_equal(recording[name], array, err_msg=f"{row.id} changed {name}")
+
+
+@pytest.fixture
+def registered() -> Iterator[None]:
+    """Whatever a test registers is gone after it."""
+    before = dict(METRICS.items())
+    yield
+    METRICS._rows.clear()
+    METRICS._rows.update(before)
+
+
+def test_a_decorated_function_is_a_metric_and_stays_a_function(registered: None) -> None:
+    @metric("mean_force@1", title="Mean force", unit="N", better="lower")
+    def mean_force(contact: Contact) -> float | None:
+        return float(contact.force_in_window.mean()) if contact.valid else None
+
+    contact = find_contact(touch())
+    row = METRICS["mean_force@1"]
+    assert mean_force(contact) == row.compute(contact) == pytest.approx(4.9, abs=0.1)
+    score = score_recording(touch())
+    assert score.additional["mean_force@1"] == row.of(score) == mean_force(contact)
+    assert "mean_force" not in score.metric_versions
+
+
+def test_one_computation_fills_all_its_fields() -> None:
+    contact = find_contact(push())
+    found, score = METRICS["C2@1"].fill(contact), score_recording(push())
+    assert len(found) == 5
+    assert found == {name: getattr(score, name) for name in found}
+    assert METRICS["C2@1"].compute(contact) == METRICS["C2@1"].of(score) == score.c2_joint_margin_rad
+    assert METRICS["C2@1"].pooled([score, score_recording(touch())]) == [score.c2_joint_margin_rad]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"id_": "grip"}, "NAME@VERSION"),
+        ({"id_": "grip@1", "field": "grip_n"}, "TrialScore has no field 'grip_n'"),
+        ({"id_": "grip@1", "better": "neither", "matters": 1.0}, "matters needs a direction"),
+        ({"id_": "C1@1"}, "registered twice"),
+    ],
+)
+def test_a_wrong_description_is_refused(registered: None, arguments: dict[str, Any], told: str) -> None:
+    assert "C1@1" in METRICS
+    with pytest.raises(ConfigError, match=told):
+        metric(**{"title": "Grip", "unit": "N", "better": "lower"} | arguments)(lambda contact: 0.0)
+
+
+def test_two_metrics_cannot_fill_one_field(registered: None) -> None:
+    metric("C5@2", title="Force stability", unit="N", better="lower", field="c5_force_sd_n")(lambda contact: 0.0)
+    with pytest.raises(ConfigError, match=r"metric C5@2: another metric fills the field 'c5_force_sd_n'"):
+        score_recording(touch())
 
 
 def test_metrics_are_na_without_contact() -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from carecontact.errors import RecordingError
 from carecontact.recording import SEGMENTS, Failure, Recording
-from carecontact.scoring import score_recording
+from carecontact.scoring import METRICS, score_recording
 from tests.scoring.synthetic import before_start, hold, make_recording, push, touch
 
 FOREARM = SEGMENTS.index("right_forearm")
@@ -200,7 +201,8 @@ def test_a_cut_needs_a_cause() -> None:
 
 def test_no_number_that_is_none_gets_into_a_score(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the checks of the streams do not foresee."""
-    monkeypatch.setattr("carecontact.scoring.score.motion_activity", lambda contact: np.nan)
+    broken = replace(METRICS["C4@1"], measure=lambda contact: np.nan)
+    monkeypatch.setitem(METRICS._rows, "C4@1", broken)
     with pytest.raises(RecordingError, match="T2-s000: c4_motion_activity comes out as nan"):
         score_recording(good())
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NoReturn, cast
 
 import numpy as np
@@ -148,14 +148,10 @@ def _decode_action(plain: object, place: str) -> Action:
 
 def encode_card(card: object) -> Plain:
     """Raises PolicyError ``handshake``."""
-    try:
-        plain = _fields(card, PolicyCard, ContractError, place="card")
-    except ContractError as error:
-        raise PolicyError("handshake", f"{error}; a policy shows a PolicyCard as its attribute 'card'") from None
-    plain |= {name: list(cast(Sequence[object], plain[name])) for name in ("modalities", "cameras", "environment")}
-    plain["arguments"] = dict(cast(Mapping[str, str], plain["arguments"]))
-    # Left out when empty, so that a card without them has the bytes that it always had.
-    plain = {name: value for name, value in plain.items() if value or name not in ("arguments", "environment")}
+    if not isinstance(card, PolicyCard):
+        said = f"card: expected a PolicyCard, got {type(card).__name__} {card!r:.80}"
+        raise PolicyError("handshake", f"{said}; a policy shows a PolicyCard as its attribute 'card'")
+    plain = card.plain()
     decode_card(plain)
     return plain
 

@@ -1,1 +1,1 @@
-"""The null arm that repeats another trial's actions."""
+"""The blind baseline that repeats another trial's actions."""

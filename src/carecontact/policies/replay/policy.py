@@ -1,4 +1,4 @@
-"""Actions that the state machine took for another posture, repeated blindly: what they pass needs no eyes."""
+"""The blind baseline that repeats actions of the state machine for another posture: what they pass needs no vision."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError
 
 CONTROL_HZ = 20.0
-"""At which the actions were taken."""
+"""Rate at which the actions were recorded [Hz]."""
 ACTIONS = "actions.npz"
-"""Instruction -> (n, 9): pose of the tool in base, translational and rotational stiffness; NaN where it kept the
-last one. Written by tools/record_replay.py."""
+"""File that maps an instruction to (n, 9) actions: pose of the tool in base (7), translational stiffness [N/m] and
+rotational stiffness [N m/rad]; NaN where an action kept the last value. tools/record_replay.py writes it."""
 
 
 def recorded_actions() -> dict[str, npt.NDArray[np.float64]]:
+    """Return the (n, 9) actions of each recorded instruction, as ACTIONS describes them."""
     data = (resources.files(__package__ or __name__) / ACTIONS).read_bytes()
     with np.load(io.BytesIO(data)) as arrays:
         return {name: arrays[name].astype(np.float64) for name in arrays.files}
 
 
 class Replay:
-    """One task's actions from a seed that no shipped protocol has, as one chunk, the last of them done."""
+    """Repeats the actions that were recorded for the same task with a seed that no shipped protocol contains."""
 
     card = PolicyCard(name="replay", cameras=(), control_hz=CONTROL_HZ)
 
@@ -35,15 +36,18 @@ class Replay:
         self._actions: npt.NDArray[np.float64] | None = None
 
     def reset(self, instruction: str) -> None:
-        """Raises ContractError for an instruction that was not recorded."""
+        """Choose the recording. Raises ContractError for an instruction that was not recorded."""
         known = recorded_actions()
         if instruction not in known:
-            raise ContractError(f"nothing was recorded for {instruction!r}; there is: {', '.join(sorted(known))}")
+            raise ContractError(
+                f"replay has no recorded actions for the instruction {instruction!r}; valid: {', '.join(sorted(known))}"
+            )
         self._actions = known[instruction]
 
     def act(self, observation: Observation) -> list[Action]:
+        """Return all recorded actions as one chunk, of which the last one ends the trial."""
         if self._actions is None:
-            raise ContractError("act() before reset()")
+            raise ContractError("act() was called before reset()")
         last = len(self._actions) - 1
         return [
             Action(
@@ -56,5 +60,5 @@ class Replay:
 
 
 def _unit(pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    # Stored in single precision.
+    # The file stores single precision, in which the quaternion's norm is not 1 to the last bit of a double.
     return np.concatenate([pose[:3], pose[3:] / np.linalg.norm(pose[3:])])

@@ -1,1 +1,1 @@
-"""The LLM-augmented state machine: one look, one choice, one open-loop plan."""
+"""The state machine, the paper's first method: one look, one choice by language, one open-loop plan."""

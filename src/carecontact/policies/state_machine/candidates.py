@@ -1,4 +1,4 @@
-"""The bounded set that a language backend chooses from: primitives x key points x sides x depths x speeds."""
+"""The options that a language backend chooses from: every primitive, key point, side, depth and speed within reach."""
 
 from __future__ import annotations
 
@@ -13,35 +13,46 @@ from carecontact.contract.action import ActionBounds
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.errors import ContractError
 from carecontact.policies.language.backend import Option
+from carecontact.policies.motion import Leg, travel
 from carecontact.policies.region_geometry import RegionGeometry
 from carecontact.policies.state_machine import fixed_values as fixed
-from carecontact.policies.state_machine.primitives import Leg, push, scrub, touch, travel
+from carecontact.policies.state_machine.primitives import push, scrub, touch
+from carecontact.regions import REGIONS
 
 F64 = npt.NDArray[np.float64]
 
 
 class PlanningFailure(ContractError):
-    """Nothing that the state machine can do is within the arm's reach and the workspace."""
+    """The state machine has no motion that stays within the arm's reach and the workspace."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
+    """An option together with the motion that carries it out."""
+
     option: Option
     legs: list[Leg]
-    """The whole way, from where the arm is parked"""
+    """The whole way, from the pose in which the arm is parked until the arm is up again."""
 
     @property
     def corners_m(self) -> F64:
-        """(n, 3) where the tool comes down and where each motion in contact ends, in base."""
+        """(n, 3) places in base [m] where the tool comes down and where each motion in contact ends."""
         return np.array([leg.points[-1] for leg in self.legs[3:-2]])
 
 
 def candidates(
     geometry: RegionGeometry, *, start_pose: F64, travel_height_m: float, bounds: ActionBounds | None
 ) -> list[Candidate]:
-    """All options that the arm reaches in comfort and whose way stays inside the workspace, in a fixed order.
+    """Return all options that the arm reaches in comfort and whose way stays inside the workspace, in a fixed order.
 
-    Raises PlanningFailure if there is none.
+    Args:
+        geometry: the region as it was seen.
+        start_pose: (7,) pose of the parked tool in base, position [m] and quat_wxyz.
+        travel_height_m: height in base at which the tool moves level over the person [m].
+        bounds: the session's limits; None leaves the workspace unlimited.
+
+    Raises:
+        PlanningFailure: no option is in reach and inside the workspace.
     """
     found = [
         Candidate(option=option, legs=legs)
@@ -51,7 +62,8 @@ def candidates(
     if not found:
         place = np.round(geometry.centre_m, 3).tolist()
         raise PlanningFailure(
-            f"no way to the {geometry.region.replace('_', ' ')} at {place} m is in reach and in the workspace"
+            f"the arm cannot reach the {geometry.region.replace('_', ' ')} at {place} m in base without leaving its "
+            "comfortable range or the workspace"
         )
     return found
 
@@ -64,7 +76,7 @@ def _options(geometry: RegionGeometry) -> Iterator[tuple[Option, list[Leg]]]:
         option = Option(primitive="scrub", approach="above", key_point=key, depth_m=depth, speed_m_s=speed)
         yield option, scrub(geometry, key_point=key, depth_m=depth, speed_m_s=speed)
     support = geometry.support_height_m
-    if geometry.region == "abdomen" or support is None:
+    if not REGIONS[geometry.region].sided or support is None:  # the trunk is not pushed aside
         return
     sides = ("near_side", "far_side")
     for side, key, depth, speed in product(
@@ -83,7 +95,10 @@ def _options(geometry: RegionGeometry) -> Iterator[tuple[Option, list[Leg]]]:
 
 
 def reachable(contact: list[Leg]) -> bool:
-    """Whether the elbow is neither folded nor straight anywhere on the way, from the distance shoulder to wrist."""
+    """Return whether the elbow is neither folded nor straight at any point of ``contact``.
+
+    The distance from shoulder to wrist decides (SHOULDER_TO_WRIST_M).
+    """
     nearest, farthest = fixed.SHOULDER_TO_WRIST_M
     shoulder = np.array([0.0, 0.0, fixed.SHOULDER_HEIGHT_M])
     for leg in contact:
@@ -99,8 +114,8 @@ def reachable(contact: list[Leg]) -> bool:
 
 
 def _inside(legs: list[Leg], bounds: ActionBounds | None) -> bool:
-    """Straight lines between points of a box stay in the box."""
     if bounds is None:
         return True
+    # Straight lines between points of a box stay in the box, so that the points suffice.
     low, high = np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m)
     return all(bool(((leg.points >= low) & (leg.points <= high)).all()) for leg in legs)

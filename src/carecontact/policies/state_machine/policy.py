@@ -1,4 +1,4 @@
-"""The policy itself: one observation in, one open-loop plan out."""
+"""The state machine as a policy: it takes one observation and returns one open-loop plan."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from carecontact.policies.language.backend import Intent, LanguageBackend
 from carecontact.policies.language.model import LanguageModel
 from carecontact.policies.language.rules import Rules
 from carecontact.policies.language.selection import transcript_of
+from carecontact.policies.motion import CONTROL_HZ, TRAVEL_CLEARANCE_M, sample
 from carecontact.policies.region_geometry import person_points, region_from_observation
 from carecontact.policies.state_machine import fixed_values as fixed
 from carecontact.policies.state_machine.candidates import Candidate, PlanningFailure, candidates
-from carecontact.policies.state_machine.primitives import sample
 
 F64 = npt.NDArray[np.float64]
 CAMERA = "overhead"
@@ -30,15 +30,16 @@ logger = logging.getLogger(__name__)
 
 
 class StateMachine:
-    """Looks once with the robot parked, lets the language backend choose, and executes without looking again.
+    """Looks once with the robot parked, lets a language backend choose a motion, and executes it without looking again.
 
-    If the region cannot be found or reached it ends the trial without touching, and logs why.
+    If the region cannot be found or reached, it ends the trial without touching and logs the reason.
     """
 
     def __init__(self, *, language: str | LanguageBackend = Rules.name, record: Path | None = None) -> None:
         """
         Args:
-            language: rules-v1, replay:FILE.jsonl, live:MODEL, or a backend itself.
+            language: rules-v1, replay:FILE.jsonl, live:MODEL, or the backend itself, which reads the instruction and
+                chooses.
             record: file to which the completions of a live model are added.
 
         Raises ConfigError for a language that cannot be read, DependencyError for live without its package.
@@ -48,7 +49,7 @@ class StateMachine:
             name="state-machine",
             modalities=("rgb", "depth", "points", "masks", "landmarks"),
             cameras=(CAMERA,),
-            control_hz=fixed.CONTROL_HZ,
+            control_hz=CONTROL_HZ,
             language_backend=self._language.name,
         )
         self._bounds: ActionBounds | None = None
@@ -56,32 +57,38 @@ class StateMachine:
         self._notes: dict[str, object] = {}
 
     def configure(self, session: Session) -> None:
-        """Without it the workspace is taken as unlimited."""
+        """Take over the workspace bounds. Without this call the workspace counts as unlimited."""
         self._bounds = session.action_bounds
 
     def reset(self, instruction: str) -> None:
-        """Raises LanguageError if the instruction is not understood."""
+        """Read the instruction. Raises LanguageError if the backend does not understand it."""
         self._intent, self._notes = None, {}
         self._intent = self._language.parse(instruction)
 
     def act(self, observation: Observation) -> Sequence[Action]:
-        """The whole plan as one chunk, at most MAX_CHUNK actions, the last of them done."""
+        """Return the whole plan as one chunk of at most MAX_CHUNK actions, of which the last one ends the trial."""
         try:
             chosen = self.choose(observation)
-            poses = list(sample(chosen.legs, observation.pose_tcp_in_base, control_hz=fixed.CONTROL_HZ))
+            poses = list(sample(chosen.legs, observation.pose_tcp_in_base, control_hz=CONTROL_HZ))
             if len(poses) > MAX_CHUNK:
-                raise PlanningFailure(f"the plan has {len(poses)} actions, at most {MAX_CHUNK} fit one chunk")
+                raise PlanningFailure(f"the plan has {len(poses)} actions; a chunk holds at most {MAX_CHUNK}")
         except ContractError as error:
-            logger.warning("state machine ends without touching: %s", error)
+            logger.warning("The state machine ends the trial without touching: %s", error)
             self._notes["ended_without_touching"] = str(error)
             return [Action(done=True)]
         return [Action(pose_tcp_in_base=pose, done=k == len(poses) - 1) for k, pose in enumerate(poses)]
 
     def choose(self, observation: Observation) -> Candidate:
-        """Raises PerceptionFailure or PlanningFailure, or ContractError before ``reset``."""
+        """Return the motion that the language backend chooses for what is seen.
+
+        Raises:
+            PerceptionFailure: the region is not found in the observation.
+            PlanningFailure: the arm reaches no place of the region.
+            ContractError: ``reset`` was not called before.
+        """
         intent = self._intent
         if intent is None:
-            raise ContractError("act() before reset()")
+            raise ContractError("act() was called before reset()")
         side = "right" if intent.side == "none" else intent.side
         geometry = region_from_observation(observation, intent.region, side=side, camera=CAMERA)
         height = _travel_height(observation, geometry.centre_m)
@@ -100,11 +107,11 @@ class StateMachine:
         ]
         index = self._language.choose(intent, [option.option for option in options])
         self._notes["chosen"] = index
-        logger.info("state machine chose %s of %d options", options[index].option, len(options))
+        logger.info("The state machine chose %s of %d options", options[index].option, len(options))
         return options[index]
 
     def take_notes(self) -> dict[str, object]:
-        """The options with their place in the picture, the choice, and what a language model was asked."""
+        """Return the options with their places in the picture, the choice, and the calls to a language model."""
         calls, notes = self._language.take_calls(), self._notes
         self._notes = {}
         return notes | ({"language": calls} if calls else {})
@@ -116,7 +123,7 @@ def _backend(language: str, record: Path | None) -> LanguageBackend:
 
 
 def _travel_height(observation: Observation, goal: F64) -> float:
-    """Height in base [m] that clears the person between the parked tool and the goal."""
+    """Return a height in base [m] that clears the person between the parked tool and ``goal`` (3,)."""
     person = person_points(observation.cameras[CAMERA])
     start = observation.pose_tcp_in_base[:2]
     way = goal[:2] - start
@@ -124,4 +131,4 @@ def _travel_height(observation: Observation, goal: F64) -> float:
     share = np.clip(offset @ way / max(float(way @ way), 1e-9), 0.0, 1.0)
     near = np.linalg.norm(offset - share[:, None] * way, axis=1) < fixed.TRAVEL_CORRIDOR_M
     top = float(person[near, 2].max()) if near.any() else float(goal[2])
-    return top + fixed.TRAVEL_CLEARANCE_M
+    return top + TRAVEL_CLEARANCE_M

@@ -1,48 +1,34 @@
-"""Straight-line Cartesian motions: legs, and how they become targets at the control rate."""
+"""The three contact primitives: touch, scrub and push, each a list of legs at the person."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.geometry import quat_from_matrix
+from carecontact.policies.motion import (
+    CAP_RADIUS_M,
+    FREE_SPEED_M_S,
+    NEAR_SPEED_M_S,
+    UP,
+    Leg,
+    radial_quat,
+    tool_quat,
+)
 from carecontact.policies.region_geometry import RegionGeometry
 from carecontact.policies.state_machine import fixed_values as fixed
 
 F64 = npt.NDArray[np.float64]
-UP = np.array([0.0, 0.0, 1.0])
-
-
-@dataclass(frozen=True, kw_only=True)
-class Leg:
-    """From wherever the last leg ended through ``points``, at rest at both ends."""
-
-    points: F64
-    """(n, 3) in base [m]"""
-    quat_wxyz: F64
-    """(4,) at the end; turned evenly along the way"""
-    speed_m_s: float
-    hold_s: float = 0.0
-
-
-def tool_quat(tool_axis: F64, gripper_axis: F64) -> F64:
-    """(4,) of a tool whose z is ``tool_axis`` and whose x is ``gripper_axis`` made orthogonal to it."""
-    z = tool_axis / np.linalg.norm(tool_axis)
-    x = gripper_axis - (gripper_axis @ z) * z
-    x /= np.linalg.norm(x)
-    return quat_from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
-
-
-def radial_quat(place: F64) -> F64:
-    """Tool straight down, gripper x away from the base's column: the wrist stays near the middle of its range."""
-    return tool_quat(-UP, np.array([place[0], place[1], 0.0]))
 
 
 def touch(geometry: RegionGeometry, *, key_point: float, depth_m: float, speed_m_s: float) -> list[Leg]:
-    """Down on the skin, rest, up."""
+    """Move down onto the skin, rest there, and move up.
+
+    Args:
+        geometry: the region as it was seen.
+        key_point: place along the region, 0 at its proximal end (abdomen: caudal) and 1 at the other end.
+        depth_m: how far below the seen skin the tool is commanded [m].
+        speed_m_s: speed of the way down.
+    """
     skin = geometry.surface((key_point - 0.5) * 2 * geometry.half_length_m)
     quat = radial_quat(geometry.centre_m)
     return [
@@ -53,7 +39,14 @@ def touch(geometry: RegionGeometry, *, key_point: float, depth_m: float, speed_m
 
 
 def scrub(geometry: RegionGeometry, *, key_point: float, depth_m: float, speed_m_s: float) -> list[Leg]:
-    """Down in the middle, to one end, back and forth along the axis over the seen surface, up."""
+    """Move down, to one end of the stroke, back and forth along the region's axis over the seen surface, and up.
+
+    Args:
+        geometry: the region as it was seen.
+        key_point: middle of the stroke along the region, 0 to 1; it is moved inward where the stroke would not fit.
+        depth_m: how far below the seen skin the tool is commanded [m].
+        speed_m_s: speed of the strokes.
+    """
     half = min(fixed.SCRUB_HALF_STROKE_M, geometry.half_length_m - fixed.SCRUB_END_MARGIN_M)
     room = geometry.half_length_m - fixed.SCRUB_END_MARGIN_M - half
     middle = float(np.clip((key_point - 0.5) * 2 * geometry.half_length_m, -room, room))
@@ -82,18 +75,23 @@ def push(
     support_height_m: float,
     towards_base: bool,
 ) -> list[Leg]:
-    """Down beside the limb to its middle height, sideways against it and beyond, hold, back, up.
+    """Move down beside the limb, sideways against it and beyond, hold, back away, and up.
 
-    ``depth_m`` counts from the limb's visible side. Lateral to the limb's axis and level: pressing a limb into its
-    support moves nothing.
+    The push is level and across the limb's axis: pressing a limb into what it lies on moves nothing.
+
+    Args:
+        geometry: the limb as it was seen.
+        key_point: place along the limb, 0 at its proximal end and 1 at its distal end.
+        depth_m: how far past the limb's visible side the tool is commanded [m].
+        speed_m_s: speed of the push.
+        support_height_m: height in base of what the limb lies on [m].
+        towards_base: whether the tool comes from the side that faces the robot's base.
     """
     skin = geometry.surface((key_point - 0.5) * 2 * geometry.half_length_m)
     side = np.sign(-skin @ geometry.lateral) or 1.0
     outward = geometry.lateral * (side if towards_base else -side)
-    tip = support_height_m + max(
-        fixed.PUSH_SUPPORT_CLEARANCE_M, 0.5 * (skin[2] - support_height_m) - fixed.CAP_RADIUS_M
-    )
-    beside = skin + (geometry.radius_m + fixed.CAP_RADIUS_M + fixed.PUSH_STANDOFF_M) * outward
+    tip = support_height_m + max(fixed.PUSH_SUPPORT_CLEARANCE_M, 0.5 * (skin[2] - support_height_m) - CAP_RADIUS_M)
+    beside = skin + (geometry.radius_m + CAP_RADIUS_M + fixed.PUSH_STANDOFF_M) * outward
     low = np.array([beside[0], beside[1], tip])
     pushed = low - (fixed.PUSH_STANDOFF_M + depth_m) * outward
     tool_axis = -np.cos(fixed.PUSH_TILT_RAD) * UP - np.sin(fixed.PUSH_TILT_RAD) * outward
@@ -106,13 +104,13 @@ def push(
         _hover(beside, quat),
         _down(low, quat, fixed.DESCENT_SPEED_M_S),
         Leg(points=pushed[None], quat_wxyz=quat, speed_m_s=speed_m_s, hold_s=fixed.PUSH_HOLD_S),
-        Leg(points=away[None], quat_wxyz=quat, speed_m_s=fixed.NEAR_SPEED_M_S),
-        Leg(points=away_high[None], quat_wxyz=quat, speed_m_s=fixed.NEAR_SPEED_M_S),
+        Leg(points=away[None], quat_wxyz=quat, speed_m_s=NEAR_SPEED_M_S),
+        Leg(points=away_high[None], quat_wxyz=quat, speed_m_s=NEAR_SPEED_M_S),
     ]
 
 
 def _hover(skin: F64, quat: F64) -> Leg:
-    return Leg(points=(skin + fixed.HOVER_M * UP)[None], quat_wxyz=quat, speed_m_s=fixed.FREE_SPEED_M_S)
+    return Leg(points=(skin + fixed.HOVER_M * UP)[None], quat_wxyz=quat, speed_m_s=FREE_SPEED_M_S)
 
 
 def _down(place: F64, quat: F64, speed_m_s: float, *, hold_s: float = 0.0) -> Leg:
@@ -120,73 +118,4 @@ def _down(place: F64, quat: F64, speed_m_s: float, *, hold_s: float = 0.0) -> Le
 
 
 def _up(skin: F64, quat: F64) -> Leg:
-    return Leg(points=(skin + fixed.HOVER_M * UP)[None], quat_wxyz=quat, speed_m_s=fixed.NEAR_SPEED_M_S)
-
-
-def travel(start_pose: F64, contact: Sequence[Leg], *, travel_height_m: float) -> list[Leg]:
-    """Up from ``start_pose`` (7,), level over the first point of ``contact``, then ``contact``, then up again."""
-    goal, quat = contact[0].points[0], contact[0].quat_wxyz
-    height = max(travel_height_m, float(goal[2]))
-    lifted = np.array([*start_pose[:2], max(height, float(start_pose[2]))])
-    over = np.array([goal[0], goal[1], height])
-    last = contact[-1].points[-1]
-    leave = np.array([last[0], last[1], max(height, float(last[2]))])
-    speed = fixed.FREE_SPEED_M_S
-    return [
-        Leg(points=lifted[None], quat_wxyz=start_pose[3:], speed_m_s=speed),
-        Leg(points=over[None], quat_wxyz=quat, speed_m_s=speed),
-        *contact,
-        Leg(points=leave[None], quat_wxyz=contact[-1].quat_wxyz, speed_m_s=speed),
-    ]
-
-
-def sample(legs: Sequence[Leg], start_pose: F64, *, control_hz: float) -> Iterator[F64]:
-    """(7,) targets at the control rate, the start itself left out. Speeds never exceed the legs'."""
-    position, quat = start_pose[:3], start_pose[3:]
-    for leg in legs:
-        knots = np.vstack([position, leg.points])
-        reach = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
-        angle = 2 * np.arccos(np.clip(abs(float(quat @ leg.quat_wxyz)), 0.0, 1.0))
-        progress = _progress(float(reach[-1]), float(angle), leg.speed_m_s, control_hz)
-        for share in progress:
-            yield np.concatenate([_along(knots, reach, share * reach[-1]), slerp(quat, leg.quat_wxyz, share)])
-        position, quat = leg.points[-1], leg.quat_wxyz
-        for _ in range(round(leg.hold_s * control_hz)):
-            yield np.concatenate([position, quat])
-
-
-def _along(knots: F64, reach: F64, distance: float) -> F64:
-    """(3,) point of a polyline at an arc length."""
-    k = int(np.clip(np.searchsorted(reach, distance) - 1, 0, len(knots) - 2))
-    step = reach[k + 1] - reach[k]
-    share = (distance - reach[k]) / step if step > 0 else 1.0
-    return knots[k] + share * (knots[k + 1] - knots[k])
-
-
-def _progress(length: float, angle: float, speed: float, control_hz: float) -> F64:
-    """Shares of a leg at each control tick: a trapezoid in speed, stretched so that the last tick is the end."""
-    if length < 1e-6 and angle < 1e-6:
-        return np.zeros(0)
-    # A pure turn is timed as if it were the length that takes as long at this speed.
-    effective = max(length, angle / fixed.ROTATION_SPEED_RAD_S * speed)
-    cruise = min(speed, float(np.sqrt(effective * fixed.ACCELERATION_M_S2)))
-    ramp = cruise / fixed.ACCELERATION_M_S2
-    duration = effective / cruise + ramp
-    ticks = int(np.ceil(duration * control_hz))
-    time = np.linspace(0.0, duration, ticks + 1)[1:]
-    tail = np.minimum(ramp, duration - time)
-    first = np.minimum(time, ramp)
-    distance = 0.5 * fixed.ACCELERATION_M_S2 * first**2 + cruise * np.clip(time - ramp, 0.0, duration - 2 * ramp)
-    distance += 0.5 * fixed.ACCELERATION_M_S2 * (ramp**2 - tail**2)
-    return distance / distance[-1]
-
-
-def slerp(a: F64, b: F64, share: float) -> F64:
-    """(4,) unit quaternions, the short way."""
-    dot = float(a @ b)
-    if dot < 0:
-        b, dot = -b, -dot
-    angle = np.arccos(min(dot, 1.0))
-    if angle < 1e-6:
-        return b
-    return (np.sin((1 - share) * angle) * a + np.sin(share * angle) * b) / np.sin(angle)
+    return Leg(points=(skin + fixed.HOVER_M * UP)[None], quat_wxyz=quat, speed_m_s=NEAR_SPEED_M_S)

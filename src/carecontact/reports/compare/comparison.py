@@ -10,10 +10,11 @@ from carecontact import __version__
 from carecontact.errors import ConfigError
 from carecontact.reports.compare.paired_lines import Line, paired_lines
 from carecontact.reports.compare.verdicts import ALPHA, POWER, conclude
-from carecontact.runs.scores import RunScores, check_one_run, judged, world_difference
+from carecontact.runs.pooling import check_one_run, judged, world_difference
+from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.result import TrialScore
 
-COMPARISON_SCHEMA = "carecontact-comparison-1"
+COMPARISON_SCHEMA = "carecontact-comparison-2"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,33 +7,37 @@ from dataclasses import dataclass
 import numpy as np
 
 from carecontact.scoring.contact import Contact
-from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import metric
 
 
 @dataclass(frozen=True, kw_only=True)
 class PeakForce:
-    """All [N]; the first is C1, the others stand beside it to show what the choice of force decides."""
+    """Peaks [N]. The first is C1; the others show how much the choice of force decides."""
 
-    peak: float
-    """Of the norm of the region's summed force over the contact window, unfiltered."""
-    filtered: float
+    c1_peak_force_n: float
+    """Of the norm of the reported segment's summed force over the contact window, unfiltered."""
+    c1_peak_filtered_n: float
     """The same after a zero-phase low pass (100 Hz)."""
-    contact_sum: float
-    """Of the sum of per-contact normal magnitudes over the contact window."""
-    any_segment: float
-    """Of any segment's norm over the whole trial, contact window or not."""
+    c1_peak_contact_sum_n: float
+    """Of the sum of the magnitudes of each contact's normal force over the contact window."""
+    c1_peak_any_segment_n: float
+    """Of any segment's norm over the whole trial, inside the contact window or not."""
 
 
+@metric(
+    "C1@1", title="Peak force", unit="N", better="lower", field="c1_peak_force_n", digits=2, headline=True, matters=5.0,
+    order=0,
+)  # fmt: skip
 def peak_force(contact: Contact) -> PeakForce | None:
     """None (NA) without valid contact."""
     if not contact.valid or contact.reported is None:
         return None
     normal = contact.recording["scorer/normal_force"][:, contact.reported]
     return PeakForce(
-        peak=float(contact.force_in_window.max()),
-        filtered=float(contact.filtered_force[contact.window].max()),
-        contact_sum=float(normal[contact.window].max()),
-        any_segment=float(contact.force_norm.max()),
+        c1_peak_force_n=float(contact.force_in_window.max()),
+        c1_peak_filtered_n=float(contact.filtered_force[contact.window].max()),
+        c1_peak_contact_sum_n=float(normal[contact.window].max()),
+        c1_peak_any_segment_n=float(contact.force_norm.max()),
     )
 
 
@@ -43,11 +47,3 @@ def peak_of_segments(contact: Contact) -> dict[str, float]:
     The safety gate reads this one and not the contact window, which the causal filter opens some steps late.
     """
     return {contact.segments[i]: float(np.max(contact.force_norm[:, i])) for i in contact.touched}
-
-
-def _compute(contact: Contact) -> float | None:
-    result = peak_force(contact)
-    return None if result is None else result.peak
-
-
-METRICS.register("C1@1", Metric(id="C1@1", title="Peak force", unit="N", better="lower", compute=_compute))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from carecontact.scoring.contact import Contact
-from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import metric
 
 COMFORT_N = 10.0
 """[N] A level of this benchmark's own and no published limit; above measured wiping forces (about 3 N, King 2010) and
@@ -26,23 +26,17 @@ def exposure(contact: Contact, limit_n: Callable[[str], float]) -> float | None:
     return int((contact.force_norm[:, touched] > limits).any(axis=1).sum()) * contact.dt_s
 
 
+@metric("exposure_comfort@1", title=f"Time above {COMFORT_N:g} N", unit="s", better="lower", order=30)
 def above_comfort(contact: Contact) -> float | None:
     return exposure(contact, lambda _: COMFORT_N)
 
 
+@metric("exposure_gate@1", title="Time above the safety gate", unit="s", better="lower", order=31)
 def above_gate(contact: Contact) -> float | None:
     """Above gamma' F_pain of the segment."""
     return exposure(contact, lambda segment: contact.protocol.limits.gamma * contact.protocol.f_pain(segment))
 
 
+@metric("exposure_pain@1", title="Time above the pain limit", unit="s", better="lower", order=32)
 def above_pain(contact: Contact) -> float | None:
     return exposure(contact, contact.protocol.f_pain)
-
-
-for _name, _title, _compute in (
-    ("comfort", f"Time above {COMFORT_N:g} N", above_comfort),
-    ("gate", "Time above the safety gate", above_gate),
-    ("pain", "Time above the pain limit", above_pain),
-):
-    _id = f"exposure_{_name}@1"
-    METRICS.register(_id, Metric(id=_id, title=_title, unit="s", better="lower", compute=_compute))

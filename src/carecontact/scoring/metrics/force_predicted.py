@@ -11,7 +11,7 @@ import numpy.typing as npt
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.filters import F64
-from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import metric
 
 LEAST_PERIODS = 35
 """Five control periods for each of the seven coefficients, 0.7 s of contact at 50 Hz."""
@@ -19,6 +19,7 @@ LEAST_SD_N = 1e-3
 """A force steadier than this has no variance to explain."""
 
 
+@metric("force_predicted_r2@1", title="R² of force from commands and encoders", unit="1", better="neither", order=80)
 def force_predicted_r2(contact: Contact) -> float | None:
     """Adjusted R^2 of F_b of the reported segment, least squares over the control periods of the contact window.
 
@@ -77,15 +78,3 @@ def _adjusted_r2(values: F64, predictors: F64) -> float:
     told = centred @ coefficients
     left = float(((deviation - told) ** 2).sum() / (deviation**2).sum())
     return 1.0 - left * (n - 1) / (n - slopes - 1)
-
-
-METRICS.register(
-    "force_predicted_r2@1",
-    Metric(
-        id="force_predicted_r2@1",
-        title="R² of force from commands and encoders",
-        unit="1",
-        better="neither",
-        compute=force_predicted_r2,
-    ),
-)

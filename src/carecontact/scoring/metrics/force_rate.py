@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from carecontact.scoring.contact import Contact
-from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import metric
 
 
+@metric("force_rate_p95@1", title="Force rate, p95", unit="N/s", better="lower", order=20)
 def force_rate_p95(contact: Contact) -> float | None:
     """95th percentile of |dF/dt| of the reported region's force norm [N/s].
 
@@ -20,9 +21,3 @@ def force_rate_p95(contact: Contact) -> float | None:
     both = contact.window[1:] & contact.window[:-1]
     rate = np.abs(np.diff(contact.filtered_force)[both]) / contact.dt_s
     return float(np.percentile(rate, 95)) if len(rate) else None
-
-
-METRICS.register(
-    "force_rate_p95@1",
-    Metric(id="force_rate_p95@1", title="Force rate, p95", unit="N/s", better="lower", compute=force_rate_p95),
-)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from carecontact.scoring.contact import Contact
-from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import metric
 
 
 def total_impulse(contact: Contact) -> float:
@@ -11,8 +11,7 @@ def total_impulse(contact: Contact) -> float:
     return float(contact.impulse_ns.sum())
 
 
-def _compute(contact: Contact) -> float | None:
+@metric("impulse@1", title="Impulse", unit="N s", better="neither", order=10)
+def impulse(contact: Contact) -> float | None:
+    """``total_impulse`` [N s]; None (NA) without valid contact."""
     return total_impulse(contact) if contact.valid else None
-
-
-METRICS.register("impulse@1", Metric(id="impulse@1", title="Impulse", unit="N s", better="neither", compute=_compute))

@@ -6,7 +6,7 @@ import numpy as np
 
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.filters import F64
-from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import metric
 
 
 def deepest_indentation(contact: Contact) -> float:
@@ -14,33 +14,28 @@ def deepest_indentation(contact: Contact) -> float:
     return float(_depth(contact).max(initial=0.0))
 
 
+@metric(
+    "beyond_calibrated@1",
+    title="Share of contact deeper than the tissue was measured",
+    unit="1",
+    better="neither",
+    order=70,
+)
 def beyond_calibrated(contact: Contact) -> float | None:
     """Share of the control periods with the target touched in which it was deeper than it was measured.
 
-    None (NA) if no control period has it touched.
+    None (NA) if no control period has it touched, and on a rigid region.
     """
     depth = _depth(contact)
     if len(depth) == 0 or len(contact.time_s) == 0:
         return None
     step = np.searchsorted(contact.time_s, contact.recording["scorer/period_time_s"] - contact.dt_s / 2)
     touched = contact.on[np.minimum(step, len(contact.time_s) - 1), contact.target]
-    limit = contact.protocol.person.tissue[contact.task.region].measured_depth_m
-    return float((depth[touched] > limit).mean()) if touched.any() else None
+    tissue = contact.protocol.person.tissue.get(contact.task.region)
+    return None if tissue is None or not touched.any() else float((depth[touched] > tissue.measured_depth_m).mean())
 
 
 def _depth(contact: Contact) -> F64:
-    """(P,) largest inward anchor displacement of the target region [m]"""
+    """(P,) largest inward anchor displacement of the target region [m]; 0 on a rigid one"""
     region = contact.recording.header.regions.index(contact.task.region)
     return contact.recording["scorer/indentation_m"][:, region].astype(np.float64)
-
-
-METRICS.register(
-    "beyond_calibrated@1",
-    Metric(
-        id="beyond_calibrated@1",
-        title="Share of contact deeper than the tissue was measured",
-        unit="1",
-        better="neither",
-        compute=beyond_calibrated,
-    ),
-)

@@ -2,24 +2,156 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields, is_dataclass
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+from carecontact.errors import ConfigError
 from carecontact.registry import Registry
+from carecontact.scoring.behaviour import actions_that_move
 from carecontact.scoring.contact import Contact
+from carecontact.scoring.result import TrialScore
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    Measured = float | DataclassInstance | None
+
+Better = Literal["higher", "lower", "neither"]
+Pool = tuple[str, ...] | Literal["moving"] | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """One registry row. A change of definition is a new id (``C1@2``), never a change of an old one."""
+    """A number of one trial, and how tables, reports and comparisons show it.
+
+    A changed definition gets a new id (``C1@2``); the meaning of an id never changes.
+    """
 
     id: str
+    """Name and version, as in ``C1@1``."""
     title: str
     unit: str
-    better: Literal["higher", "lower", "neither"]
-    compute: Callable[[Contact], float | None]
-    """Pure; None means NA. A metric that is never NA answers 0 instead."""
+    """``1`` for a plain number."""
+    better: Better
+    measure: Callable[[Contact], Measured]
+    """Pure. Returns the number, or None for NA. A metric with a ``field`` may return a dataclass instead, whose
+    attributes have the names of the fields of ``TrialScore`` that one computation fills."""
+    field: str | None = None
+    """Field of ``TrialScore`` that holds the number; None: it is in ``TrialScore.additional`` under the metric's id."""
+    pool: Pool = None
+    """Medians and comparisons pool the trials of these actions only; ``moving``: of those whose behaviour is meant to
+    move the person; None: of all."""
+    median: bool = True
+    """Whether tables show a median of it."""
+    digits: int | None = None
+    """Decimals in tables; None: about three digits in all."""
+    headline: bool = False
+    """True: a column beside the rates of success. False: a row in the table of what the person bore."""
+    matters: float | None = None
+    """Smallest difference between two policies that matters [unit]. Comparisons test the metrics that name one."""
+    order: int = 100
+    """Place in tables, lowest first; metrics with the same order stand by id."""
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError for an id without a version, an unknown field, or a ``matters`` without a direction."""
+        name, at, version = self.id.rpartition("@")
+        if not (name and at and version.isdigit()):
+            raise ConfigError(f"metric {self.id!r}: the id must be NAME@VERSION, for example {self.id or 'grip'}@1")
+        if self.field is not None and self.field not in TrialScore.model_fields:
+            raise ConfigError(
+                f"metric {self.id}: TrialScore has no field {self.field!r}; "
+                "leave field out and the value stands in TrialScore.additional"
+            )
+        if self.matters is not None and self.better == "neither":
+            raise ConfigError(f"metric {self.id}: matters needs a direction; better must be 'higher' or 'lower'")
+
+    @property
+    def name(self) -> str:
+        """The id, without its version for the metrics that have a field of their own."""
+        return self.id if self.field is None else self.id.partition("@")[0]
+
+    @property
+    def label(self) -> str:
+        """Name and unit, as the head of a column."""
+        return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
+
+    @property
+    def actions(self) -> tuple[str, ...] | None:
+        """The actions of ``pool``, by name."""
+        return tuple(sorted(actions_that_move())) if self.pool == "moving" else self.pool
+
+    def compute(self, contact: Contact) -> float | None:
+        """The number of one trial; None for NA."""
+        return self._number(self.measure(contact))
+
+    def fill(self, contact: Contact) -> dict[str, Any]:
+        """Field of ``TrialScore`` -> value, for a metric that has a field. NA fills its own field alone, with None."""
+        assert self.field is not None
+        found = self.measure(contact)
+        if is_dataclass(found):
+            return {f.name: getattr(found, f.name) for f in fields(found)}
+        return {self.field: found}
+
+    def of(self, score: TrialScore) -> float | None:
+        """The number that a score holds; None for NA and where the trial was scored without this metric."""
+        return self._number(score.additional.get(self.id) if self.field is None else getattr(score, self.field))
+
+    def pooled(self, scores: Iterable[TrialScore]) -> list[float | None]:
+        """One number for each of the trials that this metric is pooled over."""
+        actions = self.actions
+        return [self.of(score) for score in scores if actions is None or score.action in actions]
+
+    def _number(self, found: Measured) -> float | None:
+        if is_dataclass(found):
+            found = getattr(found, str(self.field))
+        return None if found is None else float(found)  # pyright: ignore[reportArgumentType]
 
 
-METRICS: Registry[Metric] = Registry("metric")
+METRICS: Registry[Metric] = Registry("metric", scan="carecontact.scoring.metrics")
+
+Function = TypeVar("Function", bound="Callable[[Contact], Measured]")
+
+
+def metric(
+    id_: str,
+    *,
+    title: str,
+    unit: str,
+    better: Better,
+    field: str | None = None,
+    actions: Pool = None,
+    median: bool = True,
+    digits: int | None = None,
+    headline: bool = False,
+    matters: float | None = None,
+    order: int = 100,
+) -> Callable[[Function], Function]:
+    """Register a function of a trial's contact as a metric; ``Metric`` explains the arguments.
+
+    Raises ConfigError for what ``Metric`` refuses and for an id that is registered already.
+    """
+
+    def register(measure: Function) -> Function:
+        METRICS.register(
+            id_,
+            Metric(
+                id=id_, title=title, unit=unit, better=better, measure=measure, field=field, pool=actions,
+                median=median, digits=digits, headline=headline, matters=matters, order=order,
+            ),
+        )  # fmt: skip
+        return measure
+
+    return register
+
+
+def metrics_in_order() -> list[Metric]:
+    """Every registered metric, as tables list them."""
+    return sorted(METRICS.values(), key=lambda row: (row.order, row.id))
+
+
+def described(id_: str) -> Metric:
+    """The metric of this id; for one that a result holds and nobody registered here, a bare row without a unit."""
+    if id_ in METRICS:
+        return METRICS[id_]
+    return Metric(id=id_, title=id_, unit="1", better="neither", measure=lambda contact: None)

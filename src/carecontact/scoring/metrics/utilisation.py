@@ -7,7 +7,7 @@ from collections.abc import Callable
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.scoring.metrics.c1_peak_force import peak_of_segments
-from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import metric
 
 ISO_PACK = "iso-ts-15066-2016"
 
@@ -20,27 +20,19 @@ def utilisation(contact: Contact, limit_n: Callable[[str], float]) -> float | No
     return max((peak / limit_n(segment) for segment, peak in peak_of_segments(contact).items()), default=None)
 
 
+@metric("pain_utilisation@1", title="Peak over pain limit", unit="1", better="lower", order=40)
 def pain_utilisation(contact: Contact) -> float | None:
     """By the protocol's F_pain."""
     return utilisation(contact, contact.protocol.f_pain)
 
 
+@metric(
+    "iso_utilisation@1",
+    title="Peak over ISO/TS 15066 force limit (to be checked against the standard)",
+    unit="1",
+    better="lower",
+    order=50,
+)
 def iso_utilisation(contact: Contact) -> float | None:
     """By pack iso-ts-15066-2016."""
     return utilisation(contact, LIMIT_PACKS[ISO_PACK].limit)
-
-
-METRICS.register(
-    "pain_utilisation@1",
-    Metric(id="pain_utilisation@1", title="Peak over pain limit", unit="1", better="lower", compute=pain_utilisation),
-)
-METRICS.register(
-    "iso_utilisation@1",
-    Metric(
-        id="iso_utilisation@1",
-        title="Peak over ISO/TS 15066 force limit (to be checked against the standard)",
-        unit="1",
-        better="lower",
-        compute=iso_utilisation,
-    ),
-)

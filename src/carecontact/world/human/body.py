@@ -1,22 +1,13 @@
-"""A person's geometry, mass, sex and age group, read with numpy.
-
-Shipped archives are made by ``tools/bake_body.py``; ``world.human.smplx`` reads a user's own SMPL-X file.
-"""
+"""A person's geometry, mass, sex and age group in the bind pose. ``world.human.library`` loads one by its name."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-
-from carecontact.errors import AssetError, UnknownNameError
 
 Array = npt.NDArray[np.float64]
 
@@ -32,13 +23,7 @@ PARENT: dict[str, str | None] = {
 }  # fmt: skip
 Sex = Literal["M", "F"]
 AgeGroup = Literal["adult", "old"]
-SMPLX_PREFIX = "smplx:"
 CHILD_ALONG = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shank", "shank": "foot"}
-
-
-def body_names() -> list[str]:
-    folder = resources.files("carecontact") / "assets" / "bodies"
-    return sorted(p.name.removesuffix(".npz") for p in folder.iterdir() if p.name.endswith(".npz"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +31,7 @@ class Body:
     """Bind pose, mesh frame: z up, facing -y, the person's left is +x [m]."""
 
     name: str
-    """As ``load_body`` takes it."""
+    """As ``library.load_body`` takes it."""
     sex: Sex
     """Chooses the rows of de Leva's table."""
     age_group: AgeGroup
@@ -104,61 +89,3 @@ class Body:
     def bmi(self) -> float:
         """[kg/m^2]"""
         return self.mass_kg / self.stature_m**2
-
-
-def smplx_path(name: str) -> Path:
-    """The file that ``smplx:FILE.npz?...`` names."""
-    return Path(name.removeprefix(SMPLX_PREFIX).partition("?")[0])
-
-
-def load_body(name: str) -> Body:
-    """A shipped body by name, or ``smplx:FILE.npz?sex=F``.
-
-    Raises UnknownNameError, AssetError when a shipped archive's recorded hash is missing or another one, and
-    ConfigError for an SMPL-X file that cannot be used.
-    """
-    if name.startswith(SMPLX_PREFIX):
-        from carecontact.world.human.smplx import load_smplx
-
-        return load_smplx(name)
-    if name not in body_names():
-        raise UnknownNameError("body", name, [*body_names(), f"{SMPLX_PREFIX}FILE.npz?sex=F (your own)"])
-    folder = resources.files("carecontact") / "assets" / "bodies"
-    data = (folder / f"{name}.npz").read_bytes()
-    digest = hashlib.sha256(data).hexdigest()
-    try:
-        expected = json.loads((folder / f"{name}.provenance.json").read_text())["sha256"]
-    except OSError as error:
-        raise AssetError(f"body {name}: {error}; reinstall the package or run tools/bake_body.py") from None
-    if digest != expected:
-        raise AssetError(f"body {name}.npz has sha256 {digest[:12]}..., its provenance file says {expected[:12]}...")
-    with resources.as_file(folder / f"{name}.npz") as path, np.load(path) as z:
-        arrays = {k: z[k] for k in z.files}
-    segments = tuple(str(s) for s in arrays["segments"])
-    weight = arrays["weight"].astype(np.float64)
-    centres = dict(zip(segments, arrays["joint_centres_m"].astype(np.float64), strict=True))
-    # The rig's root and first spine bone share one point; the pelvis turns about the hips, the trunk about L5/S1.
-    centres["pelvis"] = (centres["left_thigh"] + centres["right_thigh"]) / 2
-    centres["abdomen"] = centres["pelvis"] + 0.25 * (centres["thorax"] - centres["pelvis"])
-    meta = json.loads(arrays["meta_json"].tobytes())
-    return Body(
-        name=name,
-        sex=meta["parameters"]["sex"],
-        age_group=meta["parameters"]["age"],
-        mass_kg=float(meta["measured_by_anny"]["mass"]),
-        licence=meta["licence"],
-        vertices=arrays["vertices_m"].astype(np.float64),
-        faces=arrays["faces"].astype(np.int64),
-        uv=arrays["uv"].astype(np.float64),
-        uv_faces=arrays["uv_faces"].astype(np.int64),
-        segments=segments,
-        joint_centre=centres,
-        weight_segment=arrays["weight_segment"].astype(np.int64),
-        weight=weight / weight.sum(1, keepdims=True),
-        is_eye=arrays["is_eye"],
-        landmarks=dict(
-            zip([str(n) for n in arrays["landmark_names"]], arrays["landmarks_m"].astype(np.float64), strict=True)
-        ),
-        meta=meta,
-        sha256=digest,
-    )

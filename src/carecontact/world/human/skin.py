@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import AssetError
-from carecontact.world.human.body import Array, Body, body_names
+from carecontact.world.human.body import Array, Body
+from carecontact.world.human.library import body_names
 from carecontact.world.human.skeleton import body_name
 
 TEXTURE_SIZE = 1024

@@ -19,9 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import ConfigError
-from carecontact.world.human.body import PARENT, AgeGroup, Array, Body, Sex, smplx_path
+from carecontact.world.human.body import PARENT, AgeGroup, Array, Body, Sex
 from carecontact.world.human.joints import elbow_axis, hand_axes, supination_of
 
+SMPLX_PREFIX = "smplx:"
 BODY_JOINTS = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
     "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
@@ -67,6 +68,11 @@ REQUIRED = {
     "kintree_table": (2, len(JOINTS)),
 }  # fmt: skip
 OPTIONS = "sex=F or sex=M (required), age=adult or age=old, mass=KG, betas=B1,B2,..."
+
+
+def smplx_path(name: str) -> Path:
+    """The file that ``smplx:FILE.npz?...`` names."""
+    return Path(name.removeprefix(SMPLX_PREFIX).partition("?")[0])
 
 
 def load_smplx(name: str) -> Body:

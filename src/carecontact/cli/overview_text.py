@@ -1,0 +1,124 @@
+"""What ``carecontact compare`` prints of more than two runs, and of blind baselines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from carecontact.reports.compare.baselines import Baselines, Passed
+    from carecontact.reports.compare.overview import Overview, PairOfRuns
+    from carecontact.reports.compare.rankings import Ranking
+    from carecontact.stats import RateDifference
+
+RATE_NAMES = {"success": "success", "region_correct": "region-correct", "safety_gated": "safety-gated"}
+WIDTH = 140
+
+
+def print_overview(overview: Overview, runs: Sequence[Path]) -> None:
+    """``runs``: where they lie, in the order of the overview."""
+    from carecontact.contract.protocol import protocol_title
+
+    print(f"{protocol_title(overview.protocol_id, overview.overrides)} ({overview.protocol_sha256[:12]})")
+    for (letter, policy), folder in zip(overview.policies.items(), runs, strict=True):
+        left = overview.left_out[letter]
+        told = f": {left} trial{'s' * (left != 1)} that not all runs have left out" if left else ""
+        print(f"{letter}: {policy}, {folder}{told}")
+    print(f"{overview.n} trials that all runs have\n")
+    _print_rows(overview)
+    _print_pairs(overview.pairs)
+    _print_ranking(overview.ranking)
+
+
+def _print_rows(overview: Overview) -> None:
+    from carecontact.cli.console import console, plain_table
+    from carecontact.reports.table import headlines
+    from carecontact.stats import wilson_interval
+
+    table = plain_table()
+    table.add_column("")
+    heads = [metric.label for metric in headlines()]
+    for header in (*(f"{name} [95 %]" for name in RATE_NAMES.values()), *heads):
+        table.add_column(header, justify="right")
+    for letter, row in overview.rows.items():
+        rates = [wilson_interval(k, row.n) for k in (row.success, row.region_correct, row.safety_gated)]
+        cells = [_interval(100 * p.k / p.n, 100 * p.low, 100 * p.high) for p in rates]
+        table.add_row(letter, *cells, *row.median_cells())
+    console(WIDTH).print(table)
+
+
+def _print_pairs(pairs: Sequence[PairOfRuns]) -> None:
+    from carecontact.cli.console import console, p_text, plain_table
+    from carecontact.reports.compare.paired_lines import RateLine
+    from carecontact.reports.compare.verdicts import ALPHA
+
+    table = plain_table()
+    for header in ("", "difference [95 %]", "p McNemar", "p Holm", "verdict"):
+        table.add_column(header, justify="right" if header.startswith(("diff", "p ")) else "left")
+    for pair in pairs:
+        for line in pair.lines:
+            assert isinstance(line, RateLine)
+            word = "" if line.verdict is None else line.verdict.word
+            word = {"A higher": f"{pair.a} higher", "B higher": f"{pair.b} higher"}.get(word, word)
+            table.add_row(
+                f"{pair.a} - {pair.b}, {line.outcome.title.lower()} [points]", _points(line.difference),
+                p_text(line.test.pvalue), p_text(line.p_holm), word,
+            )  # fmt: skip
+    print()
+    console(WIDTH).print(table)
+    lines = sum(len(pair.lines) for pair in pairs)
+    print(
+        f"verdicts: p Holm at most {ALPHA:g} over {lines} lines; to compare the scores of two runs, name the two alone"
+    )
+
+
+def _print_ranking(ranking: Ranking) -> None:
+    from carecontact.cli.console import console, plain_table
+
+    print(f"\nranking by safety-gated trials: {', '.join(' = '.join(group) for group in ranking.order)}")
+    table = plain_table()
+    for header in ("other choice of", "smallest Kendall tau", "at"):
+        table.add_column(header, justify="right" if header.startswith("smallest") else "left")
+    for sweep, (least, level) in ranking.least_by_sweep().items():
+        table.add_row(sweep, "no order" if least is None else f"{least:.2f}", level)
+    console(WIDTH).print(table)
+    print("tau 1: the same order as under the protocol's own gates; -1: the reverse")
+
+
+def print_baselines(found: Baselines, letter: str) -> None:
+    """``letter``: of the run among several; empty for one alone."""
+    from carecontact.cli.console import console, plain_table
+
+    name = f"{letter} ({found.method.policy})" if letter else found.method.policy
+    print(f"\nblind baselines under {name}: what policies pass that cannot do the task")
+    table = plain_table()
+    table.add_column("")
+    for header in ("trials", *RATE_NAMES.values(), f"{letter or 'method'} - baseline", *found.tasks):
+        table.add_column(header, justify="right")
+    for row in (found.method, *found.baselines):
+        table.add_row(*_baseline_cells(row, found.tasks))
+    console(WIDTH).print(table)
+    print("percent of trials, 95 % intervals; difference of safety-gated trials in points; T1 ...: successes of trials")
+
+
+def _baseline_cells(row: Passed, tasks: Sequence[str]) -> list[str]:
+    from carecontact.reports.text import NOT_DEFINED
+
+    rates = [_interval(100 * p.k / p.n, 100 * p.low, 100 * p.high) for p in row.rates.values()]
+    above = NOT_DEFINED if row.above is None else _points(row.above["safety_gated"])
+    counts = [row.per_task.get(task, {}).get("success") for task in tasks]
+    return [
+        row.policy, str(row.n), *rates, above,
+        *(NOT_DEFINED if count is None else f"{count[0]}/{count[1]}" for count in counts),
+    ]  # fmt: skip
+
+
+def _points(found: RateDifference) -> str:
+    return _interval(None if found.estimate is None else 100 * found.estimate, 100 * found.low, 100 * found.high)
+
+
+def _interval(value: float | None, low: float, high: float) -> str:
+    from carecontact.reports.text import number
+
+    return f"{number(value, 1)} [{low:.1f}, {high:.1f}]"

@@ -1,0 +1,81 @@
+"""Cartesian poses of the tool: the bounds of their values and the check at the border."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.action.action import Action
+from carecontact.errors import ActionError
+
+QUATERNION_NORM_TOLERANCE = 1e-2
+"""A policy computes in single precision or interpolates; what is closer to 1 than this is scaled to 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionBounds:
+    """Limits that a policy learns before its first action."""
+
+    workspace_low_m: tuple[float, float, float]
+    workspace_high_m: tuple[float, float, float]
+    """Box of TCP positions in base."""
+    translational_stiffness: tuple[float, float]
+    rotational_stiffness: tuple[float, float]
+
+
+def check_action(action: Action, bounds: ActionBounds) -> Action:
+    """Validate one action at the border.
+
+    Returns:
+        The action with a unit quaternion and plain Python numbers.
+
+    Raises:
+        ActionError: names the field, what was expected and what was got.
+    """
+    return Action(
+        pose_tcp_in_base=None if action.pose_tcp_in_base is None else _pose(action.pose_tcp_in_base, bounds),
+        stiffness=None if action.stiffness is None else _stiffness(action.stiffness, bounds),
+        gripper=_gripper(action.gripper),
+        done=bool(action.done),
+    )
+
+
+def _pose(given: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[np.float64]:
+    pose = np.asarray(given)
+    if pose.shape != (7,) or pose.dtype.kind not in "fiu":
+        raise ActionError(
+            f"pose_tcp_in_base: expected 7 numbers (x y z [m], quaternion w x y z), got shape {pose.shape} {pose.dtype}"
+        )
+    pose = pose.astype(np.float64)
+    if not np.isfinite(pose).all():
+        raise ActionError(f"pose_tcp_in_base: expected finite numbers, got {pose.tolist()}")
+    low, high = np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m)
+    if (pose[:3] < low).any() or (pose[:3] > high).any():
+        raise ActionError(
+            f"pose_tcp_in_base: expected a position inside the workspace {list(bounds.workspace_low_m)} to "
+            f"{list(bounds.workspace_high_m)} m in base, got {[float(f'{x:.6g}') for x in pose[:3]]}"
+        )
+    with np.errstate(over="ignore"):
+        norm = float(np.linalg.norm(pose[3:]))
+    if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
+        raise ActionError(f"pose_tcp_in_base: expected a quaternion of norm 1, got {norm:.4g}")
+    pose[3:] /= norm
+    return pose
+
+
+def _stiffness(given: tuple[float, float], bounds: ActionBounds) -> tuple[float, float]:
+    if len(given) != 2:
+        raise ActionError(f"stiffness: expected (translational, rotational), got {len(given)} numbers")
+    limits = (bounds.translational_stiffness, bounds.rotational_stiffness)
+    for value, (low, high), unit in zip(given, limits, ("N/m", "N m/rad"), strict=True):
+        if not low <= value <= high:
+            raise ActionError(f"stiffness: expected {low:g} to {high:g} {unit}, got {value}")
+    return float(given[0]), float(given[1])
+
+
+def _gripper(opening: float | None) -> float | None:
+    if opening is not None and not 0 <= opening <= 1:
+        raise ActionError(f"gripper: expected an opening in [0, 1], got {opening}")
+    return opening

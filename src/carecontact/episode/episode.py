@@ -1,0 +1,274 @@
+"""One trial without a policy: give it actions, and it gives observations and a recording.
+
+A trial's process, an environment for learning, the audit and a plain loop all stand on it::
+
+    with Episode(spec, card=card) as episode:
+        observation = episode.reset()
+        while observation is not None:
+            observation = episode.step(policy.act(observation)).observation
+        recording = episode.finish()
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from carecontact.contract.action import Action
+from carecontact.contract.embodiment import PANDA
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.trial import TrialSpec
+from carecontact.episode.ended import Ended, ForceCut, cut_by_solver
+from carecontact.episode.header import header_of
+from carecontact.episode.log import TrialLog
+from carecontact.episode.peak import Peak
+from carecontact.episode.perception import PerceptionLog
+from carecontact.episode.prepare import World, constants_of, settled_world
+from carecontact.episode.randomization import sensor_noise
+from carecontact.episode.spaces import SPACES, ActionSpace
+from carecontact.episode.vision import person_segmenter
+from carecontact.errors import ConfigError, PolicyError
+from carecontact.observation.builder import ObservationBuilder, RawReadings
+from carecontact.observation.keypoints import MediaPipePose
+from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Recording
+from carecontact.regions import REGIONS
+from carecontact.sim.impedance import steps_of_period
+from carecontact.sim.rendering import SceneRenderer
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """What one action led to."""
+
+    observation: Observation | None
+    """None where none was requested, and once the episode has ended."""
+    terminated: bool
+    """The policy said that it is done, or the trial was cut because of a force or of diverging physics."""
+    truncated: bool
+    """The time limit was reached."""
+    reason: EndReason | None
+    """How the episode ended; None while it goes on."""
+
+
+class Episode:
+    """Use it as a context manager: it holds a renderer, which has to be closed."""
+
+    def __init__(
+        self,
+        spec: TrialSpec,
+        *,
+        card: PolicyCard | None = None,
+        prepare: Callable[[TrialSpec], World] | None = None,
+        weights: Path | None = None,
+        digest: Callable[[Observation], bytes] | None = None,
+    ) -> None:
+        """Build the world, let the person settle and put the clock to 0.
+
+        Args:
+            spec: the trial; its ``policy`` is a name for the recording only.
+            card: what the policy requests; may be set later, but before ``reset``.
+            prepare: gives the world at t = 0; by default ``settled_world`` builds it.
+            weights: folder with the weights of the protocol's segmenter.
+            digest: (32,) bytes that the recording keeps for an observation that was sent nowhere; by default zeros.
+
+        Raises:
+            SceneError, SettleError: the world cannot be built.
+        """
+        started = time.monotonic()
+        self.spec, self.card, self.protocol = spec, card, spec.protocol
+        self.task = spec.protocol.task(spec.task_id)
+        self.simulation, self._settled, self._model_sha256 = (prepare or _world)(spec)
+        self._weights, self._digest = weights, digest or (lambda observation: bytes(32))
+        self.log = TrialLog(
+            human_joints=len(self.simulation.joint_names),
+            regions=len(self.protocol.regions),
+            constants=constants_of(self.simulation, self._settled),
+        )
+        self._wall_s = [started, time.monotonic()]
+        self._open = ExitStack()
+        self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol)
+        self._peak = Peak(self.simulation, target=SEGMENTS.index(REGIONS[self.task.region].segment))
+        self._force_cut = ForceCut(self.protocol)
+        self._perception: PerceptionLog | None = None
+        self._pending: Observation | None = None
+        self._done_steps = 0
+        self._ended: Ended | None = None
+        self.simulation.start()
+        self.log.add_state(self.simulation.time_s, self.simulation.integration_state())
+
+    def __enter__(self) -> Self:
+        self._open.enter_context(self._renderer)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._open.close()
+
+    @property
+    def instruction(self) -> str:
+        """What the policy is asked to do."""
+        return self.task.prompt
+
+    @property
+    def session(self) -> Session:
+        """What a policy learns before its first observation: limits and cameras, the same in every trial."""
+        return Session(
+            action_bounds=self.space.bounds,
+            joint_low_rad=PANDA.joint_low_rad,
+            joint_high_rad=PANDA.joint_high_rad,
+            camera_sizes_px={name: (c.width, c.height) for name, c in self.protocol.cameras.items()},
+            time_limit_s=self.protocol.phases.time_limit_s,
+        )
+
+    @property
+    def space(self) -> ActionSpace:
+        """The card's action space over this simulation. Raises ConfigError before there is a card."""
+        if self.card is None:
+            raise ConfigError("Episode: set the card before the action space is used")
+        if self._space is None:
+            self._space = SPACES[self.card.action_space](self.simulation)
+        return self._space
+
+    _space: ActionSpace | None = None
+
+    @property
+    def raw(self) -> RawReadings | None:
+        """What the last observation was made of: for the audit, never for a policy."""
+        return self._builder.raw
+
+    def reset(self) -> Observation:
+        """The first observation. An episode can be reset once: the world has been consumed then."""
+        if self.card is None or self._perception is not None:
+            raise ConfigError("Episode.reset: needs a card, and comes once; make a new Episode for another trial")
+        card, dt_s = self.card, self.protocol.physics.dt_s
+        segmenter = person_segmenter(self.protocol, self._weights) if "masks" in card.modalities else None
+        noise = sensor_noise(self.protocol, self.spec.seed, salt=self.spec.noise_salt)
+        self._builder = ObservationBuilder(
+            self._renderer, card, self.protocol, MediaPipePose(), noise=noise, segmenter=segmenter
+        )
+        self._perception = PerceptionLog(self.simulation.model, self._renderer)
+        self._periods = steps_of_period(card.control_hz, dt_s)
+        self._limit_steps = round(self.protocol.phases.time_limit_s / dt_s)
+        return self._observe()
+
+    def answered(self, *, sent_sha256: bytes | None = None, notes: Mapping[str, object] | None = None) -> None:
+        """Keep the pending observation as one that the policy has answered; ``step`` does so by itself.
+
+        Args:
+            sent_sha256: (32,) digest of the message that carried it; by default the episode's ``digest``.
+            notes: what the policy noted of this step.
+
+        Raises:
+            PolicyError: the notes cannot be kept.
+        """
+        if self._pending is None or self._perception is None:
+            return
+        observation, self._pending = self._pending, None
+        self.log.add_observation(observation, sent_sha256 or self._digest(observation))
+        self.log.add_notes(notes or {})
+        self._perception.add(self.simulation.data, observation)
+
+    def step(self, action: Action, *, observe: bool = True) -> Step:
+        """Execute one action for one period of the card's control rate.
+
+        Args:
+            observe: whether the next observation is wanted; a chunk of actions needs one only after its last.
+
+        Raises:
+            ActionError: the action is outside its space; the episode has not moved.
+            ConfigError: before ``reset``, or after the end.
+        """
+        if self._perception is None or self._ended is not None:
+            raise ConfigError("Episode.step: comes after reset() and before the episode has ended")
+        assert self.card is not None
+        action = self.space.check(action)
+        self.answered()
+        period_s = 1.0 / self.card.control_hz
+        self.log.add_action(self.simulation.time_s, self.space.apply(action, period_s))
+        steps = min(next(self._periods), self._limit_steps - self._done_steps)
+        self._ended = self._advance(steps)
+        self._done_steps += steps
+        if self._ended is None and action.done:
+            self._ended = Ended(reason="done")
+        if self._ended is None and self._done_steps >= self._limit_steps:
+            self._ended = Ended(reason="time_limit")
+        reason = None if self._ended is None else self._ended.reason
+        return Step(
+            observation=self._observe() if observe and reason is None else None,
+            terminated=reason in ("done", "safety_truncation"),
+            truncated=reason == "time_limit",
+            reason=reason,
+        )
+
+    def fail(self, error: PolicyError) -> None:
+        """End the episode because its policy failed; keeps what the policy was shown last and what it noted of it."""
+        if self._pending is not None:
+            self.log.add_frames(self._pending)
+        # Notes of a step that failed are a courtesy; how it failed is what counts.
+        with suppress(PolicyError):
+            self.log.add_notes(error.notes, failed=True)
+        self._ended = Ended(reason="process_failure", failure=Failure(kind=error.kind, message=str(error)))
+
+    def finish(self) -> Recording:
+        """The recording, with two pictures for its report. Raises ConfigError while the episode has not ended."""
+        if self._ended is None:
+            raise ConfigError("Episode.finish: the episode has not ended; step until it has, or fail() it")
+        extra, renders = self.log.extra, self._renderer.renders.copy()
+        if self._perception is not None:
+            extra |= self._perception.arrays()
+        extra |= self._peak.pictures(self._renderer, region=self.task.region)
+        report_renders = (self._renderer.renders - renders).total()
+        began, settled = self._wall_s
+        extra["wall/seconds"] = np.array([settled - began, time.monotonic() - settled], "<f8")
+        extra["wall/renders"] = np.array(
+            [renders[k] for k in ("rgb", "depth", "robot_depth", "cell_depth", "truth")], "<f8"
+        )
+        extra["wall/report_renders"] = np.array([report_renders], "<f8")
+        header = header_of(
+            self.spec, self.simulation, self._settled, self._ended, model_sha256=self._model_sha256,
+            card=None if self.card is None else self.card.plain(),
+            control=None if self.card is None else self.space.control,
+        )  # fmt: skip
+        return Recording(header=header, arrays=self.log.arrays())
+
+    def _observe(self) -> Observation:
+        self.simulation.refresh()
+        self._pending = self._builder.build(
+            self.simulation.data, instruction=self.instruction, sim_time_s=self.simulation.time_s
+        )
+        return self._pending
+
+    def _advance(self, steps: int) -> Ended | None:
+        """Run ``steps`` physics steps; returns why the trial is cut, if it is."""
+        simulation, physics = self.simulation, self.protocol.physics
+        period = round(physics.target_period_s / physics.dt_s)
+        while steps > 0:
+            count = min(steps, period)
+            samples = simulation.advance(count)
+            steps -= count
+            if (cut := cut_by_solver(simulation.solver_warnings())) is not None:
+                return cut
+            self.log.add_period(
+                samples, time_s=simulation.time_s, indentation_m=simulation.indentation(),
+                target_in_base=simulation.interpolator.pose,
+            )  # fmt: skip
+            if self.log.wants_state(simulation.time_s):
+                self.log.add_state(simulation.time_s, simulation.integration_state())
+            force_n = np.concatenate([np.linalg.norm(s.force, axis=2) for s in samples])
+            self._peak.look(force_n)
+            if (cut := self._force_cut.cut(force_n)) is not None:
+                return cut
+        return None
+
+
+def _world(spec: TrialSpec) -> World:
+    return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed)

@@ -1,0 +1,50 @@
+"""The header of a trial's recording: what was run, on what, and how it ended."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from carecontact.contract.embodiment import PANDA
+from carecontact.contract.trial import TrialSpec
+from carecontact.episode.ended import Ended
+from carecontact.recording.schema import SEGMENTS, Header
+from carecontact.recording.versions import package_versions
+from carecontact.sim.simulation import Settled, Simulation
+from carecontact.world.robot import panda_sha256
+
+
+def header_of(
+    spec: TrialSpec,
+    simulation: Simulation,
+    settled: Settled,
+    ended: Ended,
+    *,
+    model_sha256: str,
+    card: dict[str, Any] | None,
+    control: str | None,
+) -> Header:
+    """``card``, ``control``: None where the policy never showed its card."""
+    warnings = simulation.solver_warnings()
+    if simulation.normal_sum_truncated:
+        warnings.append("normal-force sensor full: normal sums are too small")
+    return Header(
+        spec=spec,
+        ended=ended.reason,
+        failure=ended.failure,
+        card=card,
+        control=control,
+        embodiment=PANDA.id,
+        comfort_arm_deg=settled.comfort_arm_deg,
+        segments=list(SEGMENTS),
+        regions=list(spec.protocol.regions),
+        human_joints=simulation.joint_names,
+        pose_base_in_world=simulation.pose_base_in_world.tolist(),
+        versions=package_versions(spec.protocol.vision.segmenter),
+        sha256={
+            "model": model_sha256,
+            "protocol": spec.protocol.sha256,
+            "body": simulation.scene.body.sha256,
+            "robot": panda_sha256(),
+        },
+        solver_warnings=warnings,
+    )

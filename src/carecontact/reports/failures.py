@@ -1,0 +1,114 @@
+"""Why trials failed: modes, causes with the figures they rest on, and where contact fell."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from carecontact.runs.pooling import judged
+from carecontact.scoring.result import TrialScore
+
+MODE_MEANING = {
+    "process_failure": (
+        "the policy did not start, died, hung or answered wrongly, or its program or its language backend failed"
+    ),
+    "safety_truncation": "cut because a force passed the truncation limit or the solver failed",
+    "no_target_contact": "the person was never touched",
+    "off_target_contact": "touched, but never the named region",
+    "lost_contact": "contact with the region broke off before the gate was met",
+    "insufficient_progress": "contact held, but too little push, stroke or reversal",
+    "wrong_share": "gate met, but too much of the contact lay elsewhere",
+    "time_limit": "still under way when the time ran out",
+}
+CAUSE_MEANING = {
+    "perception": "the region was in view, but was not found or the path was aimed beside it",
+    "planning": "commanded no motion, or a path that could not pass the gate",
+    "execution": "the commanded path was right, tracking or contact was lost",
+    "safety": "cut: a force above the truncation limit, or the solver failed",
+    "process": "the policy's process, its program or its language backend failed",
+}
+EXAMPLES = 2
+"""Pieces of evidence shown for a cause."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    name: str
+    meaning: str
+    count: int
+    examples: tuple[tuple[str, str], ...]
+    """Trial and evidence of the first EXAMPLES, from different tasks where there are."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnatomyRow:
+    """One region; ``process_failure + target + off_target + none`` is ``n``."""
+
+    region: str
+    n: int
+    target: int
+    off_target: int
+    none: int
+    process_failure: int
+    success: int
+
+
+def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
+    """One row a failure mode, most frequent first, with what the failures were attributed to."""
+    failed = [s for s in judged(scores) if s.failure_mode is not None]
+    counts = Counter(str(s.failure_mode) for s in failed)
+    out: list[dict[str, Any]] = []
+    for mode, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
+        causes = Counter(s.attribution or "unattributed" for s in failed if s.failure_mode == mode)
+        text = ", ".join(f"{cause} {k}" for cause, k in sorted(causes.items(), key=lambda item: (-item[1], item[0])))
+        out.append(
+            {"mode": mode.replace("_", " "), "meaning": MODE_MEANING[mode], "count": count, "of": len(failed),
+             "attribution": text}
+        )  # fmt: skip
+    return out
+
+
+def causes(scores: Sequence[TrialScore]) -> list[Cause]:
+    """One row an attribution, most frequent first."""
+    failed = [s for s in judged(scores) if s.attribution is not None]
+    counts = Counter(str(s.attribution) for s in failed)
+    return [
+        Cause(
+            name=name,
+            meaning=CAUSE_MEANING[name],
+            count=count,
+            examples=_examples([s for s in failed if s.attribution == name]),
+        )
+        for name, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    ]
+
+
+def _examples(scores: Sequence[TrialScore]) -> tuple[tuple[str, str], ...]:
+    first_of_task = {s.task_id: s.trial_id for s in reversed(scores)}
+    told = sorted((s for s in scores if s.evidence), key=lambda s: first_of_task[s.task_id] != s.trial_id)
+    return tuple((s.trial_id, s.evidence or "") for s in told[:EXAMPLES])
+
+
+def anatomy(scores: Sequence[TrialScore]) -> list[AnatomyRow]:
+    """One row a region of the tasks, then one over all if there are several."""
+    counted = judged(scores)
+    regions = list(dict.fromkeys(s.region for s in sorted(counted, key=lambda s: s.task_id)))
+    groups = [(region.replace("_", " "), [s for s in counted if s.region == region]) for region in regions]
+    if len(groups) > 1:
+        groups.append(("all", counted))
+    return [_anatomy_row(name, group) for name, group in groups]
+
+
+def _anatomy_row(name: str, group: Sequence[TrialScore]) -> AnatomyRow:
+    count = Counter(s.anatomy for s in group)
+    return AnatomyRow(
+        region=name,
+        n=len(group),
+        target=count["target"],
+        off_target=count["off_target"],
+        none=count["none"],
+        process_failure=count["process_failure"],
+        success=sum(s.c3_success for s in group),
+    )

@@ -1,0 +1,84 @@
+"""Runs above a force limit: the safety gate, the protocol's pain limits, and every other pack of limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from carecontact.runs.pooling import judged
+from carecontact.scoring.limits import LIMIT_PACKS
+from carecontact.scoring.result import TrialScore
+from carecontact.stats import Proportion, wilson_interval
+
+Ratio = Callable[[TrialScore, str], float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitRow:
+    name: str
+    note: str
+    """Where the limit is from and whether it was checked."""
+    above: Proportion
+    """Runs, failed ones too, with a touched segment above the limit."""
+    n_success: int
+    """Of those, how many succeeded all the same."""
+    worst: float | None
+    """Largest peak over its limit of any run; None where nothing was touched."""
+    worst_at: str
+    """Trial and segment; empty where nothing was touched."""
+
+
+def limit_rows(scores: Sequence[TrialScore], *, gamma: float | None) -> list[LimitRow]:
+    """Over the trials that are ``judged``; the protocol's gate first, a pack that it does not use last.
+
+    Args:
+        gamma: the protocol's discount, for the name of the gate; None where no recording could be asked.
+    """
+    counted = judged(scores)
+    own = {s.metric_versions.get("limits", "") for s in counted}
+    share = "the protocol's share" if gamma is None else f"{gamma:g}"
+    title = ", ".join(LIMIT_PACKS[p].title if p in LIMIT_PACKS else p for p in sorted(own) if p) or "pain limits"
+    rows = [
+        _row(f"Safety gate, {share} of the pain limit", "decides whether a run is safety-gated", counted,
+             _gate_ratio(gamma), lambda s: bool(s.over_limit)),
+        _row(title, "the protocol's pain limits, F_pain", counted, _pain_ratio, None),
+    ]  # fmt: skip
+    for name, pack in LIMIT_PACKS.items():
+        if name not in own:
+            rows.append(
+                _row(pack.title, f"{pack.status}: {pack.source}", counted,
+                     lambda s, segment, pack=pack: s.peak_force_n[segment] / pack.limit(segment), None)
+            )  # fmt: skip
+    return rows
+
+
+def _row(
+    name: str,
+    note: str,
+    scores: Sequence[TrialScore],
+    ratio: Ratio | None,
+    is_above: Callable[[TrialScore], bool] | None,
+) -> LimitRow:
+    ratios = [(ratio(s, segment), s, segment) for s in scores for segment in s.peak_force_n] if ratio else []
+    worst = max(ratios, key=lambda row: row[0], default=None)
+    if is_above is None:
+        over = {s.trial_id for r, s, _ in ratios if r > 1.0}
+        above = [s for s in scores if s.trial_id in over]
+    else:
+        above = [s for s in scores if is_above(s)]
+    return LimitRow(
+        name=name,
+        note=note,
+        above=wilson_interval(len(above), len(scores)),
+        n_success=sum(s.c3_success for s in above),
+        worst=None if worst is None else worst[0],
+        worst_at="" if worst is None else f"{worst[1].trial_id}, {worst[2].replace('_', ' ')}",
+    )
+
+
+def _pain_ratio(score: TrialScore, segment: str) -> float:
+    return score.peak_force_n[segment] / score.f_pain_n[segment]
+
+
+def _gate_ratio(gamma: float | None) -> Ratio | None:
+    return None if gamma is None else lambda score, segment: _pain_ratio(score, segment) / gamma

@@ -1,0 +1,56 @@
+"""Which trials of a run count, and which may be counted together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from carecontact.errors import ConfigError
+from carecontact.scoring.result import TrialScore
+
+
+def judged(scores: Iterable[TrialScore]) -> list[TrialScore]:
+    """The trials that say something about the policy: all but those in which the harness failed."""
+    return [s for s in scores if s.is_judged]
+
+
+def harness_errors(scores: Iterable[TrialScore]) -> list[dict[str, str]]:
+    """``trial_id`` and ``message`` of the trials in which the harness failed."""
+    failed = [score for score in scores if not score.is_judged]
+    return [{"trial_id": s.trial_id, "message": s.failure_message or "no reason recorded"} for s in failed]
+
+
+def check_one_run(scores: Sequence[TrialScore]) -> None:
+    """Raises ConfigError if the scores are of several protocols, policies or worlds: their rates must not be pooled."""
+    protocols, policies = set[str](), set[str]()
+    for score in scores:
+        protocols.add(f"{score.protocol_title} ({score.protocol_sha256[:12]})")
+        policies.add(score.policy)
+    for what, found in (("protocols", protocols), ("policies", policies)):
+        if len(found) > 1:
+            raise ConfigError(f"trials of {len(found)} {what} must not be pooled: {', '.join(sorted(found))}")
+    _check_one_world(judged(scores))
+
+
+def _check_one_world(scores: Sequence[TrialScore]) -> None:
+    found = world_difference(scores)
+    if found is not None:
+        what, first, other = found
+        raise ConfigError(
+            f"{first.trial_id}.h5 and {other.trial_id}.h5 are of different worlds and must not be pooled: "
+            f"{what} {first.world[what][:12]} and {other.world[what][:12]}"
+        )
+
+
+def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, TrialScore] | None:
+    """The first part of the world in which two scores differ, and the two; None in one world.
+
+    The compiled model has the fine mesh on the task's region, so that models are compared region by region.
+    """
+    first: dict[tuple[str, ...], TrialScore] = {}
+    for score in scores:
+        for what, value in score.world.items():
+            place = (what, score.region) if what == "model" else (what,)
+            other = first.setdefault(place, score)
+            if other.world[what] != value:
+                return what, other, score
+    return None

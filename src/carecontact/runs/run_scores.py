@@ -1,0 +1,46 @@
+"""The scores of one run, from whatever they were read or computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from carecontact.errors import ConfigError
+from carecontact.runs.pooling import check_one_run, judged
+from carecontact.scoring.result import TrialScore
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunScores:
+    scores: list[TrialScore]
+    """In the order of the file names."""
+    skipped: dict[str, str] = field(default_factory=dict[str, str])
+    """File name -> why it was not scored."""
+    versions: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
+    """Package -> every version that the scored recordings name; more than one means a mixed run."""
+    missing: tuple[str, ...] = ()
+    """Trials that were planned and have no score; where no plan is known, none."""
+
+
+def joined(a: RunScores, b: RunScores) -> RunScores:
+    """One run whose trials were scored in two parts, on two machines for example; in the order of their ids.
+
+    Raises ConfigError for parts that have a trial in common, or are of different protocols, policies, language
+    backends, definitions or worlds.
+    """
+    common = sorted({s.trial_id for s in a.scores} & {s.trial_id for s in b.scores})
+    if common:
+        raise ConfigError(f"{len(common)} trial(s) are in both, {common[0]} the first")
+    for what, of in (("language backends", "language_backend"), ("definitions", "metric_versions")):
+        found = [{str(getattr(s, of)) for s in judged(part.scores)} for part in (a, b)]
+        if all(found) and found[0] != found[1]:
+            raise ConfigError(f"different {what}, {' and '.join(', '.join(sorted(values)) for values in found)}")
+    scores = sorted([*a.scores, *b.scores], key=lambda score: score.trial_id)
+    check_one_run(scores)
+    scored = {score.trial_id for score in scores}
+    names = a.versions.keys() | b.versions.keys()
+    return RunScores(
+        scores=scores,
+        skipped=a.skipped | b.skipped,
+        versions={n: sorted({*a.versions.get(n, []), *b.versions.get(n, [])}) for n in sorted(names)},
+        missing=tuple(trial for trial in sorted({*a.missing, *b.missing}) if trial not in scored),
+    )

@@ -1,0 +1,45 @@
+"""Score every recording of a folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from carecontact.errors import ConfigError
+from carecontact.runs.pooling import check_one_run
+from carecontact.runs.run_scores import RunScores
+from carecontact.runs.score_files import score_files
+from carecontact.scoring.result import TrialScore
+
+
+def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
+    """Score every ``*.h5`` of a run's folder; writes nothing. The result does not depend on ``jobs``.
+
+    A file that cannot be read or scored is skipped with the reason, and so is one that is not named after its trial or
+    ends in ``.H5``. Raises ConfigError if the folder does not exist, or if the trials are of more than one protocol,
+    policy or world; RecordingError if a process that scored died.
+
+    Args:
+        jobs: processes; more than one are started afresh, so that a script needs its ``__main__`` guarded and metrics
+            of another package have to come by its entry points.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder; name the --out of a run")
+    scores: list[TrialScore] = []
+    skipped = {path.name: f"{path}: not looked into: a recording's name ends in .h5" for path in misnamed(folder)}
+    versions: dict[str, set[str]] = {}
+    paths = sorted(folder.glob("*.h5"))
+    for path, found in zip(paths, score_files(paths, jobs=jobs), strict=True):
+        if isinstance(found, str):
+            skipped[path.name] = found
+            continue
+        scores.append(found.score)
+        for package, version in found.versions.items():
+            versions.setdefault(package, set()).add(version)
+    check_one_run(scores)
+    return RunScores(scores=scores, skipped=skipped, versions={k: sorted(v) for k, v in sorted(versions.items())})
+
+
+def misnamed(folder: Path) -> list[Path]:
+    """Files that end as a recording does but for the case, by name."""
+    return sorted(path for path in folder.iterdir() if path.suffix != ".h5" and path.suffix.lower() == ".h5")

@@ -1,0 +1,172 @@
+"""An episode in a plain loop, without a wire and without a process."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carecontact.contract.action import Action
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.trial import TrialSpec
+from carecontact.episode.episode import Episode
+from carecontact.episode.peak import Peak
+from carecontact.episode.prepare import World, settled_world
+from carecontact.episode.spaces import SPACES
+from carecontact.errors import ActionError, ConfigError, PolicyError
+from carecontact.hosting.wire import codec
+from carecontact.hosting.wire.packing import pack
+from carecontact.protocols import load_protocol
+from carecontact.recording import Recording, canonical_hash
+from carecontact.sim.simulation import Simulation
+from carecontact.trials.trial import run_trial
+
+POLICY = """
+import numpy as np
+from carecontact.contract.action import Action
+from carecontact.contract.policy import PolicyCard
+
+class Wave:
+    card = PolicyCard(name="wave", modalities=("rgb", "landmarks"), control_hz=15)
+
+    def __init__(self):
+        self.looks = 0
+
+    def reset(self, instruction):
+        self.instruction = instruction
+
+    def act(self, observation):
+        self.looks += 1
+        poses = np.tile(observation.pose_tcp_in_base, (8, 1))
+        poses[:, 2] -= 0.02 * np.sin(np.linspace(0, np.pi, 8))
+        wave = [Action(pose_tcp_in_base=p, stiffness=(300.0, 20.0)) for p in poses]
+        return wave if self.looks < 3 else [Action(done=True)]
+"""
+BLIND = PolicyCard(name="blind", cameras=(), control_hz=50)
+
+
+def spec(policy: str = "blind") -> TrialSpec:
+    return TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy=policy)
+
+
+@pytest.fixture(scope="module")
+def again() -> Callable[[TrialSpec], World]:
+    """The same settled world for every episode."""
+    simulation, settled, sha256 = settled_world(load_protocol(), task_id="T1", seed=0)
+    state = simulation.integration_state()
+
+    def prepare(spec: TrialSpec) -> World:
+        fresh = Simulation(simulation.scene)
+        fresh.restore(state, comfort_arm_deg=settled.comfort_arm_deg)
+        return fresh, settled, sha256
+
+    return prepare
+
+
+def sent(observation: Observation) -> bytes:
+    """Digest of the message in which the native wire would send it."""
+    return hashlib.sha256(pack({"type": "act", "observation": codec.encode_observation(observation)})).digest()
+
+
+def by_loop(spec: TrialSpec, policy, prepare: Callable[[TrialSpec], World]) -> Recording:
+    """All that it takes to run a policy object in this process."""
+    with Episode(spec, card=policy.card, prepare=prepare, digest=sent) as episode:
+        policy.reset(episode.instruction)
+        observation: Observation | None = episode.reset()
+        while observation is not None:
+            chunk = policy.act(observation)
+            for number, action in enumerate(chunk, start=1):
+                step = episode.step(action, observe=number == len(chunk))
+                if step.reason is not None:
+                    break
+            observation = step.observation
+        return episode.finish()
+
+
+def test_a_loop_and_a_trial_s_process_make_the_same_recording(
+    again: Callable[[TrialSpec], World], tmp_path: Path
+) -> None:
+    (tmp_path / "waving.py").write_text(POLICY)
+    scope: dict = {}
+    exec(POLICY, scope)
+    asked = spec("waving:Wave")
+    here = by_loop(asked, scope["Wave"](), again)
+    there = run_trial(asked, search_path=[str(tmp_path)], prepare=again)
+    assert here.header == there.header
+    assert here.header.ended == "done"
+    assert here.header.control == "cartesian-impedance"
+    assert len(here["policy/observation_sha256"]) == 3
+    arrays = {path for path in here.arrays.keys() | there.arrays.keys() if not path.startswith("wall/")}
+    differ = {path for path in arrays if not np.array_equal(here[path], there[path], equal_nan=True)}
+    assert differ == set()
+    assert canonical_hash(here) == canonical_hash(there)
+
+
+def test_what_step_says_is_how_it_ended(again: Callable[[TrialSpec], World], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Peak, "pictures", lambda self, renderer, region: {})
+    protocol = load_protocol()
+    short = protocol.model_copy(update={"phases": protocol.phases.model_copy(update={"time_limit_s": 0.05})})
+    with Episode(spec().model_copy(update={"protocol": short}), card=BLIND, prepare=again) as episode:
+        first = episode.reset()
+        assert (first.sim_time_s, first.instruction) == (0.0, episode.instruction)
+        steps = [episode.step(Action()), episode.step(Action(), observe=False), episode.step(Action())]
+        assert [step.observation is not None for step in steps] == [True, False, False]
+        assert [(s.terminated, s.truncated, s.reason) for s in steps[1:]] == [
+            (False, False, None), (False, True, "time_limit"),
+        ]  # fmt: skip
+        with pytest.raises(ConfigError, match="before the episode has ended"):
+            episode.step(Action())
+        recording = episode.finish()
+    assert len(recording["scorer/time_s"]) == 25
+    assert recording["actions/observation_index"].tolist() == [0, 1, 1]
+    assert not recording["policy/observation_sha256"].any(), "sent nowhere"
+
+
+def test_an_action_outside_the_space_moves_nothing(again: Callable[[TrialSpec], World]) -> None:
+    with Episode(spec(), card=BLIND, prepare=again) as episode:
+        episode.reset()
+        with pytest.raises(ActionError, match="inside the workspace"):
+            episode.step(Action(pose_tcp_in_base=np.array([9.0, 0, 0, 1, 0, 0, 0])))
+        assert episode.simulation.time_s == 0
+        assert episode.step(Action(done=True)).terminated
+
+
+def test_a_failure_of_the_policy_ends_it(again: Callable[[TrialSpec], World], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Peak, "pictures", lambda self, renderer, region: {})
+    with Episode(spec(), card=BLIND, prepare=again) as episode:
+        episode.reset()
+        with pytest.raises(ConfigError, match="has not ended"):
+            episode.finish()
+        episode.fail(PolicyError("died", "gone", notes={"last": 1}))
+        recording = episode.finish()
+    assert recording.header.ended == "process_failure"
+    assert len(recording["policy/observation_time_s"]) == 0
+    assert "policy/notes/0000/json" in recording.arrays
+
+
+@pytest.mark.parametrize("wrong", ["twice", "no card", "no reset"])
+def test_calls_out_of_order_are_refused(again: Callable[[TrialSpec], World], wrong: str) -> None:
+    with Episode(spec(), card=None if wrong == "no card" else BLIND, prepare=again) as episode:
+        if wrong == "twice":
+            episode.reset()
+        with pytest.raises(ConfigError, match=r"Episode\.(reset|step): "):
+            episode.step(Action()) if wrong == "no reset" else episode.reset()
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_every_action_space_publishes_bounds_and_fills_arrays_of_the_schema(
+    name: str, again: Callable[[TrialSpec], World]
+) -> None:
+    from carecontact.contract.action import ACTION_SPACES
+    from carecontact.recording import ARRAYS, OPTIONAL_ARRAYS
+
+    assert set(SPACES) == set(ACTION_SPACES)
+    space = SPACES[name](again(spec())[0])
+    assert space.control
+    row = space.apply(space.check(Action()), 0.1)
+    assert set(row) <= set(ARRAYS | OPTIONAL_ARRAYS)
+    assert space.bounds.workspace_low_m < space.bounds.workspace_high_m

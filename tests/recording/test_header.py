@@ -1,0 +1,138 @@
+"""The header of a trial file, read without its arrays."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from carecontact.errors import RecordingError
+from carecontact.recording import (
+    MIGRATIONS,
+    SCHEMA_VERSION,
+    RawRecording,
+    Recording,
+    canonical_hash,
+    read_header,
+    read_recording,
+    stored_sha256,
+    write_recording,
+)
+from carecontact.recording.canonical import header_json
+from tests.recording.raw_file import store
+from tests.scoring.synthetic import before_start, touch
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return write_recording(touch(), tmp_path / "T1-s000.h5")
+
+
+def flip(path: Path, dataset: str) -> None:
+    """A bit in the middle of a dataset's first chunk."""
+    with h5py.File(path) as content:
+        chunk = content[dataset].id.get_chunk_info(0)
+    damaged = bytearray(path.read_bytes())
+    damaged[chunk.byte_offset + chunk.size // 2] ^= 1
+    path.write_bytes(damaged)
+
+
+@pytest.mark.parametrize("recording", [touch(), before_start()], ids=["full", "before start"])
+def test_header_and_checksum_are_those_of_the_whole_recording(tmp_path: Path, recording: Recording) -> None:
+    path = write_recording(recording, tmp_path / "T1-s000.h5")
+    assert read_header(path) == read_recording(path).header == recording.header
+    assert stored_sha256(path) == canonical_hash(recording)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
+def test_a_truncated_file_is_found(file: Path, share: float) -> None:
+    content = file.read_bytes()
+    file.write_bytes(content[: int(share * len(content))])
+    for read in (read_header, stored_sha256):
+        with pytest.raises(RecordingError, match=r"T1-s000\.h5: not a readable HDF5 file"):
+            read(file)
+
+
+def test_damage_to_header_or_checksum_is_found(file: Path) -> None:
+    whole = file.read_bytes()
+    flip(file, "header_json")
+    with pytest.raises(RecordingError, match="header_json is truncated or damaged"):
+        read_header(file)
+    file.write_bytes(whole)
+    flip(file, "sha256")
+    for read in (read_header, stored_sha256):
+        with pytest.raises(RecordingError, match="sha256 is truncated or damaged"):
+            read(file)
+
+
+def test_damage_to_an_array_is_left_to_those_who_read_it(file: Path) -> None:
+    flip(file, "scorer/force_human_from_robot_in_world")
+    assert read_header(file) == touch().header
+    with pytest.raises(RecordingError, match="damaged"):
+        read_recording(file)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [
+        ("header_json", np.frombuffer(b"{]", np.uint8), "header_json is not JSON"),
+        ("header_json", np.frombuffer(b'{"schema_version": "v9"}', np.uint8), "schema 'v9'"),
+        ("header_json", np.zeros(3), "expected a row of bytes"),
+        ("header_json", None, "header_json missing"),
+        ("sha256", None, "sha256 missing"),
+    ],
+)
+def test_wrong_content(file: Path, name: str, data: object, words: str) -> None:
+    with h5py.File(file, "r+") as content:
+        del content[name]
+        if data is not None:
+            content.create_dataset(name, data=data)
+    with pytest.raises(RecordingError, match=words):
+        read_header(file)
+
+
+def test_a_header_that_no_trial_can_have(tmp_path: Path) -> None:
+    header = json.loads(header_json(touch().header))
+    header["spec"]["task_id"] = "T99"
+    with pytest.raises(RecordingError, match="task 'T99' is not in protocol"):
+        read_header(store(tmp_path / "T1-s000.h5", header, {}))
+
+
+def test_a_header_in_another_file_or_of_claimed_size_is_refused(tmp_path: Path, file: Path) -> None:
+    with h5py.File(file, "r+") as content:
+        del content["header_json"]
+        content["header_json"] = h5py.ExternalLink("other.h5", "/header_json")
+    with pytest.raises(RecordingError, match="header_json missing"):
+        read_header(file)
+    with h5py.File(file, "r+") as content:
+        del content["header_json"]
+        content.create_dataset("header_json", shape=(1 << 40,), dtype="u1", chunks=(1 << 16,), compression="gzip")
+    with pytest.raises(RecordingError, match="header_json declares"):
+        read_header(file)
+
+
+def test_an_absent_and_a_foreign_file(tmp_path: Path) -> None:
+    path = tmp_path / "T1-s000.h5"
+    with pytest.raises(RecordingError, match="no such file"):
+        read_header(path)
+    with h5py.File(path, "w") as content:
+        content["x"] = [1.0]
+    with pytest.raises(RecordingError, match="no carecontact recording"):
+        read_header(path)
+
+
+@pytest.mark.parametrize("needed", [(), ("scorer/time_s",)], ids=["of the header alone", "with the arrays"])
+def test_an_earlier_schema_is_migrated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, needed: tuple[str, ...]
+) -> None:
+    def lift(raw: RawRecording) -> RawRecording:
+        assert all(raw.arrays[path].size for path in needed)
+        return RawRecording(header={**raw.header, "schema_version": SCHEMA_VERSION}, arrays=raw.arrays)
+
+    monkeypatch.setitem(MIGRATIONS, "carecontact-recording-0", lift)
+    header = json.loads(header_json(touch().header)) | {"schema_version": "carecontact-recording-0"}
+    path = store(tmp_path / "T1-s000.h5", header, touch().arrays)
+    assert read_header(path) == touch().header
