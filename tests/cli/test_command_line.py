@@ -53,6 +53,7 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["look", "--task", "T1", "--seed", "20"], "--seed: 20 is not in bathing-v1; its seeds: 0-19"),
         (["look", "--task", "T1", "--out", "r"], "a picture ends in .png, .jpg, .pdf"),
         (["look", "--task", "T1", "--body", "nobody"], "no body named 'nobody'"),
+        (["look", "--task", "T1", "--set", "physics.dt_s=0.004", "--set", "physics.dt_m=1"], "physics.dt_m"),
         (["list", "foo"], "invalid choice 'foo'"),
         (["demo", "--out", "."], "--out .: holds something other than an earlier demo; nothing was removed"),
         (["score", "nowhere"], "nowhere: no such folder"),

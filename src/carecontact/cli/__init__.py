@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from carecontact import __version__
 from carecontact.errors import CarecontactError, ConfigError
 
-REPEATABLE = ("--policy-arg", "--policy-env")
+REPEATABLE = ("--set", "--policy-arg", "--policy-env")
+"""Options that a command line may hold several times."""
 INTERRUPTED, BROKEN_PIPE = 130, 141
 """128 and the signal's number, as a shell counts."""
 
