@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import carecontact
-from carecontact.protocols import adapted, load_protocol
+from carecontact.protocols import load_protocol, overridden
 from carecontact.recording.perception import JOINTS
 from carecontact.recording.schema import REGIONS
 
@@ -67,7 +67,7 @@ def test_the_fingerprint_follows_rules_body_and_code(
     rules = load_protocol()
     first, seen = tool.fingerprint(rules), Path.read_bytes
     assert tool.fingerprint(rules) == first
-    assert tool.fingerprint(adapted(rules, body="man-old-heavy")) != first
+    assert tool.fingerprint(overridden(rules, {"person.body": "man-old-heavy"})) != first
     assert tool.fingerprint(rules.model_copy(update={"description": "another"})) != first
     for part in tool.SOURCES:
         source = Path(carecontact.__file__).parent / part

@@ -4,7 +4,7 @@
 
 Bodies in turn, comfort angle, skin tone, clothes, hair and light by seed. Each scene is seen three times from
 overhead: robot parked, robot parked with sensor noise, and with the tool 60 mm above each region in turn; and once from
-the wrist, robot parked. Development used seeds below 1000; 5000-5039 were measured once before ``KEY_POINTS_AHEAD`` was
+the wrist, robot parked. Development used seeds below 1000; 5000-5039 were measured once before ``LimbSight.ahead`` was
 there. Scenes that were measured with other code, rules, body or packages are measured anew.
 """
 
@@ -32,7 +32,7 @@ from carecontact.episode.perception import PerceptionLog, true_target
 from carecontact.episode.randomization import comfort_arm_deg, dress, sensor_noise, streams
 from carecontact.observation.builder import ObservationBuilder
 from carecontact.observation.keypoints import KeyPoints, MediaPipePose
-from carecontact.protocols import adapted, load_protocol
+from carecontact.protocols import load_protocol, overridden
 from carecontact.recording.perception import JOINTS
 from carecontact.recording.schema import REGIONS
 from carecontact.sim.rendering import SceneRenderer
@@ -56,8 +56,8 @@ LANDMARK_PX, IOU_MEAN, IOU_MIN, TARGET_MM, TARGET_P95_MM = 6.0, 0.95, 0.85, 15.0
 """The lines that the parked robot's numbers are held against."""
 BEGIN, END = "<!-- tables: tools/perception_table.py -->", "<!-- end of tables -->"
 SOURCES = (
-    "contract", "observation", "recording/perception.py", "policies/state_machine", "policies/region_geometry.py",
-    "sim", "episode/perception.py", "episode/prepare.py", "episode/randomization.py", "world",
+    "contract", "regions", "observation", "recording/perception.py", "policies/state_machine",
+    "policies/region_geometry.py", "sim", "episode/perception.py", "episode/prepare.py", "episode/randomization.py", "world",
 )  # fmt: skip
 """Of the package, what a row depends on."""
 PACKAGES = ("mediapipe", "mujoco", "numpy", "opencv-python-headless")
@@ -304,7 +304,9 @@ def main() -> None:
     kept: list[Row] = []
     for seed in wanted:
         start = time.monotonic()
-        protocol = adapted(load_protocol(), body=names[seed % len(names)]).model_copy(update={"variation": VARIED})
+        protocol = overridden(load_protocol(), {"person.body": names[seed % len(names)]}).model_copy(
+            update={"variation": VARIED}
+        )
         mark = fingerprint(protocol)
         made = [r for r in rows if r["seed"] == seed and r.get("fingerprint") == mark]
         kept += made

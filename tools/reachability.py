@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.protocol import Protocol
-from carecontact.protocols import load_protocol
+from carecontact.protocols import load_protocol, overridden
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.library import body_names
 from carecontact.world.human.pose import RIGHT_SHOULDER_M
@@ -310,7 +310,7 @@ def check_bodies(arm: Arm, protocol: Protocol) -> bool:
     """Print how the protocol's place serves every shipped body; True if everything is reached."""
     good = True
     for name in body_names():
-        served = serve(arm, protocol, person_targets(protocol.overridden({"person.body": name})))
+        served = serve(arm, protocol, person_targets(overridden(protocol, {"person.body": name})))
         good &= served.all
         print(f"{name:18} {served.text}")
     return good

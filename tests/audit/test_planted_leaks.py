@@ -15,7 +15,7 @@ from carecontact.audit.derivation import audit_derivation
 from carecontact.audit.frozen import audit_frozen
 from carecontact.audit.handshake import audit_handshake, audit_start
 from carecontact.audit.keyframe import CONTROL_HZ, Keyframe
-from carecontact.audit.run import _starts
+from carecontact.audit.region import two_starts
 from carecontact.audit.schema import audit_schema
 from carecontact.audit.watched import Watched, press, watch
 from carecontact.contract.observation import Observation
@@ -182,7 +182,7 @@ def test_the_seed_in_the_handshake(leaky_pair: tuple[Watched, Watched]) -> None:
 def test_the_person_s_arm_in_session_and_encoders(
     monkeypatch: pytest.MonkeyPatch, keyframe: Keyframe, spec: TrialSpec, tmp_path: Path
 ) -> None:
-    honest = _starts(spec, keyframe, folder=tmp_path)
+    honest = two_starts(spec, keyframe, folder=tmp_path)
     part = audit_start(*honest)
     assert part.passed, part
     begin, session, speed = Episode.__init__, Episode.session, Proprioception.joint_velocity
@@ -199,7 +199,7 @@ def test_the_person_s_arm_in_session_and_encoders(
     monkeypatch.setattr(Episode, "__init__", leaky_begin)
     monkeypatch.setattr(Episode, "session", property(leaky_session))
     monkeypatch.setattr(Proprioception, "joint_velocity", lambda self, data: speed(self, data) + 1e-9 * settled_deg[-1])
-    part = audit_start(*_starts(spec, keyframe, folder=tmp_path))
+    part = audit_start(*two_starts(spec, keyframe, folder=tmp_path))
     assert places(part) == {"session.time_limit_s", "observation.joint_velocity"}
     assert abs(settled_deg[0] - settled_deg[1]) > 2
     # The same person twice would have shown nothing.

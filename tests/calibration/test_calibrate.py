@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carecontact.calibration.calibrate import hardly_identified
 from carecontact.calibration.certificate import Content, Value, content_sha256, read_certificate
+from carecontact.calibration.content import hardly_identified
 from carecontact.calibration.fit import moved_back
 from carecontact.cli import main
 from carecontact.protocols import load_protocol

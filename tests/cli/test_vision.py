@@ -8,11 +8,11 @@ import pytest
 
 from carecontact.cli import main
 from carecontact.cli.groups import VisionGroup
-from carecontact.cli.vision import chosen_vision
+from carecontact.cli.vision import with_vision
 from carecontact.contract.protocol import Vision
 from carecontact.errors import ConfigError
 from carecontact.observation import grounded_sam
-from carecontact.protocols import adapted, load_protocol
+from carecontact.protocols import load_protocol
 from tests.episode.test_vision import weights, with_sam
 
 __all__ = ["weights"]
@@ -43,12 +43,11 @@ def test_what_does_not_fit_is_told_before_anything_runs(
 
 def test_a_protocol_that_names_weights_takes_no_others(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grounded_sam, "GroundedSam", lambda folder: None)
-    chosen = chosen_vision(load_protocol(), VisionGroup(segmenter="grounded-sam", weights=weights))
-    assert chosen.segmenter == "grounded-sam"
-    own = adapted(load_protocol(), vision=chosen)
-    assert chosen_vision(own, VisionGroup(segmenter=None, weights=weights)) == chosen
-    assert chosen_vision(own, VisionGroup(segmenter="mediapipe", weights=None)) == Vision()
-    other = adapted(load_protocol(), vision=with_sam("ab" * 32))
+    own = with_vision(load_protocol(), VisionGroup(segmenter="grounded-sam", weights=weights))
+    assert own.vision.segmenter == "grounded-sam"
+    assert with_vision(own, VisionGroup(segmenter=None, weights=weights)) == own
+    assert with_vision(own, VisionGroup(segmenter="mediapipe", weights=None)).vision == Vision()
+    other = with_sam("ab" * 32)
     with pytest.raises(ConfigError, match="names abababababab"):
-        chosen_vision(other, VisionGroup(segmenter=None, weights=weights))
-    assert chosen_vision(other, VisionGroup(segmenter="grounded-sam", weights=weights)) == chosen
+        with_vision(other, VisionGroup(segmenter=None, weights=weights))
+    assert with_vision(other, VisionGroup(segmenter="grounded-sam", weights=weights)) == own

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from carecontact.contract.protocol import Protocol, Vision
+from carecontact.contract.protocol import Protocol
 from carecontact.protocols import load_protocol
 
 PROTOCOL = load_protocol()
@@ -150,50 +150,6 @@ def test_ids_that_name_files_name_them_in_the_runs_folder(name: str) -> None:
     assert Protocol.model_validate(content) == load_protocol()
 
 
-def test_an_override_is_another_hash_and_title_but_the_same_id() -> None:
-    own = PROTOCOL.person.body
-    other = PROTOCOL.overridden(body="woman-old-light")
-    assert (other.id, other.person.body) == (PROTOCOL.id, "woman-old-light")
-    assert other.overrides == {"person.body": "woman-old-light"}
-    assert other.title == f"{PROTOCOL.id} with body woman-old-light"
-    assert other.sha256 != PROTOCOL.sha256
-    assert PROTOCOL.title == PROTOCOL.id
-    # Naming what the protocol has anyway changes nothing, and neither does the round trip that a worker gets.
-    assert PROTOCOL.overridden(body=own) == PROTOCOL
-    assert Protocol.model_validate(other.model_dump(mode="json")) == other
-    edited = PROTOCOL.model_copy(update={"person": PROTOCOL.person.model_copy(update={"body": "woman-old-light"})})
-    assert edited.sha256 != other.sha256, "a changed file is not the same as an announced override"
-
-
-def test_every_override_is_told_and_can_be_taken_back() -> None:
-    rows = {region: row.model_copy(update={"a_n_m3": 2 * row.a_n_m3}) for region, row in PROTOCOL.person.tissue.items()}
-    other = PROTOCOL.overridden(body="woman-old-light", tissue_set=("twice", rows), dt_s=0.004, stiffness_n_m=200)
-    assert other.overrides == {
-        "person.body": "woman-old-light", "person.tissue_set": "twice", "physics.dt_s": "0.004",
-        "impedance.translational_n_m": "200",
-    }  # fmt: skip
-    assert (other.person.tissue, other.physics.dt_s, other.impedance.translational_n_m) == (rows, 0.004, 200)
-    assert other.title == (
-        f"{PROTOCOL.id} with stiffness 200 N/m and body woman-old-light and tissue twice and time step 0.004 s"
-    )
-    assert other.without_overrides(PROTOCOL) == PROTOCOL
-    easier = other.model_copy(update={"gates": other.gates.model_copy(update={"region_share": 0.1})})
-    assert easier.without_overrides(PROTOCOL) != PROTOCOL, "what was changed besides shows"
-
-
-SAM = Vision(segmenter="grounded-sam", weights_sha256="ab" * 32)
-
-
-def test_another_segmenter_is_an_override_and_the_own_one_is_no_word() -> None:
-    other = PROTOCOL.overridden(vision=SAM)
-    assert other.overrides == {"vision.segmenter": "grounded-sam abababababab"}
-    assert other.title == f"{PROTOCOL.id} with segmenter grounded-sam abababababab"
-    assert Protocol.model_validate(other.model_dump(mode="json")) == other
-    assert other.without_overrides(PROTOCOL) == PROTOCOL
-    assert PROTOCOL.overridden(vision=Vision()) == PROTOCOL
-    assert "vision" not in PROTOCOL.model_dump(mode="json")
-
-
 @pytest.mark.parametrize(
     "vision",
     [{"segmenter": "grounded-sam"}, {"weights_sha256": "ab" * 32}, {"segmenter": "sam"}, {"weights_sha256": "x"}],
@@ -201,12 +157,6 @@ def test_another_segmenter_is_an_override_and_the_own_one_is_no_word() -> None:
 def test_a_segmenter_and_its_weights_belong_together(vision: dict[str, str]) -> None:
     with pytest.raises(ValidationError, match="vision"):
         Protocol.model_validate(PROTOCOL.model_dump() | {"vision": vision})
-
-
-def test_one_override_keeps_another() -> None:
-    assert PROTOCOL.overridden(body="woman-old-light").overridden(dt_s=0.004) == PROTOCOL.overridden(
-        body="woman-old-light", dt_s=0.004
-    )
 
 
 def test_variation_that_is_off_is_no_word_of_the_protocol() -> None:

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from carecontact.contract.protocol import Vision
+from carecontact.contract.protocol import Protocol
 from carecontact.episode import vision
 from carecontact.episode.vision import WEIGHTS, person_segmenter
 from carecontact.errors import ConfigError
 from carecontact.observation.weights import MODELS, weights_sha256
-from carecontact.protocols import adapted, load_protocol
+from carecontact.protocols import load_protocol, overridden
 from carecontact.recording.versions import package_versions
 
 PROTOCOL = load_protocol()
@@ -26,8 +26,8 @@ def weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def with_sam(sha256: str) -> Vision:
-    return Vision(segmenter="grounded-sam", weights_sha256=sha256)
+def with_sam(sha256: str) -> Protocol:
+    return overridden(PROTOCOL, {"vision.segmenter": "grounded-sam", "vision.weights_sha256": sha256})
 
 
 def test_the_default_needs_no_segmenter(weights: Path) -> None:
@@ -37,7 +37,7 @@ def test_the_default_needs_no_segmenter(weights: Path) -> None:
 def test_the_weights_are_those_that_the_protocol_names(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[Path] = []
     monkeypatch.setattr(vision, "GroundedSam", loaded.append)
-    protocol = adapted(PROTOCOL, vision=with_sam(weights_sha256(weights)))
+    protocol = with_sam(weights_sha256(weights))
     with pytest.raises(ConfigError, match="names the segmenter grounded-sam, whose --weights are missing"):
         person_segmenter(protocol)
     monkeypatch.setenv(WEIGHTS, str(weights))

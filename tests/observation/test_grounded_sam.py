@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from carecontact.contract.policy import PolicyCard
-from carecontact.contract.protocol import Vision
 from carecontact.episode.first_look import first_look
 from carecontact.errors import ConfigError, DependencyError, ObservationError
 from carecontact.observation import grounded_sam
@@ -22,7 +21,7 @@ from carecontact.observation.grounded_sam import GroundedSam
 from carecontact.observation.keypoints import MediaPipePose
 from carecontact.observation.segmentation import PERSON_PROBABILITY
 from carecontact.observation.weights import weights_sha256
-from carecontact.protocols import adapted, load_protocol
+from carecontact.protocols import load_protocol, overridden
 from tests.observation.tiny_models import save_tiny_models
 
 RGB = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
@@ -138,8 +137,9 @@ def test_a_broken_folder_is_named(own: Path, spoil: Callable[[Path], object], sa
 @pytest.mark.torch
 def test_it_makes_the_masks_of_an_observation(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grounded_sam, "MIN_SCORE", 0.0)
-    vision = Vision(segmenter="grounded-sam", weights_sha256=weights_sha256(weights))
-    protocol = adapted(load_protocol(), vision=vision)
+    protocol = overridden(
+        load_protocol(), {"vision.segmenter": "grounded-sam", "vision.weights_sha256": weights_sha256(weights)}
+    )
     card = PolicyCard(name="test", modalities=("rgb", "masks"))
     view = first_look(protocol, task_id="T1", seed=0, card=card, weights=weights).cameras["overhead"]
     assert view.rgb is not None

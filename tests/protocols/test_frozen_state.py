@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from carecontact.contract.protocol import Protocol
-from carecontact.protocols import adapted, load_protocol
+from carecontact.protocols import FAST_DT_S, load_protocol, overridden
 from carecontact.protocols.frozen_state import drifted_sha256, frozen_state
 
 
@@ -14,14 +14,15 @@ def softened(protocol: Protocol) -> Protocol:
 def test_what_is_locked_is_frozen_and_announced_overrides_do_not_change_that() -> None:
     protocol = load_protocol("bathing-v1")
     assert frozen_state(protocol) == "frozen"
-    assert frozen_state(adapted(protocol, stiffness_n_m=200.0, fast=True)) == "frozen"
+    changes = {"impedance.translational_n_m": 200.0, "physics.dt_s": FAST_DT_S, "gates.push.force_n": 4.0}
+    assert frozen_state(overridden(protocol, changes)) == "frozen"
     assert drifted_sha256(protocol.id, protocol.sha256) is None
 
 
 def test_a_changed_protocol_under_the_same_id_is_named() -> None:
     changed = softened(load_protocol("bathing-v1"))
     assert frozen_state(changed).startswith(f"not what was frozen as bathing-v1: sha256 {changed.sha256[:12]}, locked ")
-    hidden = softened(adapted(load_protocol("bathing-v1"), stiffness_n_m=200.0))
+    hidden = softened(overridden(load_protocol("bathing-v1"), {"impedance.translational_n_m": 200.0}))
     assert frozen_state(hidden).startswith("not what was frozen")
     assert "not what was frozen" in (drifted_sha256(changed.id, changed.sha256) or "")
 

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, UnknownNameError
-from carecontact.protocols import FAST_DT_S, adapted, load_protocol
+from carecontact.protocols import load_protocol
 from carecontact.protocols.tissue_sets import load_tissue_set, shipped_tissue_sets
 
 PROTOCOL = load_protocol()
@@ -102,29 +102,6 @@ def test_unknown_and_missing_sets_are_told(tmp_path: Path) -> None:
         load_tissue_set("skin")
     with pytest.raises(ConfigError, match="No such file"):
         load_tissue_set(str(tmp_path / "none.toml"))
-
-
-def test_adapting_a_protocol() -> None:
-    assert adapted(PROTOCOL) == PROTOCOL
-    assert adapted(PROTOCOL, tissue="paper-mapping") == PROTOCOL
-    stiff = adapted(PROTOCOL, tissue="manikin-like", fast=True)
-    assert stiff.person.tissue == load_tissue_set("manikin-like").tissue
-    assert stiff.physics.dt_s == FAST_DT_S
-    assert stiff.overrides == {"person.tissue_set": "manikin-like", "physics.dt_s": "0.004"}
-
-
-@pytest.mark.parametrize("value", [200.0, 1000.0])
-def test_another_stiffness_is_told(value: float) -> None:
-    softer = adapted(PROTOCOL, stiffness_n_m=value)
-    assert softer.overrides == {"impedance.translational_n_m": f"{value:g}"}
-    assert softer.impedance.translational_n_m == value
-    assert adapted(PROTOCOL, stiffness_n_m=PROTOCOL.impedance.translational_n_m) == PROTOCOL
-
-
-@pytest.mark.parametrize("value", [99.0, 1001.0, float("nan")])
-def test_a_stiffness_outside_the_protocols_bounds_is_refused(value: float) -> None:
-    with pytest.raises(ConfigError, match=rf"stiffness {value:g} N/m: {PROTOCOL.id} allows 100 to 1000 N/m"):
-        adapted(PROTOCOL, stiffness_n_m=value)
 
 
 def test_the_documents_symbol_table_has_the_shipped_forearm() -> None:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from carecontact.regions import REGIONS, STANDARD_REGIONS
 from carecontact.sim.close_up import dent
-from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
+from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
 
 DEPTH_M = 0.006
@@ -62,9 +63,9 @@ def press(scene: Scene, data: mujoco.MjData, region: str, depth_m: float) -> tup
         if np.linalg.norm(shell.vertices[k] - shell.vertices[middle]) < RADIUS_M:
             data.qpos[scene.model.joint(f"{region}_v{k}_n").qposadr[0]] = depth_m
     mujoco.mj_forward(scene.model, data)
-    bone = data.body(body_name(SOFT_SEGMENTS[region]))
+    bone = data.body(body_name(REGIONS[region].segment))
     turn = bone.xmat.reshape(3, 3)
-    place = bone.xpos + turn @ (shell.vertices[middle] - scene.body.joint_centre[SOFT_SEGMENTS[region]])
+    place = bone.xpos + turn @ (shell.vertices[middle] - scene.body.joint_centre[REGIONS[region].segment])
     return place, turn @ shell.normals[middle]
 
 
@@ -77,7 +78,7 @@ def test_an_undented_person_is_drawn_as_before(scene: Scene, data: mujoco.MjData
     np.testing.assert_array_equal(after_normals, normals)
 
 
-@pytest.mark.parametrize("region", list(SOFT_SEGMENTS))
+@pytest.mark.parametrize("region", STANDARD_REGIONS)
 def test_a_dent_moves_only_skin_near_the_pressed_shell_and_inward(
     scene: Scene, data: mujoco.MjData, drawn: Callable, region: str
 ) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from tools.study.sorted_runs import sorted_out
 from tools.study.study import Study, study, study_json
 
 from carecontact.errors import ConfigError
-from carecontact.protocols import adapted, load_protocol
+from carecontact.protocols import load_protocol, overridden
 from carecontact.runs import RunScores, read_results
 from carecontact.runs.results_file import write_scores
 from tests.reports.synthetic_run import FAILED, make_score
@@ -31,9 +31,15 @@ STALLED = FAILED | {
 Change = Callable[[str, int], dict[str, Any]]
 
 
-def run(policy: str, change: Change = lambda task, seed: {}, *, seeds: range = SEEDS, **options: Any) -> RunScores:
-    """``options``: of ``adapted``."""
-    rules = adapted(PROTOCOL, **options)
+def run(
+    policy: str,
+    change: Change = lambda task, seed: {},
+    *,
+    seeds: range = SEEDS,
+    changes: Mapping[str, object] | None = None,
+) -> RunScores:
+    """``changes``: of ``overridden``."""
+    rules = overridden(PROTOCOL, changes or {})
     said = {"policy": policy, "protocol_sha256": rules.sha256, "overrides": rules.overrides}
     scores = [make_score(t.id, s, **{**said, **change(t.id, s)}) for t in PROTOCOL.tasks for s in seeds]
     return RunScores(scores=scores, versions={"carecontact": ["0.1.0"]})
@@ -63,8 +69,9 @@ def whole() -> Study:
     """Both methods, a blind baseline, and a sweep in which the stiff arm turns the order of the forces round."""
     return made(
         a=run("state-machine", heavy), b=run("voxposer", light), null=run("zero-action", lambda t, s: STALLED),
-        a1000=run("state-machine", light, stiffness_n_m=1000), b1000=run("voxposer", heavy, stiffness_n_m=1000),
-        manikin=run("voxposer", light, tissue="manikin-like"),
+        a1000=run("state-machine", light, changes={STIFFNESS: "1000"}),
+        b1000=run("voxposer", heavy, changes={STIFFNESS: "1000"}),
+        manikin=run("voxposer", light, changes={TISSUE: "manikin-like"}),
     )  # fmt: skip
 
 
@@ -136,7 +143,9 @@ def test_a_sweep_ranks_each_level_against_the_protocols_own(whole: Study) -> Non
 
 def test_a_sweep_of_which_nothing_was_run_has_no_table() -> None:
     found = made(
-        a=run("state-machine", heavy), b=run("voxposer", light), manikin=run("voxposer", light, tissue="manikin-like")
+        a=run("state-machine", heavy),
+        b=run("voxposer", light),
+        manikin=run("voxposer", light, changes={TISSUE: "manikin-like"}),
     )
     assert [sweep.field for sweep in found.sweeps] == [TISSUE]
     text = page(found)
@@ -207,7 +216,7 @@ def test_a_missing_method_is_no_comparison() -> None:
 
 def test_what_does_not_belong_is_named_and_left_out() -> None:
     found = made(
-        a=run("state-machine"), old=run("state-machine", body="woman-old-light"), mine=run("lift"),
+        a=run("state-machine"), old=run("state-machine", changes={"person.body": "woman-old-light"}), mine=run("lift"),
         other=run("voxposer", lambda t, s: {"protocol_id": "bathing-moved-v1"}),
     )  # fmt: skip
     assert found.unused == {
@@ -244,7 +253,7 @@ def test_what_does_not_belong_is_named_and_left_out() -> None:
         (
             {
                 "a": run("state-machine"),
-                "b": run("voxposer", lambda t, s: {"world": {"mujoco": "9.9"}}, stiffness_n_m=200),
+                "b": run("voxposer", lambda t, s: {"world": {"mujoco": "9.9"}}, changes={STIFFNESS: "200"}),
             },
             "a and b are of different worlds: mujoco",
         ),

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from carecontact.protocols import load_protocol
+from carecontact.protocols import load_protocol, overridden
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.anthropometry import segment_inertias
 from carecontact.world.human.library import body_names
@@ -23,7 +23,7 @@ EVERY = [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for
 
 @cache
 def scene_with(name: str) -> Scene:
-    return build_scene(PROTOCOL.overridden(body=name), target="upper_arm", skin=name in QUICK)
+    return build_scene(overridden(PROTOCOL, {"person.body": name}), target="upper_arm", skin=name in QUICK)
 
 
 @pytest.mark.parametrize("name", EVERY)

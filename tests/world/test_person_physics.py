@@ -8,19 +8,20 @@ import mujoco
 import numpy as np
 import pytest
 
+from carecontact.regions import REGIONS, STANDARD_REGIONS
 from carecontact.world.human.anthropometry import segment_inertias
 from carecontact.world.human.pose import lying_pose_deg
-from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name, tissue_body_name
+from carecontact.world.human.skeleton import body_name, tissue_body_name
 from carecontact.world.scene import Scene
 
 RADIUS, OPEN_M = 0.012, 0.040
 
 
-@pytest.mark.parametrize("region", sorted(SOFT_SEGMENTS))
+@pytest.mark.parametrize("region", sorted(STANDARD_REGIONS))
 def test_bone_and_shell_together_have_the_segments_inertia(scene_of: Callable[..., Scene], region: str) -> None:
     """Mass, centre of mass and inertia tensor of de Leva's segment, summed over the compiled bodies by hand."""
     model, body = scene_of(region).model, scene_of(region).body
-    segment = SOFT_SEGMENTS[region]
+    segment = REGIONS[region].segment
     bone = model.body(body_name(segment)).id
     carrier = model.body(tissue_body_name(region)).id
     row, origin = segment_inertias(body)[segment], body.joint_centre[segment]

@@ -10,16 +10,18 @@ import pytest
 
 from carecontact.contract.policy import CAMERAS
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
-from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
+from carecontact.recording.schema import SEGMENTS
+from carecontact.regions import REGIONS, STANDARD_REGIONS
 from carecontact.world.human.pose import FIXED_SEGMENTS
-from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name, tissue_body_name
+from carecontact.world.human.skeleton import body_name, tissue_body_name
 from carecontact.world.scene import Scene, build_scene
 from carecontact.world.sensors import CONTACT_SLOTS
 
 PROTOCOL = load_protocol()
 # Every body is built and settled in test_every_body.
 BODIES = ("man-adult", "woman-old-heavy")
-TARGETS = (*REGIONS, None)
+TARGETS = (*STANDARD_REGIONS, None)
+SOFT = {REGIONS[name].segment for name in STANDARD_REGIONS}
 ROBOT_BIT, PERSON_BIT = 1, 2
 
 
@@ -76,7 +78,7 @@ def test_persons_mass_is_the_bodys(scene: Scene) -> None:
     assert model.body_subtreemass[model.body("human_pelvis").id] == pytest.approx(scene.body.mass_kg, rel=1e-6)
     assert model.body_mass[1:].min() >= 0
     for region, soft in scene.regions.items():
-        bone = model.body_mass[model.body(body_name(SOFT_SEGMENTS[region])).id]
+        bone = model.body_mass[model.body(body_name(REGIONS[region].segment)).id]
         shell = soft.tissue.areal_mass_kg_m2 * soft.shell.area[~soft.shell.pinned].sum()
         assert 0 < shell < bone + shell, region
 
@@ -112,7 +114,7 @@ def test_robot_meets_every_segment(model: mujoco.MjModel) -> None:
             met.add(owner_segment(model, int(model.geom_bodyid[g])))
     soft = {owner_segment(model, int(b)) for b in model.flex_vertbodyid}
     assert met >= set(SEGMENTS)
-    assert soft == set(REGION_SEGMENT.values())
+    assert soft == SOFT
     assert (model.flex_conaffinity == ROBOT_BIT).all()
     assert (model.flex_selfcollide == mujoco.mjtFlexSelf.mjFLEXSELF_NONE).all()
 
@@ -128,7 +130,7 @@ def test_every_contact_would_be_sensed(model: mujoco.MjModel) -> None:
     """One net force and one normal sum for each segment of the recording; soft segments have two surfaces."""
     sensors = {model.sensor(i).name: i for i in range(model.nsensor)}
     expected = {f"{kind}_{s}" for kind in ("net", "normal") for s in SEGMENTS}
-    expected |= {f"{kind}_{s}_tissue" for kind in ("net", "normal") for s in REGION_SEGMENT.values()}
+    expected |= {f"{kind}_{s}_tissue" for kind in ("net", "normal") for s in SOFT}
     of_contact = {n for n, i in sensors.items() if model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT}
     assert of_contact == expected
     for name in expected:
@@ -139,15 +141,14 @@ def test_every_contact_would_be_sensed(model: mujoco.MjModel) -> None:
         assert model.body(model.sensor_objid[i]).name == "robot_base"
         slots = 1 if kind == "net" else CONTACT_SLOTS["soft" if place.endswith("_tissue") else "rigid"]
         assert model.sensor_dim[i] == slots * (6 if kind == "net" else 4)
-    assert REGION_SEGMENT == SOFT_SEGMENTS
-    assert {tissue_body_name(r) for r in REGIONS} == {f"human_{s}_tissue" for s in REGION_SEGMENT.values()}
+    assert {tissue_body_name(r) for r in STANDARD_REGIONS} == {f"human_{s}_tissue" for s in SOFT}
 
 
 def test_other_streams_of_the_recording_have_sensors(scene: Scene) -> None:
     names = {scene.model.sensor(i).name for i in range(scene.model.nsensor)}
     assert {f"q_{h.name}" for h in scene.hinges} <= names
     assert {"tcp_position", "tcp_quat", "tcp_velocity", "tcp_rotation", "wrist_position"} <= names
-    assert {f"region_{r}_{part}" for r in REGIONS for part in ("position", "quat")} <= names
+    assert {f"region_{r}_{part}" for r in STANDARD_REGIONS for part in ("position", "quat")} <= names
     assert not any(h.segment in FIXED_SEGMENTS for h in scene.hinges)
     moving = {h.segment for h in scene.hinges}
     assert {f"{s}_{n}" for s in ("left", "right") for n in ("upper_arm", "forearm", "hand")} <= moving
@@ -163,7 +164,7 @@ def test_a_finer_step_keeps_every_sample_of_a_period() -> None:
 
 def test_only_the_targets_shell_is_fine(scene: Scene, target: str | None, scene_of: Callable[..., Scene]) -> None:
     fine = scene_of(None).regions
-    assert set(scene.regions) == set(REGIONS)
+    assert list(scene.regions) == list(scene.frames) == list(STANDARD_REGIONS)
     for name, region in scene.regions.items():
         if target in (None, name):
             assert region.tissue == PROTOCOL.person.tissue[name]
@@ -235,9 +236,9 @@ def test_person_lies_on_the_back_on_the_bed_head_to_plus_x(scene: Scene) -> None
 
 
 def test_region_frames_lie_on_their_bones(scene: Scene) -> None:
-    for region, segment in SOFT_SEGMENTS.items():
+    for region in STANDARD_REGIONS:
         site = scene.model.site(f"region_{region}")
-        assert scene.model.body(site.bodyid[0]).name == body_name(segment)
+        assert scene.model.body(site.bodyid[0]).name == body_name(REGIONS[region].segment)
 
 
 def test_parked_robot_touches_nothing_and_the_arm_never_meets_itself(scene: Scene) -> None:

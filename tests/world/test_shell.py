@@ -10,18 +10,17 @@ from scipy.spatial import cKDTree
 
 from carecontact.errors import SceneError
 from carecontact.protocols import load_protocol
+from carecontact.regions import REGIONS, STANDARD_REGIONS, Tube
 from carecontact.world.human.body import Body
 from carecontact.world.human.shell import (
     FINE_HALF_LENGTH_M,
     FINE_HALF_ROUND_DEG,
-    PINNED_BEYOND_DEG,
     SIDE_HALF_ROUND_DEG,
     Shell,
     belly_half_width,
     belly_span,
     trunk_shell,
 )
-from carecontact.world.human.skeleton import SOFT_SEGMENTS
 from carecontact.world.scene import region_shell
 
 TISSUE = load_protocol().person.tissue
@@ -32,7 +31,7 @@ def sampled(body: Body, region: str) -> Shell:
     return region_shell(body, region, TISSUE[region])
 
 
-@pytest.fixture(scope="module", params=list(SOFT_SEGMENTS))
+@pytest.fixture(scope="module", params=STANDARD_REGIONS)
 def region(request: pytest.FixtureRequest) -> str:
     return request.param
 
@@ -147,9 +146,12 @@ def test_border_is_pinned(region: str, shell: Shell) -> None:
     else:
         # The underside lies on the board: it is fixed to the bone too.
         angle = np.abs(np.degrees(shell.grid[:, 1]))
-        assert shell.pinned[angle > PINNED_BEYOND_DEG[region]].all()
+        tube = REGIONS[region].shape
+        assert isinstance(tube, Tube)
+        pinned_beyond = tube.pinned_beyond_deg
+        assert shell.pinned[angle > pinned_beyond].all()
         inner = ~np.isin(np.arange(len(angle)), sorted(border))
-        np.testing.assert_array_equal(shell.pinned[inner], (angle > PINNED_BEYOND_DEG[region])[inner])
+        np.testing.assert_array_equal(shell.pinned[inner], (angle > pinned_beyond)[inner])
 
 
 def test_fine_patch_is_as_fine_as_asked(region: str, shell: Shell) -> None:
@@ -202,8 +204,8 @@ def test_region_frame(body: Body, region: str, shell: Shell) -> None:
         np.testing.assert_allclose((x, z), ([0, 0, 1], FRONT), atol=1e-12)
         assert shell.length_m == pytest.approx(np.diff(belly_span(body))[0])
     else:
-        np.testing.assert_allclose(x, body.direction(SOFT_SEGMENTS[region]), atol=1e-12)
-        assert shell.length_m == pytest.approx(np.linalg.norm(body.axis_vector(SOFT_SEGMENTS[region])))
+        np.testing.assert_allclose(x, body.direction(REGIONS[region].segment), atol=1e-12)
+        assert shell.length_m == pytest.approx(np.linalg.norm(body.axis_vector(REGIONS[region].segment)))
     local = region_coordinates(shell)
     top = local[np.argmin(np.hypot(local[:, 0], local[:, 1]) + np.where(local[:, 2] < 0, 1, 0))]
     assert top[2] == pytest.approx(shell.axis_depth_m, abs=0.008)

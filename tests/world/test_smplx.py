@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carecontact.errors import ConfigError
-from carecontact.protocols import load_protocol
+from carecontact.protocols import load_protocol, overridden
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.body import PARENT, Body
 from carecontact.world.human.joints import hinges
@@ -56,7 +56,7 @@ def test_arms_of_the_t_pose_get_their_anatomical_angles(smplx: Body) -> None:
 
 
 def test_it_settles_like_a_shipped_body(smplx: Body) -> None:
-    protocol = load_protocol().overridden(body=smplx.name)
+    protocol = overridden(load_protocol(), {"person.body": smplx.name})
     simulation = Simulation(build_scene(protocol, target="forearm"))
     settled = simulation.settle(52.5)
     assert settled.comfort_arm_deg == pytest.approx(52.5, abs=1)

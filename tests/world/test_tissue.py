@@ -8,12 +8,13 @@ import pytest
 
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError
-from carecontact.protocols import adapted, load_protocol
+from carecontact.protocols import FAST_DT_S, load_protocol, overridden
+from carecontact.regions import REGIONS, STANDARD_REGIONS
 from carecontact.sim.bench import Bench, Indenter
 from carecontact.validation.reference import ABDOMEN, FOREARM, Reference
 from carecontact.world.human.library import body_names, load_body
 from carecontact.world.human.shell import Shell
-from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
+from carecontact.world.human.skeleton import body_name
 from carecontact.world.human.tissue import (
     CORE_MIN_RADIUS_M,
     check_step,
@@ -24,7 +25,6 @@ from carecontact.world.human.tissue import (
 from carecontact.world.scene import build_scene, region_shell
 
 PROTOCOL = load_protocol()
-REGIONS = tuple(SOFT_SEGMENTS)
 TOOL = Indenter(shape="cap")
 
 
@@ -38,10 +38,10 @@ def depths_of_core(made: Bench) -> tuple[np.ndarray, np.ndarray]:
     mujoco.mj_forward(model, data)
     core = [g for g in range(model.ngeom) if model.geom(g).name.startswith("human_core_")]
     assert core
-    bone = data.body(body_name(SOFT_SEGMENTS[made.region]))
+    bone = data.body(body_name(REGIONS[made.region].segment))
     shell = made.shell
     fine = np.flatnonzero(shell.fine)
-    origins = shell.vertices[fine] - made.body.joint_centre[SOFT_SEGMENTS[made.region]]
+    origins = shell.vertices[fine] - made.body.joint_centre[REGIONS[made.region].segment]
     np.testing.assert_allclose(bone.xpos, 0, atol=1e-12)
     depths = np.full(len(fine), np.inf)
     for k, (origin, normal) in enumerate(zip(origins, shell.normals[fine], strict=True)):
@@ -51,7 +51,7 @@ def depths_of_core(made: Bench) -> tuple[np.ndarray, np.ndarray]:
     return depths, room
 
 
-@pytest.mark.parametrize("region", REGIONS)
+@pytest.mark.parametrize("region", STANDARD_REGIONS)
 def test_core_lies_at_the_measured_depth(region: str) -> None:
     """The tool meets bone where the tissue is used up, neither sooner nor later, all over the reachable patch."""
     tissue = PROTOCOL.person.tissue[region]
@@ -72,7 +72,7 @@ BRIDGED = pytest.mark.xfail(
     ("region", "name"),
     [
         pytest.param(region, name, marks=BRIDGED if region == "upper_arm" and name.endswith("old-light") else ())
-        for region in REGIONS
+        for region in STANDARD_REGIONS
         for name in body_names()
     ],
 )
@@ -195,7 +195,9 @@ def test_membrane_too_stiff_for_the_time_step_is_told() -> None:
 
 @pytest.mark.parametrize("name", ["paper-mapping", "human-published", "manikin-like"])
 def test_shipped_sets_are_stable_in_the_fast_mode(name: str) -> None:
-    build_scene(adapted(PROTOCOL, tissue=name, fast=True), target="forearm", skin=False)
+    build_scene(
+        overridden(PROTOCOL, {"person.tissue_set": name, "physics.dt_s": FAST_DT_S}), target="forearm", skin=False
+    )
 
 
 def test_the_step_limit_is_the_integrators() -> None:

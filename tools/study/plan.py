@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from carecontact.contract.protocol import Protocol, protocol_title
-from carecontact.protocols import adapted
+from carecontact.protocols import overridden
 
 PAIR = ("state-machine", "voxposer")
 PROPOSAL = ("voxposer-phased", "voxposer")
@@ -29,9 +29,7 @@ def conditions(protocol: Protocol) -> list[Condition]:
 
 
 def under(protocol: Protocol, condition: Condition) -> Protocol:
-    said = dict(condition)
-    stiffness = said.get(STIFFNESS)
-    return adapted(protocol, tissue=said.get(TISSUE), stiffness_n_m=None if stiffness is None else float(stiffness))
+    return overridden(protocol, dict(condition))
 
 
 def wanted_runs(protocol: Protocol) -> list[tuple[str, Condition]]:

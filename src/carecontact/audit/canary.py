@@ -44,9 +44,7 @@ def other_hidden_values(spec: TrialSpec) -> TrialSpec:
             "contact": contact.model_copy(
                 update={"on_n": 3 * contact.on_n, "valid_total_s": 2 * contact.valid_total_s}
             ),
-            "gates": gates.model_copy(
-                update={"touch": gates.touch.model_copy(update={"duration_s": 2 * gates.touch.duration_s})}
-            ),
+            "gates": gates.model_copy(update={"region_share": gates.region_share / 2}),
             "limits": limits.model_copy(
                 update={"gamma": limits.gamma / 2, "f_pain_n": {k: 1.5 * v for k, v in limits.f_pain_n.items()}}
             ),

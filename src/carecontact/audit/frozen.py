@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -36,7 +36,7 @@ HIDDEN_OF_MODEL = (
 """Of MjModel: mechanics of person, tissue and robot, none of which is drawn."""
 
 
-def audit_frozen(simulation: Simulation, cards: list[PolicyCard], *, instruction: str) -> Part:
+def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruction: str) -> Part:
     """``simulation``: at a moment of contact. Its data and model are left as they were."""
     findings: list[Finding] = []
     fields = changed = images = 0

@@ -15,7 +15,6 @@ from carecontact.episode.prepare import settled_world
 from carecontact.episode.randomization import comfort_arm_deg
 from carecontact.errors import SceneError
 from carecontact.policies.motion import UP, Leg, radial_quat, sample, travel
-from carecontact.recording.schema import REGIONS
 from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.world.human.tissue import anchor_joints
 from carecontact.world.scene import Scene
@@ -101,7 +100,7 @@ class Twin(Simulation):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
         self._touched = False
-        joints = np.concatenate([anchor_joints(self.model, region) for region in REGIONS])
+        joints = np.concatenate([anchor_joints(self.model, region) for region in self.scene.regions])
         dofs = self.model.jnt_dofadr[joints]
         self._soft = {
             name: (rows, getattr(self.model, name)[rows].copy())

@@ -12,6 +12,8 @@ from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError
 
 VERSION = "carecontact-calibration-1"
+BAND = {"response_share_of_peak": 0.02, "error_change": 0.01}
+"""``--verify`` fails where a replayed force differs by more than this share of its peak, or an error by this much."""
 
 
 class Part(BaseModel):
@@ -20,7 +22,7 @@ class Part(BaseModel):
 
 class Value(Part):
     value: float | None
-    """None: not identified, see the notes."""
+    """None where it is not identified; the notes say why."""
     ci95: tuple[float, float] | None
     """Percentiles 2.5 and 97.5 over resampled trials; None for a single trial."""
 
@@ -51,33 +53,33 @@ class Content(Part):
     region: str
     body: str
     base_tissue_set: str
-    """From which mesh, mass, friction and thickness come"""
+    """Mesh, mass, friction and thickness come from this set."""
     synthetic: bool
     """Every trial's site says so."""
     tissue: Tissue
     """The row as written; its damping is the fitted one only where ``law`` has it."""
     law: dict[str, Value]
     damping: str
-    """How D_c was come by."""
+    """Where D_c comes from."""
     stiffness: dict[str, Value]
-    """Of the calibrated simulation, mean over trials [N/mm]"""
+    """Of the calibrated simulation, mean over trials [N/mm]."""
     measured_stiffness: dict[str, float]
     identified: list[Model]
-    """Best first by AICc"""
+    """Best first, by AICc."""
     agreement: dict[str, Value]
     held_out: dict[str, Value] | None
-    """Every trial under a law fitted without its fold"""
+    """Every trial under a law that was fitted without the trial's fold."""
     trials: int
     subjects: int
     measured_depth_mm: float
-    """Reached past touch by at least half of the trials; beyond it the row extrapolates"""
+    """At least half of the trials reached this depth past touch; beyond it the row extrapolates."""
     measured_force_n: float
     gate_n: float
-    """Safety gate of the region in the protocol"""
+    """Safety gate of the region in the protocol."""
     gate_is_extrapolated: bool
     responses: list[Response]
     band: dict[str, float]
-    """What --verify allows"""
+    """What ``--verify`` allows."""
     hashes: dict[str, str]
     versions: dict[str, str]
     notes: list[str]
@@ -104,7 +106,7 @@ def write_certificate(path: Path, content: Content, *, made: str) -> Certificate
 
 
 def read_certificate(path: Path) -> Certificate:
-    """Raises ConfigError where the file is missing, is none of ours or was changed after it was written."""
+    """Raises ConfigError where the file is missing, is not a certificate or was changed after it was written."""
     try:
         certificate = Certificate.model_validate_json(path.read_bytes())
     except FileNotFoundError:
@@ -116,7 +118,7 @@ def read_certificate(path: Path) -> Certificate:
     if certificate.version != VERSION:
         raise ConfigError(f"{path}: version {certificate.version!r}; this carecontact reads {VERSION!r}")
     if content_sha256(certificate.content) != certificate.sha256:
-        raise ConfigError(f"{path}: its content does not have the hash it states: it was changed after it was written")
+        raise ConfigError(f"{path}: its content does not have the stated hash; it was changed after it was written")
     return certificate
 
 

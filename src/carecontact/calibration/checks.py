@@ -1,4 +1,4 @@
-"""From columns to trials: what a file of presses must satisfy, each fault named with its line and column."""
+"""From columns to trials: checks what a file of presses must satisfy, and names each fault by line and column."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class TrialFile:
     trials: tuple[Trial, ...]
     sha256: str
     notes: tuple[str, ...]
-    """What was left out or averaged, for people."""
+    """What was left out or averaged, as sentences for people."""
 
 
 def read_trials(path: Path, *, region: str) -> TrialFile:
@@ -76,54 +76,25 @@ def _plain(site: str) -> str:
 
 
 def _trial(columns: Columns, rows: npt.NDArray[np.int64], name: str) -> Trial:
-    path, line = columns.path, columns.line[rows]
-
-    def fail(k: int, column: str, message: str) -> ConfigError:
-        return ConfigError(f"{path}, line {line[k]}, column {column}: {message} (trial {name!r})")
-
+    fault = _Fault(path=columns.path, lines=columns.line[rows], trial=name)
     if not name:
-        raise fail(0, "trial_id", "empty; each trial needs an id")
-    for column in CONSTANT:
-        values = (columns.text if column in columns.text else columns.number)[column][rows]
-        other = np.flatnonzero(values != values[0])
-        if len(other):
-            k = int(other[0])
-            raise fail(k, column, f"{values[k]} after {values[0]}; one value per trial: start another trial_id")
+        raise fault(0, "trial_id", "it is empty; each trial needs an id")
     if len(rows) < MIN_SAMPLES:
-        raise fail(0, "trial_id", f"{len(rows)} rows; a press needs at least {MIN_SAMPLES}")
-    first = {column: columns.text[column][rows[0]] for column in ("site", "subject", "indenter_shape", "filter")}
-    number = {column: float(columns.number[column][rows[0]]) for column in CONSTANT if column in columns.number}
-    if first["indenter_shape"] not in SHAPES:
-        raise fail(0, "indenter_shape", f"{first['indenter_shape']!r}; valid: {', '.join(SHAPES)}")
-    for column, (low, high) in LIMITS.items():
-        if column == "indenter_size_mm" and first["indenter_shape"] == "cap":
-            continue
-        if not low <= number[column] <= high:
-            raise fail(0, column, f"{number[column]:g} is not between {low:g} and {high:g}")
+        raise fault(0, "trial_id", f"it has {len(rows)} rows; a press needs at least {MIN_SAMPLES}")
+    text, number = _constants(columns, rows, fault)
     time = columns.number["t_s"][rows]
     late = np.flatnonzero(np.diff(time) <= 0)
     if len(late):
         k = int(late[0]) + 1
-        raise fail(k, "t_s", f"{time[k]:g} s after {time[k - 1]:g} s; time must increase within a trial")
-    words = columns.text["phase"][rows]
-    unknown = np.flatnonzero(~np.isin(words, PHASES))
-    if len(unknown):
-        k = int(unknown[0])
-        raise fail(k, "phase", f"{words[k]!r}; valid: {', '.join(PHASES)}")
-    phase = np.array([PHASES.index(word) for word in words])
-    back = np.flatnonzero(np.diff(phase) < 0)
-    if len(back):
-        k = int(back[0]) + 1
-        raise fail(k, "phase", f"{words[k]} after {words[k - 1]}; a trial is one press: load, then hold, then unload")
-    if (phase == 0).sum() < MIN_SAMPLES:
-        raise fail(0, "phase", f"{(phase == 0).sum()} rows of load; a press needs at least {MIN_SAMPLES}")
-    cap = first["indenter_shape"] == "cap"
+        raise fault(k, "t_s", f"{time[k]:g} s after {time[k - 1]:g} s; time must increase within a trial")
+    phase = _phases(columns.text["phase"][rows], fault)
+    cap = text["indenter_shape"] == "cap"
     return Trial(
         trial_id=name,
-        site=str(first["site"]),
-        subject=str(first["subject"]),
+        site=text["site"],
+        subject=text["subject"],
         condition=Condition(
-            indenter_shape=str(first["indenter_shape"]),
+            indenter_shape=text["indenter_shape"],
             indenter_size_m=None if cap else number["indenter_size_mm"] / 1000,
             speed_m_s=number["speed_mm_s"] / 1000,
             along_m=number["along_mm"] / 1000,
@@ -131,13 +102,62 @@ def _trial(columns: Columns, rows: npt.NDArray[np.int64], name: str) -> Trial:
             tilt_deg=number["tilt_deg"],
         ),
         preload_n=number["preload_N"],
-        filter=str(first["filter"]),
+        filter=text["filter"],
         time_s=time,
         indentation_m=columns.number["indentation_mm"][rows] / 1000,
         force_n=columns.number["force_N"][rows],
         phase=phase,
-        line=int(line[0]),
+        line=int(fault.lines[0]),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Fault:
+    """Makes the error for one row of a trial."""
+
+    path: Path
+    lines: npt.NDArray[np.int64]
+    """(n,) line in the file of each row"""
+    trial: str
+
+    def __call__(self, row: int, column: str, message: str) -> ConfigError:
+        return ConfigError(f"{self.path}, line {self.lines[row]}, column {column}: {message} (trial {self.trial!r})")
+
+
+def _constants(columns: Columns, rows: npt.NDArray[np.int64], fault: _Fault) -> tuple[dict[str, str], dict[str, float]]:
+    """Text and numbers that must have one value per trial, each checked."""
+    for column in CONSTANT:
+        values = (columns.text if column in columns.text else columns.number)[column][rows]
+        other = np.flatnonzero(values != values[0])
+        if len(other):
+            k = int(other[0])
+            raise fault(k, column, f"{values[k]} after {values[0]}; one value per trial: start another trial_id")
+    text = {column: str(columns.text[column][rows[0]]) for column in CONSTANT if column in columns.text}
+    number = {column: float(columns.number[column][rows[0]]) for column in CONSTANT if column in columns.number}
+    if text["indenter_shape"] not in SHAPES:
+        raise fault(0, "indenter_shape", f"{text['indenter_shape']!r}; valid: {', '.join(SHAPES)}")
+    for column, (low, high) in LIMITS.items():
+        if column == "indenter_size_mm" and text["indenter_shape"] == "cap":
+            continue
+        if not low <= number[column] <= high:
+            raise fault(0, column, f"{number[column]:g} is not between {low:g} and {high:g}")
+    return text, number
+
+
+def _phases(words: npt.NDArray[np.object_], fault: _Fault) -> npt.NDArray[np.int64]:
+    """(n,) index into PHASES"""
+    unknown = np.flatnonzero(~np.isin(words, PHASES))
+    if len(unknown):
+        k = int(unknown[0])
+        raise fault(k, "phase", f"{words[k]!r}; valid: {', '.join(PHASES)}")
+    phase = np.array([PHASES.index(word) for word in words])
+    back = np.flatnonzero(np.diff(phase) < 0)
+    if len(back):
+        k = int(back[0]) + 1
+        raise fault(k, "phase", f"{words[k]} after {words[k - 1]}; a trial is one press: load, then hold, then unload")
+    if (phase == 0).sum() < MIN_SAMPLES:
+        raise fault(0, "phase", f"{(phase == 0).sum()} rows of load; a press needs at least {MIN_SAMPLES}")
+    return phase
 
 
 def _check_units(trials: list[Trial], path: Path) -> None:

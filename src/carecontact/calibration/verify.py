@@ -1,7 +1,8 @@
-"""Re-run a certificate's simulation here, on the same data, and compare."""
+"""Run a certificate's simulation again, here and on the same data, and compare."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -9,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from carecontact.calibration.agreement import Agreement, pooled
-from carecontact.calibration.calibrate import BAND, measured_facts, model_hashes, responses, simulated_stiffness
-from carecontact.calibration.certificate import Certificate, Content
+from carecontact.calibration.certificate import BAND, Certificate, Content, Response, Value
 from carecontact.calibration.checks import read_trials
-from carecontact.calibration.curve import make_curve
+from carecontact.calibration.curve import Curve, make_curve
+from carecontact.calibration.facts import measured_facts, model_hashes, responses, simulated_stiffness
 from carecontact.calibration.fit import agreements
-from carecontact.calibration.replay import Replay, group_curves
+from carecontact.calibration.replay import Group, Replay, group_curves
 from carecontact.errors import ConfigError
 from carecontact.world.human.library import load_body
 
@@ -26,13 +27,13 @@ class Check:
     here: str
     fine: bool
     decides: bool = True
-    """False: shown only; another version may give the same forces."""
+    """False: shown only, since another version may give the same forces."""
 
 
 def verify(trials: Path, certificate: Certificate) -> list[Check]:
-    """Checks, the deciding ones first: what the data say and what the law answers is computed anew.
+    """Compute again what the data say and what the law answers; returns the checks, the deciding ones first.
 
-    Held-out errors, intervals and the identified formulas are not: they would take the fit again.
+    Held-out errors, intervals and the identified formulas are not checked: they would need the fit again.
 
     Raises ConfigError where the data are not the certificate's, or where the certificate contradicts itself: its hash
     shows that nobody changed it by accident, not who wrote it.
@@ -58,66 +59,59 @@ def verify(trials: Path, certificate: Certificate) -> list[Check]:
     if hashes["body"] != content.hashes["body"]:
         raise ConfigError(
             f"the certificate is of another {content.body}: sha256 {content.hashes['body'][:12]}..., here "
-            f"{hashes['body'][:12]}...; a shell of another body answers otherwise"
+            f"{hashes['body'][:12]}...; the shell of another body answers differently"
         )
-    # The row replaces measured_depth and source alone; the law is the certificate's.
+    return [*_check_replay(content, curves, groups, replay), *_show_versions(content, hashes)]
+
+
+def _check_replay(
+    content: Content, curves: Sequence[Curve], groups: Sequence[Group], replay: Replay
+) -> Iterator[Check]:
+    # The row differs from the fitted one in measured_depth and source alone; its law is the certificate's.
     replayed = [one for one in replay.run(content.tissue) if one is not None]
-    here = responses(curves, groups, replayed)
+    allowed, change = BAND["response_share_of_peak"], BAND["error_change"]
+    worst = _largest_difference(responses(curves, groups, replayed), content.responses)
+    yield Check(name="response", certified=f"within {allowed:.1%} of peak", here=f"{worst:.3%}", fine=worst <= allowed)
+    errors = pooled(agreements(curves, groups, replayed))
+    for name, stated in content.agreement.items():
+        yield _check_value(name, stated, errors[name], allowed=change, band=f"{change:.0%}", style="+.2%")
+    for name, here in simulated_stiffness(groups, replayed).items():
+        stated = content.stiffness[name]
+        yield _check_value(name, stated, here, allowed=allowed * abs(here), band=f"{allowed:.1%}", style=".3f")
+
+
+def _largest_difference(here: Sequence[Response], certified: Sequence[Response]) -> float:
+    """Of the replayed forces, as a share of the certified peak."""
     worst = 0.0
-    for mine, theirs in zip(here, content.responses, strict=True):
+    for mine, theirs in zip(here, certified, strict=True):
         if [len(mine.loading_n), mine.unloading_n is None] != [len(theirs.loading_n), theirs.unloading_n is None]:
             raise ConfigError(f"response of {', '.join(theirs.trials)}: {len(mine.loading_n)} depths expected")
         peak = theirs.loading_n[-1]
-        for name in ("loading_n", "unloading_n"):
-            a, b = getattr(mine, name), getattr(theirs, name)
+        for a, b in ((mine.loading_n, theirs.loading_n), (mine.unloading_n, theirs.unloading_n)):
             if a is not None and b is not None:
-                # np.maximum hands a NaN on, and a NaN is not within anything.
+                # np.maximum passes a NaN on, and a NaN is not within any limit.
                 worst = float(np.maximum(worst, np.abs(np.subtract(a, b)).max() / peak))
-    allowed, change = BAND["response_share_of_peak"], BAND["error_change"]
-    errors = pooled(agreements(curves, groups, replayed))
-    stiffness = simulated_stiffness(groups, replayed)
-    return [
-        Check(name="response", certified=f"within {allowed:.1%} of peak", here=f"{worst:.3%}", fine=worst <= allowed),
-        *(
-            Check(
-                name=name, certified=f"{told(stated.value)} +- {change:.0%}", here=told(errors[name]),
-                fine=_near(stated.value, errors[name], change),
-            )
-            for name, stated in content.agreement.items()
-        ),
-        *(
-            Check(
-                name=name, certified=f"{told(stated.value, '.3f')} +- {allowed:.1%}", here=told(stiffness[name], ".3f"),
-                fine=_near(stated.value, stiffness[name], allowed * abs(stiffness[name])),
-            )
-            for name, stated in content.stiffness.items()
-        ),
-        Check(
-            name="mujoco", certified=content.versions["mujoco"], here=version("mujoco"),
-            fine=version("mujoco") == content.versions["mujoco"], decides=False,
-        ),
-        *(
-            Check(
-                name=name, certified=content.hashes[name][:12], here=hashes[name][:12],
-                fine=hashes[name] == content.hashes[name], decides=False,
-            )
-            for name in ("mesh", "model")
-        ),
-    ]  # fmt: skip
+    return worst
 
 
-def told(value: float | None, style: str = "+.2%") -> str:
-    return "none" if value is None else format(value, style)
+def _check_value(name: str, stated: Value, here: float | None, *, allowed: float, band: str, style: str) -> Check:
+    certified, now = ("none" if value is None else format(value, style) for value in (stated.value, here))
+    if stated.value is None or here is None:
+        fine = stated.value is here
+    else:
+        fine = abs(stated.value - here) <= allowed
+    return Check(name=name, certified=f"{certified} +- {band}", here=now, fine=fine)
 
 
-def _near(stated: float | None, here: float | None, allowed: float) -> bool:
-    if stated is None or here is None:
-        return stated is here
-    return abs(stated - here) <= allowed
+def _show_versions(content: Content, hashes: dict[str, str]) -> Iterator[Check]:
+    pairs = {"mujoco": (content.versions["mujoco"], version("mujoco"))}
+    pairs |= {name: (content.hashes[name], hashes[name]) for name in ("mesh", "model")}
+    for name, (certified, here) in pairs.items():
+        yield Check(name=name, certified=certified[:12], here=here[:12], fine=certified == here, decides=False)
 
 
 def _check_facts(content: Content, facts: dict[str, object]) -> None:
-    """Raise ConfigError where the certificate says of its own data what they do not say."""
+    """Raise ConfigError where the certificate states something else about its data than the data say."""
     for name, here in facts.items():
         stated = getattr(content, name)
         if isinstance(here, dict):
@@ -139,7 +133,7 @@ def _check_facts(content: Content, facts: dict[str, object]) -> None:
 
 
 def _check_consistent(content: Content) -> None:
-    """Raise ConfigError where the row is not the law that is stated, the band is not ours, or something is missing."""
+    """Raise ConfigError where the row is not the stated law, the band is not BAND, or something is missing."""
     for name, stated in content.law.items():
         row = getattr(content.tissue, name, None)
         if stated.value is not None and stated.value != row:

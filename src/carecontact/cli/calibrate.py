@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
+from carecontact.cli.groups import FLAT, ChangedProtocolGroup
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -24,17 +25,16 @@ PERCENT = {
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate:
-    """Fit the tissue of one region to measured indentation trials and write a certificate; see docs/calibration.md."""
+    """Fit the tissue of one region to measured indentation trials and write a certificate; see docs/calibration.md.
+    Mesh, mass and thickness of the tissue stay the protocol's."""
 
     trials: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRIALS.csv")]
-    region: Annotated[
-        Literal["forearm", "upper_arm", "abdomen"] | None, tyro.conf.arg(metavar="{forearm,upper_arm,abdomen}")
-    ] = None
-    """Use the rows whose site begins with this name. Required unless --verify is given."""
+    region: str | None = None
+    """Soft region of the protocol, such as forearm, upper_arm or abdomen. Rows whose site begins with this name are
+    used. Required unless --verify is given."""
     body: str = "man-adult"
     """Person whose surface is pressed; see `carecontact list bodies`."""
-    protocol: str = "bathing-v1"
-    """Protocol whose mesh, mass and thickness the tissue keeps."""
+    rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=ChangedProtocolGroup)
     out: Path = Path("runs/calibration")
     """Folder for certificate.json, tissue.toml and calibration.png."""
     verify: Path | None = None
@@ -46,13 +46,15 @@ class Calibrate:
         """Return 1 if a certificate does not verify."""
         if self.verify is not None:
             return _verify(self.trials, self.verify)
-        if self.region is None:
-            raise ConfigError("--region is missing; valid: forearm, upper_arm, abdomen")
         from carecontact.calibration.calibrate import calibrate
 
+        rules = self.rules.load()
+        if self.region not in rules.soft_regions:
+            wrong = "is missing" if self.region is None else f"{self.region!r} is not a soft region of {rules.id}"
+            raise ConfigError(f"--region {wrong}; valid: {', '.join(rules.soft_regions)}")
         began = time.monotonic()
         made = calibrate(
-            self.trials, region=self.region, body=self.body, protocol=self.protocol, out=self.out,
+            self.trials, region=self.region, body=self.body, rules=rules, out=self.out,
             on_progress=lambda line: print(f"{time.monotonic() - began:6.0f} s  {line}", flush=True),
         )  # fmt: skip
         _show(made.certificate.content)

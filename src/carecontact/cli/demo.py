@@ -96,5 +96,9 @@ def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
 
 
 def missing_successes(scores: Sequence[TrialScore]) -> list[str]:
+    """A line for each action of the demo's protocol of which no trial succeeded."""
+    from carecontact.protocols import load_protocol
+
     done = {score.action for score in scores if score.c3_success}
-    return [f"no {action} succeeded" for action in ("touch", "push", "scrub") if action not in done]
+    wanted = dict.fromkeys(task.action for task in load_protocol().tasks)
+    return [f"no {action} succeeded" for action in wanted if action not in done]

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+
+from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
     from carecontact.contract.protocol import Protocol
@@ -24,18 +28,61 @@ class ProtocolGroup:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RulesGroup(ProtocolGroup):
+class ChangedProtocolGroup(ProtocolGroup):
+    """Which protocol, and which of its fields are replaced."""
+
+    changes: Annotated[
+        tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(name="set", metavar="FIELD=VALUE")
+    ] = ()
+    """Replace a field of the protocol, such as physics.dt_s=0.004 or gates.touch.duration_s=1; may be repeated. Every
+    output names the change. A wrong field names those that exist."""
+
+    def load(self) -> Protocol:
+        """The protocol with its changes. Raises UnknownNameError, or ConfigError naming file, field and what was
+        expected."""
+        from carecontact.protocols import load_protocol
+
+        return self.changed(load_protocol(self.protocol))
+
+    def changed(self, protocol: Protocol, **options: Mapping[str, object]) -> Protocol:
+        """``protocol`` with these changes and those of other options, by the option's name.
+
+        Raises ConfigError where two options replace one field.
+        """
+        from carecontact.protocols import overridden
+
+        changes: dict[str, object] = {}
+        for option, given in {"set": self._set(), **self._others(), **options}.items():
+            for path in given:
+                if path in changes:
+                    raise ConfigError(f"--{option}: {path} is replaced twice; give it once")
+            changes |= given
+        return overridden(protocol, changes)
+
+    def _set(self) -> dict[str, object]:
+        pairs = [text.partition("=") for text in self.changes]
+        wrong = [text for text, (path, equals, _) in zip(self.changes, pairs, strict=True) if not (path and equals)]
+        if wrong:
+            raise ConfigError(f"--set {wrong[0]}: expected FIELD=VALUE, for example --set physics.dt_s=0.004")
+        twice = [path for path, count in Counter(path for path, _, _ in pairs).items() if count > 1]
+        if twice:
+            raise ConfigError(f"--set: {twice[0]} is replaced twice; give it once")
+        return {path: value for path, _, value in pairs}
+
+    def _others(self) -> dict[str, Mapping[str, object]]:
+        return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RulesGroup(ChangedProtocolGroup):
     """Which protocol, and which person in place of the protocol's own."""
 
     body: str | None = None
     """Person in place of the protocol's: a name from `carecontact list bodies` or smplx:FILE.npz?sex=F (or M). Every
     output names this change, and such trials are never pooled with the protocol's own."""
 
-    def load(self) -> Protocol:
-        """Raises UnknownNameError, or ConfigError naming file, field and what was expected."""
-        from carecontact.protocols import adapted, load_protocol
-
-        return adapted(load_protocol(self.protocol), body=self.body)
+    def _others(self) -> dict[str, Mapping[str, object]]:
+        return {} if self.body is None else {"body": {"person.body": self.body}}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +92,17 @@ class PhysicsGroup:
     calibrate` wrote."""
     fast: Switch = False
     """Use physics steps of 4 ms in place of the protocol's. This is quicker and less exact: use it for development."""
+
+    def changes(self) -> dict[str, Mapping[str, object]]:
+        """The option's name -> fields that it replaces, as ``ChangedProtocolGroup.changed`` takes them."""
+        from carecontact.protocols import FAST_DT_S
+
+        changes: dict[str, Mapping[str, object]] = {}
+        if self.tissue is not None:
+            changes["tissue"] = {"person.tissue_set": self.tissue}
+        if self.fast:
+            changes["fast"] = {"physics.dt_s": FAST_DT_S}
+        return changes
 
 
 @dataclass(frozen=True, kw_only=True)

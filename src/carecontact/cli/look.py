@@ -30,16 +30,14 @@ class Look:
 
     def __call__(self) -> int:
         """Raises ConfigError for a task or seed that the protocol does not have."""
-        from carecontact.cli.vision import chosen_vision
+        from carecontact.cli.vision import with_vision
         from carecontact.contract.observation import MODALITIES
         from carecontact.contract.policy import CAMERAS, PolicyCard
         from carecontact.episode.first_look import first_look
-        from carecontact.protocols import adapted
         from carecontact.reports.pictures.sheet import check_sheet_path, save_sheet
         from carecontact.runs.preflight import check_protocol
 
-        loaded = self.rules.load()
-        rules = adapted(loaded, vision=chosen_vision(loaded, self.vision))
+        rules = with_vision(self.rules.load(), self.vision)
         self._check_trial(rules)
         trial = f"{self.task}-s{self.seed:03d}"
         path = check_sheet_path(self.out or Path(f"look-{trial}.png"))

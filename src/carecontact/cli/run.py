@@ -85,21 +85,16 @@ class Run:
 
     def _protocol(self) -> Protocol:
         """Raises ConfigError for a protocol that cannot run, and UnknownNameError."""
-        from carecontact.cli.vision import chosen_vision
-        from carecontact.protocols import adapted, load_protocol
+        from carecontact.cli.vision import with_vision
+        from carecontact.protocols import load_protocol
         from carecontact.runs.freeze import check_frozen
         from carecontact.runs.preflight import check_protocol
 
         name = self.rules.protocol
         loaded = check_frozen(name, load_protocol(name), unfrozen=self.unfrozen)
-        rules = adapted(
-            loaded,
-            body=self.rules.body,
-            tissue=self.physics.tissue,
-            fast=self.physics.fast,
-            stiffness_n_m=self.stiffness,
-            vision=chosen_vision(loaded, self.vision),
-        )
+        stiffness = {} if self.stiffness is None else {"impedance.translational_n_m": self.stiffness}
+        changed = self.rules.changed(loaded, **self.physics.changes(), stiffness=stiffness)
+        rules = with_vision(changed, self.vision)
         check_protocol(rules)
         return rules
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.groups import FLAT, PhysicsGroup, ProtocolGroup, Switch
+from carecontact.cli.groups import FLAT, ChangedProtocolGroup, PhysicsGroup, Switch
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class Validate:
     """Run the short form of every check, for continuous integration. The full form takes many minutes a body."""
     checks: str = "all"
     """Names parted by commas, such as force-balance,energy, or all."""
-    rules: Annotated[ProtocolGroup, FLAT] = field(default_factory=ProtocolGroup)
+    rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=ChangedProtocolGroup)
     out: Path = Path("runs/validation")
     """Folder for validation.json and the figures."""
     verbose: Switch = False
@@ -39,11 +39,11 @@ class Validate:
 
     def __call__(self) -> int:
         """Return 1 if any check fails on any body."""
-        from carecontact.protocols import adapted, load_protocol
+        from carecontact.protocols import load_protocol
         from carecontact.validation.run import CHECKS
         from carecontact.world.human.library import load_body
 
-        rules = adapted(load_protocol(self.rules.protocol), tissue=self.physics.tissue, fast=self.physics.fast)
+        rules = self.rules.changed(load_protocol(self.rules.protocol), **self.physics.changes())
         names = tuple(CHECKS) if self.checks == "all" else tuple(part.strip() for part in self.checks.split(","))
         if not all(names) or len(set(names)) != len(names):
             raise ConfigError(

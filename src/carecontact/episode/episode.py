@@ -39,7 +39,8 @@ from carecontact.episode.vision import person_segmenter
 from carecontact.errors import ConfigError, PolicyError
 from carecontact.observation.builder import ObservationBuilder, RawReadings
 from carecontact.observation.keypoints import MediaPipePose
-from carecontact.recording.schema import REGION_SEGMENT, SEGMENTS, EndReason, Failure, Recording
+from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Recording
+from carecontact.regions import REGIONS
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.rendering import SceneRenderer
 
@@ -88,12 +89,14 @@ class Episode:
         self.simulation, self._settled, self._model_sha256 = (prepare or _world)(spec)
         self._weights, self._digest = weights, digest or (lambda observation: bytes(32))
         self.log = TrialLog(
-            human_joints=len(self.simulation.joint_names), constants=constants_of(self.simulation, self._settled)
+            human_joints=len(self.simulation.joint_names),
+            regions=len(self.protocol.regions),
+            constants=constants_of(self.simulation, self._settled),
         )
         self._wall_s = [started, time.monotonic()]
         self._open = ExitStack()
         self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol)
-        self._peak = Peak(self.simulation, target=SEGMENTS.index(REGION_SEGMENT[self.task.region]))
+        self._peak = Peak(self.simulation, target=SEGMENTS.index(REGIONS[self.task.region].segment))
         self._force_cut = ForceCut(self.protocol)
         self._perception: PerceptionLog | None = None
         self._pending: Observation | None = None

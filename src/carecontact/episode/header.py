@@ -7,7 +7,7 @@ from typing import Any
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.ended import Ended
-from carecontact.recording.schema import REGIONS, SEGMENTS, Header
+from carecontact.recording.schema import SEGMENTS, Header
 from carecontact.recording.versions import package_versions
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.world.robot import panda_sha256
@@ -36,7 +36,7 @@ def header_of(
         embodiment=PANDA.id,
         comfort_arm_deg=settled.comfort_arm_deg,
         segments=list(SEGMENTS),
-        regions=list(REGIONS),
+        regions=list(spec.protocol.regions),
         human_joints=simulation.joint_names,
         pose_base_in_world=simulation.pose_base_in_world.tolist(),
         versions=package_versions(spec.protocol.vision.segmenter),

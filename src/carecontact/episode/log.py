@@ -47,13 +47,14 @@ class Samples(Protocol):
 class TrialLog:
     """Every method adds rows; ``arrays`` may be read at any time and ends nothing."""
 
-    def __init__(self, *, human_joints: int, constants: Mapping[str, npt.NDArray[Any]]) -> None:
+    def __init__(self, *, human_joints: int, regions: int, constants: Mapping[str, npt.NDArray[Any]]) -> None:
         """
         Args:
             human_joints: number of scored joints of the person.
+            regions: number of the protocol's regions.
             constants: arrays that hold for the whole trial, by their path.
         """
-        self._human_joints, self._constants = human_joints, dict(constants)
+        self._empty, self._constants = empty_arrays(human_joints, regions=regions), dict(constants)
         self._samples: list[Samples] = []
         self._periods: list[tuple[float, F64, F64]] = []
         self._observations: list[tuple[float, bytes]] = []
@@ -68,7 +69,7 @@ class TrialLog:
         """One control period: its samples, and what held at its end, ``time_s``.
 
         Args:
-            indentation_m: (R,) largest indentation of each soft region.
+            indentation_m: (R,) largest indentation of each region.
             target_in_base: (7,) position [m] and quat_wxyz of the impedance target.
         """
         self._samples.extend(samples)
@@ -131,7 +132,7 @@ class TrialLog:
 
     def arrays(self) -> Arrays:
         """All arrays of the recording so far."""
-        out = empty_arrays(self._human_joints) | self._constants
+        out = self._empty | self._constants
         for path, (field, dtype) in STREAMS.items():
             if self._samples:
                 out[path] = np.concatenate([getattr(s, field) for s in self._samples]).astype(dtype)

@@ -10,15 +10,10 @@ import numpy.typing as npt
 
 from carecontact.contract.observation import CameraView, Observation
 from carecontact.contract.policy import CAMERAS
-from carecontact.errors import ContractError
-from carecontact.policies.region_geometry import (
-    ABDOMEN_FRACTION,
-    LIMB_JOINTS,
-    UPPER_ARM_FREE_FROM,
-    region_from_observation,
-)
+from carecontact.errors import ConfigError, ContractError
+from carecontact.policies.region_geometry import region_from_observation
 from carecontact.recording.perception import ARRAYS, JOINTS
-from carecontact.recording.schema import REGIONS
+from carecontact.regions import REGIONS, LimbSight, TrunkSight
 from carecontact.sim.proprioception import Proprioception
 from carecontact.sim.rendering import SceneRenderer, TrueView
 from carecontact.sim.true_skin import skin_in_world, top_of_skin
@@ -82,12 +77,13 @@ class PerceptionLog:
         return found
 
     def _target_errors(self, joints: dict[str, F64], skin: F64 | None, observation: Observation, camera: str) -> F32:
-        errors = np.full((len(REGIONS), 3), np.nan, np.float32)
+        regions = self._renderer.protocol.regions
+        errors = np.full((len(regions), 3), np.nan, np.float32)
         if skin is None or not _finds_targets(observation.cameras[camera]):
             return errors
-        for row, region in enumerate(REGIONS):
+        for row, region in enumerate(regions):
             try:
-                found = region_from_observation(observation, region, camera=camera)  # pyright: ignore[reportArgumentType]
+                found = region_from_observation(observation, region, side=REGIONS[region].side, camera=camera)
             except ContractError:
                 continue
             centre, along = true_target(region, joints, skin, self._model.skin_face)
@@ -138,15 +134,18 @@ def true_target(
 ) -> tuple[F64, F64]:
     """(3,) the skin above the region's middle and (3,) the horizontal direction of its limb.
 
-    The middle is the state machine's, in the true joint centres: what is measured is perception, not anatomy.
+    The middle is the one that the shipped policies look for, in the true joint centres: what is measured is perception,
+    not anatomy. Raises ConfigError for a region whose row does not say between which joints it lies.
     """
-    if region == "abdomen":
-        start, end = ((joints_in_base[f"left {j}"] + joints_in_base[f"right {j}"]) / 2 for j in ("hip", "shoulder"))
-        share = ABDOMEN_FRACTION
-    else:
-        first, second = LIMB_JOINTS[region]
-        start, end = joints_in_base[f"right {first}"], joints_in_base[f"right {second}"]
-        share = (1 + UPPER_ARM_FREE_FROM) / 2 if region == "upper_arm" else 0.5
+    row = REGIONS[region]
+    match row.sight:
+        case TrunkSight(joints=(lower, upper), middle=share):
+            start, end = ((joints_in_base[f"left {j}"] + joints_in_base[f"right {j}"]) / 2 for j in (lower, upper))
+        case LimbSight(joints=(first, second), free_from=free_from):
+            start, end = joints_in_base[f"{row.side} {first}"], joints_in_base[f"{row.side} {second}"]
+            share = (1 + free_from) / 2
+        case None:
+            raise ConfigError(f"region {region} has no joints between which it lies")
     middle = start + share * (end - start)
     along = np.array([*(end - start)[:2], 0.0])
     height = top_of_skin(skin_in_base, faces.reshape(-1, 3), middle[:2])

@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from carecontact.contract.protocol import Protocol
 from carecontact.episode.randomization import comfort_arm_deg, dress, lay
-from carecontact.recording.schema import REGIONS
 from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.world.scene import build_scene
@@ -37,10 +36,9 @@ def settled_world(protocol: Protocol, *, task_id: str, seed: int) -> World:
 
 def constants_of(simulation: Simulation, settled: Settled) -> Mapping[str, npt.NDArray[np.float64]]:
     """Arrays of a recording that hold for the whole trial, by their path."""
-    shells = [simulation.scene.regions[region].shell for region in REGIONS]
     return {
         "scorer/human_joint_range": simulation.joint_range.astype("<f8"),
         "scorer/human_joint_settled": settled.joint_position.astype("<f8"),
         "scorer/wrist_settled_in_world": settled.wrist_in_world.astype("<f8"),
-        "scorer/region_size_m": np.array([[s.length_m, s.radius_m, s.axis_depth_m] for s in shells], "<f8"),
+        "scorer/region_size_m": simulation.scene.region_size_m.astype("<f8"),
     }

@@ -1,7 +1,7 @@
-"""Where a body region is, from one observation: "joint + column".
+"""Where a body region is, from one observation: key points give its joints, and the point cloud gives its surface.
 
-Key points give the limb's joints, a little under the surface that the camera sees; the line between them is moved onto
-the middle of the visible limb; the top surface above it is read from the person's cloud.
+The joints lie a little under the surface that the camera sees. The line between them is moved onto the middle of the
+visible limb, and the top surface above that line is read from the person's points.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from carecontact.contract.observation import CameraView, Observation
 from carecontact.errors import ContractError
-from carecontact.policies.language.backend import RegionName
+from carecontact.regions import REGIONS, LimbSight, TrunkSight
 
 F64 = npt.NDArray[np.float64]
 
@@ -27,31 +27,18 @@ LANDMARK = {
     "left hip": 23,
     "right hip": 24,
 }
-"""MediaPipe Pose order."""
+"""Index of each key point in the order of MediaPipe Pose."""
 JOINT_DEPTH_M = {"shoulder": 0.045, "elbow": 0.040, "wrist": 0.025, "hip": 0.090}
-"""From the skin in front to the joint's centre, along the line of sight; adult, rounded, assumed."""
-KEY_POINTS_AHEAD = {"forearm": (0.0, 0.0), "upper_arm": (0.11, 0.06), "abdomen": (-0.035, -0.025)}
-"""The estimator marks joints short of their centres, or beyond: what is added to first and second joint, as shares of
-the line between them. Means over rendered persons from above (seeds below 1000); the estimator's, not anatomy's."""
-LIMB_JOINTS = {"forearm": ("elbow", "wrist"), "upper_arm": ("shoulder", "elbow")}
-
-ABDOMEN_FRACTION = 0.27
-"""Middle of the abdomen from hips to shoulders: the umbilicus is at 0.61 of stature, hip and shoulder joints at 0.53
-and 0.82 (Drillis and Contini 1966)."""
-ABDOMEN_LENGTH_FRACTION = 0.40
-"""Length of the soft belly, symphysis to lower ribs, as a share of the distance from hips to shoulders; assumed."""
-
-UPPER_ARM_FREE_FROM = 0.33
-"""Share of the line from shoulder to elbow above the fold of the armpit, where arm and trunk are one; assumed."""
-
+"""Depth of a joint's centre behind the skin in front of it, along the line of sight; for adults, rounded, assumed."""
 MIN_VISIBILITY = 0.5
+"""Key points that the estimator rates lower count as hidden."""
 LIMB_LENGTH_M = (0.15, 0.40)
 TRUNK_LENGTH_M = (0.30, 0.70)
-"""Outside these a skeleton is not a person's: small children to very tall adults."""
+"""Lengths from small children to very tall adults; a skeleton outside them is not a person's."""
 MIN_COLUMN_POINTS = 5
 COLUMN_RADIUS_M = 0.012
-SEARCH_HALF_WIDTH_M = 0.07
-"""Of the strip round a limb's line in which its silhouette is looked for."""
+SEARCH_HALF_WIDTH_M, TRUNK_SEARCH_M = 0.07, 0.25
+"""Half widths of the strips round a limb's line, and round the trunk's, in which the outline is looked for."""
 MAX_SHIFT_M = 0.04
 PROFILE = np.linspace(0.1, 0.9, 17)
 """Fractions of the region's length at which the top surface is read."""
@@ -59,75 +46,99 @@ MIN_PROFILE = 9
 
 
 class PerceptionFailure(ContractError):
-    """The region cannot be found in what was seen; the message says why."""
+    """A region cannot be found in an observation; the message gives the reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RegionGeometry:
-    """One region as seen, in base. The axis runs proximal to distal (abdomen: caudal to cranial)."""
+    """One region as seen, in base. Its axis runs from proximal to distal (abdomen: from caudal to cranial)."""
 
-    region: RegionName
+    region: str
     centre_m: F64
-    """(3,) on the skin, above the middle of the axis"""
+    """(3,) point of the skin above the middle of the axis [m]."""
     axis: F64
-    """(3,) unit, along the skin"""
+    """(3,) unit vector along the skin."""
     normal: F64
-    """(3,) unit, out of the skin, orthogonal to the axis"""
+    """(3,) unit vector out of the skin, orthogonal to the axis."""
     lateral: F64
-    """(3,) unit, horizontal, normal x axis"""
+    """(3,) horizontal unit vector, normal x axis."""
     radius_m: float
     """Half the visible width."""
     half_length_m: float
     profile_m: F64
-    """(K, 2): distance along the axis from the centre, height of the skin above the line through centre along axis"""
+    """(K, 2) distance along the axis from the centre, and height of the skin over the line along the axis [m]."""
     support_height_m: float | None
-    """z in base of what the limb lies on, seen beside it; None if hidden."""
+    """Height in base of what the limb lies on, as seen beside the limb; None if it is hidden."""
 
     def surface(self, along_m: float) -> F64:
-        """(3,) point of the skin at a distance along the axis from the centre, held constant beyond what was seen."""
+        """Return the (3,) point of the skin at a distance along the axis from the centre [m].
+
+        Beyond what was seen, the profile keeps its last height.
+        """
         rise = float(np.interp(along_m, self.profile_m[:, 0], self.profile_m[:, 1]))
         return self.centre_m + along_m * self.axis + np.array([0.0, 0.0, rise])
 
 
 def region_from_observation(
-    observation: Observation, region: RegionName, *, side: str = "right", camera: str = "overhead"
+    observation: Observation, region: str, *, side: str = "right", camera: str = "overhead"
 ) -> RegionGeometry:
-    """Raises PerceptionFailure when key points are missing, hidden or absurd, or the surface has too few points.
+    """Return where a region is seen.
 
-    Needs the modalities depth, points, masks and landmarks of ``camera``.
+    Args:
+        observation: must hold depth, points, masks and landmarks of ``camera``.
+        region: name of the region.
+        side: ``right`` or ``left``, the person's own; it makes no difference for the abdomen.
+        camera: name of the camera.
+
+    Raises:
+        PerceptionFailure: a modality is missing, key points are hidden or cannot be a person's, or the surface has too
+            few points.
     """
     view = observation.cameras.get(camera)
     if view is None or view.landmarks is None or view.masks is None or view.points is None or view.depth is None:
         raise PerceptionFailure(f"camera {camera}: depth, points, masks and landmarks are needed")
     person = person_points(view)
-    if region == "abdomen":
-        hips = (_joint(view, "left hip") + _joint(view, "right hip")) / 2
-        shoulders = (_joint(view, "left shoulder") + _joint(view, "right shoulder")) / 2
-        trunk = _checked_length(shoulders - hips, TRUNK_LENGTH_M, "trunk")
-        hips, shoulders = _at_centres(region, hips, shoulders)
-        middle = hips + ABDOMEN_FRACTION * (shoulders - hips)
-        half = 0.5 * ABDOMEN_LENGTH_FRACTION * trunk
-        along = (shoulders - hips) / trunk
-        start, end = middle - half * along, middle + half * along
-        search = 0.25
-    else:
-        first, second = LIMB_JOINTS[region]
-        start, end = _joint(view, f"{side} {first}"), _joint(view, f"{side} {second}")
-        _checked_length(end - start, LIMB_LENGTH_M, f"{side} {region.replace('_', ' ')}")
-        start, end = _at_centres(region, start, end)
-        if region == "upper_arm":
-            start = start + UPPER_ARM_FREE_FROM * (end - start)
-        search = SEARCH_HALF_WIDTH_M
+    match REGIONS[region].sight:
+        case TrunkSight() as sight:
+            start, end = _trunk_line(view, sight)
+            search = TRUNK_SEARCH_M
+        case LimbSight() as sight:
+            start, end = _limb_line(view, sight, side, region)
+            search = SEARCH_HALF_WIDTH_M
+        case None:
+            raise PerceptionFailure(f"no joints are known between which the {region.replace('_', ' ')} lies")
     return _fit(region, person, _points_of(view, "bed"), start, end, search)
 
 
+def _trunk_line(view: CameraView, sight: TrunkSight) -> tuple[F64, F64]:
+    """(3,) and (3,) ends of a region's line along the trunk, nearer the feet first."""
+    lower, upper = sight.joints
+    first = (_joint(view, f"left {lower}") + _joint(view, f"right {lower}")) / 2
+    second = (_joint(view, f"left {upper}") + _joint(view, f"right {upper}")) / 2
+    trunk = _checked_length(second - first, TRUNK_LENGTH_M, "trunk")
+    first, second = _at_centres(sight, first, second)
+    middle = first + sight.middle * (second - first)
+    half = 0.5 * sight.length * trunk
+    along = (second - first) / trunk
+    return middle - half * along, middle + half * along
+
+
+def _limb_line(view: CameraView, sight: LimbSight, side: str, region: str) -> tuple[F64, F64]:
+    """(3,) and (3,) ends of a region's line along a limb, nearer the trunk first."""
+    first, second = sight.joints
+    start, end = _joint(view, f"{side} {first}"), _joint(view, f"{side} {second}")
+    _checked_length(end - start, LIMB_LENGTH_M, f"{side} {region.replace('_', ' ')}")
+    start, end = _at_centres(sight, start, end)
+    return start + sight.free_from * (end - start), end
+
+
 def person_points(view: CameraView) -> F64:
-    """(N, 3) the person's surface in base [m]."""
+    """Return the (N, 3) points of the person's surface in base [m]; the view must hold depth, points and masks."""
     return _points_of(view, "human")
 
 
 def _points_of(view: CameraView, name: str) -> F64:
-    """(N, 3) cloud of one mask; ``points`` are the pixels with a depth, row by row."""
+    """Return the (N, 3) points of one mask. A view's ``points`` are its pixels with a depth, row by row."""
     assert view.points is not None
     assert view.depth is not None
     assert view.masks is not None
@@ -135,7 +146,7 @@ def _points_of(view: CameraView, name: str) -> F64:
 
 
 def _joint(view: CameraView, name: str) -> F64:
-    """(3,) joint centre: the surface under the key point, then further along the line of sight."""
+    """Return a joint's centre (3,): the surface under the key point, moved on along the line of sight."""
     assert view.landmarks is not None
     index = LANDMARK[name]
     visibility = float(view.landmarks[index, 2])
@@ -150,8 +161,8 @@ def _joint(view: CameraView, name: str) -> F64:
     return surface + JOINT_DEPTH_M[name.split()[1]] * sight / np.linalg.norm(sight)
 
 
-def _at_centres(region: RegionName, first: F64, second: F64) -> tuple[F64, F64]:
-    ahead, along = KEY_POINTS_AHEAD[region], second - first
+def _at_centres(sight: LimbSight | TrunkSight, first: F64, second: F64) -> tuple[F64, F64]:
+    ahead, along = sight.ahead, second - first
     return first + ahead[0] * along, second + ahead[1] * along
 
 
@@ -162,15 +173,15 @@ def _checked_length(vector: F64, limits: tuple[float, float], what: str) -> floa
     return length
 
 
-def _fit(region: RegionName, person: F64, bed: F64, start: F64, end: F64, search: float) -> RegionGeometry:
+def _fit(region: str, person: F64, bed: F64, start: F64, end: F64, search: float) -> RegionGeometry:
     length = float(np.linalg.norm((end - start)[:2]))
     if length < 0.5 * float(np.linalg.norm(end - start)):
         raise PerceptionFailure(f"the {region.replace('_', ' ')} points up at the camera")
     direction = np.append((end - start)[:2] / length, 0.0)
     lateral = np.array([-direction[1], direction[0], 0.0])
     radius, shift = _silhouette(region, person, start, direction, lateral, length, search)
-    if region != "abdomen":
-        # Key points stray across a limb less than along it, but its outline is surer still.
+    if isinstance(REGIONS[region].sight, LimbSight):
+        # Across a limb, its outline is more accurate than key points.
         start = start + shift * lateral
     heights = np.array([_column(person, start + f * length * direction) for f in PROFILE])
     seen = np.isfinite(heights)
@@ -200,9 +211,9 @@ def _fit(region: RegionName, person: F64, bed: F64, start: F64, end: F64, search
 
 
 def _silhouette(
-    region: RegionName, person: F64, start: F64, direction: F64, lateral: F64, length: float, search: float
+    region: str, person: F64, start: F64, direction: F64, lateral: F64, length: float, search: float
 ) -> tuple[float, float]:
-    """Half width of the visible limb round its middle, and how far its middle line is from the joints' line [m]."""
+    """Return the visible limb's half width near its middle, and how far its middle lies beside the joints' line [m]."""
     offset = person - start
     along, across = offset @ direction, offset @ lateral
     strip = across[(np.abs(along - 0.5 * length) < 0.2 * length) & (np.abs(across) < search)]
@@ -210,13 +221,16 @@ def _silhouette(
         raise PerceptionFailure(f"no surface near the {region.replace('_', ' ')} ({len(strip)} points)")
     low, high = np.percentile(strip, [2, 98])
     shift = float(low + high) / 2
-    if region != "abdomen" and abs(shift) > MAX_SHIFT_M:
+    if isinstance(REGIONS[region].sight, LimbSight) and abs(shift) > MAX_SHIFT_M:
         raise PerceptionFailure(f"key points miss the {region.replace('_', ' ')} by {abs(shift) * 1000:.0f} mm")
     return float(high - low) / 2, shift
 
 
 def _column(person: F64, place: F64) -> float:
-    """Height of the top surface above a place: median of the upper third within COLUMN_RADIUS_M; NaN if too few."""
+    """Return the height of the top surface at a place: the median of the upper third of points within COLUMN_RADIUS_M.
+
+    NaN means that there are too few points.
+    """
     near = np.hypot(person[:, 0] - place[0], person[:, 1] - place[1]) < COLUMN_RADIUS_M
     heights = np.sort(person[near, 2])
     return float(np.median(heights[-max(1, len(heights) // 3) :])) if len(heights) >= MIN_COLUMN_POINTS else np.nan

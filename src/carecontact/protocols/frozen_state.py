@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from carecontact.contract.protocol import Protocol
-from carecontact.protocols import load_protocol, shipped_protocols
+from carecontact.protocols import load_protocol, shipped_protocols, without_overrides
 from carecontact.protocols.lock import read_lock
 
 DRIFTED = "lock"
@@ -20,7 +20,7 @@ def frozen_state(protocol: Protocol) -> str:
     lock = read_lock(protocol.id) if protocol.id in shipped_protocols() else None
     if lock is None:
         return "not known to be frozen: it says so, and no lock is here" if protocol.frozen else "draft"
-    own = protocol.without_overrides(load_protocol(protocol.id))
+    own = without_overrides(protocol, load_protocol(protocol.id))
     if own.sha256 != lock.protocol_sha256:
         return f"not what was frozen as {protocol.id}: sha256 {own.sha256[:12]}, locked {lock.protocol_sha256[:12]}"
     return "frozen"

@@ -10,9 +10,10 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from carecontact.contract.protocol import FileStem, Region, Section, Tissue
+from carecontact.contract.protocol import FileStem, RegionName, Section, Tissue
 from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.protocols.wrong_fields import wrong_fields
+from carecontact.regions import STANDARD_REGIONS
 
 
 class TissueSet(Section):
@@ -20,7 +21,7 @@ class TissueSet(Section):
     description: str
     base: str | None = None
     """The set from which regions without a row of their own are taken."""
-    tissue: dict[Region, Tissue]
+    tissue: dict[RegionName, Tissue]
 
     @property
     def sha256(self) -> str:
@@ -57,7 +58,7 @@ def load_tissue_set(name_or_path: str) -> TissueSet:
         raise ConfigError(wrong_fields(f"tissue set {name_or_path}", error)) from None
     if not shipped and made.id in shipped_tissue_sets():
         raise ConfigError(f"tissue set {name_or_path}: the id {made.id} is a shipped set's; choose another")
-    missing = [region for region in ("forearm", "upper_arm", "abdomen") if region not in made.tissue]
+    missing = [region for region in STANDARD_REGIONS if region not in made.tissue]
     if missing and made.base is None:
         raise ConfigError(
             f"tissue set {name_or_path}: no row for {', '.join(missing)}; add base = one of "

@@ -16,5 +16,5 @@ def wrong_fields(place: str, error: ValidationError) -> str:
     for found in error.errors():
         value, where = found["input"], ".".join(map(str, found["loc"])) or "together"
         shown = "" if isinstance(value, dict | list) else f" (got {str(value)[:INPUT_CHARACTERS]})"
-        lines.append(f"  {where}: {found['msg']}{shown}")
+        lines.append(f"  {where}: {found['msg'].removeprefix('Value error, ')}{shown}")
     return "\n".join(lines)

@@ -9,15 +9,8 @@ import numpy as np
 
 from carecontact.contract.policy import CAMERAS
 from carecontact.errors import RecordingError
-from carecontact.recording.schema import (
-    ARRAYS,
-    OPTIONAL_ARRAYS,
-    REGION_SEGMENT,
-    SCHEMA_VERSION,
-    Header,
-    Recording,
-    dimensions,
-)
+from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, SCHEMA_VERSION, Header, Recording, dimensions
+from carecontact.regions import REGIONS
 
 PATH = re.compile(r"(policy|scorer|actions|state|report|perception|wall)(/[A-Za-z0-9_.-]+)+")
 STORABLE_KINDS = "biuf"
@@ -81,7 +74,7 @@ def _check_names(header: Header, place: str) -> None:
     protocol = header.spec.protocol
     region = protocol.task(header.spec.task_id).region
     needed = {
-        "segments": [REGION_SEGMENT[region], *protocol.contact.neighbourhood[region]],
+        "segments": [REGIONS[region].segment, *protocol.contact.neighbourhood[region]],
         "regions": [region],
         "human_joints": list[str](),
     }

@@ -6,14 +6,14 @@ N rows, one a camera and observation in which the policy asked for landmarks or 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.policy import CAMERAS
 from carecontact.errors import RecordingError
-from carecontact.recording.schema import REGIONS, Recording
+from carecontact.recording.schema import Recording
 
 JOINTS = {
     f"{side} {joint}": 11 + 2 * row + column
@@ -23,19 +23,19 @@ JOINTS = {
 }
 """Joints whose centres the simulator knows -> index in MediaPipe Pose's order."""
 
-ARRAYS: dict[str, tuple[str, tuple[int, ...], str]] = {
+ARRAYS: dict[str, tuple[str, tuple[int | Literal["R"], ...], str]] = {
     "perception/observation_index": ("i4", (), "which observation"),
     "perception/camera_index": ("i4", (), "of contract.policy.CAMERAS"),
     "perception/joint_visible": ("b1", (len(JOINTS),), "in the image, and nothing but its own limb before it"),
     "perception/landmark_error_px": ("f4", (len(JOINTS),), "[px] to the joint centre; NaN: hidden or nobody found"),
     "perception/human_iou": ("f4", (), "of the human mask with the true one; NaN: masks were not asked for"),
     "perception/target_error_m": (
-        "f4", (len(REGIONS), 3),
+        "f4", ("R", 3),
         "[m] from the true place to the one that the state machine finds: along and across the limb's shadow on the "
         "floor, up; NaN: not found, or not asked for",
     ),
 }  # fmt: skip
-"""Path -> dtype, shape after N, meaning."""
+"""Path -> dtype, shape after N with R for the number of the header's regions, meaning."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +62,9 @@ def perception_errors(recording: Recording) -> PerceptionErrors | None:
         if array is None:
             raise RecordingError(f"{path} is missing though other arrays of its group are there")
         rows = len(array) if rows is None and array.ndim else rows
-        if array.dtype.newbyteorder("<") != np.dtype(dtype).newbyteorder("<") or array.shape != (rows, *after):
-            raise RecordingError(f"{path} is {array.dtype} {array.shape}, expected {np.dtype(dtype)} {(rows, *after)}")
+        shape = (rows, *(len(recording.header.regions) if size == "R" else size for size in after))
+        if array.dtype.newbyteorder("<") != np.dtype(dtype).newbyteorder("<") or array.shape != shape:
+            raise RecordingError(f"{path} is {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}")
         got[path.partition("/")[2]] = array
     index = got.pop("camera_index")
     if ((index < 0) | (index >= len(CAMERAS))).any():

@@ -1,8 +1,8 @@
 """What is in a trial file: a header and a flat mapping of array paths.
 
-S segments, J scored human joints, R = 3 soft regions, T physics steps from t = 0 to the end, P control periods,
-A observations, M executed actions, C declared cells of the target region, V = 4 cameras in the contract's order. World
-frame unless said otherwise; SI units.
+S segments, J scored human joints, R regions (``Protocol.regions``), T physics steps from t = 0 to the end, P control
+periods, A observations, M executed actions, C declared cells of the target region, V = 4 cameras in the contract's
+order. World frame unless said otherwise; SI units.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 
 from carecontact.contract.trial import TrialSpec
+from carecontact.regions import REGIONS as REGION_ROWS
+from carecontact.regions import STANDARD_REGIONS
 
 SCHEMA_VERSION = "carecontact-recording-2"
 
@@ -23,8 +25,8 @@ SEGMENTS = (
     *(f"{side}_{name}" for side in ("right", "left")
       for name in ("upper_arm", "forearm", "hand", "thigh", "shank", "foot")),
 )  # fmt: skip
-REGIONS = ("forearm", "upper_arm", "abdomen")
-REGION_SEGMENT = {"forearm": "right_forearm", "upper_arm": "right_upper_arm", "abdomen": "abdomen"}
+REGIONS = STANDARD_REGIONS
+REGION_SEGMENT = {name: REGION_ROWS[name].segment for name in REGIONS}
 
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
 
@@ -120,9 +122,12 @@ class Recording:
         return self.arrays[path]
 
 
-def empty_arrays(joint_count: int) -> dict[str, npt.NDArray[Any]]:
-    """All required arrays at zero length, for trials that ended before t = 0."""
-    sizes = {"T": 0, "S": len(SEGMENTS), "J": joint_count, "R": len(REGIONS), "P": 0, "A": 0, "M": 0, "K": 0, "n": 0}
+def empty_arrays(joint_count: int, *, regions: int = len(STANDARD_REGIONS)) -> dict[str, npt.NDArray[Any]]:
+    """All required arrays at zero length, for trials that ended before t = 0.
+
+    ``joint_count``, ``regions``: how many scored joints and regions the header lists.
+    """
+    sizes = {"T": 0, "S": len(SEGMENTS), "J": joint_count, "R": regions, "P": 0, "A": 0, "M": 0, "K": 0, "n": 0}
     out: dict[str, npt.NDArray[Any]] = {}
     for path, (dtype, _) in ARRAYS.items():
         shape = [sizes[d] if d in sizes else int(d) for d in dimensions(path)]

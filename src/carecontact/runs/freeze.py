@@ -14,7 +14,6 @@ from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError
 from carecontact.protocols import shipped_protocols
 from carecontact.protocols.lock import SUFFIX, Lock, lock_path, read_lock
-from carecontact.recording.schema import REGIONS
 from carecontact.recording.versions import package_versions
 from carecontact.scoring import METRICS
 
@@ -37,7 +36,7 @@ def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
         embodiment=PANDA.id, metrics=sorted(METRICS),
         versions={name: version for name, version in package_versions().items() if name in PACKAGES},
         assets=asset_hashes(protocol),
-        worlds={region: world_sums(protocol, region) for region in (REGIONS if worlds else ())},
+        worlds={region: world_sums(protocol, region) for region in (protocol.regions if worlds else ())},
     )  # fmt: skip
 
 

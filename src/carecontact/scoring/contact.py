@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.protocol import Protocol, Task
-from carecontact.recording import REGION_SEGMENT, Recording
+from carecontact.recording import Recording
+from carecontact.regions import REGIONS
 from carecontact.scoring.filters import F64, low_pass
 
 Mask = npt.NDArray[np.bool_]
@@ -91,7 +92,7 @@ def find_contact(recording: Recording) -> Contact:
     protocol = header.spec.protocol
     task, definition, dt = protocol.task(header.spec.task_id), protocol.contact, protocol.physics.dt_s
 
-    target = header.segments.index(REGION_SEGMENT[task.region])
+    target = header.segments.index(REGIONS[task.region].segment)
     neighbourhood = tuple(header.segments.index(s) for s in definition.neighbourhood[task.region])
 
     normal = recording["scorer/normal_force"].astype(np.float64)

@@ -1,22 +1,29 @@
-"""How much a trial's verdict hangs on numbers that had to be chosen: the gates moved one at a time."""
+"""How much a trial's verdict depends on numbers that had to be chosen: the gates moved one at a time."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from carecontact.contract.protocol import Gates
+from carecontact.contract.protocol import Protocol
+from carecontact.scoring.behaviour import Sweep, behaviour_of, sweeps_of
 from carecontact.scoring.contact import Contact, with_floor
-from carecontact.scoring.metrics.c3_success import Measures, judge, measure
+from carecontact.scoring.gate import Measures
+from carecontact.scoring.metrics.c3_success import judge, measure
 from carecontact.scoring.verdict import Verdict, reach_verdict
 
-SWEEPS: dict[str, tuple[float, ...]] = {
-    "floor_n": (0.25, 0.5, 1.0, 2.0),
-    "push_force_n": (1.0, 3.0, 5.0),
-    "push_wrist_m": (0.010, 0.020, 0.030),
-    "scrub_stroke_m": (0.100, 0.200),
-    "scrub_extent_m": (0.030, 0.050, 0.060),
-}
-"""Gate -> values; each sweep leaves the other gates at the protocol's, the floor its ratio of off to on."""
+FLOOR = Sweep(name="floor_n", field="on_n", values=(0.25, 0.5, 1.0, 2.0), title="Contact floor", unit="N")
+"""Of ``ContactDefinition``, for every action; the force at which contact ends keeps its ratio to it."""
+
+
+def protocol_sweeps(protocol: Protocol) -> dict[str, tuple[str | None, Sweep]]:
+    """Name of each sweep of a protocol's trials -> its action, None where it is for all of them, and itself."""
+    used = {task.action for task in protocol.tasks}
+    return {FLOOR.name: (None, FLOOR), **sweeps_of(action for action in protocol.gates.actions if action in used)}
+
+
+def own_value(protocol: Protocol, action: str | None, sweep: Sweep) -> float:
+    """The protocol's own value of a swept field."""
+    return float(getattr(protocol.contact if action is None else protocol.gates.of(action), sweep.field))
 
 
 def level(verdict: Verdict) -> int:
@@ -25,7 +32,7 @@ def level(verdict: Verdict) -> int:
 
 
 def sweep_gates(contact: Contact, measures: Measures, verdict: Verdict) -> dict[str, dict[str, int]]:
-    """Sweep -> value of the gate -> ``level`` there.
+    """Sweep -> value of the gate -> ``level`` there; the other gates stay at the protocol's.
 
     Args:
         measures: of the contact as the protocol has it.
@@ -33,34 +40,29 @@ def sweep_gates(contact: Contact, measures: Measures, verdict: Verdict) -> dict[
     """
     own = level(verdict)
     out: dict[str, dict[str, int]] = {}
-    for name, values in SWEEPS.items():
-        applies = name == "floor_n" or name.startswith(contact.task.action)
-        out[name] = {f"{v:g}": _level_at(contact, measures, name, v) if applies else own for v in values}
+    for name, (action, sweep) in protocol_sweeps(contact.protocol).items():
+        if action is None:
+            out[name] = {f"{v:g}": _level_at_floor(contact, measures, v) for v in sweep.values}
+        elif action == contact.task.action:
+            out[name] = {f"{v:g}": _level_at(contact, measures, sweep.field, v) for v in sweep.values}
+        else:
+            out[name] = {f"{v:g}": own for v in sweep.values}
     return out
 
 
-def _level_at(contact: Contact, measures: Measures, name: str, value: float) -> int:
-    if name == "floor_n":
-        definition = contact.protocol.contact
-        off_n = value * definition.off_n / definition.on_n
-        if (value, off_n) != (definition.on_n, definition.off_n):
-            contact = with_floor(contact, on_n=value, off_n=off_n)
-            action = contact.task.action
-            measures = measure(contact, episodes=action == "scrub", wrist=action == "push")
-        changed = contact
-    else:
-        gates = _changed(contact.protocol.gates, name, value)
-        changed = replace(contact, protocol=contact.protocol.model_copy(update={"gates": gates}))
+def _level_at_floor(contact: Contact, measures: Measures, on_n: float) -> int:
+    definition = contact.protocol.contact
+    off_n = on_n * definition.off_n / definition.on_n
+    if (on_n, off_n) != (definition.on_n, definition.off_n):
+        contact = with_floor(contact, on_n=on_n, off_n=off_n)
+        needs = behaviour_of(contact.task.action).needs
+        measures = measure(contact, episodes="episodes" in needs, wrist="wrist" in needs)
+    return level(reach_verdict(contact, judge(contact, measures)))
+
+
+def _level_at(contact: Contact, measures: Measures, field: str, value: float) -> int:
+    action, gates = contact.task.action, contact.protocol.gates
+    gate = gates.of(action).model_copy(update={field: value})
+    protocol = contact.protocol.model_copy(update={"gates": gates.model_copy(update={action: gate})})
+    changed = replace(contact, protocol=protocol)
     return level(reach_verdict(changed, judge(changed, measures)))
-
-
-def _changed(gates: Gates, name: str, value: float) -> Gates:
-    match name:
-        case "push_force_n":
-            return gates.model_copy(update={"push": gates.push.model_copy(update={"force_n": value})})
-        case "push_wrist_m":
-            return gates.model_copy(update={"push": gates.push.model_copy(update={"wrist_displacement_m": value})})
-        case "scrub_stroke_m":
-            return gates.model_copy(update={"scrub": gates.scrub.model_copy(update={"stroke_m": value})})
-        case _:
-            return gates.model_copy(update={"scrub": gates.scrub.model_copy(update={"extent_m": value})})

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from carecontact.scoring.contact import Contact, runs, steps
+from carecontact.scoring.behaviour import behaviour_of
+from carecontact.scoring.contact import Contact
+from carecontact.scoring.gate import Gate
 from carecontact.scoring.metrics.c1_peak_force import peak_of_segments
-from carecontact.scoring.metrics.c3_success import Gate, holding
 from carecontact.scoring.result import Anatomy, FailureMode
 
 
@@ -66,28 +67,10 @@ def _failure_mode(contact: Contact, gate: Gate) -> FailureMode:
         return "no_target_contact"
     if anatomy == "off_target":
         return "off_target_contact"
-    if not gate.time_met and _broken_halfway(contact, gate):
+    action = contact.task.action
+    if not gate.time_met and behaviour_of(action).lost(contact, contact.protocol.gates.of(action), gate):
         return "lost_contact"
     # Short of progress, or stopped of its own accord; a hold that the clock cut short is neither.
     if not gate.success and not (gate.progress_met and ended == "time_limit"):
         return "insufficient_progress"
     return "wrong_share" if gate.success else "time_limit"
-
-
-def _broken_halfway(contact: Contact, gate: Gate) -> bool:
-    """Whether the target was held for half of what the gate asks and was then let go.
-
-    Scrub asks for a share of the episode and not for a time, so half the share counts there. A neighbour's time does
-    not count: the region was not lost where it was hardly touched.
-    """
-    gates = contact.protocol.gates
-    if contact.task.action == "scrub":
-        if gate.best is None:
-            return False
-        target_on = contact.on[gate.best.start : gate.best.stop, contact.target]
-        return bool(target_on.mean() >= gates.scrub.on_share / 2)
-    needed = gates.touch.duration_s if contact.task.action == "touch" else gates.push.duration_s
-    half = steps(needed / 2, contact.dt_s)
-    target_held = holding(contact) & contact.on[:, contact.target]
-    end = len(target_held)
-    return any(stop - start >= half and stop < end for start, stop in runs(target_held).tolist())

@@ -17,9 +17,10 @@ import numpy.typing as npt
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, SceneError
+from carecontact.regions import REGIONS
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell import Shell
-from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name, tissue_body_name
+from carecontact.world.human.skeleton import body_name, tissue_body_name
 from carecontact.world.human.tissue import add_tissue, anchor_directions, coupling_tendons
 from carecontact.world.scene import by_conjugate_gradients, compile_with_tissue, region_shell, set_physics
 
@@ -120,7 +121,7 @@ class Bench:
     """Compiled once; then any number of presses, at any place and speed, and any law on the same mesh.
 
     Args:
-        region: forearm, upper_arm or abdomen.
+        region: a soft one of ``carecontact.regions``.
         dt_s: implicitfast solves contacts as if the vertices were undamped: with the shipped damping, a fast retreat
             needs 1 ms (2 ms let go of the indenter after the turn) and a mesh twice as fine 0.5 ms.
         shell: of this body, region and tissue, if it is there already.
@@ -138,7 +139,7 @@ class Bench:
     ) -> None:
         self.body, self.region, self.indenter = body, region, indenter
         self.shell = shell or region_shell(body, region, tissue)
-        segment = SOFT_SEGMENTS[region]
+        segment = REGIONS[region].segment
         self._bone_in_mesh = body.joint_centre[segment]
         spec = mujoco.MjSpec()
         set_physics(spec, dt_s=dt_s, spacing_m=tissue.spacing_m)

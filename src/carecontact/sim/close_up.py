@@ -7,15 +7,14 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.embodiment import PANDA
+from carecontact.regions import REGIONS
 from carecontact.sim.rendering import SceneRenderer
-from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
+from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
 
 REACH_M = 0.016
 """Skin vertices nearer than this to a free shell vertex follow the shell."""
 VISIBLE_M = 5e-4
-AZIMUTH_DEG = {"forearm": 60.0, "upper_arm": 15.0, "abdomen": 60.0}
-"""Direction of view per task region: from the bed and the feet, where the robot does not stand in the way."""
 
 
 def render_close_up(
@@ -23,7 +22,8 @@ def render_close_up(
 ) -> npt.NDArray[np.uint8]:
     """(H, W, 3) of the exterior camera's size, looking at the tool's tip. For people to look at, never for a policy."""
     return renderer.free_view(
-        data, look_at=data.site(PANDA.tcp_site).xpos + [0, 0, 0.02], distance_m=0.36, azimuth_deg=AZIMUTH_DEG[region],
+        data, look_at=data.site(PANDA.tcp_site).xpos + [0, 0, 0.02], distance_m=0.36,
+        azimuth_deg=REGIONS[region].close_up_azimuth_deg,
         elevation_deg=-20.0, size_of="exterior", edit=lambda made: dent(scene, data, made),
     )  # fmt: skip
 
@@ -38,7 +38,7 @@ def dent(scene: Scene, data: mujoco.MjData, made: mujoco.MjvScene) -> None:
     for name, region in scene.regions.items():
         shell = region.shell
         bodies = [model.body(f"{name}_v{k}").id for k in region.vertex_index]
-        bone = model.body(body_name(SOFT_SEGMENTS[name])).id
+        bone = model.body(body_name(REGIONS[name].segment)).id
         rotation = data.xmat[bone].reshape(3, 3)
         rest = data.xpos[bone] + model.body_pos[bodies] @ rotation.T
         moved = data.xpos[bodies] - rest

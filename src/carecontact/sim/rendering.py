@@ -101,7 +101,7 @@ class SceneRenderer:
     """
 
     def __init__(self, model: mujoco.MjModel, *, protocol: Protocol) -> None:
-        self._model = model
+        self._model, self.protocol = model, protocol
         self.proprioception = Proprioception(model)
         self._cameras: dict[str, Camera] = {str(name): camera for name, camera in protocol.cameras.items()}
         self._context: Any = None

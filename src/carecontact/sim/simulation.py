@@ -9,8 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.embodiment import PANDA
+from carecontact.contract.protocol import Protocol
 from carecontact.errors import SettleError
-from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
+from carecontact.recording.schema import SEGMENTS
+from carecontact.regions import REGIONS
 from carecontact.sim.history import SensorHistory
 from carecontact.sim.impedance import (
     TargetInterpolator,
@@ -85,7 +87,7 @@ class Simulation:
             name: np.array([self.model.joint(f"{name}_v{k}_n").qposadr[0] for k in region.vertex_index])
             for name, region in scene.regions.items()
         }
-        self._read = _Columns(self.history, self.joint_names)
+        self._read = _Columns(self.history, self.joint_names, self.protocol)
         self.interpolator = TargetInterpolator(self.protocol.physics)
         self.posture = np.array(self.protocol.scene.parked_joint_rad)
         self.normal_sum_truncated = False
@@ -216,8 +218,9 @@ class Simulation:
         mujoco.mj_camlight(self.model, self.data)
 
     def indentation(self) -> F64:
-        """(R,) largest inward anchor displacement now [m]."""
-        return np.array([max(0.0, float(self.data.qpos[self._anchor_qpos[r]].max())) for r in REGIONS])
+        """(R,) largest inward anchor displacement of each region now [m]; 0 on a rigid one."""
+        anchors = (self._anchor_qpos.get(region) for region in self.protocol.regions)
+        return np.array([0.0 if at is None else max(0.0, float(self.data.qpos[at].max())) for at in anchors])
 
     def restore(self, state: F64, *, comfort_arm_deg: float) -> None:
         """Continue from a vector of ``integration_state`` at a new t = 0; the impedance target stays where it was.
@@ -252,13 +255,14 @@ class _Columns:
     SLOT = 4
     """Numbers in a contact slot of the normal sensors: found, then force in the contact frame, normal first."""
 
-    def __init__(self, history: SensorHistory, joint_names: list[str]) -> None:
+    def __init__(self, history: SensorHistory, joint_names: list[str], protocol: Protocol) -> None:
         def span(*names: str) -> npt.NDArray[np.int64]:
             return np.array([np.arange(history.columns(n).start, history.columns(n).stop) for n in names])
 
-        soft = [f"{REGION_SEGMENT[r]}_tissue" for r in REGIONS]
-        self._soft = np.array([SEGMENTS.index(REGION_SEGMENT[r]) for r in REGIONS])
-        # Net force and its centroid, of the rigid geoms (S, 6) and of the shells (R, 6).
+        shelled, regions = [REGIONS[r].segment for r in protocol.soft_regions], protocol.regions
+        soft = [f"{segment}_tissue" for segment in shelled]
+        self._soft = np.array([SEGMENTS.index(segment) for segment in shelled])
+        # Net force and its centroid, of the rigid geoms (S, 6) and of the shells, one a soft region (6 each).
         self._net = span(*(f"net_{s}" for s in SEGMENTS)), span(*(f"net_{s}" for s in soft))
         self._normal = (
             span(*(f"normal_{s}" for s in SEGMENTS))[:, 1 :: self.SLOT],
@@ -272,7 +276,7 @@ class _Columns:
         self._tcp_velocity, self._tcp_rotation = span("tcp_velocity")[0], span("tcp_rotation")[0]
         self._wrist = span("wrist_position")[0]
         self._regions = np.concatenate(
-            [span(*(f"region_{r}_position" for r in REGIONS)), span(*(f"region_{r}_quat" for r in REGIONS))], 1
+            [span(*(f"region_{r}_position" for r in regions)), span(*(f"region_{r}_quat" for r in regions))], 1
         )
 
     def overfull(self, values: F64) -> bool:

@@ -83,10 +83,7 @@ def clustered_bootstrap(
         estimate = float(_statistic(a, b, of_pair, np.ones((1, n_clusters), np.int64), statistic)[0])
     if estimate is not None and n_clusters > 1:
         drawn = _draw(n_clusters, resamples, generator_seed)
-        step = max(1, AT_ONCE // len(a))
-        found = np.concatenate(
-            [_statistic(a, b, of_pair, drawn[i : i + step], statistic) for i in range(0, resamples, step)]
-        )
+        found = _statistics(a, b, of_pair, drawn, statistic)
         quantiles = np.quantile(found, [0.5 - confidence / 2, 0.5 + confidence / 2])
         low, high = min(float(quantiles[0]), estimate), max(float(quantiles[1]), estimate)
         spread = float(found.std())
@@ -108,6 +105,14 @@ def _draw(n_clusters: int, resamples: int, generator_seed: int) -> Counts:
     """(R, K) how often each cluster is in each resample."""
     generator = np.random.default_rng(generator_seed)
     return generator.multinomial(n_clusters, np.full(n_clusters, 1.0 / n_clusters), size=resamples)
+
+
+def _statistics(a: Floats, b: Floats, of_pair: Counts, drawn: Counts, statistic: Statistic) -> Floats:
+    """(R,) the statistic of every resample, computed for as many at a time as AT_ONCE allows."""
+    step = max(1, AT_ONCE // len(a))
+    return np.concatenate(
+        [_statistic(a, b, of_pair, drawn[i : i + step], statistic) for i in range(0, len(drawn), step)]
+    )
 
 
 def _statistic(a: Floats, b: Floats, of_pair: Counts, times: Counts, statistic: Statistic) -> Floats:

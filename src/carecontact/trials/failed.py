@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from carecontact.contract.trial import TrialSpec
-from carecontact.recording.schema import REGIONS, SEGMENTS, EndReason, Failure, Header, Recording, empty_arrays
+from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Header, Recording, empty_arrays
 from carecontact.recording.versions import package_versions
 
 EVIDENCE_CHARACTERS = 4000
@@ -32,14 +32,14 @@ def _without_data(spec: TrialSpec, *, ended: EndReason, kind: str, message: str)
         embodiment="none",
         comfort_arm_deg=None,
         segments=list(SEGMENTS),
-        regions=list(REGIONS),
+        regions=list(spec.protocol.regions),
         human_joints=[],
         pose_base_in_world=[*spec.protocol.scene.robot_base_m, math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw)],
         versions=package_versions(spec.protocol.vision.segmenter),
         sha256={},
         solver_warnings=[],
     )
-    return Recording(header=header, arrays=empty_arrays(0))
+    return Recording(header=header, arrays=empty_arrays(0, regions=len(header.regions)))
 
 
 def tail(text: str, *, characters: int = EVIDENCE_CHARACTERS) -> str:

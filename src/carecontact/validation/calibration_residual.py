@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carecontact.protocols.tissue_sets import load_tissue_set
+from carecontact.regions import REGIONS
 from carecontact.validation.pressing import person_bench
 from carecontact.validation.reference import ABDOMEN, FITTED, FOREARM, REFERENCES, SPEED_M_S, Reference
 from carecontact.validation.result import Array, CheckResult, Measure
@@ -19,12 +20,6 @@ TITLE = "Calibration residual"
 NRMSE_LIMIT_PERCENT, WORST_LIMIT_PERCENT = 5.0, 10.0
 """Of the mean over held-out places, since the references are middles over people and, on the belly, over five sites;
 and of the worst single place, whose curvature is the body's own."""
-HELD_OUT_M: dict[str, tuple[tuple[float, float], ...]] = {
-    "forearm": ((0.016, -0.007), (-0.019, 0.009), (0.045, -0.009), (-0.052, 0.004), (0.006, 0.011)),
-    "upper_arm": ((0.016, -0.007), (-0.019, 0.009), (0.006, 0.011)),
-    "abdomen": ((0.018, -0.020), (-0.020, 0.026), (0.012, 0.040), (-0.014, -0.045), (0.004, 0.012)),
-}
-"""Places (along, across) of the region's frame at least 8 mm from those of tools/fit_tissue.py."""
 DEPTH_SHARES = (0.1, 0.25, 0.5, 1.0)
 """NRMSE is over the largest force and forgives small depths much: there the error is told as a share of the force."""
 QUICK_PLACES, QUICK_UNFITTED = 2, (FOREARM, ABDOMEN)
@@ -36,7 +31,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     fitted_to = applying(subject)
     measures.append(Measure(name="published curves that apply to this tissue", value=float(len(fitted_to))))
     for reference in (fitted_to or QUICK_UNFITTED) if quick else REFERENCES:
-        places = HELD_OUT_M[reference.region][: QUICK_PLACES if quick else None]
+        places = held_out_m(reference.region)[: QUICK_PLACES if quick else None]
         curve = responses(subject, reference, places)
         fitted = reference in fitted_to
         scale = reference.force_n.max()
@@ -64,12 +59,18 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     return CheckResult(check="calibration-residual", title=TITLE, measures=tuple(measures), curves=curves)
 
 
+def held_out_m(region: str) -> tuple[tuple[float, float], ...]:
+    """Places (along, across) of the region's frame that the fit did not use [m]; empty for a rigid region."""
+    shape = REGIONS[region].shape
+    return () if shape is None else shape.held_out_m
+
+
 def applying(subject: Subject) -> tuple[Reference, ...]:
     """Curves to which the law of their region was fitted. By the rows and not the set's name: a calibrated set keeps
     the rows of its base that it does not replace. None applies to a row of the user's own."""
     found: dict[str, Reference] = {}
     for name, references in FITTED.items():
-        shipped = {str(region): row for region, row in load_tissue_set(name).tissue.items()}
+        shipped = load_tissue_set(name).tissue
         found |= {r.name: r for r in references if subject.tissue(r.region) == shipped[r.region]}
     return tuple(found.values())
 

@@ -10,13 +10,12 @@ import numpy as np
 
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, SceneError
-from carecontact.recording.schema import REGIONS
 from carecontact.sim.bench import Bench, Indenter, Shape
-from carecontact.validation.moves import PRESS, SCRUB, Behaviour
+from carecontact.validation.moves import PRESS, SCRUB, Motion
 from carecontact.validation.pressing import declared_bench, tool
 from carecontact.validation.reference import ABDOMEN, FOREARM, Reference
 from carecontact.validation.result import Array, CheckResult, Measure
-from carecontact.validation.scores import Scores, behaviour_scores
+from carecontact.validation.scores import Scores, motion_scores
 from carecontact.validation.subject import Subject
 
 if TYPE_CHECKING:
@@ -64,22 +63,22 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures: list[Measure] = []
     curves: dict[str, Array] = {}
     dt = subject.protocol.physics.dt_s
-    regions = ("forearm",) if quick else REGIONS
-    behaviours = (SCRUB,) if quick else (PRESS, SCRUB)
-    shipped = {region: _scores(subject, region, behaviours) for region in regions}
+    regions = subject.regions(quick=quick)
+    motions = (SCRUB,) if quick else (PRESS, SCRUB)
+    shipped = {region: _scores(subject, region, motions) for region in regions}
     halved: dict[str, dict[str, Scores]] = {}
     # Twice the protocol's is the fast mode: it has to give the same scores.
     for factor in (0.5,) if quick else (0.5, 2.0):
         other = subject.with_dt(dt * factor)
         for region in regions:
             what = f"{region}: time step {1000 * dt:g} to {1000 * dt * factor:g} ms"
-            scores = _scores(other, region, behaviours)
+            scores = _scores(other, region, motions)
             if factor < 1:
                 halved[region] = scores
             measures += [
-                Measure(name=f"{what}, {behaviour} {NAMES[field]}", value=change, unit="%",
+                Measure(name=f"{what}, {motion} {NAMES[field]}", value=change, unit="%",
                         limit=STEP_LIMIT_PERCENT[field])
-                for behaviour, field, change in _changes(shipped[region], scores)
+                for motion, field, change in _changes(shipped[region], scores)
             ]  # fmt: skip
     if not quick:
         for reference in MESH_REFERENCES:
@@ -101,19 +100,19 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     return CheckResult(check="convergence", title=TITLE, measures=tuple(measures), curves=curves)
 
 
-def _scores(subject: Subject, region: str, behaviours: Sequence[Behaviour]) -> dict[str, Scores]:
-    return {b.name: behaviour_scores(subject, region, b) for b in behaviours}
+def _scores(subject: Subject, region: str, motions: Sequence[Motion]) -> dict[str, Scores]:
+    return {b.name: motion_scores(subject, region, b) for b in motions}
 
 
 def _changes(before: dict[str, Scores], after: dict[str, Scores]) -> list[tuple[str, str, float]]:
-    """(behaviour, score, change [%]); a press has no stroke."""
+    """(motion, score, change [%]); a press has no stroke."""
     out = []
-    for behaviour in before:
+    for motion in before:
         for field in SCORES:
-            if behaviour == PRESS.name and field == "stroke_m":
+            if motion == PRESS.name and field == "stroke_m":
                 continue
-            old, new = getattr(before[behaviour], field), getattr(after[behaviour], field)
-            out.append((behaviour, field, float(100 * abs(new / old - 1))))
+            old, new = getattr(before[motion], field), getattr(after[motion], field)
+            out.append((motion, field, float(100 * abs(new / old - 1))))
     return out
 
 
@@ -159,8 +158,8 @@ def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curv
         line("same law, tool", _nrmse(tool_same, at_tool), decides=False),
         line("law fitted anew, calibration indenter", _nrmse(new_law, wanted)),
         line("law fitted anew, tool", _nrmse(tool_new, at_tool)),
-        *(line(f"law fitted anew, {behaviour} {NAMES[field]}", change)
-          for behaviour, field, change in _changes(coarse, scene)),
+        *(line(f"law fitted anew, {motion} {NAMES[field]}", change)
+          for motion, field, change in _changes(coarse, scene)),
     ]  # fmt: skip
 
 
@@ -247,7 +246,7 @@ def _draw_step(measures: Sequence[Measure], axes: Axes) -> None:
     rows = [m for m in measures if "time step" in m.name]
     names = [m.name.partition(", ")[2] for m in rows]
     labels = list(dict.fromkeys(names))
-    for region in REGIONS:
+    for region in dict.fromkeys(m.name.partition(":")[0] for m in rows):
         mine = [m for m in rows if m.name.startswith(f"{region}:")]
         at = [labels.index(m.name.partition(", ")[2]) for m in mine]
         half = len(labels)

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from carecontact.recording.schema import REGIONS
+from carecontact.regions import REGIONS
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
 from carecontact.world.human.anthropometry import segment_inertias
-from carecontact.world.human.skeleton import SOFT_SEGMENTS, body_name
+from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         _off("damper of a joint, largest difference", dampers),
         Measure(name="end stop of a joint, largest difference", value=float(ranges.max()), unit="deg", limit=0.1),
     ]  # fmt: skip
-    for region in REGIONS[:1] if quick else REGIONS:
+    for region in subject.regions(quick=quick):
         depth = core_depths(subject.scene(region), region)
         measures.append(
             Measure(name=f"{region}: skin with bone under it that the tool can meet",
@@ -117,9 +117,9 @@ def core_depths(scene: Scene, region: str) -> Array:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     shell = scene.regions[region].shell
-    bone = model.body(body_name(SOFT_SEGMENTS[region])).id
+    bone = model.body(body_name(REGIONS[region].segment)).id
     to_world = data.xmat[bone].reshape(3, 3)
-    origin = scene.body.joint_centre[SOFT_SEGMENTS[region]]
+    origin = scene.body.joint_centre[REGIONS[region].segment]
     tool = model.geom("robot_tool_cap")
     cores = [
         g for g in range(model.ngeom)

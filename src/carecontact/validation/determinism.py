@@ -14,7 +14,8 @@ import numpy as np
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
 from carecontact.recording import canonical_hash, read_recording
-from carecontact.recording.schema import REGION_SEGMENT, Recording
+from carecontact.recording.schema import Recording
+from carecontact.regions import REGIONS
 from carecontact.scoring.contact import find_contact
 from carecontact.validation.result import CheckResult, Measure
 from carecontact.validation.subject import Subject
@@ -40,7 +41,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         if not path.startswith("wall/")
     )
     contact = find_contact(first)
-    segment = first.header.segments.index(REGION_SEGMENT[spec.protocol.task(TASK).region])
+    segment = first.header.segments.index(REGIONS[spec.protocol.task(TASK).region].segment)
     return CheckResult(
         check="determinism", title=TITLE,
         curves={"time": contact.time_s, "force": np.stack([contact.force_norm[:, segment],

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from carecontact.recording.schema import REGIONS
 from carecontact.sim.bench import Press
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.pressing import declared_bench, person_bench, tool
@@ -55,7 +54,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                     value=float(100 * (energy[0] - energy[-1]) / lifted), unit="%", limit=80.0, side="at least"),
         ]  # fmt: skip
         curves |= {f"drop/{name}": np.stack([time, energy - settled, own - settled])}
-    for region in ("forearm",) if quick else REGIONS:
+    for region in subject.regions(quick=quick):
         benches = person_bench(subject, region, tool()), declared_bench(subject, region, tool())
         for speed in QUICK_SPEEDS_M_S if quick else LOOP_SPEEDS_M_S:
             loop, declared = (
@@ -164,11 +163,10 @@ def draw(result: CheckResult, figure: Figure) -> None:
     left.axhline(0.0, color="0.5", lw=0.6)
     left.set_ylim(None, 1.6 * left.get_ylim()[1])
     left.legend(loc="upper right")
-    regions = dict(zip(REGIONS, ("C0", "C1", "C2"), strict=True))
-    for region, colour in regions.items():
-        depth, force = result.curves.get(f"loop/{region}/{1000 * QUICK_SPEEDS_M_S[0]:.0f}", np.zeros((2, 0)))
-        if len(depth):
-            right.plot(1000 * depth, force, color=colour, label=region.replace("_", " "))
+    loops = [name for name in result.curves if name.endswith(f"/{1000 * QUICK_SPEEDS_M_S[0]:.0f}")]
+    for number, name in enumerate(loops):
+        depth, force = result.curves[name]
+        right.plot(1000 * depth, force, color=f"C{number}", label=name.split("/")[1].replace("_", " "))
     right.set(xlabel="indentation [mm]", ylabel="force [N]",
               title=f"loading and unloading at {1000 * QUICK_SPEEDS_M_S[0]:.0f} mm/s")  # fmt: skip
     right.legend()

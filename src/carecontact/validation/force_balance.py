@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carecontact.errors import SceneError
-from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
+from carecontact.recording.schema import SEGMENTS
+from carecontact.regions import REGIONS
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.validation.force_paths import AnchorForce, bed_reaction, tip_force, touches_hard_parts
 from carecontact.validation.moves import move_to, surface_point
@@ -36,7 +37,7 @@ PATHS = ("contact", "anchors", "joint torques", "bed")
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures: list[Measure] = []
     curves: dict[str, Array] = {}
-    for region in ("forearm",) if quick else REGIONS:
+    for region in subject.regions(quick=quick):
         rows, weight = press_in_levels(subject.hovering(region), region, QUICK_LEVELS_M if quick else LEVELS_M)
         size = np.linalg.norm(rows["contact"], axis=1)
         gap = {path: np.linalg.norm(rows[path] - rows["contact"], axis=1) / size for path in PATHS[1:]}
@@ -71,7 +72,8 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
     robot exerts on the person (n, 3) [N], with its value before the press taken off. Raises SceneError if a level is
     not reached.
     """
-    column, index = SEGMENTS.index(REGION_SEGMENT[region]), REGIONS.index(region)
+    column = SEGMENTS.index(REGIONS[region].segment)
+    index = simulation.protocol.regions.index(region)
     anchors = AnchorForce(simulation, region)
     period = simulation.protocol.physics.target_period_s
     simulation.set_stiffness(*STIFFNESS)
@@ -122,7 +124,7 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
 
 
 def draw(result: CheckResult, figure: Figure) -> None:
-    regions = [region for region in REGIONS if f"{region}/indentation" in result.curves]
+    regions = result.regions("indentation")
     figure.set_size_inches(2.4 * len(regions) + 0.6, 3.6)
     axes = figure.subplots(2, len(regions), squeeze=False, sharex="col", sharey="row", height_ratios=[3, 2])
     markers = {"contact": "o", "anchors": "s", "joint torques": "^", "bed": "D"}

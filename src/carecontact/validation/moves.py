@@ -8,17 +8,13 @@ import mujoco
 import numpy as np
 
 from carecontact.contract.geometry import matrix_from_quat
+from carecontact.regions import REGIONS
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.validation.result import Array
 from carecontact.world.human.surface_mesh import Triangles
 
 DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 """quat_wxyz in the robot's base of a tool whose z points to the floor."""
-
-
-PLACE_M = {"forearm": 0.0, "upper_arm": 0.055, "abdomen": 0.0}
-"""Where scripted contacts are made, along the region's axis from its middle: on the upper arm toward the elbow, where
-the robot's hand stays clear of a large chest."""
 
 
 ABOVE_M = 0.5
@@ -39,7 +35,7 @@ def surface_point(simulation: Simulation, region: str, offset: tuple[float, floa
     first = model.flex_vertadr[mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, region)]
     corners = simulation.data.flexvert_xpos[first : first + len(shell.vertices)][shell.triangles]
     middle = simulation.data.site(f"region_{region}").xpos
-    above = middle + (PLACE_M[region] + offset[0]) * along + offset[1] * across + [0, 0, ABOVE_M]
+    above = middle + (REGIONS[region].scripted_along_m + offset[0]) * along + offset[1] * across + [0, 0, ABOVE_M]
     down = np.array([0.0, 0.0, -1.0])
     return above + float(Triangles(corners).first_hits(above[None], down[None])[0]) * down
 
@@ -64,7 +60,7 @@ def move_to(simulation: Simulation, position_in_world: Array, *, seconds: float)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Behaviour:
+class Motion:
     """A contact as a policy might make it: down into the region, to and fro along its axis, up again."""
 
     name: str
@@ -78,8 +74,8 @@ class Behaviour:
     hold_s: float = 0.4
 
 
-PRESS = Behaviour(name="press", overtravel_m=0.025, hold_s=0.8)
-SCRUB = Behaviour(name="scrub", overtravel_m=0.020, half_stroke_m=0.040, strokes=2)
+PRESS = Motion(name="press", overtravel_m=0.025, hold_s=0.8)
+SCRUB = Motion(name="scrub", overtravel_m=0.020, half_stroke_m=0.040, strokes=2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,17 +85,17 @@ class Performance:
     """(p, R) largest inward anchor displacement of each region after every target period."""
 
 
-def perform(simulation: Simulation, region: str, behaviour: Behaviour) -> Performance:
-    """Run a behaviour from the hover over the region; the target follows the skin's slope along the stroke."""
+def perform(simulation: Simulation, region: str, motion: Motion) -> Performance:
+    """Run a motion from the hover over the region; the target follows the skin's slope along the stroke."""
     along, _ = axes(simulation, region)
-    reach = max(behaviour.half_stroke_m, 0.01)
+    reach = max(motion.half_stroke_m, 0.01)
     middle, low, high = (surface_point(simulation, region, (offset, 0.0)) for offset in (0.0, -reach, reach))
     slope = float(high[2] - low[2]) / (2 * reach)
     samples: list[Samples] = []
     indentation: list[Array] = []
 
     def go(distance: float, seconds: float, *, lift: float = 0.0) -> None:
-        goal = middle + distance * along + [0, 0, distance * slope - behaviour.overtravel_m + lift]
+        goal = middle + distance * along + [0, 0, distance * slope - motion.overtravel_m + lift]
         simulation.set_goal(np.r_[in_base(simulation, goal), DOWN], seconds)
         period = round(simulation.protocol.physics.target_period_s / simulation.model.opt.timestep)
         for _ in range(round(seconds / simulation.protocol.physics.target_period_s)):
@@ -107,15 +103,15 @@ def perform(simulation: Simulation, region: str, behaviour: Behaviour) -> Perfor
             indentation.append(simulation.indentation())
 
     go(0.0, 0.8)
-    go(0.0, behaviour.hold_s)
+    go(0.0, motion.hold_s)
     place = 0.0
-    for stroke in range(behaviour.strokes):
-        goal = behaviour.half_stroke_m * (1 if stroke % 2 == 0 else -1)
-        go(goal, abs(goal - place) / behaviour.speed_m_s)
-        if behaviour.pause_s:
-            go(goal, behaviour.pause_s)
+    for stroke in range(motion.strokes):
+        goal = motion.half_stroke_m * (1 if stroke % 2 == 0 else -1)
+        go(goal, abs(goal - place) / motion.speed_m_s)
+        if motion.pause_s:
+            go(goal, motion.pause_s)
         place = goal
     if place:
-        go(0.0, abs(place) / behaviour.speed_m_s)
-    go(0.0, 0.6, lift=behaviour.overtravel_m + 0.02)
+        go(0.0, abs(place) / motion.speed_m_s)
+    go(0.0, 0.6, lift=motion.overtravel_m + 0.02)
     return Performance(samples=samples, indentation_m=np.array(indentation))

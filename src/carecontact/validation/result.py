@@ -66,6 +66,10 @@ class CheckResult:
     def missed(self) -> list[Measure]:
         return [m for m in self.measures if m.decides and m.met is False]
 
+    def regions(self, curve: str) -> list[str]:
+        """Regions of which there is such a curve, named ``<region>/<curve>``, in the order in which they were run."""
+        return [region for region, _, name in (key.partition("/") for key in self.curves) if name == curve]
+
     def value(self, name: str) -> float:
         """Raises KeyError, naming what there is."""
         values = {m.name: m.value for m in self.measures}

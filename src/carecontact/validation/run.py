@@ -14,6 +14,7 @@ import mujoco
 
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import CarecontactError, UnknownNameError
+from carecontact.protocols import overridden
 from carecontact.validation.figures import draw_figure
 from carecontact.validation.result import CheckResult
 from carecontact.validation.subject import MakeScene, Subject
@@ -86,7 +87,7 @@ def validate(
     Raises UnknownNameError for a check that there is not, and what ``make_scene`` raises if no world can be built.
     """
     modules = [_module(name) for name in checks]
-    protocol = protocol.overridden(body=body)
+    protocol = protocol if body is None else overridden(protocol, {"person.body": body})
     subject = Subject(protocol, make_scene=make_scene)
     scene = subject.scene("forearm")
     # Before anything runs: settling writes the rest angles into a model.

@@ -9,13 +9,13 @@ import numpy as np
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import SceneError
-from carecontact.recording.schema import REGIONS, SEGMENTS, Header, Recording
+from carecontact.recording.schema import SEGMENTS, Header, Recording
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.metrics.c1_peak_force import peak_force
 from carecontact.scoring.metrics.c5_force_stability import force_stability
 from carecontact.scoring.progress import measure_episodes
 from carecontact.sim.simulation import Samples, Simulation
-from carecontact.validation.moves import Behaviour, Performance, perform
+from carecontact.validation.moves import Motion, Performance, perform
 from carecontact.validation.subject import Subject
 
 TOUCHED_M = 0.0002
@@ -49,31 +49,30 @@ def scores_of(simulation: Simulation, region: str, performance: Performance) -> 
         return Scores(c1_n=np.nan, c1_filtered_n=np.nan, c5_n=np.nan, stroke_m=np.nan, beyond_measured=np.nan)
     # The scorer's filter needs a sample rate of more than twice its cutoff.
     peak = peak_force(contact) if 2 * cutoff * dt < 1 else None
-    depth = performance.indentation_m[:, REGIONS.index(region)]
+    depth = performance.indentation_m[:, simulation.protocol.regions.index(region)]
     measured = simulation.scene.regions[region].tissue.measured_depth_m
     return Scores(
-        c1_n=float(contact.force_in_window.max()),
-        c1_filtered_n=np.nan if peak is None else peak.c1_peak_filtered_n, c5_n=spread,
+        c1_n=float(contact.force_in_window.max()), c5_n=spread,
+        c1_filtered_n=np.nan if peak is None else peak.c1_peak_filtered_n,
         stroke_m=sum(episode.stroke_m for episode in measure_episodes(contact)),
         beyond_measured=float((depth > measured).sum() / max(1, (depth > TOUCHED_M).sum())),
     )  # fmt: skip
 
 
-def behaviour_scores(subject: Subject, region: str, behaviour: Behaviour) -> Scores:
+def motion_scores(subject: Subject, region: str, motion: Motion) -> Scores:
     simulation = subject.hovering(region)
-    return scores_of(simulation, region, perform(simulation, region, behaviour))
+    return scores_of(simulation, region, perform(simulation, region, motion))
 
 
 def recording_of(simulation: Simulation, region: str, samples: Sequence[Samples]) -> Recording:
     """What the scorer reads of a trial whose policy was the script."""
     protocol = simulation.protocol
-    shells = [simulation.scene.regions[r].shell for r in REGIONS]
     spec = TrialSpec(
         protocol=protocol, task_id=next(t.id for t in protocol.tasks if t.region == region), seed=0, policy="scripted"
     )
     header = Header(
         spec=spec, ended="done", failure=None, card=None, embodiment="", comfort_arm_deg=None, segments=list(SEGMENTS),
-        regions=list(REGIONS), human_joints=simulation.joint_names,
+        regions=list(protocol.regions), human_joints=simulation.joint_names,
         pose_base_in_world=simulation.pose_base_in_world.tolist(), versions={}, sha256={}, solver_warnings=[],
     )  # fmt: skip
     return Recording(
@@ -89,7 +88,7 @@ def recording_of(simulation: Simulation, region: str, samples: Sequence[Samples]
             "scorer/tcp_rotation_speed": np.concatenate([s.tcp_rotation_speed for s in samples]),
             "scorer/pose_tcp_in_world": np.concatenate([s.tcp_pose for s in samples]),
             "scorer/region_pose_in_world": np.concatenate([s.region_pose for s in samples]),
-            "scorer/region_size_m": np.array([[s.length_m, s.radius_m, s.axis_depth_m] for s in shells]),
+            "scorer/region_size_m": simulation.scene.region_size_m,
         },
     )
 

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from carecontact.sim.simulation import Simulation
-from carecontact.validation.moves import Behaviour, perform
+from carecontact.validation.moves import Motion, perform
 from carecontact.validation.result import CheckResult, Measure
 from carecontact.validation.scores import Scores, scores_of
 from carecontact.validation.subject import Subject
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 TITLE = "Sensitivity to the person's constants"
 REGION = "forearm"
-GENTLE = Behaviour(name="gentle", overtravel_m=0.012, half_stroke_m=0.030, strokes=2, speed_m_s=0.06)
-FIRM = Behaviour(name="firm", overtravel_m=0.035, half_stroke_m=0.030, strokes=2, speed_m_s=0.15)
-STOP_GO = Behaviour(name="stop-go", overtravel_m=0.024, half_stroke_m=0.030, strokes=3, speed_m_s=0.20, pause_s=0.25)
-BEHAVIOURS = (GENTLE, FIRM, STOP_GO)
+GENTLE = Motion(name="gentle", overtravel_m=0.012, half_stroke_m=0.030, strokes=2, speed_m_s=0.06)
+FIRM = Motion(name="firm", overtravel_m=0.035, half_stroke_m=0.030, strokes=2, speed_m_s=0.15)
+STOP_GO = Motion(name="stop-go", overtravel_m=0.024, half_stroke_m=0.030, strokes=3, speed_m_s=0.20, pause_s=0.25)
+MOTIONS = (GENTLE, FIRM, STOP_GO)
 CHANGES: dict[str, tuple[float, float, float | None]] = {
     "as shipped": (1.0, 1.0, None), "stiffness x 0.5": (0.5, 1.0, None), "stiffness x 2": (2.0, 1.0, None),
     "damping x 0.25": (1.0, 0.25, None), "damping x 4": (1.0, 4.0, None), "friction 0.1": (1.0, 1.0, 0.1),
@@ -31,14 +31,14 @@ CHANGES: dict[str, tuple[float, float, float | None]] = {
 }  # fmt: skip
 """Factor on K_c (and so on the coupling, which is declared through it), factor on D_c, coefficient of friction (None:
 as shipped)."""
-QUICK_CHANGES, QUICK_BEHAVIOURS = ("as shipped", "stiffness x 0.5"), (GENTLE, FIRM)
+QUICK_CHANGES, QUICK_MOTIONS = ("as shipped", "stiffness x 0.5"), (GENTLE, FIRM)
 FIELDS = {"c1_n": "C1", "c5_n": "C5", "stroke_m": "stroke"}
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
-    behaviours = QUICK_BEHAVIOURS if quick else BEHAVIOURS
+    motions = QUICK_MOTIONS if quick else MOTIONS
     names = QUICK_CHANGES if quick else tuple(CHANGES)
-    table = {name: {b.name: _run_one(subject, b, *CHANGES[name]) for b in behaviours} for name in names}
+    table = {name: {b.name: _run_one(subject, b, *CHANGES[name]) for b in motions} for name in names}
     values = np.array([[[getattr(s, f) for f in FIELDS] for s in row.values()] for row in table.values()])
     measures = [
         Measure(name="scores that are not finite", value=float((~np.isfinite(values)).sum()), limit=0.0),
@@ -64,12 +64,10 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     return CheckResult(check="sensitivity", title=TITLE, measures=tuple(measures), curves={"values": values})
 
 
-def _run_one(
-    subject: Subject, behaviour: Behaviour, stiffness: float, damping: float, friction: float | None
-) -> Scores:
+def _run_one(subject: Subject, motion: Motion, stiffness: float, damping: float, friction: float | None) -> Scores:
     simulation = subject.hovering(REGION)
     change(simulation, stiffness=stiffness, damping=damping, friction=friction)
-    return scores_of(simulation, REGION, perform(simulation, REGION, behaviour))
+    return scores_of(simulation, REGION, perform(simulation, REGION, motion))
 
 
 def change(simulation: Simulation, *, stiffness: float, damping: float, friction: float | None) -> None:
@@ -86,7 +84,7 @@ def change(simulation: Simulation, *, stiffness: float, damping: float, friction
 
 
 def order(scores: Mapping[str, Scores], column: int) -> list[str]:
-    """Behaviours from the smallest to the largest value of a score."""
+    """Motions from the smallest to the largest value of a score."""
     field = list(FIELDS)[column]
     return sorted(scores, key=lambda name: getattr(scores[name], field))
 
@@ -94,16 +92,16 @@ def order(scores: Mapping[str, Scores], column: int) -> list[str]:
 def draw(result: CheckResult, figure: Figure) -> None:
     values = result.curves["values"]
     quick = values.shape[0] == len(QUICK_CHANGES)
-    names, behaviours = (QUICK_CHANGES, QUICK_BEHAVIOURS) if quick else (tuple(CHANGES), BEHAVIOURS)
+    names, motions = (QUICK_CHANGES, QUICK_MOTIONS) if quick else (tuple(CHANGES), MOTIONS)
     figure.set_size_inches(7.0, 2.8)
     units = (1.0, 1.0, 1000.0)
     rows = np.arange(len(names))
     for column, (axes, label) in enumerate(zip(figure.subplots(1, 3, sharey=True),
                                                ("C1 [N]", "C5 [N]", "stroke [mm]"), strict=True)):  # fmt: skip
-        for k, behaviour in enumerate(behaviours):
-            axes.plot(units[column] * values[:, k, column], rows, "os^"[k], ms=4.5, label=behaviour.name)
+        for k, motion in enumerate(motions):
+            axes.plot(units[column] * values[:, k, column], rows, "os^"[k], ms=4.5, label=motion.name)
             axes.axvline(units[column] * values[0, k, column], color=f"C{k}", lw=0.6, ls=":")
         axes.set(xlabel=label, xlim=(0, None))
     figure.axes[0].set_yticks(rows, names)
     figure.axes[0].invert_yaxis()
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(behaviours))
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(motions))

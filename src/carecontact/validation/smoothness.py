@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.embodiment import PANDA
-from carecontact.recording.schema import REGION_SEGMENT
+from carecontact.regions import REGIONS
 from carecontact.scoring.filters import low_pass
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.validation.moves import DOWN, axes, in_base, skin_points, surface_point
@@ -109,7 +109,7 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int) -> Scrub:
         goal = top + place * along + [0, 0, under - depth]
         simulation.set_goal(np.r_[in_base(simulation, goal), DOWN], period)
         samples = simulation.advance(round(period / dt))
-        depth += SERVO_RAD_S * period * (newton - force_norm(samples, REGION_SEGMENT[REGION]).mean()) / stiffness
+        depth += SERVO_RAD_S * period * (newton - force_norm(samples, REGIONS[REGION].segment).mean()) / stiffness
         return samples
 
     for _ in range(round(SERVO_S / period)):
@@ -127,7 +127,7 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int) -> Scrub:
             direction = -np.sign(place)
     time, speed = (np.concatenate([getattr(s, name) for s in samples]) for name in ("time_s", "tcp_speed"))
     return Scrub(
-        time_s=time - time[0], force_n=force_norm(samples, REGION_SEGMENT[REGION]), steady=speed > STEADY * SPEED_M_S,
+        time_s=time - time[0], force_n=force_norm(samples, REGIONS[REGION].segment), steady=speed > STEADY * SPEED_M_S,
         friction=np.array(friction),
     )  # fmt: skip
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carecontact.recording.schema import REGIONS
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.moves import DOWN, in_base, surface_point
 from carecontact.validation.result import CheckResult, Measure
@@ -25,7 +24,7 @@ SEED = 8
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     count = QUICK_TRIALS if quick else TRIALS
-    regions = ("forearm",) if quick else REGIONS
+    regions = subject.regions(quick=quick)
     peaks: list[float] = []
     broken = 0
     for number, region in enumerate(regions):

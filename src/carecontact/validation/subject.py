@@ -62,9 +62,13 @@ class Subject:
             self._hover[region] = simulation.integration_state()
         return self._restored(region, self._hover[region])
 
+    def regions(self, *, quick: bool = False) -> tuple[str, ...]:
+        """The soft regions, which alone can be pressed and compared; ``quick``: only the first."""
+        return self.protocol.soft_regions[: 1 if quick else None]
+
     def tissue(self, region: str) -> Tissue:
         """What the protocol declares."""
-        return {str(name): row for name, row in self.protocol.person.tissue.items()}[region]
+        return self.protocol.person.tissue[region]
 
     def with_dt(self, dt_s: float) -> Subject:
         """The same person at another time step."""

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.recording.schema import REGIONS
 from carecontact.sim.bench import Bench
 from carecontact.validation.pressing import person_bench, tool
 from carecontact.validation.result import Array, CheckResult, Measure
@@ -33,9 +32,9 @@ SPEED_M_S = 0.010
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures: list[Measure] = []
     curves: dict[str, Array] = {}
-    for region in ("forearm",) if quick else REGIONS:
+    for region in subject.regions(quick=quick):
         bench = person_bench(subject, region, tool())
-        rng = np.random.default_rng([SEED, REGIONS.index(region)])
+        rng = np.random.default_rng([SEED, subject.regions().index(region)])
         places = random_places(bench.shell, rng, QUICK_PLACES if quick else PLACES)
         force = np.array([_press(bench, place) for place in places])
         for depth, limit, column in zip(DEPTHS_M, CV_LIMITS_PERCENT, force.T, strict=True):
@@ -93,7 +92,7 @@ def random_places(shell: Shell, rng: np.random.Generator, count: int) -> Array:
 
 
 def draw(result: CheckResult, figure: Figure) -> None:
-    regions = [region for region in REGIONS if f"{region}/points" in result.curves]
+    regions = result.regions("points")
     figure.set_size_inches(max(3.4, 2.5 * len(regions)), 4.2)
     axes = figure.subplots(2, len(regions), squeeze=False)
     for (above, below), region in zip(axes.T, regions, strict=True):

@@ -10,18 +10,20 @@ import mujoco
 import numpy as np
 
 from carecontact.contract.protocol import Protocol, Tissue
+from carecontact.errors import SceneError
+from carecontact.regions import REGIONS, Belly, Tube
 from carecontact.world.cameras import add_cameras
 from carecontact.world.furniture import add_furniture, add_light
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.joints import Hinge
-from carecontact.world.human.joints import hinges as all_hinges
 from carecontact.world.human.library import load_body
-from carecontact.world.human.pose import lying_pose_deg, root_position, rotation_from_bind, trunk_rotation
+from carecontact.world.human.pose import root_position, trunk_rotation
 from carecontact.world.human.refine import refined
+from carecontact.world.human.region_frame import RegionFrame, rigid_frame, soft_frame, upward_in_bind
 from carecontact.world.human.shell import Shell, limb_shell, trunk_shell
-from carecontact.world.human.skeleton import SOFT_SEGMENTS, add_skeleton, body_name
+from carecontact.world.human.skeleton import add_skeleton, body_name
 from carecontact.world.human.skin import add_skin
-from carecontact.world.human.tissue import Region, add_tissue, check_step, set_damping, shell_points
+from carecontact.world.human.tissue import SoftRegion, add_tissue, check_step, set_damping, shell_points
 from carecontact.world.robot import add_robot
 from carecontact.world.sensors import add_sensors
 
@@ -36,7 +38,15 @@ class Scene:
     protocol: Protocol
     body: Body
     hinges: tuple[Hinge, ...]
-    regions: dict[str, Region]
+    regions: dict[str, SoftRegion]
+    """The soft ones."""
+    frames: dict[str, RegionFrame]
+    """Of every region of the protocol, in its order."""
+
+    @property
+    def region_size_m(self) -> Array:
+        """(R, 3) length along the axis, mean radius (belly: half width) and outward radius at the middle [m]."""
+        return np.array([frame.size_m for frame in self.frames.values()])
 
     @property
     def model_sha256(self) -> str:
@@ -49,19 +59,19 @@ class Scene:
 
 def build_spec(
     protocol: Protocol, *, target: str | None, skin: bool = True
-) -> tuple[mujoco.MjSpec, Body, list[Hinge], dict[str, Region]]:
-    """The uncompiled world.
+) -> tuple[mujoco.MjSpec, Body, list[Hinge], dict[str, SoftRegion], dict[str, RegionFrame]]:
+    """The uncompiled world, with the body, its hinges, the soft regions and the frames of all regions.
 
     Args:
-        target: the region whose shell is fine; the others are soft too, on a coarser mesh. None: all fine.
+        target: the region whose shell is fine, if it has one; the others are soft too, on a coarser mesh. None: all
+            fine.
         skin: False leaves the visual skin out.
     """
     body = load_body(protocol.person.body)
     spec = mujoco.MjSpec()
     spec.modelname = "carecontact"
-    tissue = {
-        region: row if target in (None, region) else off_target(row) for region, row in protocol.person.tissue.items()
-    }
+    rows = {name: protocol.person.tissue[name] for name in protocol.soft_regions}
+    tissue = {name: row if target in (None, name) else off_target(row) for name, row in rows.items()}
     # First: what is added later is read in its units.
     set_physics(spec, dt_s=protocol.physics.dt_s, spacing_m=min(row.spacing_m for row in tissue.values()))
     spec.memory = 400 * 2**20
@@ -69,41 +79,52 @@ def build_spec(
     # Before the person: the solver eliminates the last degrees of freedom first, and the robot's, which every contact
     # has, would fill its matrix.
     add_robot(spec, protocol)
-    shells = {region: region_shell(body, region, tissue[region]) for region in SOFT_SEGMENTS}
-    root, quat = root_position(body, protocol.scene.mattress_top_m), np.zeros(4)
-    mujoco.mju_mat2Quat(quat, trunk_rotation(body).ravel())
-    points = {SOFT_SEGMENTS[r]: shell_points(s, tissue[r]) for r, s in shells.items()}
-    rows = add_skeleton(spec, body, root_position=root, root_quat=quat, shell_points=points)
-    regions = {r: add_tissue(spec, body, r, s, tissue[r]) for r, s in shells.items()}
-    for made in regions.values():
-        check_step(made.name, made.shell, made.tissue, protocol.physics.dt_s)
-    for region, shell in shells.items():
-        site_quat = np.zeros(4)
-        mujoco.mju_mat2Quat(site_quat, shell.frame.ravel())
-        segment = SOFT_SEGMENTS[region]
-        spec.body(body_name(segment)).add_site(
-            name=f"region_{region}",
-            pos=shell.frame_origin - body.joint_centre[segment],
-            quat=site_quat,
-            group=5,
-            size=[0.005] * 3,
-        )
+    root = root_position(body, protocol.scene.mattress_top_m)
+    hinges, regions = _add_person(spec, body, protocol, tissue, root)
+    frames = {
+        name: soft_frame(regions[name].shell) if name in regions else rigid_frame(body, name)
+        for name in protocol.regions
+    }
+    for name, frame in frames.items():
+        _add_region_site(spec, body, name, frame)
     if skin:
-        add_skin(spec, body if target is None else refined(body, SOFT_SEGMENTS[target], times=2))
+        add_skin(spec, body if target is None else refined(body, REGIONS[target].segment, times=2))
     head_x = root[0] + body.joint_centre["head"][2] - body.joint_centre["pelvis"][2] + 0.04
     add_furniture(spec, protocol.scene, head_x=head_x, head_y=float(root[1]))
     add_light(spec)
     add_cameras(spec, protocol)
-    # One control period is one C call between two moves of the target: the sensors keep all of its steps.
-    add_sensors(spec, rows, samples=round(protocol.physics.target_period_s / protocol.physics.dt_s))
-    return spec, body, rows, regions
+    add_sensors(spec, hinges, protocol)
+    return spec, body, hinges, regions, frames
+
+
+def _add_person(
+    spec: mujoco.MjSpec, body: Body, protocol: Protocol, tissue: dict[str, Tissue], root: Array
+) -> tuple[list[Hinge], dict[str, SoftRegion]]:
+    """Skeleton and shells, the pelvis at ``root`` (3,); raises ConfigError for tissue too stiff for the time step."""
+    shells = {region: region_shell(body, region, row) for region, row in tissue.items()}
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, trunk_rotation(body).ravel())
+    points = {region: shell_points(shell, tissue[region]) for region, shell in shells.items()}
+    hinges = add_skeleton(spec, body, root_position=root, root_quat=quat, shell_points=points)
+    regions = {region: add_tissue(spec, body, region, shell, tissue[region]) for region, shell in shells.items()}
+    for made in regions.values():
+        check_step(made.name, made.shell, made.tissue, protocol.physics.dt_s)
+    return hinges, regions
+
+
+def _add_region_site(spec: mujoco.MjSpec, body: Body, region: str, frame: RegionFrame) -> None:
+    segment, quat = REGIONS[region].segment, np.zeros(4)
+    mujoco.mju_mat2Quat(quat, frame.axes.ravel())
+    spec.body(body_name(segment)).add_site(
+        name=f"region_{region}", pos=frame.origin - body.joint_centre[segment], quat=quat, group=5, size=[0.005] * 3
+    )
 
 
 def build_scene(protocol: Protocol, *, target: str | None, skin: bool = True) -> Scene:
     """Compile the world. The comfort-arm angle is no part of the model: it is set when the person settles."""
-    spec, body, rows, regions = build_spec(protocol, target=target, skin=skin)
+    spec, body, rows, regions, frames = build_spec(protocol, target=target, skin=skin)
     model = compile_with_tissue(spec, regions)
-    return Scene(model=model, protocol=protocol, body=body, hinges=tuple(rows), regions=regions)
+    return Scene(model=model, protocol=protocol, body=body, hinges=tuple(rows), regions=regions, frames=frames)
 
 
 def set_physics(spec: mujoco.MjSpec, *, dt_s: float, spacing_m: float) -> None:
@@ -131,7 +152,7 @@ def by_conjugate_gradients(world: mujoco.MjSpec | mujoco.MjModel) -> None:
     option.solver, option.iterations = mujoco.mjtSolver.mjSOL_CG, 300
 
 
-def compile_with_tissue(spec: mujoco.MjSpec, regions: dict[str, Region]) -> mujoco.MjModel:
+def compile_with_tissue(spec: mujoco.MjSpec, regions: dict[str, SoftRegion]) -> mujoco.MjModel:
     with warnings.catch_warnings():
         # The shells' mechanics are their anchors; the compiler cannot know that and warns of a flex without any.
         warnings.filterwarnings("ignore", message="flex .* is not rigid")
@@ -141,11 +162,15 @@ def compile_with_tissue(spec: mujoco.MjSpec, regions: dict[str, Region]) -> mujo
 
 
 def region_shell(body: Body, region: str, tissue: Tissue) -> Shell:
-    """The region's shell on this body, in the mesh frame of the bind pose."""
-    if region == "abdomen":
-        return trunk_shell(body, np.array([0.0, -1.0, 0.0]), tissue)
-    segment = SOFT_SEGMENTS[region]
-    return limb_shell(body, segment, upward_in_bind(body, segment), tissue)
+    """The region's shell on this body, in the mesh frame of the bind pose. Raises SceneError for a rigid region."""
+    segment, shape = REGIONS[region].segment, REGIONS[region].shape
+    match shape:
+        case Tube():
+            return limb_shell(body, segment, shape, upward_in_bind(body, segment), tissue)
+        case Belly():
+            return trunk_shell(body, np.array([0.0, -1.0, 0.0]), tissue)
+        case None:
+            raise SceneError(f"region {region} is rigid: it has no shell")
 
 
 def off_target(tissue: Tissue) -> Tissue:
@@ -160,13 +185,3 @@ def off_target(tissue: Tissue) -> Tissue:
             **{name: getattr(tissue, name) * tissue.off_target_scale for name in scaled},
         }
     )
-
-
-def upward_in_bind(body: Body, segment: str) -> Array:
-    """Direction in the segment's bind frame that faces up in the nominal lying pose (mid comfort angle)."""
-    rows, pose = all_hinges(body), lying_pose_deg(body, 52.5)
-    chain = ["right_upper_arm"] if segment == "right_upper_arm" else ["right_upper_arm", "right_forearm"]
-    rotation = trunk_rotation(body)
-    for link in chain:
-        rotation = rotation @ rotation_from_bind(rows, link, pose)
-    return rotation.T @ np.array([0.0, 0.0, 1.0])

@@ -5,7 +5,9 @@ from __future__ import annotations
 import mujoco
 
 from carecontact.contract.embodiment import PANDA
-from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
+from carecontact.contract.protocol import Protocol
+from carecontact.recording.schema import SEGMENTS
+from carecontact.regions import REGIONS
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.skeleton import body_name, tissue_body_name
 
@@ -17,8 +19,10 @@ FOUND_BIT, FORCE_BIT, POS_BIT = 1 << 0, 1 << 1, 1 << 4
 NETFORCE, MAXFORCE = 3, 2
 
 
-def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], *, samples: int) -> None:
-    """``samples``: physics steps in the longest control period."""
+def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) -> None:
+    """Sensors for every segment, every scored joint and every region of the protocol."""
+    # One control period is one C call between two moves of the target: the sensors keep all of its steps.
+    samples = round(protocol.physics.target_period_s / protocol.physics.dt_s)
     kind, obj = mujoco.mjtSensor, mujoco.mjtObj
 
     def contact(name: str, second: str, second_type: mujoco.mjtObj, data: int, reduce: int, num: int) -> None:
@@ -27,7 +31,7 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], *, samples: int) -> No
             refname=second, intprm=[data, reduce, num], nsample=samples,
         )  # fmt: skip
 
-    soft = {segment: region for region, segment in REGION_SEGMENT.items()}
+    soft = {REGIONS[region].segment: region for region in protocol.soft_regions}
     for segment in SEGMENTS:
         rigid, tree = (body_name(segment), obj.mjOBJ_BODY), None
         if segment in soft:
@@ -50,6 +54,6 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], *, samples: int) -> No
     frame("tcp_velocity", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, PANDA.tcp_site)
     frame("tcp_rotation", kind.mjSENS_FRAMEANGVEL, obj.mjOBJ_SITE, PANDA.tcp_site)
     frame("wrist_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_XBODY, body_name("right_hand"))
-    for region in REGIONS:
+    for region in protocol.regions:
         frame(f"region_{region}_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, f"region_{region}")
         frame(f"region_{region}_quat", kind.mjSENS_FRAMEQUAT, obj.mjOBJ_SITE, f"region_{region}")

@@ -73,7 +73,7 @@ def test_in_each_way_that_an_answer_can_be_none(run: Run, tmp_path: Path) -> Non
         echo(401), body(f"<p>{BEARER} is busy</p>".encode()), says(None, refusal=f"not with {BEARER}"),
         says(READ), says(f"no number, but {BEARER}", model="m" * 500_000), seeds="0-3",
     )  # fmt: skip
-    told = ["HTTP 401: Incorrect", "no chat completion", "is a refusal: not with", "does not fit its schema"]
+    told = ["HTTP 401: Incorrect", "not a chat completion", "is a refusal: not with", "does not fit its schema"]
     for row, expected in zip(rows, told, strict=True):
         assert row["ended"] == "process_failure"
         assert expected in row["failure_message"]

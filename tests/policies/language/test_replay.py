@@ -78,19 +78,19 @@ def line(text: str, answer: str, *, model: str = "m-1", key: str | None = None) 
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ("", "has no completion"),
+        ("", "no completion"),
         ("{", "line 1: the line: Invalid JSON"),
         ("\xff\n", "line 1: the line: Invalid JSON"),
         (line("a", "A") + '\n{"key": "k"}', r"line 2: request: Field required"),
-        (line("a", "A", key="0" * 64), "line 1: its request has key .*, not 0000"),
-        (line("a", "A") + "\n" + line("b", "B", model="m-2"), "line 2: model m-2, but m-1 before"),
+        (line("a", "A", key="0" * 64), "line 1: .*key.* 0000"),
+        (line("a", "A") + "\n" + line("b", "B", model="m-2"), "line 2: model m-2.* m-1"),
         (line("a", "A", model="x y;rm"), r"line 1: request\.model: expected 1 to 128 letters.*got 'x y;rm'"),
         (
             line("a", "A").replace('"A"', json.dumps("A" * 16385)),
             r"line 1: completion\.text: String should have at most 16384",
         ),
         (line("a", "A")[:-1] + ', "' + "k" * 5000 + '": 1}', r"line 1: k{94} \[\.\.\.\]: Extra inputs"),
-        (line("a", "A") + "\n" + line("a", "B"), "line 2: another answer to the same request"),
+        (line("a", "A") + "\n" + line("a", "B"), "line 2: .*another answer to the same request"),
     ],
 )
 def test_a_file_that_is_none(tmp_path: Path, content: str, told: str) -> None:

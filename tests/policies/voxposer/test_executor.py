@@ -11,9 +11,8 @@ from carecontact.policies.voxposer.maps import ValueMap
 TOOL = np.array([0.5, 0.0, 0.3, 0.0, 1.0, 0.0, 0.0])
 
 
-def run(grid: Grid, *goals: tuple[float, float, float], **maps: ValueMap | None):
-    given = {"velocity": None, "rotation": None, "gripper": None} | maps
-    return motion(np.array(goals), TOOL, grid=grid, **given)
+def run(grid: Grid, *goals: tuple[float, float, float], **maps: ValueMap):
+    return motion(np.array(goals), TOOL, grid=grid, maps=maps)
 
 
 def positions(moved) -> np.ndarray:
@@ -33,10 +32,9 @@ def test_goes_through_the_waypoints_at_full_speed_and_settles(grid: Grid) -> Non
 
 def test_the_end_of_a_path_is_held_for_as_long_as_is_asked(grid: Grid) -> None:
     goal = np.array([[0.5, 0.0, 0.28]])
-    given = {"grid": grid, "velocity": None, "rotation": None, "gripper": None}
-    short, long = (motion(goal, TOOL, settle_s=s, **given) for s in (0.4, 1.0))
+    short, long = (motion(goal, TOOL, grid=grid, maps={}, settle_s=s) for s in (0.4, 1.0))
     assert len(long.actions) - len(short.actions) == round(0.6 * fixed.CONTROL_HZ)
-    assert len(motion(goal, TOOL, **given).actions) == len(short.actions)
+    assert len(motion(goal, TOOL, grid=grid, maps={}).actions) == len(short.actions)
 
 
 def test_stops_at_the_horizon(grid: Grid) -> None:
@@ -90,7 +88,7 @@ def test_many_short_stretches_take_no_longer_than_one(grid: Grid) -> None:
 
 def test_no_target_leaves_the_workspace(grid: Grid) -> None:
     outside = np.concatenate([[1.2, 0.7, -0.1], TOOL[3:]])
-    moved = motion(np.array([[0.99, 0.5, 0.1]]), outside, grid=grid, velocity=None, rotation=None, gripper=None)
+    moved = motion(np.array([[0.99, 0.5, 0.1]]), outside, grid=grid, maps={})
     way = positions(moved)
     assert (way >= grid.low_m).all()
     assert (way <= grid.high_m).all()

@@ -12,8 +12,9 @@ from carecontact.policies.motion import CAP_RADIUS_M
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.grid import Grid
 from carecontact.policies.voxposer.phased import VoxPoserPhased
-from carecontact.policies.voxposer.progress import Objective, Pursuit, gap, objective_functions, skin_height, touches
+from carecontact.policies.voxposer.progress import Objective, Pursuit, objective_functions
 from carecontact.policies.voxposer.prompts import VOXPOSER_PHASED
+from carecontact.policies.voxposer.seen_skin import gap, skin_height, touches
 from carecontact.protocols import load_protocol
 from tests.policies.state_machine.lying_person import Person
 from tests.policies.voxposer.conftest import scripted

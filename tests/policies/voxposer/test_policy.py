@@ -123,11 +123,11 @@ BAD = {
     "gives a map twice": (
         {("composer", "there"): 'execute(parse_query_obj("gripper"), get_affordance_map("x"), affordance_map=None)'},
         r"^program composer: there was stopped: ValueError: execute: multiple values for argument 'affordance_map'; "
-        r"it is execute\(movable, affordance_map=None, ",
+        r".* execute\(movable, affordance_map=None, ",
     ),
     "gives one map too many": (
         {("composer", "there"): 'execute(parse_query_obj("gripper"), None, None, None, None, None, None)'},
-        r"ValueError: execute: too many positional arguments; it is execute.* \(line 1: execute\(parse_query_obj",
+        r"ValueError: execute: too many positional arguments; .* execute.* \(line 1: execute\(parse_query_obj",
     ),
     "gives nothing under an unknown name": (
         {("composer", "there"): 'execute(parse_query_obj("gripper"), force_map=None)'},
@@ -139,7 +139,7 @@ BAD = {
     ),
     "goes home to somewhere": (
         {("composer", "there"): "reset_to_default_pose(1)"},
-        r"TypeError: too many positional arguments; it is reset_to_default_pose\(\) \(line 1",
+        r"TypeError: too many positional arguments; .* reset_to_default_pose\(\) \(line 1",
     ),
     "writes a map into a part": (
         {("get_affordance_map", "x"): 'set_voxel_by_radius(parse_query_obj("gripper"), (1, 2, 3))'},
@@ -148,7 +148,7 @@ BAD = {
     "finds a part and a number": (
         {("parse_query_obj", "gripper"): 'ret_val = [detect("gripper"), 3]'}, "leaves no part .* nor a list of parts"
     ),
-    "asks for what is not known": ({("parse_query_obj", "gripper"): 'ret_val = detect("left foot")'}, "not known"),
+    "asks for what is not known": ({("parse_query_obj", "gripper"): 'ret_val = detect("left foot")'}, "'left foot'"),
     "finds a number": ({("parse_query_obj", "gripper"): "ret_val = 3"}, "leaves no part"),
     "makes no map": ({("get_affordance_map", "x"): "ret_val = 1"}, "leaves no affordance map"),
     "writes nonsense": (
@@ -157,7 +157,7 @@ BAD = {
     ),
     "writes for ever": (
         {("get_affordance_map", "x"): "m = get_empty_affordance_map()\nwhile True:\n    set_voxel(m, (1, 2, 3), 1)"},
-        "more than 1000 entries",
+        "at most 1000 entries",
     ),
 }  # fmt: skip
 

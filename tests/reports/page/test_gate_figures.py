@@ -7,8 +7,7 @@ import re
 import pytest
 
 from carecontact.protocols import load_protocol
-from carecontact.reports.page.gate_figures import GATES, gamma_axes, gamma_svg, gate_panels, own_value, panel_axes
-from carecontact.scoring.gate_sweep import SWEEPS
+from carecontact.reports.page.gate_figures import gamma_axes, gamma_svg, gate_panels, panel_axes
 from tests.reports.synthetic_run import FAILED, make_score
 
 PROTOCOL = load_protocol()
@@ -52,8 +51,3 @@ def test_panels_count_the_trials_that_have_to_pass_the_gate() -> None:
     marked = re.search(r'class="name"[^>]*>([\d.]+)<', floor.svg)
     assert marked is not None
     assert marked[1] == "0.5"
-
-
-def test_the_protocols_own_value_is_one_of_each_sweep() -> None:
-    assert GATES.keys() == SWEEPS.keys()
-    assert all(own_value(PROTOCOL, name) in values for name, values in SWEEPS.items())

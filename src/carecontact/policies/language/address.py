@@ -1,4 +1,4 @@
-"""Where the endpoint is and what opens it, from the variables that OpenAI's own clients read."""
+"""Address and key of the endpoint, from the variables that OpenAI's own clients read."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ _WANTED = "expected http:// or https:// with a host and no query, such as http:/
 
 @dataclass(frozen=True, kw_only=True)
 class Address:
+    """Where the endpoint is, and what must not be shown of it."""
+
     url: str = field(repr=False)
     key: str = field(repr=False)
-    """Empty: none was given."""
+    """Empty if none was given."""
     endpoint: str
-    """``host`` or ``host:port``: what of the address may be stored."""
+    """``host`` or ``host:port``: the part of the address that may be stored."""
     secrets: tuple[str, ...] = field(repr=False)
-    """Every value of the environment that a request carries and nobody else may see."""
+    """Every value of the environment that a request carries and that nobody else may see."""
 
 
 def address_of_environment() -> Address:
-    """Raises ConfigError naming the variable that is wrong, without its value."""
+    """Return the address. Raises ConfigError that names the variable that is wrong, without its value."""
     url, key = os.environ.get(URL_VARIABLE) or DEFAULT_URL, os.environ.get(KEY_VARIABLE) or ""
     if not all("!" <= c <= "~" for c in key):
         raise ConfigError(f"{KEY_VARIABLE}: expected printable ASCII without spaces or line ends")
@@ -42,7 +44,7 @@ def address_of_environment() -> Address:
 def _split(url: str) -> SplitResult | None:
     try:
         parts = urlsplit(url)
-        # Looked up for what it raises: a port is checked only then.
+        # urlsplit checks a port only when it is read.
         _ = parts.port
     except ValueError:
         return None

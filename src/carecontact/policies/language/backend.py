@@ -4,15 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, ConfigDict, GetJsonSchemaHandler
+from pydantic_core import CoreSchema
+
+from carecontact.regions import REGIONS, all_regions
 
 ActionVerb = Literal["touch", "push", "scrub"]
-RegionName = Literal["forearm", "upper_arm", "abdomen"]
 Side = Literal["right", "left", "none"]
 Manner = Literal["gentle", "firm", "none"]
 Approach = Literal["above", "near_side", "far_side"]
+
+
+def spoken_regions() -> tuple[str, ...]:
+    """The regions that an instruction can name: those whose row has words for it."""
+    return tuple(name for name in all_regions() if REGIONS[name].words)
+
+
+def _spoken(name: str) -> str:
+    if name not in spoken_regions():
+        raise ValueError(f"no region {name!r} that an instruction can name; valid: {', '.join(spoken_regions())}")
+    return name
+
+
+class _AsEnum:
+    """Shows a language model the names to choose from."""
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"enum": list(spoken_regions()), "type": "string"}
+
+
+RegionName = Annotated[str, AfterValidator(_spoken), _AsEnum()]
 
 
 class Intent(BaseModel):

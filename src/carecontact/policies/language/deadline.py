@@ -1,4 +1,4 @@
-"""One hard limit of wall time round anything that waits for others."""
+"""A hard limit of wall time for anything that waits for others."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ Value = TypeVar("Value")
 
 
 def call_within(seconds: float, function: Callable[[], Value]) -> Value:
-    """What ``function`` returns or raises, or TimeoutError once the time is up.
+    """Return or raise what ``function`` does, or raise TimeoutError once the time is up.
 
-    It runs in a thread of its own, which is then left to itself: nothing else ends the look-up of a host's name, or a
-    header that arrives byte by byte, each well within the timeout of a socket.
+    The function runs in a thread of its own, which is left to itself after the time limit: nothing else ends the
+    look-up of a host's name, or a header that arrives byte by byte, each byte well within the timeout of a socket.
     """
     if seconds <= 0:
         raise TimeoutError

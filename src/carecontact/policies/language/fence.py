@@ -9,12 +9,12 @@ _FENCED_OBJECT = re.compile(r"```[\w-]*\s*(\{.*\})\s*```", re.DOTALL)
 
 
 def unfenced(text: str) -> str:
-    """What stands between fences, if anything does; otherwise the text as it is."""
+    """Return what stands between fences, if anything does; otherwise the text as it is."""
     blocks = _FENCE.findall(text)
     return "\n".join(blocks) if blocks else text
 
 
 def json_of(text: str) -> str:
-    """The one JSON object that stands between fences, if one does; otherwise the text as it is."""
+    """Return the JSON object that stands between fences, if one does; otherwise the text as it is."""
     found = _FENCED_OBJECT.search(text)
     return found[1] if found else text

@@ -1,4 +1,4 @@
-"""A language model as language backend: it reads the instruction and selects among the options, by closed schemas."""
+"""A language model as language backend: it reads the instruction and chooses an option, both by closed schemas."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, create_model
 from carecontact.errors import LanguageError
 from carecontact.policies.language.backend import ActionVerb, Intent, Manner, Option, RegionName, Side
 from carecontact.policies.language.completion import Message
-from carecontact.policies.language.rules import SIDED
 from carecontact.policies.language.transcript import Transcript
 from carecontact.policies.language.untrusted import one_line
+from carecontact.regions import REGIONS
 
 PROMPT_VERSION = "state-machine-v1"
 
@@ -34,6 +34,8 @@ Answer with the number of the motion and one short sentence of reason."""
 
 
 class Reading(BaseModel):
+    """The schema in which a model says what an instruction means."""
+
     model_config = ConfigDict(extra="forbid")
 
     action: ActionVerb
@@ -44,31 +46,35 @@ class Reading(BaseModel):
 
 
 class LanguageModel:
-    """Language backend over any source of completions. Every method also raises LanguageError."""
+    """Language backend over any source of completions. Its methods raise LanguageError if the source fails."""
 
     def __init__(self, transcript: Transcript) -> None:
         self.name = transcript.name
         self._transcript = transcript
 
     def parse(self, instruction: str) -> Intent:
-        """Raises LanguageError with the model's words too if it finds the instruction unclear, or for an arm's side
-        that is missing."""
+        """Return the intent of an instruction.
+
+        Raises LanguageError, with the model's words, if the model finds the instruction unclear, and also if an arm has
+        no side or the abdomen has one.
+        """
         messages = [Message(role="system", content=PARSE), Message(role="user", content=instruction)]
         said = self._transcript.answer(messages, Reading, purpose="parse", prompt_version=PROMPT_VERSION)
         if said.unclear.strip():
             unclear = one_line(said.unclear, limit=300)
             raise LanguageError(f"instruction {instruction!r}: {self.name} finds it unclear: {unclear}")
-        if (said.region in SIDED) != (said.side != "none"):
+        if REGIONS[said.region].sided != (said.side != "none"):
             raise LanguageError(f"instruction {instruction!r}: {self.name} reads side {said.side} of {said.region}")
         return Intent(action=said.action, region=said.region, side=said.side, manner=said.manner)
 
     def choose(self, intent: Intent, options: Sequence[Option]) -> int:
+        """Return the index of the option that the model chooses."""
         rows = [{"number": k, **asdict(option)} for k, option in enumerate(options)]
         listed = "\n".join(json.dumps(row) for row in rows)
         asked = f"Instruction: {intent.model_dump_json()}\nMotions:\n{listed}"
 
         def whole(number: object) -> object:
-            # A Literal takes true for 1, and its own message would name every number.
+            # A Literal would accept true for 1, and its own message would list every number.
             if type(number) is not int or not 0 <= number < len(options):
                 raise ValueError(f"expected a whole number from 0 to {len(options) - 1}, got {number!r:.40}")
             return number
@@ -80,4 +86,5 @@ class LanguageModel:
         return int(chosen.model_dump()["number"])
 
     def take_calls(self) -> list[dict[str, object]]:
+        """Return the calls to the language model since the last time, for the recording."""
         return self._transcript.take_calls()

@@ -1,4 +1,4 @@
-"""``replay:<hash>:<model>``: completions from a file, found by what was asked. Asking anything else is an error."""
+"""``replay:<hash>:<model>``: completions from a file, found by their requests. Any other request is an error."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from carecontact.policies.language.completion import (
 from carecontact.policies.language.untrusted import one_line
 
 AUTHORED = "authored"
-"""Model name of completions that a person wrote: rows made with them are references of the harness, and say so."""
+"""Model name of completions that a person wrote: results made with them show what the method does, and say so."""
 MAX_BYTES = 64 << 20
 
 
@@ -28,17 +28,20 @@ class RecordedCompletion(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     key: str
-    """sha256 of the request"""
+    """SHA-256 of the request."""
     request: CompletionRequest
     completion: Completion
 
 
 class Replay:
-    """Deterministic; needs no network."""
+    """Answers requests from a file; it is deterministic and needs no network."""
 
     def __init__(self, path: Path | str) -> None:
-        """Raises ConfigError naming file and line: unreadable, not JSON lines, a key that is not its request's, two
-        answers to one request, or completions for more than one model."""
+        """Read the file.
+
+        Raises ConfigError, with file and line, if the file is unreadable or not JSON lines, if a key does not belong to
+        its request, if one request has two answers, or if completions are for more than one model.
+        """
         content = read_bytes(Path(path))
         self._completions: dict[str, Completion] = {}
         self.model = ""
@@ -46,11 +49,11 @@ class Replay:
             if line.strip():
                 self._add(line, place=f"{path}, line {number}")
         if not self._completions:
-            raise ConfigError(f"replay file {path} has no completion")
+            raise ConfigError(f"replay file {path} contains no completion")
         self.name = replay_name(content, model=self.model)
 
     def complete(self, request: CompletionRequest) -> Completion:
-        """Raises LanguageError for what was not recorded; never falls back to something similar."""
+        """Return the recorded completion. Raises LanguageError if there is none; no similar one takes its place."""
         found = self._completions.get(request.sha256)
         if found is None:
             last = request.messages[-1].content.strip()[-200:]
@@ -68,28 +71,31 @@ class Replay:
             where = one_line(".".join(map(str, first["loc"])), limit=100) or "the line"
             raise ConfigError(f"replay file {place}: {where}: {first['msg']}") from None
         if row.key != row.request.sha256:
-            raise ConfigError(f"replay file {place}: its request has key {row.request.sha256[:12]}, not {row.key[:12]}")
+            raise ConfigError(
+                f"replay file {place}: the key is {row.key[:12]}, but its request has {row.request.sha256[:12]}"
+            )
         if self.model not in ("", row.request.model):
-            raise ConfigError(f"replay file {place}: model {row.request.model}, but {self.model} before")
+            raise ConfigError(f"replay file {place}: model {row.request.model}, but lines before it have {self.model}")
         if not MODEL_NAME.fullmatch(row.request.model):
             raise ConfigError(
                 f"replay file {place}: request.model: expected {MODEL_NAME_WANTED}, got {row.request.model!r:.80}"
             )
-        # A model that is asked twice may answer twice; which one counts must not depend on the order of lines.
+        # A model that is asked twice may answer differently; which answer counts must not depend on the order of lines.
         if self._completions.get(row.key, row.completion) != row.completion:
-            raise ConfigError(f"replay file {place}: another answer to the same request came before")
+            raise ConfigError(f"replay file {place}: an earlier line has another answer to the same request")
         self.model = row.request.model
         self._completions[row.key] = row.completion
 
 
 def replay_name(content: bytes, *, model: str) -> str:
+    """Return the name by which results call a replay file with this content."""
     return f"replay:{hashlib.sha256(content).hexdigest()[:12]}:{model}"
 
 
 def read_bytes(path: Path) -> bytes:
-    """Raises ConfigError for what is no regular file, cannot be read or is larger than MAX_BYTES."""
+    """Read a file. Raises ConfigError if it is not a regular file, cannot be read or is larger than MAX_BYTES."""
     try:
-        # A pipe or device may have no end, or wait for ever.
+        # A pipe or device may have no end, or block for ever.
         if not stat.S_ISREG(path.stat().st_mode):
             raise ConfigError(f"replay file {path}: expected a regular file, got a folder, pipe or device")
         with path.open("rb") as file:
@@ -97,5 +103,5 @@ def read_bytes(path: Path) -> bytes:
     except OSError as error:
         raise ConfigError(f"replay file {path}: {error.strerror}") from None
     if len(content) > MAX_BYTES:
-        raise ConfigError(f"replay file {path}: more than {MAX_BYTES >> 20} MiB")
+        raise ConfigError(f"replay file {path}: it has more than {MAX_BYTES >> 20} MiB, the most that is read")
     return content

@@ -6,7 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 
 from carecontact.errors import ContractError, LanguageError
-from carecontact.policies.language.backend import Intent, Option
+from carecontact.policies.language.backend import Intent, Option, spoken_regions
+from carecontact.regions import REGIONS
 
 ACTIONS: Mapping[str, tuple[str, ...]] = {
     "touch": (
@@ -20,18 +21,12 @@ ACTIONS: Mapping[str, tuple[str, ...]] = {
     "push": ("push", "shove", "nudge", "displace", "move aside", "push aside"),
     "scrub": ("scrub", "wash", "wipe", "rub", "clean", "bathe", "cleanse"),
 }
-REGIONS: Mapping[str, tuple[str, ...]] = {
-    "forearm": ("forearm", "fore arm", "fore-arm", "lower arm"),
-    "upper_arm": ("upper arm", "upper-arm", "upperarm", "biceps", "bicep", "triceps"),
-    "abdomen": ("abdomen", "belly", "stomach", "tummy"),
-}
 SIDES: Mapping[str, tuple[str, ...]] = {"right": ("right", "right-hand"), "left": ("left", "left-hand")}
 MANNERS: Mapping[str, tuple[str, ...]] = {
     "gentle": ("gently", "gentle", "softly", "soft", "lightly", "light", "carefully", "careful", "tenderly"),
     "firm": ("firmly", "firm", "strongly", "strong", "hard", "vigorously", "forcefully"),
 }
 NEGATIONS = ("not", "don't", "dont", "never", "avoid", "without", "no", "stop", "except")
-SIDED = ("forearm", "upper_arm")
 
 
 class Rules:
@@ -52,11 +47,11 @@ class Rules:
         if negated:
             raise LanguageError(f"instruction {instruction!r}: rules-v1 refuses negation ({', '.join(negated)})")
         action = _one(instruction, text, "action", ACTIONS)
-        region = _one(instruction, text, "region", REGIONS)
+        region = _one(instruction, text, "region", {name: REGIONS[name].words for name in spoken_regions()})
         side = _at_most_one(instruction, text, "side", SIDES)
-        if region in SIDED and side == "none":
+        if REGIONS[region].sided and side == "none":
             raise LanguageError(f"instruction {instruction!r}: which {region.replace('_', ' ')}? say right or left")
-        if region not in SIDED and side != "none":
+        if not REGIONS[region].sided and side != "none":
             raise LanguageError(f"instruction {instruction!r}: the {region} has no {side} side that rules-v1 knows")
         manner = _at_most_one(instruction, text, "manner", MANNERS)
         return Intent.model_validate({"action": action, "region": region, "side": side, "manner": manner})

@@ -1,4 +1,4 @@
-"""Sampling parameters in the spelling that an endpoint takes: those of OpenAI's newer models are not everyone's."""
+"""Sampling parameters as an endpoint accepts them: OpenAI's newer models take other names than most endpoints."""
 
 from __future__ import annotations
 
@@ -10,20 +10,25 @@ from carecontact.policies.language.completion import CompletionRequest
 
 @dataclass(frozen=True, kw_only=True)
 class Sampling:
+    """Which parameters are sent."""
+
     temperature: bool = True
-    """False: the endpoint takes none, and samples as it does by default."""
+    """False if the endpoint accepts none; it then samples as it does by default."""
     limit: str = "max_tokens"
-    """Name of the token limit; the newer one, ``max_completion_tokens``, also counts what a model thinks."""
+    """Name of the token limit; the newer one, ``max_completion_tokens``, also counts a model's reasoning."""
 
     def parameters(self, request: CompletionRequest) -> dict[str, float | int]:
+        """Return the parameters to send with a request."""
         sent: dict[str, float | int] = {self.limit: request.max_tokens}
         return {"temperature": request.temperature, **sent} if self.temperature else sent
 
     def adapted(self, parameter: str | None, message: str) -> Sampling:
-        """After an HTTP 400: without the temperature, or with the newer limit, if the error names them; else as it is.
+        """Return what to send after an HTTP 400: what the error names is left out or replaced.
 
-        ``parameter``: the error's own field for the name; where an endpoint has none, the name is looked for in
-        ``message``.
+        Args:
+            parameter: the error's own field for the name of a parameter. Where it is None, the name is looked for in
+                ``message``.
+            message: the error's text.
         """
         named = {parameter} if parameter else set(re.findall(r"\b(?:temperature|max_tokens)\b", message))
         changed = self

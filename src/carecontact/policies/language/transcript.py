@@ -1,4 +1,4 @@
-"""Asks a source of completions, keeps account of every answer, and writes a replay file if one is wanted."""
+"""Asks a source of completions, notes every answer, and writes a replay file on request."""
 
 from __future__ import annotations
 
@@ -24,23 +24,27 @@ PLACE_CHARS = 100
 
 
 class Transcript:
-    """One conversation after another with the same source; each call starts from the messages that it is given."""
+    """Conversations with one source; each call starts from the messages that it is given."""
 
     def __init__(self, source: CompletionSource, *, record: Path | None = None) -> None:
-        """``record``: a replay file to append every new completion to, refusals too."""
+        """``record``: a replay file to which every new completion is appended, refusals too."""
         self.name = source.name
         self._source, self._record = source, record
         self._calls: list[dict[str, object]] = []
 
     def text(self, messages: Sequence[Message], *, purpose: str, prompt_version: str) -> str:
-        """A whole free text. Raises LanguageError, also for a refusal and for a text that was cut."""
+        """Return a free text. Raises LanguageError, also for a refusal and for a text that was cut."""
         completion = self._complete(messages, purpose=purpose, prompt_version=prompt_version, json_schema=None)
         if completion.finish_reason != "stop":
             raise LanguageError(f"{self._about(purpose)} is not whole (finish reason {completion.finish_reason})")
         return completion.text
 
     def answer(self, messages: Sequence[Message], schema: type[Answer], *, purpose: str, prompt_version: str) -> Answer:
-        """An answer that the schema accepts. The model is told once what was wrong; then raises LanguageError."""
+        """Return an answer that the schema accepts.
+
+        A wrong answer is sent back to the model once with what is wrong. Raises LanguageError if the answer is still
+        wrong, and for a refusal.
+        """
         messages, wrong = list(messages), ""
         for _ in range(1 + REPAIRS):
             completion = self._complete(
@@ -50,7 +54,7 @@ class Transcript:
                 return schema.model_validate_json(json_of(completion.text))
             except ValidationError as error:
                 first = error.errors()[0]
-                # The name of a field that the answer made up is in it.
+                # It may contain the name of a field that the answer made up.
                 place = one_line(".".join(map(str, first["loc"])), limit=PLACE_CHARS) or "the answer"
                 wrong = f"{place}: {first['msg']}"
             messages += [
@@ -60,7 +64,7 @@ class Transcript:
         raise LanguageError(f"{self._about(purpose)} does not fit its schema after {REPAIRS} repair: {wrong}")
 
     def take_calls(self) -> list[dict[str, object]]:
-        """What was asked since the last time this was called: provenance for the recording."""
+        """Return the calls since the last time this was called, for the recording."""
         calls, self._calls = self._calls, []
         return calls
 
@@ -96,9 +100,9 @@ class Transcript:
 
 
 def append_completion(path: Path, request: CompletionRequest, completion: Completion) -> None:
-    """One line, unless the request is answered there already. Safe with trials that run at the same time.
+    """Append one line, unless the file holds an answer to the request already; trials may do so at the same time.
 
-    Raises LanguageError when the file cannot be written.
+    Raises LanguageError if the file cannot be written.
     """
     row = RecordedCompletion(key=request.sha256, request=request, completion=completion)
     line = json.dumps(row.model_dump(mode="json"), sort_keys=True) + "\n"

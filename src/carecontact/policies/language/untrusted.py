@@ -1,4 +1,4 @@
-"""What an endpoint says, made fit to be stored and printed: without the run's secrets, printable and short."""
+"""Makes what an endpoint says fit to be stored and printed: without the run's secrets, printable and short."""
 
 from __future__ import annotations
 
@@ -10,30 +10,34 @@ from collections.abc import Iterable, Iterator
 from urllib.parse import quote, quote_plus
 
 SHORTEST_SECRET = 6
-"""Characters. What is shorter (``none``, ``test``) is a placeholder, and would be found in words that mean no key."""
+"""Length [characters] from which a secret is looked for. A shorter one (``none``, ``test``) is a placeholder, and would
+be found in ordinary words."""
 SHORTEST_BASE64 = 8
 REMOVED = "[secret removed]"
 CUT = " [...]"
 
 
 class Cleaner:
-    """For one endpoint. An endpoint that means to give a secret away can always spell it in a way that is not known
-    here; this is against those that repeat what they were sent."""
+    """Removes secrets from what one endpoint says.
+
+    This helps against endpoints that repeat what they were sent. One that means to give a secret away can always spell
+    it in a way that is not known here.
+    """
 
     def __init__(self, secrets: Iterable[str] = ()) -> None:
-        """``secrets``: their values; those of fewer than SHORTEST_SECRET characters are not looked for."""
+        """``secrets``: values to remove; those of fewer than SHORTEST_SECRET characters stay."""
         spelled = {s for secret in secrets if len(secret) >= SHORTEST_SECRET for s in _spellings(secret)}
         longest_first = sorted(spelled, key=lambda s: (-len(s), s))
         self._secrets = re.compile("|".join(map(re.escape, longest_first)), re.IGNORECASE) if spelled else None
 
     def text(self, said: str) -> str:
-        """Of any length, with its line ends and tabs; other control characters become U+FFFD."""
+        """Return a text of any length with its line ends and tabs; other control characters become U+FFFD."""
         said = self._without_secrets(said)
         return "".join("\ufffd" if _is_control(c) else c for c in said)
 
     def line(self, said: str, *, limit: int) -> str:
-        """As ``one_line``."""
-        # Secrets first: of a key that is cut in two the first half would stay.
+        """Return what ``one_line`` does, without secrets."""
+        # Secrets are removed first, because the first half of a key that is cut in two would stay.
         return one_line(self._without_secrets(said), limit=limit)
 
     def _without_secrets(self, said: str) -> str:
@@ -41,7 +45,7 @@ class Cleaner:
 
 
 def one_line(said: str, *, limit: int) -> str:
-    """At most ``limit`` characters; what is not printable is escaped, what is cut off is marked."""
+    """Return one line of at most ``limit`` characters; what is not printable is escaped, and a cut is marked."""
     said = " ".join(said.split())[: limit + 1]
     said = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in said)
     return said if len(said) <= limit else said[: limit - len(CUT)] + CUT
@@ -52,7 +56,7 @@ def _is_control(c: str) -> bool:
 
 
 def _spellings(secret: str) -> Iterator[str]:
-    """As it is, and as it stands in JSON, a Python literal, HTML, a URL and base64, also inside something longer."""
+    """Yield a secret as it is, and as it looks in JSON, a Python literal, HTML, a URL, and base64 of a longer text."""
     yield secret
     yield from (json.dumps(secret)[1:-1], secret.replace("/", "\\/"), repr(secret)[1:-1], html.escape(secret))
     yield from (quote(secret), quote(secret, safe=""), quote_plus(secret))

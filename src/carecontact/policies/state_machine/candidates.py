@@ -17,6 +17,7 @@ from carecontact.policies.motion import Leg, travel
 from carecontact.policies.region_geometry import RegionGeometry
 from carecontact.policies.state_machine import fixed_values as fixed
 from carecontact.policies.state_machine.primitives import push, scrub, touch
+from carecontact.regions import REGIONS
 
 F64 = npt.NDArray[np.float64]
 
@@ -75,7 +76,7 @@ def _options(geometry: RegionGeometry) -> Iterator[tuple[Option, list[Leg]]]:
         option = Option(primitive="scrub", approach="above", key_point=key, depth_m=depth, speed_m_s=speed)
         yield option, scrub(geometry, key_point=key, depth_m=depth, speed_m_s=speed)
     support = geometry.support_height_m
-    if geometry.region == "abdomen" or support is None:
+    if not REGIONS[geometry.region].sided or support is None:  # the trunk is not pushed aside
         return
     sides = ("near_side", "far_side")
     for side, key, depth, speed in product(

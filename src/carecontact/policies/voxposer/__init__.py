@@ -1,2 +1,1 @@
-"""VoxPoser (Huang et al., CoRL 2023), implemented from its description: programs written by a language model compose
-value maps over the workspace, and a greedy planner follows them. No force map."""
+"""VoxPoser (Huang et al., CoRL 2023): a language model's programs write value maps, a greedy planner follows them."""

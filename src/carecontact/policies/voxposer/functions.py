@@ -1,10 +1,9 @@
-"""What a program may call, and what it gets: handles to maps and parts, never an array, never anything of Python's."""
+"""What a program may call to find parts and to write maps: it gets handles, never an array or an object of Python's."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +12,7 @@ from pydantic_monty import ClassInstance
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.policies.motion import tool_quat
 from carecontact.policies.voxposer import fixed_values as fixed
+from carecontact.policies.voxposer.arguments import described, number, numbers, shown
 from carecontact.policies.voxposer.grid import Grid, Voxel
 from carecontact.policies.voxposer.maps import KINDS, VALUE_RANGE, MapKind, ValueMap
 from carecontact.policies.voxposer.scene import NAMES, Part, Scene
@@ -23,37 +23,44 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 @dataclass(frozen=True, kw_only=True)
 class PartHandle:
-    """A part as a program sees it: whole voxels."""
+    """A part as a program sees it, in whole voxels."""
 
     name: str
     position: Voxel
     low: Voxel
-    """Corner of the box round its visible points"""
+    """Lowest corner of the box round the part's visible points."""
     high: Voxel
+    """Highest corner of that box."""
     normal: tuple[float, float, float]
+    """Unit vector out of the part's surface, in base."""
 
     @property
     def aabb(self) -> tuple[Voxel, Voxel]:
-        """(low, high), as the release names it (interfaces.py 70)"""
+        """(low, high), under the release's name (interfaces.py 70)."""
         return self.low, self.high
 
     @property
-    def told(self) -> str:
+    def description(self) -> str:
         return self.name
 
 
 def offered(part: PartHandle) -> ClassInstance:
-    """As it is put into the hands of a program."""
+    """Return a part as it is put into the hands of a program."""
     return ClassInstance(part, eager_attrs=("name", "position", "low", "high", "aabb", "normal"))
 
 
 class MapFunctions:
-    """For the programs that compose maps and find parts; they change nothing but the maps that they make."""
+    """The functions of programs that compose maps and find parts; they change nothing but the maps that they make.
+
+    Every one of them raises TypeError or ValueError for an argument that it does not take.
+    """
 
     def __init__(self, scene: Scene, grid: Grid) -> None:
         self._scene, self._grid = scene, grid
 
     def table(self) -> dict[str, Callable[..., object]]:
+        """Return the functions by the names under which programs call them."""
+
         def maker(kind: MapKind) -> Callable[..., object]:
             return lambda: ClassInstance(ValueMap(kind=kind))
 
@@ -65,22 +72,28 @@ class MapFunctions:
         }  # fmt: skip
 
     def detect(self, name: object) -> object:
+        """Return the part called ``name``. Raises PerceptionFailure if it cannot be found."""
         if not isinstance(name, str) or name not in NAMES:
-            raise ValueError(f"detect: {name!r:.80} is not known; there is {', '.join(NAMES)}")
+            raise ValueError(f"detect: {name!r:.80} is not a known name; valid: {', '.join(NAMES)}")
         return handle(self._scene.find(name), self._grid)
 
     def get_ee_pos(self) -> Voxel:
+        """Return the tool's voxel."""
         return self._grid.voxel(self._scene.pose_tcp[:3])
 
     def set_voxel(self, voxel_map: object, voxel_xyz: object, value: object = 1) -> object:
+        """Write one voxel and return the same map."""
         return self.set_voxel_by_radius(voxel_map, voxel_xyz, 0, value)
 
     def set_voxel_by_radius(
         self, voxel_map: object, voxel_xyz: object, radius_cm: object = 0, value: object = 1
     ) -> object:
-        """The same map. Names and defaults are the release's (interfaces.py 251)."""
+        """Write a box of half width ``radius_cm`` and return the same map.
+
+        Names and defaults are the release's (interfaces.py 251).
+        """
         if not isinstance(voxel_map, ValueMap):
-            raise TypeError(f"expected a map from get_empty_..._map first, got {told(voxel_map)}")
+            raise TypeError(f"expected a map from get_empty_..._map first, got {described(voxel_map)}")
         centre = numbers(voxel_xyz, 3, "voxel_xyz")
         radius = number(radius_cm, "radius_cm")
         if not 0 <= radius <= fixed.RADIUS_LIMIT_CM:
@@ -90,7 +103,7 @@ class MapFunctions:
         return ClassInstance(voxel_map)
 
     def cm2index(self, cm: object, direction: object) -> object:
-        """Whole voxels along an axis, or (x, y, z) of them along a vector; what is over is cut off."""
+        """Return a length in whole voxels along an axis, or as (x, y, z) along a vector; fractions are cut off."""
         length = number(cm, "cm") / 100
         if isinstance(direction, str):
             along = _axis(direction)
@@ -99,13 +112,16 @@ class MapFunctions:
         return tuple(self._grid.whole_voxels(length * vector).tolist())
 
     def index2cm(self, index: object, direction: object = None) -> float:
-        """Without a direction by the mean of the three axes, as in the release (interfaces.py 231-234)."""
+        """Return a number of voxels in centimetres along an axis.
+
+        Without a direction, the mean of the three axes counts, as in the release (interfaces.py 231-234).
+        """
         resolution = self._grid.resolution_m
         edge = float(resolution.mean()) if direction is None else float(resolution @ _axis(direction))
         return number(index, "index") * edge * 100
 
     def vec2quat(self, vector: object) -> tuple[float, ...]:
-        """The tool along the vector, turned about it as little as possible from where it is."""
+        """Return quat_wxyz of a tool that points along the vector, turned about it as little as possible from now."""
         axis = _unit(numbers(vector, 3, "vector"))
         now = matrix_from_quat(self._scene.pose_tcp[3:])
         side = now[:, 0] if abs(float(now[:, 0] @ axis)) < 0.99 else now[:, 1]
@@ -113,6 +129,7 @@ class MapFunctions:
 
 
 def handle(part: Part, grid: Grid) -> ClassInstance:
+    """Return the handle that a program gets for a part."""
     low, high = grid.voxel(part.points_m.min(axis=0)), grid.voxel(part.points_m.max(axis=0))
     nx, ny, nz = part.normal.tolist()
     seen = PartHandle(
@@ -121,37 +138,12 @@ def handle(part: Part, grid: Grid) -> ClassInstance:
     return offered(seen)
 
 
-def told(value: object) -> str:
-    """What a program gave, in its own terms."""
-    return str(getattr(value, "told", type(value).__name__))
-
-
-def shown(value: object) -> str:
-    """A value as a program would write it, if it is one of Python's."""
-    return told(value) if hasattr(value, "told") else f"{value!r:.80}"
-
-
-def number(value: object, what: str) -> float:
-    """Raises TypeError or ValueError for what is no finite number of a workable size."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{what}: expected a number, got {told(value)}")
-    if not abs(value) < 1e6:
-        raise ValueError(f"{what}: {value!r:.40} is no workable number")
-    return float(value)
-
-
-def numbers(value: object, count: int, what: str) -> F64:
-    if not isinstance(value, list | tuple) or len(cast("Sequence[object]", value)) != count:
-        raise TypeError(f"{what}: expected {count} numbers, got {shown(cast('object', value))}")
-    return np.array([number(v, what) for v in cast("Sequence[object]", value)])
-
-
 def _value(kind: MapKind, value: object) -> tuple[float, ...]:
     if kind == "rotation":
         quat = numbers(value, 4, "rotation")
         norm = float(np.linalg.norm(quat))
         if norm < 1e-6:
-            raise ValueError("rotation: a quaternion of length 0")
+            raise ValueError("rotation: expected a quaternion of norm 1, got norm 0")
         return tuple((quat / norm).tolist())
     low, high = VALUE_RANGE[kind]
     got = number(value, kind)
@@ -162,12 +154,12 @@ def _value(kind: MapKind, value: object) -> tuple[float, ...]:
 
 def _axis(direction: object) -> F64:
     if not isinstance(direction, str) or direction not in AXES:
-        raise ValueError(f"direction: {shown(direction)}; valid: x, y, z or, for cm2index, a vector")
+        raise ValueError(f"direction: expected x, y, z or, for cm2index, a vector, got {shown(direction)}")
     return np.array(AXES[direction])
 
 
 def _unit(vector: F64) -> F64:
     length = float(np.linalg.norm(vector))
     if length < 1e-9:
-        raise ValueError("a direction of length 0")
+        raise ValueError("direction: expected a vector of a length above 0, got length 0")
     return vector / length

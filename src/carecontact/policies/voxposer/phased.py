@@ -1,4 +1,4 @@
-"""``voxposer-phased``: value maps up to the touch, then a progress objective; still nothing measures force."""
+"""``voxposer-phased``: value maps lead up to the touch, then a progress objective leads; nothing measures force."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.errors import ProgramError
 from carecontact.policies.region_geometry import person_points
+from carecontact.policies.voxposer.arguments import described, text_of
+from carecontact.policies.voxposer.execution import EXECUTE, Execution, arguments
 from carecontact.policies.voxposer.executor import Motion
-from carecontact.policies.voxposer.functions import told
-from carecontact.policies.voxposer.policy import CAMERA, EXECUTE, Execution, VoxPoser, text_of
-from carecontact.policies.voxposer.progress import Objective, Pursuit, objective_functions, touches
+from carecontact.policies.voxposer.policy import CAMERA, VoxPoser
+from carecontact.policies.voxposer.progress import Objective, Pursuit, objective_functions
 from carecontact.policies.voxposer.prompts import VOXPOSER_PHASED, PromptSet
+from carecontact.policies.voxposer.seen_skin import touches
 
 F64 = npt.NDArray[np.float64]
 ROLE = "get_progress"
@@ -27,21 +29,25 @@ ROLE = "get_progress"
 
 @dataclass(frozen=True)
 class ProgressQuery:
+    """An objective as a program holds it: a description of what is to be achieved."""
+
     query: str
-    told = "objective"
+    description = "objective"
 
 
 @dataclass(kw_only=True)
 class PhasedExecution(Execution):
+    """A call of ``execute`` that may carry a progress objective."""
+
     progress: ProgressQuery | None = None
     pursuit: Pursuit | None = None
 
 
 class VoxPoserPhased(VoxPoser):
-    """As VoxPoser, but ``execute`` may be given an objective that replaces the maps once the tool touches.
+    """Works as VoxPoser, but a call of ``execute`` may carry an objective that replaces the maps once the tool touches.
 
-    The touch is told by where the skin was seen before the arm came near, or by the end of the value maps' own motion:
-    the method feels nothing. See docs/voxposer-phased.md.
+    The method feels nothing: it takes the touch from where the skin was seen before the arm came near, or from the end
+    of the value maps' own motion. See docs/voxposer-phased.md.
     """
 
     name = "voxposer-phased"
@@ -52,10 +58,12 @@ class VoxPoserPhased(VoxPoser):
     )
 
     def reset(self, instruction: str) -> None:
+        """Ask the planner for the subtasks, as VoxPoser does."""
         super().reset(instruction)
         self._skin: F64 | None = None
 
     def act(self, observation: Observation) -> Sequence[Action]:
+        """Keep the skin of the first look, and act as VoxPoser does."""
         if self._skin is None:
             self._skin = person_points(observation.cameras[CAMERA])
         return super().act(observation)
@@ -67,9 +75,9 @@ class VoxPoserPhased(VoxPoser):
         return super()._composer_functions() | {ROLE: progress}
 
     def _execution(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> PhasedExecution:
-        progress = self._given(args, kwargs).get("progress")
+        progress = arguments(self.execute, args, kwargs).get("progress")
         if progress is not None and not isinstance(progress, ProgressQuery):
-            raise ProgramError(f"execute: progress expects what {ROLE} returns, got {told(progress)}")
+            raise ProgramError(f"execute: progress expects what {ROLE} returns, got {described(progress)}")
         return PhasedExecution(maps=super()._execution(args, kwargs).maps, progress=progress)
 
     def _try(self, execution: Execution) -> None:
@@ -82,7 +90,6 @@ class VoxPoserPhased(VoxPoser):
             return super()._move(current)
         tool = self._scene.pose_tcp
         assert self._skin is not None
-        assert self._grid is not None
         if current.pursuit is None:
             if not touches(self._skin, tool[:3]) and (motion := super()._move(current)) is not None:
                 return motion
@@ -90,17 +97,17 @@ class VoxPoserPhased(VoxPoser):
                 objective=self._objective(current.progress), skin=self._skin, start=tool[:3].copy()
             )
         pursuit = current.pursuit
-        moved = pursuit.next_motion(tool, self._grid)
+        moved = pursuit.next_motion(tool, self._scene.grid)
         self._notes |= {
-            "subtask": self._subtask, "progress": current.progress.query, "progress_m": round(pursuit.done_m, 4),
-            "progress_of_m": pursuit.objective.distance_m, "pursuing": moved is not None,
+            "subtask": self._composers.subtask, "progress": current.progress.query,
+            "progress_m": round(pursuit.done_m, 4), "progress_of_m": pursuit.objective.distance_m,
+            "pursuing": moved is not None,
         }  # fmt: skip
         return moved
 
     def _objective(self, query: ProgressQuery) -> Objective:
-        assert self._grid is not None
-        functions = {**self._map_functions(), **objective_functions(self._grid)}
-        made = self._box.value(f"{ROLE}: {query.query}", self._program(ROLE, query.query), functions)
+        functions = {**self._roles.map_functions(), **objective_functions(self._scene.grid)}
+        made = self._roles.result(ROLE, query.query, functions)
         if not isinstance(made, Objective):
             raise ProgramError(f"program {ROLE}: {query.query} leaves no objective in ret_val")
         return made

@@ -1,4 +1,4 @@
-"""Our own prompts: what each role is, what it may call, and examples that are none of the benchmark's tasks."""
+"""Our own prompts: what each role is, what it may call, and examples that are not among the benchmark's tasks."""
 
 from __future__ import annotations
 
@@ -134,14 +134,19 @@ ret_val = gripper_map
 
 @dataclass(frozen=True, kw_only=True)
 class PromptSet:
+    """The prompts of one method."""
+
     version: str
-    """Changes with any word of a prompt: recorded completions answer one version only."""
+    """Changes with any word of a prompt, because recorded completions answer one version only."""
     roles: Mapping[str, str]
+    """Role -> system message."""
 
     def system(self, role: str) -> str:
+        """Return the system message of a role."""
         return self.roles[role]
 
     def user(self, query: str) -> str:
+        """Return the user message of a query."""
         return query
 
 
@@ -205,4 +210,4 @@ VOXPOSER_PHASED = PromptSet(
 )
 
 SETS: Mapping[str, PromptSet] = {"authored": VOXPOSER, "authored-phased": VOXPOSER_PHASED}
-"""Name of a file of hand-written completions -> the prompts that they answer."""
+"""Name of a file of completions that were written by hand -> the prompts that they answer."""

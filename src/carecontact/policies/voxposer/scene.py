@@ -1,4 +1,4 @@
-"""What is where, as far as one camera tells: parts of the person by name, and everything that is in the way."""
+"""What one camera shows of the scene: parts of the person by name, and everything that is in the way."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from carecontact.contract.geometry import pixels
 from carecontact.contract.observation import CameraView, Observation
-from carecontact.policies.language.backend import RegionName
 from carecontact.policies.region_geometry import (
     LANDMARK,
     MIN_VISIBILITY,
@@ -19,56 +18,63 @@ from carecontact.policies.region_geometry import (
 )
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.grid import Grid
+from carecontact.regions import REGIONS, STANDARD_REGIONS
 
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 GRIPPER = "gripper"
-REGIONS: dict[str, tuple[RegionName, str]] = {
-    "right forearm": ("forearm", "right"), "left forearm": ("forearm", "left"),
-    "right upper arm": ("upper_arm", "right"), "left upper arm": ("upper_arm", "left"), "abdomen": ("abdomen", "right"),
-}  # fmt: skip
+PARTS = {
+    f"{side} {name.replace('_', ' ')}" if REGIONS[name].sided else name.replace("_", " "): (name, side)
+    for name in STANDARD_REGIONS
+    for side in (("right", "left") if REGIONS[name].sided else ("right",))
+}
+"""Name in a program -> region and side. The standard regions alone: the names are part of the prompt, by which recorded
+completions are found."""
 JOINTS = tuple(f"{side} {joint}" for side in ("right", "left") for joint in ("wrist", "elbow", "shoulder", "hip"))
-NAMES = (GRIPPER, *REGIONS, *JOINTS)
+NAMES = (GRIPPER, *PARTS, *JOINTS)
+"""Every name that ``Scene.find`` takes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """Something that a program can ask for, in base [m]."""
+    """Something that a program can request by name, in base."""
 
     name: str
     position_m: F64
-    """(3,) mean of its visible points, as the published detector's clouds are summarised; a little under the top of
-    what is round"""
+    """(3,) mean of the visible points [m], as the published method summarises its detections; on a round part it lies a
+    little below the top."""
     points_m: F64
-    """(N, 3)"""
+    """(N, 3) visible points [m]."""
     normal: F64
-    """(3,) unit, out of the surface"""
+    """(3,) unit vector out of the surface."""
 
 
 class Scene:
-    """The latest observation, and the last place of each part that was not hidden then."""
+    """The latest observation, and for each part the last place at which it was not hidden."""
 
     def __init__(self, camera: str, grid: Grid) -> None:
-        self._camera, self._grid = camera, grid
+        """``camera``: name of the camera that is used; ``grid``: the voxels of ``occupied``."""
+        self._camera, self.grid = camera, grid
         self._observation: Observation | None = None
         self._kept: dict[str, Part] = {}
         self._fresh: set[str] = set()
 
     def look(self, observation: Observation) -> None:
+        """Take over a new observation."""
         self._observation = observation
         self._fresh = set()
 
     @property
     def pose_tcp(self) -> F64:
-        """(7,) in base"""
+        """(7,) pose of the tool in base: position [m], quat_wxyz."""
         assert self._observation is not None
         return self._observation.pose_tcp_in_base
 
     def find(self, name: str) -> Part:
-        """From the latest observation, or where it was last seen if the robot hides it or it cannot be made out.
+        """Return a part as the latest observation shows it, or as it was last seen if it is hidden or not found now.
 
-        Raises KeyError for a name that is none of NAMES, PerceptionFailure if it has never been seen.
+        Raises KeyError for a name that is not in NAMES, and PerceptionFailure if the part has never been seen.
         """
         if name == GRIPPER:
             tcp = self.pose_tcp[:3]
@@ -87,31 +93,31 @@ class Scene:
         return self._kept[name]
 
     def occupied(self) -> Bool:
-        """(MAP_SIZE,) * 3 voxels with a visible surface that is not the robot's."""
+        """Return the (MAP_SIZE,) * 3 voxels that hold a visible surface other than the robot's."""
         view = self.view
         assert view.points is not None
         assert view.depth is not None
         assert view.masks is not None
         points = view.points[~view.masks["robot"][np.isfinite(view.depth)]].astype(np.float64)
-        out = np.zeros(self._grid.shape, bool)
-        out[tuple(self._grid.voxels(points[self._grid.contains(points)]).T)] = True
+        out = np.zeros(self.grid.shape, bool)
+        out[tuple(self.grid.voxels(points[self.grid.contains(points)]).T)] = True
         return out
 
     def _seen(self, name: str) -> Part:
         if name in JOINTS:
             return self._joint(name)
-        region, side = REGIONS[name]
+        region, side = PARTS[name]
         assert self._observation is not None
         found = region_from_observation(self._observation, region, side=side, camera=self._camera)
         offset = person_points(self.view) - found.centre_m
         inside = (np.abs(offset @ found.axis) <= found.half_length_m) & (
             np.abs(offset @ found.lateral) <= found.radius_m
         )
-        # Not what lies behind it in the picture: a limb is no higher than it is wide.
+        # Leave out what lies behind the limb in the picture: a limb is no higher than it is wide.
         inside &= np.abs(offset @ found.normal) <= found.radius_m
         points = offset[inside] + found.centre_m
         if len(points) == 0:
-            raise PerceptionFailure(f"no surface of the {name}")
+            raise PerceptionFailure(f"no surface of the {name} is visible")
         return Part(name=name, position_m=points.mean(axis=0), points_m=points, normal=found.normal)
 
     def _joint(self, name: str) -> Part:
@@ -138,5 +144,6 @@ class Scene:
 
     @property
     def view(self) -> CameraView:
+        """The camera's part of the latest observation."""
         assert self._observation is not None
         return self._observation.cameras[self._camera]

@@ -14,20 +14,13 @@ from carecontact.contract.protocol import Protocol
 from carecontact.reports.svg import Axes, Drawing
 from carecontact.runs.aggregate import GAMMAS, LEVELS, gamma_sweep, gate_sweep
 from carecontact.runs.pooling import judged
+from carecontact.scoring.behaviour import sweeps_of
+from carecontact.scoring.gate_sweep import FLOOR, own_value
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import wilson_interval
 
 RADIUS = (6.0, 4.2, 2.4)
 """Of the funnel's steps: a step is part of the one before, so equal counts show as rings."""
-
-GATES = {
-    "floor_n": ("Contact floor", "N", 1.0, None),
-    "push_force_n": ("Push: force", "N", 1.0, "push"),
-    "push_wrist_m": ("Push: wrist moved", "mm", 1000.0, "push"),
-    "scrub_stroke_m": ("Scrub: stroke", "mm", 1000.0, "scrub"),
-    "scrub_extent_m": ("Scrub: extent", "mm", 1000.0, "scrub"),
-}
-"""Sweep -> title, shown unit, its factor, and the action that it is for; None: all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,18 +29,6 @@ class Panel:
     n: int
     """Trials that the gate applies to."""
     svg: str
-
-
-def own_value(protocol: Protocol, sweep: str) -> float:
-    """The protocol's value of a swept gate."""
-    gates = protocol.gates
-    return {
-        "floor_n": protocol.contact.on_n,
-        "push_force_n": gates.push.force_n,
-        "push_wrist_m": gates.push.wrist_displacement_m,
-        "scrub_stroke_m": gates.scrub.stroke_m,
-        "scrub_extent_m": gates.scrub.extent_m,
-    }[sweep]
 
 
 def gamma_axes(title: str) -> Axes:
@@ -102,14 +83,15 @@ def gate_panels(scores: Sequence[TrialScore], protocol: Protocol | None) -> list
     """
     counted = judged(scores)
     panels: list[Panel] = []
-    for name, (title, unit, factor, action) in GATES.items():
+    sweeps = {FLOOR.name: (None, FLOOR), **sweeps_of(sorted({s.action for s in counted}))}
+    for name, (action, sweep) in sweeps.items():
         of_gate = [s for s in counted if action in (None, s.action)]
         rows = gate_sweep(of_gate).get(name, [])
         if not rows:
             continue
-        own = None if protocol is None else own_value(protocol, name)
-        title = f"{title} [{unit}]"
-        panels.append(Panel(title=title, n=len(of_gate), svg=_panel_svg(title, rows, factor, own, len(of_gate))))
+        own = None if protocol is None else own_value(protocol, action, sweep)
+        title = f"{sweep.title} [{sweep.unit}]"
+        panels.append(Panel(title=title, n=len(of_gate), svg=_panel_svg(title, rows, sweep.factor, own, len(of_gate))))
     return panels
 
 

@@ -12,8 +12,9 @@ from carecontact.recording.reason import reason_of
 from carecontact.scoring.attribution.commanded import CommandedPath, commanded_contact, commanded_path
 from carecontact.scoring.attribution.noted_target import nearest_noted_target, noted_reason, noted_subtasks
 from carecontact.scoring.attribution.sight import Sight, modalities, sight
+from carecontact.scoring.behaviour import behaviour_of, mm
 from carecontact.scoring.contact import Contact, runs
-from carecontact.scoring.metrics.c3_success import Gate
+from carecontact.scoring.gate import Gate
 from carecontact.scoring.result import Attribution, FailureMode
 
 NEAR_REGION_M = 0.030
@@ -49,12 +50,12 @@ def _still(contact: Contact, seen: Sight) -> tuple[Attribution, str]:
 
 
 def _aimed_elsewhere(contact: Contact, path: CommandedPath, seen: Sight) -> tuple[Attribution, str]:
-    where = f"The commanded path was aimed {_mm(path.beside_m)} beside the {_region(contact)}"
+    where = f"The commanded path was aimed {mm(path.beside_m)} beside the {_region(contact)}"
     could_be_found = seen.found or not seen.visible
     noted = nearest_noted_target(contact) if could_be_found else None
     if noted is not None:
         name = f' ("{noted.name}")' if noted.name else ""
-        place = "over it" if noted.beside_m == 0.0 else f"{_mm(noted.beside_m)} beside it"
+        place = "over it" if noted.beside_m == 0.0 else f"{mm(noted.beside_m)} beside it"
         other = f", over the {noted.over.replace('_', ' ')}" if noted.over else ""
         chosen = f"the target that the policy noted{name} lay {place}{other}"
         return "planning", f"{where}: {chosen}; {_views(contact, seen)}."
@@ -66,10 +67,10 @@ def _aimed_elsewhere(contact: Contact, path: CommandedPath, seen: Sight) -> tupl
 
 def _aimed_right(contact: Contact, gate: Gate, mode: FailureMode, path: CommandedPath) -> tuple[Attribution, str]:
     region, closest = _region(contact), path.closest_m
-    reach = f"{_mm(-closest)} below" if closest <= 0 else f"{_mm(closest)} above"
+    reach = f"{mm(-closest)} below" if closest <= 0 else f"{mm(closest)} above"
     where = f"The commanded path came to {reach} the surface of the {region}"
     if closest > NEAR_REGION_M:
-        where = f"The commanded path was aimed at the {region} and stayed {_mm(closest)} off its surface"
+        where = f"The commanded path was aimed at the {region} and stayed {mm(closest)} off its surface"
     if mode in ("no_target_contact", "off_target_contact"):
         touched = ", ".join(contact.segments[i] for i in contact.touched) or "nothing"
         joint = "; the robot touched" if closest > NEAR_REGION_M else ", yet the robot touched"
@@ -82,22 +83,15 @@ def _aimed_right(contact: Contact, gate: Gate, mode: FailureMode, path: Commande
             f"Contact was lost {len(lost)} time(s), {inside} of them while the commanded target lay on or under "
             f"the surface of the {region}."
         )
-    if mode == "insufficient_progress" and (asked := _would_pass(contact, path)):
+    if mode == "insufficient_progress" and (asked := _requested(contact, path)):
         return "execution", f"{where} and asked for {asked}, but {_shortfall(contact, gate, mode)}."
     return "planning", f"{where}, but {_shortfall(contact, gate, mode)}."
 
 
-def _would_pass(contact: Contact, path: CommandedPath) -> str | None:
-    """What the targets under the surface asked for, if a tool that followed them would pass the gate."""
-    gates, asked = contact.protocol.gates, commanded_contact(path, contact.protocol.contact.reversal_m)
-    if contact.task.action == "touch":
-        return f"{asked.hold_s:.2f} s there" if asked.hold_s >= gates.touch.duration_s else None
-    if contact.task.action == "push":
-        enough = asked.hold_s >= gates.push.duration_s and asked.way_m >= gates.push.wrist_displacement_m
-        return f"{asked.hold_s:.2f} s and {_mm(asked.way_m)} of way there" if enough else None
-    need = gates.scrub
-    enough = asked.stroke_m >= need.stroke_m and asked.extent_m >= need.extent_m and asked.reversals >= need.reversals
-    return f"{_mm(asked.stroke_m)} stroke and {_mm(asked.extent_m)} extent there" if enough else None
+def _requested(contact: Contact, path: CommandedPath) -> str | None:
+    """What the targets under the surface requested, if a tool that followed them would pass the gate."""
+    action, asked = contact.task.action, commanded_contact(path, contact.protocol.contact.reversal_m)
+    return behaviour_of(action).requested(contact.protocol.gates.of(action), asked)
 
 
 def _views(contact: Contact, seen: Sight) -> str:
@@ -109,7 +103,7 @@ def _views(contact: Contact, seen: Sight) -> str:
         return f"the policy saw {', '.join(asked)}, and whether the {region} was in view is not recorded"
     if not seen.visible:
         return f"the {region} was hidden in all {seen.views} view(s)"
-    error = f" (middle error {_mm(seen.error_m)})" if seen.error_m is not None else ""
+    error = f" (middle error {mm(seen.error_m)})" if seen.error_m is not None else ""
     return f"the {region} was in view in {seen.visible} of {seen.views} and could be found in {seen.found}{error}"
 
 
@@ -150,26 +144,8 @@ def _safety_evidence(contact: Contact) -> str:
 
 
 def _shortfall(contact: Contact, gate: Gate, mode: FailureMode) -> str:
-    gates = contact.protocol.gates
+    gates, action = contact.protocol.gates, contact.task.action
     if mode == "wrong_share":
         share = contact.region_share or 0.0
         return f"only {share:.0%} of the contact impulse fell on it, {gates.region_share:.0%} needed"
-    if contact.task.action == "touch":
-        return f"the longest hold was {gate.longest_on_s:.2f} s of {gates.touch.duration_s:g} s"
-    if contact.task.action == "push":
-        return (
-            f"the longest hold was {gate.longest_on_s:.2f} s of {gates.push.duration_s:g} s and the wrist moved "
-            f"{_mm(gate.wrist_m)} of {_mm(gates.push.wrist_displacement_m)}"
-        )
-    need, best = gates.scrub, gate.best
-    if best is None:
-        return "there was no contact episode to judge"
-    return (
-        f"the best episode had {_mm(best.stroke_m)} of {_mm(need.stroke_m)} stroke, {_mm(best.extent_m)} of "
-        f"{_mm(need.extent_m)} extent, {best.reversals} of {need.reversals} reversal(s) and was on for "
-        f"{best.on_share:.0%} of {need.on_share:.0%}"
-    )
-
-
-def _mm(metres: float) -> str:
-    return f"{metres * 1000:.0f} mm"
+    return behaviour_of(action).shortfall(contact, gates.of(action), gate)

@@ -8,15 +8,9 @@ from typing import Any, cast
 import numpy as np
 
 from carecontact.recording.perception import JOINTS, perception_errors
-from carecontact.recording.schema import REGIONS
+from carecontact.regions import REGIONS
 from carecontact.scoring.contact import Contact
 
-ENDS = {
-    "forearm": ("right elbow", "right wrist"),
-    "upper_arm": ("right shoulder", "right elbow"),
-    "abdomen": ("left shoulder", "right shoulder", "left hip", "right hip"),
-}
-"""Joints between which a region lies."""
 LOCATED = frozenset(("depth", "points", "masks", "landmarks"))
 """Modalities from which a place is computed; with fewer the key points or the mask must do."""
 PERSON_IOU = 0.5
@@ -38,15 +32,17 @@ class Sight:
 def sight(contact: Contact, near_m: float) -> Sight:
     """``near_m``: horizontal error up to which a computed place counts as the region.
 
-    Raises RecordingError for malformed ``perception/*``.
+    No view counts where the region's row names no joints by which it could be found. Raises RecordingError for
+    malformed ``perception/*``.
     """
-    rows = perception_errors(contact.recording)
-    if rows is None or not len(rows.camera):
+    rows, region = perception_errors(contact.recording), contact.task.region
+    names = REGIONS[region].sight_joints
+    if rows is None or not len(rows.camera) or not names:
         return Sight()
-    region = contact.task.region
-    joints = [list(JOINTS).index(name) for name in ENDS[region]]
+    joints = [list(JOINTS).index(name) for name in names]
     visible = rows.joint_visible[:, joints].all(axis=1)
-    error = np.linalg.norm(rows.target_error_m[:, REGIONS.index(region), :2].astype(np.float64), axis=1)
+    column = contact.recording.header.regions.index(region)
+    error = np.linalg.norm(rows.target_error_m[:, column, :2].astype(np.float64), axis=1)
     if set(modalities(contact)) >= LOCATED:
         found = error <= near_m
     else:
@@ -61,6 +57,6 @@ def sight(contact: Contact, near_m: float) -> Sight:
 
 
 def modalities(contact: Contact) -> list[str]:
-    """That the policy's card asks for; none where it never came."""
+    """That the policy's card requests; empty where the card never came."""
     named = (contact.recording.header.card or {}).get("modalities")
     return [m for m in cast("list[Any]", named) if isinstance(m, str)] if isinstance(named, list) else []

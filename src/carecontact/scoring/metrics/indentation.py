@@ -24,18 +24,18 @@ def deepest_indentation(contact: Contact) -> float:
 def beyond_calibrated(contact: Contact) -> float | None:
     """Share of the control periods with the target touched in which it was deeper than it was measured.
 
-    None (NA) if no control period has it touched.
+    None (NA) if no control period has it touched, and on a rigid region.
     """
     depth = _depth(contact)
     if len(depth) == 0 or len(contact.time_s) == 0:
         return None
     step = np.searchsorted(contact.time_s, contact.recording["scorer/period_time_s"] - contact.dt_s / 2)
     touched = contact.on[np.minimum(step, len(contact.time_s) - 1), contact.target]
-    limit = contact.protocol.person.tissue[contact.task.region].measured_depth_m
-    return float((depth[touched] > limit).mean()) if touched.any() else None
+    tissue = contact.protocol.person.tissue.get(contact.task.region)
+    return None if tissue is None or not touched.any() else float((depth[touched] > tissue.measured_depth_m).mean())
 
 
 def _depth(contact: Contact) -> F64:
-    """(P,) largest inward anchor displacement of the target region [m]"""
+    """(P,) largest inward anchor displacement of the target region [m]; 0 on a rigid one"""
     region = contact.recording.header.regions.index(contact.task.region)
     return contact.recording["scorer/indentation_m"][:, region].astype(np.float64)

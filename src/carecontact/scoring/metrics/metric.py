@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from carecontact.errors import ConfigError
 from carecontact.registry import Registry
+from carecontact.scoring.behaviour import actions_that_move
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.result import TrialScore
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     Measured = float | DataclassInstance | None
 
 Better = Literal["higher", "lower", "neither"]
+Pool = tuple[str, ...] | Literal["moving"] | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +39,9 @@ class Metric:
     attributes have the names of the fields of ``TrialScore`` that one computation fills."""
     field: str | None = None
     """Field of ``TrialScore`` that holds the number; None: it is in ``TrialScore.additional`` under the metric's id."""
-    actions: tuple[str, ...] | None = None
-    """Medians and comparisons pool the trials of these actions only; None: of all."""
+    pool: Pool = None
+    """Medians and comparisons pool the trials of these actions only; ``moving``: of those whose behaviour is meant to
+    move the person; None: of all."""
     median: bool = True
     """Whether tables show a median of it."""
     digits: int | None = None
@@ -73,6 +76,11 @@ class Metric:
         """Name and unit, as the head of a column."""
         return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
 
+    @property
+    def actions(self) -> tuple[str, ...] | None:
+        """The actions of ``pool``, by name."""
+        return tuple(sorted(actions_that_move())) if self.pool == "moving" else self.pool
+
     def compute(self, contact: Contact) -> float | None:
         """The number of one trial; None for NA."""
         return self._number(self.measure(contact))
@@ -91,7 +99,8 @@ class Metric:
 
     def pooled(self, scores: Iterable[TrialScore]) -> list[float | None]:
         """One number for each of the trials that this metric is pooled over."""
-        return [self.of(score) for score in scores if self.actions is None or score.action in self.actions]
+        actions = self.actions
+        return [self.of(score) for score in scores if actions is None or score.action in actions]
 
     def _number(self, found: Measured) -> float | None:
         if is_dataclass(found):
@@ -111,7 +120,7 @@ def metric(
     unit: str,
     better: Better,
     field: str | None = None,
-    actions: tuple[str, ...] | None = None,
+    actions: Pool = None,
     median: bool = True,
     digits: int | None = None,
     headline: bool = False,
@@ -127,7 +136,7 @@ def metric(
         METRICS.register(
             id_,
             Metric(
-                id=id_, title=title, unit=unit, better=better, measure=measure, field=field, actions=actions,
+                id=id_, title=title, unit=unit, better=better, measure=measure, field=field, pool=actions,
                 median=median, digits=digits, headline=headline, matters=matters, order=order,
             ),
         )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from carecontact.contract.geometry import matrix_from_quat
-from carecontact.recording import REGION_SEGMENT
+from carecontact.regions import REGIONS
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.metrics.metric import metric
 from carecontact.scoring.region import surface_normal
@@ -18,16 +18,15 @@ def shear_work(contact: Contact) -> float | None:
     Both in the bone's frame, so that carrying the arm is no slip; tangential to the region's elliptic surface at the
     tool. The force of a step times the travel to the next, where both steps lie in the contact window. Stretching the
     tissue back and forth cancels; what stays is what friction dissipated. None (NA) without valid contact and where
-    the reported segment is none of the soft regions, because no frame of it is recorded.
+    the reported segment has no region, because no frame of it is recorded.
     """
     recording = contact.recording
-    region_of = {segment: region for region, segment in REGION_SEGMENT.items()}
     if not contact.valid or contact.reported is None:
         return None
-    name = region_of.get(contact.segments[contact.reported])
-    if name is None or name not in recording.header.regions:
+    names, segment = recording.header.regions, contact.segments[contact.reported]
+    region = next((k for k, name in enumerate(names) if name in REGIONS and REGIONS[name].segment == segment), None)
+    if region is None:
         return None
-    region = recording.header.regions.index(name)
     joined = contact.window[1:] & contact.window[:-1]
     both = np.flatnonzero(joined)
     step = np.flatnonzero(np.concatenate([joined, [False]]) | np.concatenate([[False], joined]))

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.protocol import Tissue
+from carecontact.regions import Tube
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.surface_mesh import (
     GROWTH,
@@ -22,19 +23,15 @@ from carecontact.world.human.surface_mesh import (
     zip_rows,
 )
 
-PINNED_BEYOND_DEG = {"forearm": 128.0, "upper_arm": 105.0}
-"""Round a limb from its top. The forearm is also pushed from the side: 90 degrees must lie between free vertices."""
 SHELL_HALF_DEG = 150.0
 FINE_HALF_LENGTH_M, FINE_HALF_ROUND_DEG = 0.085, 60.0
 """Limb patch from above: scrub strokes of +-60 mm plus two tool radii, and as far round as it comes from above."""
 SIDE_HALF_LENGTH_M, SIDE_HALF_ROUND_DEG = 0.035, 100.0
-"""Forearm patch at mid-length where it is pushed sideways."""
+"""Patch at mid-length of a limb that is pushed sideways."""
 BELLY_WIDTH_SHARE = 0.82
 """Of the narrowest section's half breadth: further out the trunk's side begins, which no ray from behind reaches."""
 BELLY_FINE_HALF_WIDTH_M, BELLY_FINE_MARGIN_M = 0.080, 0.03
 """The fine patch is this wide at most, and this far from the shell's border."""
-LIMB_SPAN = {"forearm": (0.05, 0.96), "upper_arm": (0.25, 0.97)}
-"""Share of the joint-to-joint line that a shell covers; the upper arm's begins under the armpit, where it is a tube."""
 CELL_LENGTH_M, CELL_ROUND_M, BELLY_CELL_M = 0.040, 0.012, 0.032
 """Vertices of one cell glide over the bone together; round a limb the cells are narrow, as their normals differ."""
 LIMB_LEAN, BELLY_LEAN = 0.25, 0.5
@@ -92,20 +89,19 @@ class Shell:
     """Distance of the axis under the surface at the middle."""
 
 
-def limb_shell(body: Body, segment: str, outward: Array, tissue: Tissue) -> Shell:
+def limb_shell(body: Body, segment: str, tube: Tube, outward: Array, tissue: Tissue) -> Shell:
     """A tube around a limb, fine where the tool reaches it, pinned at the ends and below.
 
     Args:
         outward: (3,) direction in the mesh frame that faces up in the lying pose.
     """
-    kind = segment.partition("_")[2]
     start, along = body.joint_centre[segment], body.axis_vector(segment)
     length = float(np.linalg.norm(along))
     x = along / length
     z = outward - (outward @ x) * x
     z /= np.linalg.norm(z)
     y = np.cross(z, x)
-    low, high = np.array(LIMB_SPAN[kind]) * length
+    low, high = np.array(tube.span) * length
     faces = body.vertices[body.faces]
     triangles = faces[np.abs((faces.mean(1) - (start + along / 2)) @ x) < length / 2 + 0.03]
     middle = triangles.mean(1) - start
@@ -123,7 +119,7 @@ def limb_shell(body: Body, segment: str, outward: Array, tissue: Tissue) -> Shel
             return np.hypot(distance_outside(along, half_length), round_)
 
         top = outside(half_length, FINE_HALF_ROUND_DEG)
-        return np.minimum(top, outside(SIDE_HALF_LENGTH_M, SIDE_HALF_ROUND_DEG)) if kind == "forearm" else top
+        return np.minimum(top, outside(SIDE_HALF_LENGTH_M, SIDE_HALF_ROUND_DEG)) if tube.pushed_from_side else top
 
     def spacing(distance: Array) -> Array:
         return np.clip(fine + GROWTH * distance, None, coarse)
@@ -154,7 +150,7 @@ def limb_shell(body: Body, segment: str, outward: Array, tissue: Tissue) -> Shel
         angles.append(theta)
     grid = np.stack([np.repeat(t, [len(a) for a in angles]), np.concatenate(angles)], 1)
     ends = (grid[:, 0] == t[0]) | (grid[:, 0] == t[-1])
-    pinned = ends | (np.abs(grid[:, 1]) > np.radians(PINNED_BEYOND_DEG[kind]))
+    pinned = ends | (np.abs(grid[:, 1]) > np.radians(tube.pinned_beyond_deg))
     centre = line(np.array([length / 2]))[0]
     depth = float(radius_at(length / 2, np.zeros(1))[0])
     return _finish(

@@ -7,12 +7,14 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from carecontact.errors import SceneError
+from carecontact.regions import REGIONS, Tube
 from carecontact.world.human.anthropometry import segment_inertias, without_points
 from carecontact.world.human.bed_contact import bed_proxies
 from carecontact.world.human.body import PARENT, Array, Body
 from carecontact.world.human.joints import Hinge, hinges
 from carecontact.world.human.pose import FIXED_SEGMENTS, lying_pose_deg, rotation_from_bind
-from carecontact.world.human.shell import LIMB_SPAN, belly_half_width, belly_span
+from carecontact.world.human.shell import belly_half_width, belly_span
 
 # Collision bits. The robot has contype 1; bed and arm board have conaffinity 3 and so meet both robot and proxies.
 ROBOT_ONLY = {"contype": 0, "conaffinity": 1}
@@ -22,8 +24,6 @@ ROOT_JOINT = "human_root"
 LIMB_REACH_M = 0.09
 """Surface nearer to a limb's axis than this is the limb's."""
 
-SOFT_SEGMENTS = {"forearm": "right_forearm", "upper_arm": "right_upper_arm", "abdomen": "abdomen"}
-
 
 def body_name(segment: str) -> str:
     return f"human_{segment}"
@@ -31,7 +31,7 @@ def body_name(segment: str) -> str:
 
 def tissue_body_name(region: str) -> str:
     """A body without joints that holds a region's shell, so that one contact sensor sees the shell and nothing else."""
-    return f"human_{SOFT_SEGMENTS[region]}_tissue"
+    return f"human_{REGIONS[region].segment}_tissue"
 
 
 def add_skeleton(
@@ -44,9 +44,10 @@ def add_skeleton(
 ) -> list[Hinge]:
     """Add every segment under a free root; returns the hinges in the order of their joints.
 
-    ``shell_points``: segment -> masses and places of its free shell vertices. They are taken off the segment's bone, so
-    that bone and shell together have the segment's mass, centre of mass and inertia.
+    ``shell_points``: soft region -> masses and places of its free shell vertices. They are taken off the segment's
+    bone, so that bone and shell together have the segment's mass, centre of mass and inertia.
     """
+    soft = {REGIONS[region].segment: region for region in shell_points}
     inertias = segment_inertias(body)
     rows, pose = hinges(body), lying_pose_deg(body, 0.0)
     bodies: dict[str, mujoco.MjsBody] = {}
@@ -61,7 +62,9 @@ def add_skeleton(
         bodies[segment] = made
         row = inertias[segment]
         made.explicitinertial = True
-        mass, centre, tensor = without_points(row, *shell_points.get(segment, (np.zeros(0), np.zeros((0, 3)))))
+        mass, centre, tensor = without_points(
+            row, *shell_points.get(soft.get(segment, ""), (np.zeros(0), np.zeros((0, 3))))
+        )
         made.mass = mass
         made.ipos = centre - at
         made.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
@@ -73,10 +76,10 @@ def add_skeleton(
         for hinge in rows:
             if hinge.segment == segment:
                 _add_hinge(made, hinge)
-    for region, segment in SOFT_SEGMENTS.items():
+    for segment, region in soft.items():
         bodies[segment].add_body(name=tissue_body_name(region))
     _add_bed_proxies(body, bodies)
-    _add_rigid_surface(spec, body, bodies)
+    _add_rigid_surface(spec, body, bodies, soft)
     return [row for row in rows if row.segment not in FIXED_SEGMENTS]
 
 
@@ -98,9 +101,11 @@ def _add_bed_proxies(body: Body, bodies: dict[str, mujoco.MjsBody]) -> None:
         )  # fmt: skip
 
 
-def _add_rigid_surface(spec: mujoco.MjSpec, body: Body, bodies: dict[str, mujoco.MjsBody]) -> None:
+def _add_rigid_surface(
+    spec: mujoco.MjSpec, body: Body, bodies: dict[str, mujoco.MjsBody], soft: dict[str, str]
+) -> None:
     """Convex hulls of the segments without a shell: robot contact there is a result too (off target)."""
-    for name, segment, points in _hulls(body):
+    for name, segment, points in _hulls(body, soft):
         if len(points) > 400:
             points = points[:: len(points) // 400]
         name = f"human_hull_{name}"
@@ -112,8 +117,22 @@ def _add_rigid_surface(spec: mujoco.MjSpec, body: Body, bodies: dict[str, mujoco
         )  # fmt: skip
 
 
-def _hulls(body: Body) -> Iterator[tuple[str, str, Array]]:
-    """(name, segment, points (n, 3)) of every rigid hull: what no shell covers, so that nothing is open."""
+def rigid_points(body: Body, segment: str) -> Array:
+    """(n, 3) points of the surface that the robot touches where the segment has no soft shell, in the mesh frame.
+
+    Raises SceneError for a segment without a surface of its own.
+    """
+    found = [points for _, owner, points in _hulls(body, {}) if owner == segment]
+    if not found:
+        raise SceneError(f"segment {segment!r} has no surface of its own that a robot could touch")
+    return np.concatenate(found)
+
+
+def _hulls(body: Body, soft: dict[str, str]) -> Iterator[tuple[str, str, Array]]:
+    """(name, segment, points (n, 3)) of every rigid hull: what no shell covers, so that nothing is open.
+
+    ``soft``: segment -> its soft region.
+    """
     low, high = belly_span(body)
     for segment in body.segments:
         if segment.endswith("clavicle"):
@@ -131,26 +150,20 @@ def _hulls(body: Body) -> Iterator[tuple[str, str, Array]]:
             yield "left_flank", segment, trunk[trunk[:, 0] > belly_half_width(body) - 0.015]
             yield "right_flank", segment, trunk[trunk[:, 0] < 0.015 - belly_half_width(body)]
             yield "lower_back", segment, trunk[trunk[:, 1] > body.joint_centre["thorax"][1]]
-        elif segment in SOFT_SEGMENTS.values():
-            yield from _limb_ends(body, segment)
+        elif segment in soft and isinstance(tube := REGIONS[soft[segment]].shape, Tube):
+            yield from _limb_ends(body, segment, tube)
         else:
             yield segment, segment, body.vertices_of(segment)
 
 
-def _limb_ends(body: Body, segment: str) -> Iterator[tuple[str, str, Array]]:
-    """A soft limb's rigid ends beside its shell: shoulder cap and elbow, elbow and wrist."""
-    side, _, kind = segment.partition("_")
-    start, along = LIMB_SPAN[kind]
-    neighbours = {
-        "upper_arm": (f"{side}_clavicle", f"{side}_forearm"),
-        "forearm": (f"{side}_upper_arm", f"{side}_hand"),
-    }
-    points = body.vertices_of(segment, *neighbours[kind])
+def _limb_ends(body: Body, segment: str, tube: Tube) -> Iterator[tuple[str, str, Array]]:
+    """A soft limb's rigid ends beside its shell, for example shoulder cap and elbow, or elbow and wrist."""
+    side = segment.partition("_")[0]
+    start, along = tube.span
+    points = body.vertices_of(segment, *(f"{side}_{kind}" for kind in tube.closed_by))
     axis = body.axis_vector(segment)
     share = (points - body.joint_centre[segment]) @ axis / (axis @ axis)
     off = points - body.joint_centre[segment] - share[:, None] * axis
     near = np.linalg.norm(off, axis=1) < LIMB_REACH_M
-    # The shoulder's cap reaches over the joint; a hull over the bent elbow would stand out of the upper arm.
-    before = -0.25 if kind == "upper_arm" else -0.03
-    yield f"{segment}_near_end", segment, points[near & (share > before) & (share < start + 0.02)]
+    yield f"{segment}_near_end", segment, points[near & (share > tube.near_end_from) & (share < start + 0.02)]
     yield f"{segment}_far_end", segment, points[near & (share > along - 0.02) & (share < 1.03)]

@@ -18,9 +18,10 @@ import numpy.typing as npt
 
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError
+from carecontact.regions import REGIONS, Tube
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell import Shell
-from carecontact.world.human.skeleton import HIDDEN_GROUP, ROBOT_ONLY, SOFT_SEGMENTS, body_name, tissue_body_name
+from carecontact.world.human.skeleton import HIDDEN_GROUP, ROBOT_ONLY, body_name, tissue_body_name
 
 FLEX_RADIUS_M = 0.002
 FLEX_GROUP = 4
@@ -35,7 +36,9 @@ this by 0.07."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Region:
+class SoftRegion:
+    """A region's shell in the model."""
+
     name: str
     shell: Shell
     tissue: Tissue
@@ -49,10 +52,9 @@ def shell_points(shell: Shell, tissue: Tissue) -> tuple[Array, Array]:
     return tissue.areal_mass_kg_m2 * shell.area[free], shell.vertices[free] - shell.normals[free] * FLEX_RADIUS_M
 
 
-def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissue: Tissue) -> Region:
+def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissue: Tissue) -> SoftRegion:
     """Add cells, vertices, flex and bone core of one region. Call after the skeleton."""
-    segment = SOFT_SEGMENTS[region]
-    origin = body.joint_centre[segment]
+    origin = body.joint_centre[REGIONS[region].segment]
     carrier = spec.body(tissue_body_name(region))
     local = shell.vertices - origin - shell.normals * FLEX_RADIUS_M
     slide = mujoco.mjtJoint.mjJNT_SLIDE
@@ -93,7 +95,7 @@ def add_tissue(spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissu
     if tissue.membrane_n_m > 0:
         _add_membrane(spec, region, shell, tissue.membrane_n_m)
     _add_core(spec, region, shell, tissue, origin)
-    return Region(name=region, shell=shell, tissue=tissue, vertex_index=np.flatnonzero(~shell.pinned))
+    return SoftRegion(name=region, shell=shell, tissue=tissue, vertex_index=np.flatnonzero(~shell.pinned))
 
 
 def coupling_weights(shell: Shell) -> tuple[npt.NDArray[np.int64], Array]:
@@ -247,11 +249,11 @@ def _add_core(spec: mujoco.MjSpec, region: str, shell: Shell, tissue: Tissue, or
     """
     inner = inner_surface(shell, tissue.thickness_m) - origin
     axis = shell.axis_points - origin
-    limb = region != "abdomen"
+    limb = isinstance(REGIONS[region].shape, Tube)
     middle = shell.grid[shell.triangles].mean(1)
     width = CORE_SECTOR_RAD if limb else CORE_PIECE_M
     key = np.floor(middle / [CORE_PIECE_M, width] + [0.0, 0.5]).astype(np.int64)
-    bone = spec.body(body_name(SOFT_SEGMENTS[region]))
+    bone = spec.body(body_name(REGIONS[region].segment))
     for number, piece in enumerate(np.unique(key, axis=0)):
         corners = np.unique(shell.triangles[(key == piece).all(1)])
         points = np.concatenate([inner[corners], axis[corners]])
@@ -264,7 +266,7 @@ def _add_core(spec: mujoco.MjSpec, region: str, shell: Shell, tissue: Tissue, or
         )  # fmt: skip
 
 
-def set_damping(model: mujoco.MjModel, regions: dict[str, Region], *, scale: float = 1.0) -> None:
+def set_damping(model: mujoco.MjModel, regions: dict[str, SoftRegion], *, scale: float = 1.0) -> None:
     """Write D_c into the compiled model: the compiler rejects joint damping on bodies that a flex uses."""
     for region in regions.values():
         shell, per_area = region.shell, scale * region.tissue.damping_ns_m3

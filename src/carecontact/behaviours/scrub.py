@@ -1,0 +1,101 @@
+"""Scrub: strokes to and fro along the region, in contact for most of the time."""
+
+from __future__ import annotations
+
+from carecontact.behaviours import (
+    BEHAVIOURS,
+    Attempt,
+    Behaviour,
+    CommandedContact,
+    Contact,
+    Episode,
+    Fraction,
+    Gate,
+    Judgement,
+    Positive,
+    Section,
+    Sweep,
+    TrialScore,
+    mm,
+)
+
+
+class ScrubGate(Section):
+    on_share: Fraction
+    """Of an episode's time in contact."""
+    stroke_m: Positive
+    """Length of the path over the skin while in contact."""
+    extent_m: Positive
+    """Part of the region's axis that the path covers."""
+    reversals: int
+
+
+class Scrub(Behaviour[ScrubGate]):
+    """Judged on one contact episode and not on a hold, so a brief gap is forgiven."""
+
+    gate = ScrubGate
+    sweeps = (
+        Sweep(
+            name="scrub_stroke_m",
+            field="stroke_m",
+            values=(0.100, 0.200),
+            title="Scrub: stroke",
+            unit="mm",
+            factor=1000.0,
+        ),
+        Sweep(
+            name="scrub_extent_m",
+            field="extent_m",
+            values=(0.030, 0.050, 0.060),
+            title="Scrub: extent",
+            unit="mm",
+            factor=1000.0,
+        ),
+    )
+    needs = frozenset(("episodes",))
+
+    def passes(self, gate: ScrubGate, episode: Episode) -> bool:
+        return _scrubbed(gate, episode) and episode.on_share >= gate.on_share
+
+    def judge(self, contact: Contact, gate: ScrubGate, attempt: Attempt) -> Judgement:
+        best = attempt.best
+        return Judgement(
+            time_met=best is not None and best.on_share >= gate.on_share,
+            progress_met=best is not None and _scrubbed(gate, best),
+        )
+
+    def lost(self, contact: Contact, gate: ScrubGate, result: Gate) -> bool:
+        """Half the share stands for half a hold."""
+        if result.best is None:
+            return False
+        target_on = contact.on[result.best.start : result.best.stop, contact.target]
+        return bool(target_on.mean() >= gate.on_share / 2)
+
+    def requested(self, gate: ScrubGate, asked: CommandedContact) -> str | None:
+        enough = (
+            asked.stroke_m >= gate.stroke_m and asked.extent_m >= gate.extent_m and asked.reversals >= gate.reversals
+        )
+        return f"{mm(asked.stroke_m)} stroke and {mm(asked.extent_m)} extent there" if enough else None
+
+    def shortfall(self, contact: Contact, gate: ScrubGate, result: Gate) -> str:
+        best = result.best
+        if best is None:
+            return "there was no contact episode to judge"
+        return (
+            f"the best episode had {mm(best.stroke_m)} of {mm(gate.stroke_m)} stroke, {mm(best.extent_m)} of "
+            f"{mm(gate.extent_m)} extent, {best.reversals} of {gate.reversals} reversal(s) and was on for "
+            f"{best.on_share:.0%} of {gate.on_share:.0%}"
+        )
+
+    def progress(self, score: TrialScore) -> str:
+        reversals = "1 reversal" if score.reversals == 1 else f"{score.reversals} reversals"
+        return f"stroke {mm(score.stroke_m)}, extent {mm(score.extent_m)}, {reversals}"
+
+
+def _scrubbed(gate: ScrubGate, episode: Episode) -> bool:
+    return (
+        episode.stroke_m >= gate.stroke_m and episode.extent_m >= gate.extent_m and episode.reversals >= gate.reversals
+    )
+
+
+BEHAVIOURS.register("scrub", Scrub())

@@ -1,0 +1,41 @@
+"""Touch: contact that lasts."""
+
+from __future__ import annotations
+
+from carecontact.behaviours import (
+    BEHAVIOURS,
+    Attempt,
+    Behaviour,
+    CommandedContact,
+    Contact,
+    Gate,
+    Judgement,
+    Positive,
+    Section,
+    let_go,
+    steps,
+)
+
+
+class TouchGate(Section):
+    duration_s: Positive
+    """Of continuous contact."""
+
+
+class Touch(Behaviour[TouchGate]):
+    gate = TouchGate
+
+    def judge(self, contact: Contact, gate: TouchGate, attempt: Attempt) -> Judgement:
+        return Judgement(time_met=attempt.held_steps >= steps(gate.duration_s, contact.dt_s), progress_met=True)
+
+    def lost(self, contact: Contact, gate: TouchGate, result: Gate) -> bool:
+        return let_go(contact, self.holding(contact, gate), gate.duration_s / 2)
+
+    def requested(self, gate: TouchGate, asked: CommandedContact) -> str | None:
+        return f"{asked.hold_s:.2f} s there" if asked.hold_s >= gate.duration_s else None
+
+    def shortfall(self, contact: Contact, gate: TouchGate, result: Gate) -> str:
+        return f"the longest hold was {result.longest_on_s:.2f} s of {gate.duration_s:g} s"
+
+
+BEHAVIOURS.register("touch", Touch())

@@ -1,0 +1,160 @@
+"""What a calibration found, as the content of its certificate: values with intervals, and notes for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from importlib.metadata import version
+
+import numpy as np
+
+from carecontact import __version__
+from carecontact.calibration.agreement import Agreement, pooled
+from carecontact.calibration.certificate import BAND, Content, Model, Value
+from carecontact.calibration.checks import TrialFile
+from carecontact.calibration.curve import Curve
+from carecontact.calibration.facts import measured_facts, model_hashes, responses, simulated_stiffness
+from carecontact.calibration.fit import BOOTSTRAP_SEED, BOOTSTRAPS, DAMPING, LAW, Fit
+from carecontact.calibration.identify import Identified
+from carecontact.calibration.replay import Replay
+from carecontact.calibration.trial import Array
+from carecontact.contract.protocol import Protocol, Tissue
+from carecontact.errors import ConfigError
+from carecontact.protocols import FAST_DT_S
+from carecontact.world.human.tissue import check_step
+
+LOOSE = 4.0
+"""A parameter whose interval spans more than this factor is called hardly identified."""
+
+
+def make_content(
+    file: TrialFile, curves: Sequence[Curve], laws: Sequence[Identified], replay: Replay, fit: Fit, *,
+    region: str, body: str, rules: Protocol,
+) -> Content:  # fmt: skip
+    """``laws``: the candidates that describe the measured response, best first."""
+    facts, groups = measured_facts(file, curves), replay.groups
+    gate = rules.limits.gamma * rules.f_pain(region)
+    source = f"carecontact calibrate, {count_of(curves, facts['synthetic'])}, data sha256 {file.sha256[:12]}"
+    # A recording's results count how deep the anchors go, not how far the tool travels.
+    reached = np.repeat([one.press.anchor_m.max() for one in fit.replayed], [len(g.members) for g in groups])
+    tissue = fit.tissue.model_copy(update={"measured_depth_m": float(np.median(reached)), "source": source})
+    law = _law_values(fit)
+    return Content(
+        region=region,
+        body=body,
+        base_tissue_set=rules.person.tissue_set,
+        tissue=tissue,
+        law=law,
+        damping=fit.damping_reason,
+        stiffness=_stiffness_values(simulated_stiffness(groups, fit.replayed), fit),
+        identified=[
+            Model(
+                name=one.law.name, formula=one.law.formula, parameters=one.physical(), rms=one.rms, aicc=one.aicc,
+                left_out_rms=one.left_out_rms,
+            ) for one in laws
+        ],
+        agreement=_agreement_values(fit.agreement),
+        held_out=None if fit.held_out is None else _agreement_values(fit.held_out),
+        **facts,
+        gate_n=gate,
+        gate_is_extrapolated=gate > facts["measured_force_n"],
+        responses=responses(curves, groups, fit.replayed),
+        band=BAND,
+        hashes={"data": file.sha256, **model_hashes(replay, body, tissue)},
+        versions={"carecontact": __version__, "mujoco": version("mujoco"), "protocol": rules.id},
+        notes=[
+            *file.notes,
+            *_notes_on_the_fit(fit, trials=len(curves)),
+            *hardly_identified(law),
+            *_notes_on_use(facts["measured_depth_mm"], facts["measured_force_n"], gate),
+            *_notes_on_the_time_step(region, replay, tissue, rules),
+            "off_target_scale and thickness are those of the protocol's row; they were not calibrated",
+        ],
+    )  # fmt: skip
+
+
+def count_of(curves: Sequence[Curve], synthetic: bool = False) -> str:
+    """``3 synthetic trials``."""
+    return f"{len(curves)} {'synthetic ' if synthetic else ''}trial{'s' * (len(curves) != 1)}"
+
+
+def hardly_identified(law: dict[str, Value]) -> list[str]:
+    """A note for each stiffness parameter that is at its bound or has an interval wider than LOOSE."""
+    notes = []
+    for name, one in law.items():
+        if name != DAMPING and one.value == 0.0:
+            notes.append(f"{name} is at its bound 0: tissue is assumed to stiffen, so an interval would say nothing")
+        elif one.ci95 is not None and one.ci95[1] > LOOSE * max(one.ci95[0], 0.0):
+            notes.append(
+                f"{name} is hardly identified ({one.ci95[0]:.3g} to {one.ci95[1]:.3g}): the data fix the response in "
+                "the measured range, but not this parameter's share in it; deeper, the row extrapolates by it"
+            )
+    return notes
+
+
+def _notes_on_the_fit(fit: Fit, *, trials: int) -> list[str]:
+    notes = []
+    if trials == 1:
+        notes.append("the data are a single trial: no interval, also none of damping, and no held-out error; "
+                     "record at least five")  # fmt: skip
+    if not fit.damping_identified:
+        notes.append(f"damping is not identified ({fit.damping_reason}): the row keeps the ratio of D_c to stiffness")
+    return notes
+
+
+def _notes_on_use(depth_mm: float, force_n: float, gate_n: float) -> list[str]:
+    if gate_n <= force_n:
+        return []
+    return [f"beyond {depth_mm:.1f} mm or {force_n:.1f} N the row extrapolates; the safety gate is {gate_n:g} N"]
+
+
+def _notes_on_the_time_step(region: str, replay: Replay, tissue: Tissue, rules: Protocol) -> list[str]:
+    """Time steps at which a run would refuse the row: worth knowing, and no reason to lose the fit."""
+    notes, shell = [], next(iter(replay.benches.values())).shell
+    for dt in (rules.physics.dt_s, FAST_DT_S):
+        try:
+            check_step(region, shell, tissue, dt)
+        except ConfigError as error:
+            notes.append(f"a run with time steps of {1000 * dt:g} ms will refuse this row: {error}")
+    return notes
+
+
+def _law_values(fit: Fit) -> dict[str, Value]:
+    out = {}
+    for name in (*LAW, DAMPING):
+        if name == DAMPING and not fit.damping_identified:
+            out[name] = Value(value=None, ci95=None)
+            continue
+        value = float(getattr(fit.tissue, name))
+        draws = None if fit.draws is None else np.array([getattr(draw, name) for draw in fit.draws])
+        out[name] = Value(value=value, ci95=None if value == 0.0 or draws is None else _middle_95(draws))
+    return out
+
+
+def _stiffness_values(means: dict[str, float], fit: Fit) -> dict[str, Value]:
+    out = {}
+    for column, (name, mean) in enumerate(means.items()):
+        interval = None
+        if fit.secant_draws is not None:
+            low, high = _middle_95(fit.secant_draws[:, column])
+            interval = (mean * (1 + low), mean * (1 + high))
+        out[name] = Value(value=mean, ci95=interval)
+    return out
+
+
+def _agreement_values(rows: Sequence[Agreement]) -> dict[str, Value]:
+    """Pooled over trials, with percentile intervals over resampled trials."""
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
+    whole = pooled(list(rows))
+    draws = rng.integers(len(rows), size=(BOOTSTRAPS // 4, len(rows)))
+    again = [pooled([rows[k] for k in draw]) for draw in draws] if len(rows) > 1 else []
+    out = {}
+    for field in fields(Agreement):
+        values = np.array([v for one in again if (v := one[field.name]) is not None])
+        out[field.name] = Value(value=whole[field.name], ci95=_middle_95(values) if len(values) else None)
+    return out
+
+
+def _middle_95(draws: Array) -> tuple[float, float]:
+    low, high = np.percentile(draws, [2.5, 97.5])
+    return float(low), float(high)

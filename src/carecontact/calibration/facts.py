@@ -1,0 +1,75 @@
+"""What a certificate states that needs no fit, so that ``verify`` can compute it again."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from carecontact.calibration.agreement import tangent
+from carecontact.calibration.certificate import Response
+from carecontact.calibration.checks import TrialFile
+from carecontact.calibration.curve import GRID, Curve
+from carecontact.calibration.replay import Group, Replay, Replayed
+from carecontact.contract.protocol import Tissue
+from carecontact.world.human.library import load_body
+
+
+def measured_facts(file: TrialFile, curves: Sequence[Curve]) -> dict[str, Any]:
+    """What a certificate states about its data alone, by the names of Content's fields."""
+    return {
+        "synthetic": all("synthetic" in trial.site.lower() for trial in file.trials),
+        "trials": len(curves),
+        "subjects": len({trial.subject for trial in file.trials}),
+        "measured_depth_mm": 1000 * float(np.median([curve.deepest_m for curve in curves])),
+        "measured_force_n": float(np.median([curve.peak_n for curve in curves])),
+        "measured_stiffness": {
+            "secant_n_mm": float(np.mean([c.peak_n / c.deepest_m / 1000 for c in curves])),
+            "tangent_n_mm": float(np.mean([tangent(c.grid_m, c.loading_n) / 1000 for c in curves])),
+        },
+    }
+
+
+def simulated_stiffness(groups: Sequence[Group], replayed: Sequence[Replayed]) -> dict[str, float]:
+    """Secant to the deepest point and tangent over the deeper half [N/mm], each the mean over all trials."""
+    weight = np.array([len(g.members) for g in groups], float)
+    secants = [one.loading_n[-1] / g.deepest_m / 1000 for g, one in zip(groups, replayed, strict=True)]
+    tangents = [tangent(GRID * g.deepest_m, one.loading_n) / 1000 for g, one in zip(groups, replayed, strict=True)]
+    return {
+        "secant_n_mm": float(np.average(secants, weights=weight)),
+        "tangent_n_mm": float(np.average(tangents, weights=weight)),
+    }
+
+
+def responses(curves: Sequence[Curve], groups: Sequence[Group], replayed: Sequence[Replayed]) -> list[Response]:
+    """The replayed forces of every group, rounded to what a certificate stores."""
+    return [
+        Response(
+            trials=[curves[k].trial.trial_id for k in group.members],
+            speed_mm_s=1000 * group.condition.speed_m_s,
+            along_mm=1000 * group.condition.along_m,
+            across_mm=1000 * group.condition.across_m,
+            tilt_deg=group.condition.tilt_deg,
+            depth_mm=[round(float(d), 4) for d in 1000 * GRID * group.deepest_m],
+            loading_n=[round(float(f), 5) for f in one.loading_n],
+            unloading_n=[round(float(f), 5) for f in one.unloading_n] if group.unloads else None,
+        )
+        for group, one in zip(groups, replayed, strict=True)
+    ]
+
+
+def model_hashes(replay: Replay, body: str, tissue: Tissue) -> dict[str, str]:
+    """sha256 of the body's archive, of the shell's mesh, and of the benches compiled with this law."""
+    shell = next(iter(replay.benches.values())).shell
+    mesh = hashlib.sha256(np.ascontiguousarray(shell.vertices).tobytes())
+    mesh.update(np.ascontiguousarray(shell.triangles).tobytes())
+    model = hashlib.sha256()
+    for bench in replay.benches.values():
+        bench.set_law(tissue)
+        buffer = np.zeros(mujoco.mj_sizeModel(bench.model), np.uint8)
+        mujoco.mj_saveModel(bench.model, None, buffer)
+        model.update(buffer.tobytes())
+    return {"body": load_body(body).sha256, "mesh": mesh.hexdigest(), "model": model.hexdigest()}

@@ -1,0 +1,60 @@
+"""Who lies on the bed, and how the soft regions answer a press."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from carecontact.contract.protocol.section import Length, Positive, Section
+from carecontact.contract.protocol.task import RegionName
+
+
+class Tissue(Section):
+    """One region's shell. Area-specific anchor law p = a x + b x^2 + c x^3 for inward displacement x."""
+
+    a_n_m3: Positive
+    """[N/m per m^2 of shell]"""
+    b_n_m4: Annotated[float, Field(ge=0)]
+    c_n_m5: Annotated[float, Field(ge=0)]
+    damping_ns_m3: Positive
+    """[N s/m per m^2]"""
+    coupling_length_m: Annotated[float, Field(ge=0, le=0.02)]
+    """How far f_int spreads a load along the surface: a gradient of the indentation is resisted with G = a l^2 [N/m]
+    (Pasternak's foundation). 0: neighbours act alone."""
+    membrane_n_m: Annotated[float, Field(ge=0, le=20_000)] = 0.0
+    """In-plane stiffness of the skin (Young's modulus times thickness): a patch that the tool drags along pulls its
+    neighbours with it. 0: patches glide alone, as in recordings from before there was a membrane."""
+    areal_mass_kg_m2: Positive
+    spacing_m: Length
+    """Vertex spacing on the patch that the tool can reach."""
+    coarse_spacing_m: Length
+    """Largest spacing away from it."""
+    off_target_spacing_m: Length
+    """Spacing of the whole shell where the task's target is another region."""
+    off_target_scale: Positive
+    """Factor on stiffness and damping there: a coarser mesh spreads a tool's load over more anchors, and the region
+    must answer the tool alike whichever task is run."""
+    thickness_m: Length
+    """Depth of the rigid core under the surface; less where a thin limb's axis is nearer."""
+    measured_depth_m: Length
+    """Anchor displacement that the presses to which the law was fitted reach on this mesh: deeper is extrapolated. The
+    indenter's travel is more, since the contact gives way too."""
+    friction: Annotated[float, Field(gt=0, le=2)]
+    source: Annotated[str, Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _measured_above_the_bone(self) -> Self:
+        if self.measured_depth_m > self.thickness_m:
+            raise ValueError(
+                f"measured_depth_m {self.measured_depth_m:g} is more than thickness_m {self.thickness_m:g}: no press "
+                "went into the bone"
+            )
+        return self
+
+
+class Person(Section):
+    body: str
+    tissue_set: str
+    tissue: dict[RegionName, Tissue]
+    """One row for each soft region of the protocol, and no other (``Protocol.soft_regions``)."""

@@ -1,0 +1,39 @@
+"""What the seed of a trial changes."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from carecontact.contract.protocol.section import Section
+
+
+class Randomization(Section):
+    seeds: list[int]
+    comfort_arm_deg: tuple[float, float]
+    """Angle between the humerus' long axis and the trunk's in the frontal plane; uniform over this range."""
+
+
+class Variation(Section):
+    """What else a seed changes; by default nothing. Contact and motion of the person against the bed stay."""
+
+    appearance: Literal["baked", "varied-v1"] = "baked"
+    """Skin tone, clothes and hair: the body's own, or drawn (``world.human.appearance``)."""
+    light: Literal["fixed", "varied-v1"] = "fixed"
+    """Strength, direction and colour: ``world.light``."""
+    depth_noise: Literal["none", "structured-light-v1"] = "none"
+    """``observation.sensor_noise``"""
+    encoder_noise_rad: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """Standard deviation, every joint and reading on its own; joint speeds stay."""
+    place_along_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """The person, with pillow and arm board, lies elsewhere on the bed: uniform up to so far either way along it."""
+    place_across_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """The same across the bed."""
+    place_yaw_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
+    """The same, turned about the vertical through the right shoulder (``world.place``)."""
+
+    @property
+    def sensor_noise(self) -> bool:
+        """Whether anything is drawn that a policy reads off its sensors."""
+        return self.depth_noise != "none" or self.encoder_noise_rad > 0

@@ -1,0 +1,28 @@
+"""Where protocol files are."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+from carecontact.errors import ConfigError, UnknownNameError
+
+
+def shipped_protocols() -> list[str]:
+    """Ids of the protocols that come with carecontact."""
+    folder = resources.files("carecontact.protocols")
+    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
+
+
+def protocol_file(name_or_path: str) -> Path:
+    """The file of a shipped protocol, or the TOML file itself.
+
+    Raises UnknownNameError for a name that is neither, or ConfigError for a file that is missing.
+    """
+    if name_or_path in shipped_protocols():
+        return Path(str(resources.files("carecontact.protocols") / f"{name_or_path}.toml"))
+    if not name_or_path.endswith(".toml"):
+        raise UnknownNameError("protocol", name_or_path, shipped_protocols())
+    if not Path(name_or_path).is_file():
+        raise ConfigError(f"protocol file {name_or_path} does not exist")
+    return Path(name_or_path)

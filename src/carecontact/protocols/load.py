@@ -1,0 +1,69 @@
+"""Load a protocol: one that ships, or a file, which may inherit from another."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import ValidationError
+
+from carecontact.contract.protocol import Protocol
+from carecontact.errors import ConfigError
+from carecontact.protocols.inherit import Table, ancestry, inherit
+from carecontact.protocols.tissue_sets import load_tissue_set
+from carecontact.protocols.wrong_fields import wrong_fields
+from carecontact.regions import REGIONS, STANDARD_REGIONS
+
+DEFAULT_PROTOCOL = "bathing-v1"
+
+
+def load_protocol(name_or_path: str = DEFAULT_PROTOCOL) -> Protocol:
+    """A shipped protocol by id, or a TOML file by path; docs/extending.md says how a file inherits.
+
+    Raises UnknownNameError, or ConfigError naming file, field and what was expected.
+    """
+    (place, table), *heirs = ancestry(name_or_path)
+    protocol = _validated(place, table)
+    for heir, own in heirs:
+        place, table = heir, inherit(table, own)
+        protocol = _validated(place, table)
+    if protocol.overrides:
+        raise ConfigError(f"{place}: overrides are written by a command, never by a file; change the fields themselves")
+    return protocol
+
+
+def _validated(place: str, table: Table) -> Protocol:
+    try:
+        return Protocol.model_validate(_with_neighbourhoods(_with_tissue(table)))
+    except ValidationError as error:
+        raise ConfigError(wrong_fields(place, error)) from None
+
+
+def _with_tissue(table: Table) -> Table:
+    """Fill in the rows of the tissue set that the file names, but for regions whose rows the file spells out."""
+    person = table.get("person")
+    if not isinstance(person, dict) or not isinstance(person.get("tissue_set"), str):
+        return table
+    own = person.get("tissue", {})
+    soft = [name for name in (*STANDARD_REGIONS, *_task_regions(table)) if REGIONS[name].soft]
+    if not isinstance(own, dict) or all(name in own for name in soft):
+        return table
+    rows = load_tissue_set(person["tissue_set"]).tissue
+    taken = {name: rows[name].model_dump() for name in soft if name in rows and name not in own}
+    return {**table, "person": {**person, "tissue": {**taken, **own}}}
+
+
+def _with_neighbourhoods(table: Table) -> Table:
+    """Fill in the regions' own neighbourhoods where the file has none for a region of its tasks."""
+    contact = table.get("contact")
+    if not isinstance(contact, dict) or not isinstance(contact.get("neighbourhood", {}), dict):
+        return table
+    own: dict[str, Any] = contact.get("neighbourhood", {})
+    missing = {name: list(REGIONS[name].neighbourhood) for name in _task_regions(table) if name not in own}
+    return {**table, "contact": {**contact, "neighbourhood": {**own, **missing}}} if missing else table
+
+
+def _task_regions(table: Table) -> list[str]:
+    """Registered regions of the file's tasks; what is not of the expected form is left for the schema to report."""
+    tasks = table.get("tasks")
+    named = [task.get("region") for task in tasks if isinstance(task, dict)] if isinstance(tasks, list) else []
+    return list(dict.fromkeys(name for name in named if isinstance(name, str) and name in REGIONS))

@@ -1,0 +1,118 @@
+"""What the scorer has to know of an action. A package adds an action by one object of a class of its own.
+
+The shipped actions are in ``carecontact.behaviours``, one file each.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, Literal, TypeVar, cast
+
+from carecontact.contract.protocol import BEHAVIOURS, Section
+from carecontact.errors import ConfigError
+from carecontact.scoring.attribution.commanded import CommandedContact
+from carecontact.scoring.contact import Contact, Mask, runs, steps
+from carecontact.scoring.gate import Attempt, Gate, Judgement
+from carecontact.scoring.progress import Episode
+from carecontact.scoring.result import TrialScore
+
+G = TypeVar("G", bound=Section)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """A field of a gate whose value had to be chosen: every trial is judged again at other values of it."""
+
+    name: str
+    """Key in ``TrialScore.gate_sweep``; it begins with the action, as in ``push_force_n``."""
+    field: str
+    """Of the gate's schema."""
+    values: tuple[float, ...]
+    title: str
+    """Of its figure in the report."""
+    unit: str
+    """In which the figure shows the values."""
+    factor: float = 1.0
+    """From the field's unit to the shown one."""
+
+
+class Behaviour(ABC, Generic[G]):
+    """One action: the schema of its gate, how a trial is judged by it, and the words for a trial that fails.
+
+    ``gate`` as an argument is the protocol's table for this action. Methods are pure functions of their arguments.
+    """
+
+    gate: type[G]
+    """Schema of the table ``[gates.<action>]`` in a protocol."""
+    sweeps: ClassVar[tuple[Sweep, ...]] = ()
+    needs: ClassVar[frozenset[Literal["episodes", "wrist"]]] = frozenset()
+    """Measures that ``judge`` looks at; they are taken again for every contact floor of the sweep."""
+    moves_the_person: ClassVar[bool] = False
+    """Whether the action is meant to move a limb. Results pool the joint-limit margin C2 over such actions alone: it
+    says little where nothing was meant to move."""
+
+    @abstractmethod
+    def judge(self, contact: Contact, gate: G, attempt: Attempt) -> Judgement: ...
+
+    def holding(self, contact: Contact, gate: G) -> Mask:
+        """(T,) physics steps that count toward a hold; by default those with the neighbourhood on."""
+        return contact.neighbourhood_on
+
+    def passes(self, gate: G, episode: Episode) -> bool:
+        """Whether an episode alone fulfils the gate; False for an action that does not look at episodes."""
+        return False
+
+    def lost(self, contact: Contact, gate: G, result: Gate) -> bool:
+        """Whether a trial that did not last long enough held the target for a good part of the time and let it go."""
+        return False
+
+    def requested(self, gate: G, asked: CommandedContact) -> str | None:
+        """What the policy's commands requested, if a tool that followed them would have passed; None if it would not.
+
+        A trial that falls short of progress is then blamed on execution, otherwise on planning.
+        """
+        return None
+
+    @abstractmethod
+    def shortfall(self, contact: Contact, gate: G, result: Gate) -> str:
+        """What was missing, with the figures of the gate, to follow "The commanded path came to the region, but"."""
+
+    def progress(self, score: TrialScore) -> str:
+        """The figures that the gate looks at, for a row of the report."""
+        return f"on {score.longest_on_s:.2f} s"
+
+
+def behaviour_of(action: str) -> Behaviour[Any]:
+    """Raises UnknownNameError for an action that nothing registers, ConfigError for a row that is not a Behaviour."""
+    row: object = BEHAVIOURS[action]
+    if not isinstance(row, Behaviour):
+        raise ConfigError(f"action {action!r} is registered as {type(row).__name__}; expected a Behaviour object")
+    return cast("Behaviour[Any]", row)
+
+
+def actions_that_move() -> frozenset[str]:
+    """The registered actions that are meant to move a limb."""
+    return frozenset(action for action in BEHAVIOURS if behaviour_of(action).moves_the_person)
+
+
+def sweeps_of(actions: Iterable[str]) -> dict[str, tuple[str, Sweep]]:
+    """Name of each sweep of these actions -> its action and itself."""
+    return {sweep.name: (action, sweep) for action in actions for sweep in behaviour_of(action).sweeps}
+
+
+def let_go(contact: Contact, holding: Mask, duration_s: float) -> bool:
+    """Whether the target itself was held for ``duration_s`` and then let go before the trial's end.
+
+    ``holding`` (T,) are the steps that count toward a hold. A neighbour's time does not count: the region was not lost
+    where it was hardly touched.
+    """
+    target_held = holding & contact.on[:, contact.target]
+    least = steps(duration_s, contact.dt_s)
+    return any(stop - start >= least and stop < len(target_held) for start, stop in runs(target_held).tolist())
+
+
+def mm(metres: float) -> str:
+    """Whole millimetres with their unit."""
+    return f"{metres * 1000:.0f} mm"

@@ -1,0 +1,85 @@
+"""Where a region is on a body, and how large: the frame in which a tool's way over it is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from carecontact.regions import REGIONS
+from carecontact.world.human.body import CHILD_ALONG, PARENT, Array, Body
+from carecontact.world.human.joints import hinges
+from carecontact.world.human.pose import lying_pose_deg, rotation_from_bind, trunk_rotation
+from carecontact.world.human.shell import Shell
+from carecontact.world.human.skeleton import rigid_points
+
+MIDDLE_ARM_DEG = 52.5
+"""Middle of the comfort arm's range, 45 to 60 degrees."""
+MIDDLE_SHARE = 0.1
+"""Of a rigid region's length, either way from its middle: its radii are measured there."""
+TRUNK_AXIS, FOOT_AXIS = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
+"""Of segments that have no next joint, in the mesh frame: toward the head, and from heel to toe."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionFrame:
+    """In the mesh frame of the bind pose."""
+
+    origin: Array
+    """(3,) middle of the region's axis [m]"""
+    axes: Array
+    """(3, 3) columns x along the axis, y, z outward, which is up in the lying pose"""
+    size_m: Array
+    """(3,) length along x, mean radius (belly: half width), radius along z at the middle"""
+
+
+def soft_frame(shell: Shell) -> RegionFrame:
+    """Of a region with a shell."""
+    return RegionFrame(
+        origin=shell.frame_origin, axes=shell.frame,
+        size_m=np.array([shell.length_m, shell.radius_m, shell.axis_depth_m]),
+    )  # fmt: skip
+
+
+def rigid_frame(body: Body, region: str) -> RegionFrame:
+    """Of a region without a shell: the whole segment, measured on its rigid surface.
+
+    Raises SceneError for a segment that has none.
+    """
+    segment = REGIONS[region].segment
+    x = _axis(body, segment)
+    outward = upward_in_bind(body, segment)
+    z = outward - (outward @ x) * x
+    z /= np.linalg.norm(z)
+    y = np.cross(z, x)
+    points = rigid_points(body, segment) - body.joint_centre[segment]
+    along = points @ x
+    low, high = along.min(), along.max()
+    near = points[np.abs(along - (low + high) / 2) <= MIDDLE_SHARE * (high - low)]
+    width, height = near @ y, near @ z
+    # The axis runs through the middle of the section, not through the joint.
+    centre = (low + high) / 2 * x + (width.min() + width.max()) / 2 * y + (height.min() + height.max()) / 2 * z
+    return RegionFrame(
+        origin=body.joint_centre[segment] + centre, axes=np.stack([x, y, z], 1),
+        size_m=np.array([high - low, np.ptp(width) / 2, np.ptp(height) / 2]),
+    )  # fmt: skip
+
+
+def upward_in_bind(body: Body, segment: str) -> Array:
+    """(3,) direction in the segment's bind frame that faces up in the nominal lying pose (middle comfort angle)."""
+    rows, pose = hinges(body), lying_pose_deg(body, MIDDLE_ARM_DEG)
+    chain: list[str] = [segment]
+    while (parent := PARENT[chain[0]]) is not None:
+        chain.insert(0, parent)
+    rotation = trunk_rotation(body)
+    for _, link in pairwise(chain):
+        rotation = rotation @ rotation_from_bind(rows, link, pose)
+    return rotation.T @ np.array([0.0, 0.0, 1.0])
+
+
+def _axis(body: Body, segment: str) -> Array:
+    kind = segment.partition("_")[2]
+    if kind in CHILD_ALONG or kind == "hand":
+        return body.direction(segment)
+    return FOOT_AXIS if kind == "foot" else TRUNK_AXIS
