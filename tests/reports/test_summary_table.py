@@ -55,7 +55,7 @@ def test_a_headline_metric_of_another_package_has_a_column(monkeypatch: pytest.M
     """In its own unit and digits, pooled over the actions that it names."""
     assert "C1@1" in METRICS
     row = Metric(
-        id="grip@2", title="Grip", unit="kPa", better="lower", measure=lambda contact: None, actions=("touch", "push"),
+        id="grip@2", title="Grip", unit="kPa", better="lower", measure=lambda contact: None, pool=("touch", "push"),
         digits=1, headline=True, order=5,
     )  # fmt: skip
     monkeypatch.setitem(METRICS._rows, row.id, row)
