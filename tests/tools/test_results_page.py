@@ -91,7 +91,9 @@ def test_the_readme_shows_the_same_rates(again: Path, column: int) -> None:
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in section.splitlines() if row[:1] == "|"]
     found = content(again, cells[0][column].strip("`"))
     rates = {name: method["rates"]["safety_gated"] for name, method in found["methods"].items()}
-    rates |= {blind["policy"]: blind["rates"]["safety_gated"] for blind in found["baselines"]["state-machine"]["baselines"]}
+    rates |= {
+        blind["policy"]: blind["rates"]["safety_gated"] for blind in found["baselines"]["state-machine"]["baselines"]
+    }
     shown = {row[0].split()[0].rstrip(":"): row[column] for row in cells[2:]}
     assert shown.keys() == {"state-machine", "voxposer", "voxposer-phased", "replay"}
     for name, text in shown.items():
