@@ -79,7 +79,11 @@ def lying_pose_deg(body: Body, comfort_arm_deg: float) -> dict[str, float]:
 
 
 def angle_of_root(gap: Callable[[float], float], low: float, high: float) -> float:
-    """Where a rising function crosses zero, by bisection; the end of the range where it does not."""
+    """Where a rising function crosses zero; the end of the range where it does not.
+
+    By 24 bisections and not by scipy's root finding: the lying pose is part of every settled world, and its last bits
+    decide whether old trials can be repeated.
+    """
     for _ in range(24):
         middle = (low + high) / 2
         low, high = (middle, high) if gap(middle) < 0 else (low, middle)
