@@ -1,1 +1,1 @@
-"""Does anything that a policy is sent depend on what it must not know? Five parts, each able to fail."""
+"""Tests whether anything sent to a policy depends on what it must not know. There are six parts, and each can fail."""
