@@ -1,1 +1,2 @@
-"""Is the simulated person physically valid? One check a file; ``carecontact.validation.run`` runs them."""
+"""Checks whether the simulated person is physically valid: one check a file; ``carecontact.validation.run`` runs
+them."""
