@@ -4,7 +4,7 @@
 
 Bodies in turn, comfort angle, skin tone, clothes, hair and light by seed. Each scene is seen three times from
 overhead: robot parked, robot parked with sensor noise, and with the tool 60 mm above each region in turn; and once from
-the wrist, robot parked. Development used seeds below 1000; 5000-5039 were measured once before ``KEY_POINTS_AHEAD`` was
+the wrist, robot parked. Development used seeds below 1000; 5000-5039 were measured once before ``LimbSight.ahead`` was
 there. Scenes that were measured with other code, rules, body or packages are measured anew.
 """
 
@@ -56,8 +56,9 @@ LANDMARK_PX, IOU_MEAN, IOU_MIN, TARGET_MM, TARGET_P95_MM = 6.0, 0.95, 0.85, 15.0
 """The lines that the parked robot's numbers are held against."""
 BEGIN, END = "<!-- tables: tools/perception_table.py -->", "<!-- end of tables -->"
 SOURCES = (
-    "contract", "observation", "recording/perception.py", "policies/state_machine", "policies/region_geometry.py",
-    "sim", "episode/perception.py", "episode/prepare.py", "episode/randomization.py", "world",
+    "contract", "regions", "observation", "recording/perception.py", "policies/state_machine",
+    "policies/region_geometry.py", "sim", "episode/perception.py", "episode/prepare.py", "episode/randomization.py",
+    "world",
 )  # fmt: skip
 """Of the package, what a row depends on."""
 PACKAGES = ("mediapipe", "mujoco", "numpy", "opencv-python-headless")

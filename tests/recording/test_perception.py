@@ -12,6 +12,7 @@ from carecontact.protocols import load_protocol
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.perception import ARRAYS, JOINTS, perception_errors
 from carecontact.recording.schema import Recording
+from carecontact.regions import STANDARD_REGIONS
 from carecontact.trials.failed import harness_error_recording
 
 
@@ -23,7 +24,8 @@ def old() -> Recording:
 
 
 def rows(count: int) -> dict[str, np.ndarray]:
-    return {path: np.zeros((count, *after), dtype) for path, (dtype, after, _) in ARRAYS.items()}
+    sizes = {path: [len(STANDARD_REGIONS) if n == "R" else n for n in after] for path, (_, after, _) in ARRAYS.items()}
+    return {path: np.zeros((count, *sizes[path]), dtype) for path, (dtype, _, _) in ARRAYS.items()}
 
 
 def test_joints_have_the_estimators_numbers() -> None:

@@ -4,11 +4,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from carecontact.protocols import load_protocol
 from carecontact.recording import Recording
 from carecontact.scoring import TrialScore, score_recording
-from carecontact.scoring.gate_sweep import SWEEPS
+from carecontact.scoring.gate_sweep import own_value, protocol_sweeps
 from tests.scoring.synthetic import back_and_forth, before_start, hold, make_recording, push, scrub, touch
 
+SWEEPS = protocol_sweeps(load_protocol())
 OWN = {"floor_n": "0.5", "push_force_n": "3", "push_wrist_m": "0.02", "scrub_stroke_m": "0.1", "scrub_extent_m": "0.05"}
 
 
@@ -31,9 +33,14 @@ RECORDINGS = {
 def test_at_the_protocols_own_gates_a_sweep_gives_the_verdict(name: str) -> None:
     score = score_recording(RECORDINGS[name])
     assert {gate: list(row) for gate, row in score.gate_sweep.items()} == {
-        gate: [f"{v:g}" for v in values] for gate, values in SWEEPS.items()
+        gate: [f"{v:g}" for v in sweep.values] for gate, (_, sweep) in SWEEPS.items()
     }
     assert {score.gate_sweep[gate][value] for gate, value in OWN.items()} == {own_level(score)}
+
+
+def test_the_protocols_own_value_is_one_of_each_sweep() -> None:
+    found = {name: f"{own_value(load_protocol(), action, sweep):g}" for name, (action, sweep) in SWEEPS.items()}
+    assert found == OWN
 
 
 def test_each_gate_decides_where_its_value_says() -> None:

@@ -1,1 +1,1 @@
-"""Tests whether anything sent to a policy depends on what it must not know. There are six parts, and each can fail."""
+"""Tests whether anything that a policy is sent depends on what it must not know."""

@@ -1,4 +1,4 @@
-"""The ``carecontact`` command: parse, call, print. Everything heavy is imported by the command that needs it."""
+"""The ``carecontact`` command, one file a command: it parses, calls and prints."""
 
 from __future__ import annotations
 

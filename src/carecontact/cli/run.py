@@ -51,7 +51,8 @@ class Run:
         from carecontact.cli.language import language_environment
         from carecontact.cli.policy_name import check_policy, public_name
         from carecontact.cli.progress import progress
-        from carecontact.cli.score import report, rescore
+        from carecontact.cli.report_page import write_page
+        from carecontact.cli.rescoring import rescore
         from carecontact.episode.vision import WEIGHTS
         from carecontact.runs.identity import POLICY_PATH
         from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
@@ -79,7 +80,7 @@ class Run:
             )
         # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
         scores = rescore(self.out, compare=not summary.ran)
-        report(self.out, run=scores)
+        write_page(self.out, scores)
         return 1 if _print_failures(summary, out=self.out) or scores.skipped else 0
 
     def _protocol(self) -> Protocol:

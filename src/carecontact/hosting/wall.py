@@ -11,6 +11,7 @@ from types import ModuleType
 OPEN = (
     "carecontact.errors",
     "carecontact.registry",
+    "carecontact.regions",
     "carecontact.contract",
     "carecontact.policies",
     "carecontact.hosting",

@@ -8,13 +8,11 @@ from hypothesis import strategies as st
 from carecontact.contract.observation import Observation
 from carecontact.errors import ContractError
 from carecontact.policies.region_geometry import (
-    ABDOMEN_FRACTION,
-    KEY_POINTS_AHEAD,
     LANDMARK,
-    UPPER_ARM_FREE_FROM,
     PerceptionFailure,
     region_from_observation,
 )
+from carecontact.regions import REGIONS, LimbSight, TrunkSight
 from tests.policies.state_machine.lying_person import (
     HEIGHT,
     LIMB_RADIUS,
@@ -30,7 +28,9 @@ PIXEL_M = 2.0 / 330
 
 def ahead(region: str, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where the state machine takes the joints to be when the key points are at these places."""
-    shares = KEY_POINTS_AHEAD[region]
+    sight = REGIONS[region].sight
+    assert sight is not None
+    shares = sight.ahead
     return first + shares[0] * (second - first), second + shares[1] * (second - first)
 
 
@@ -48,14 +48,18 @@ def test_forearm(observation: Observation, person: Person) -> None:
 def test_upper_arm_starts_below_the_shoulder(observation: Observation, person: Person) -> None:
     upper_arm = region_from_observation(observation, "upper_arm")
     start, end = ahead("upper_arm", person.shoulder, person.elbow)
-    middle = start + (1 + UPPER_ARM_FREE_FROM) / 2 * (end - start)
+    sight = REGIONS["upper_arm"].sight
+    assert isinstance(sight, LimbSight)
+    middle = start + (1 + sight.free_from) / 2 * (end - start)
     np.testing.assert_allclose(upper_arm.centre_m, [*middle[:2], 2 * LIMB_RADIUS], atol=0.008)
 
 
 def test_abdomen(observation: Observation, person: Person) -> None:
     abdomen = region_from_observation(observation, "abdomen")
     hips, neck = ahead("abdomen", person.hips, person.neck)
-    middle = hips + ABDOMEN_FRACTION * (neck - hips)
+    sight = REGIONS["abdomen"].sight
+    assert isinstance(sight, TrunkSight)
+    middle = hips + sight.middle * (neck - hips)
     np.testing.assert_allclose(abdomen.centre_m[:2], middle[:2], atol=0.01)
     assert abdomen.centre_m[2] == pytest.approx(0.10 + TRUNK_RADIUS, abs=0.003)
     assert abdomen.axis @ [1, 0, 0] > np.cos(np.radians(3))

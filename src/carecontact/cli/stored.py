@@ -1,0 +1,20 @@
+"""Read the scores of a run for a command that shows them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from carecontact.runs.run_scores import RunScores
+
+
+def read_run(run: Path, *, rescore: bool = False) -> RunScores:
+    """As ``read_scores``; print which registered metrics the run was scored without."""
+    from carecontact.runs.stored_scores import lacking, read_scores
+
+    scores = read_scores(run, rescore=rescore)
+    absent = lacking(scores)
+    if absent and run.is_dir():
+        print(f"{run} was scored without {', '.join(absent)}; `carecontact score {run} --append` adds what is missing")
+    return scores
