@@ -65,7 +65,7 @@ def motion_scores(subject: Subject, region: str, motion: Motion) -> Scores:
 
 
 def recording_of(simulation: Simulation, region: str, samples: Sequence[Samples]) -> Recording:
-    """What the scorer reads of a trial whose policy was the script."""
+    """A recording of a scripted contact, as far as the scorer reads one."""
     protocol = simulation.protocol
     spec = TrialSpec(
         protocol=protocol, task_id=next(t.id for t in protocol.tasks if t.region == region), seed=0, policy="scripted"
