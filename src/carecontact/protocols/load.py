@@ -48,11 +48,15 @@ def _with_tissue(table: Table) -> Table:
     own = person.get("tissue", {})
     soft = [name for name in (*STANDARD_REGIONS, *_task_regions(table)) if REGIONS[name].soft]
     # A file that spells out every row may give its set any name.
-    if not isinstance(own, dict) or all(ROW <= set(own.get(name, ())) for name in soft):
+    if not isinstance(own, dict) or all(_is_whole(own.get(name)) for name in soft):
         return table
     rows = load_tissue_set(person["tissue_set"]).tissue
     taken = {name: rows[name].model_dump() for name in soft if name in rows}
     return {**table, "person": {**person, "tissue": merged(taken, own)}}
+
+
+def _is_whole(row: object) -> bool:
+    return isinstance(row, dict) and row.keys() >= ROW
 
 
 def _with_neighbourhoods(table: Table) -> Table:
