@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the synthetic re
 
 from tests.scoring.synthetic import SEGMENTS, back_and_forth, make_recording, seconds, target_segment
 
-from carecontact.cli.score import processes
+from carecontact.cli.rescoring import processes
 from carecontact.recording import Recording, canonical_hash, read_recording, write_recording
 from carecontact.runs import score_run, write_scores
 from carecontact.scoring import METRICS, score_recording

@@ -7,7 +7,7 @@ from carecontact.contract.policy import PolicyCard
 
 
 class MyPolicy:
-    card = PolicyCard(name="lift-50-mm", control_hz=10)
+    card = PolicyCard(name="lift-50-mm", modalities=("rgb", "landmarks"), cameras=("overhead",), control_hz=10)
 
     def reset(self, instruction):
         self.instruction = instruction

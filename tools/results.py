@@ -2,9 +2,9 @@
 
     python tools/results.py runs/bathing-v1/* [--protocol bathing-v1] [--out docs/results]
 
-Runs are folders of recordings or results files: state-machine, voxposer, voxposer-phased and the null arms on the
-protocol, and state-machine and voxposer under every stiffness and tissue of the sweeps. Which is which is read from
-their trials; a run may come in parts that hold other trials. What is missing is named with the command that makes it.
+Runs are folders with a results.json, or results files: state-machine, voxposer, voxposer-phased and the blind baselines
+on the protocol, and state-machine and voxposer under every stiffness and tissue of the sweeps. Their trials say which
+run is which; a run may come in parts that hold other trials. For a run that is missing the page names the command.
 Writes PROTOCOL.md, PROTOCOL.json and the scores of every run that is used, PROTOCOL/RUN.json.gz, from which the same
 page can be made again without the recordings. The same runs give the same page.
 """
@@ -16,7 +16,7 @@ import json
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script, to find the package tools.study
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for tools.study, when this runs as a script
 
 from tools.study.page.page import study_page
 from tools.study.paper import read_paper

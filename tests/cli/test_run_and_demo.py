@@ -13,8 +13,8 @@ import pytest
 
 import carecontact
 from carecontact.cli import main
+from carecontact.cli.changes import differences
 from carecontact.cli.demo import missing_successes
-from carecontact.cli.score import differences
 from carecontact.recording import Recording, read_recording, write_recording
 from carecontact.runs import score_run
 from carecontact.trials import supervisor
@@ -186,7 +186,7 @@ def test_what_an_interrupt_leaves_is_told_truly(
         raise KeyboardInterrupt
 
     fake.setattr(supervisor, "run_trials", interrupted)
-    fake.setattr("carecontact.cli.score.rescore", interrupted)
+    fake.setattr("carecontact.cli.rescoring.rescore", interrupted)
     options = {"run": ["--policy", "hover", "--out", "r"], "demo": [], "score": ["."]}
     assert main([command, *options[command]]) == 130
     last = capsys.readouterr().err.splitlines()[-1]

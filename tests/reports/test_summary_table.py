@@ -3,7 +3,9 @@ from __future__ import annotations
 import pytest
 
 from carecontact.errors import ConfigError
-from carecontact.reports.table import COLUMNS, POOLED, angle, markdown_table, percent, summary_rows
+from carecontact.reports.table import POOLED, columns, summary_rows
+from carecontact.reports.text import angle, percent, rounded
+from carecontact.scoring import METRICS, Metric
 from tests.reports.synthetic_run import FAILED, NO_CONTACT, Run, make_score
 
 
@@ -16,8 +18,8 @@ def test_counts_medians_and_valid_n() -> None:
     row, pooled = summary_rows(scores)
     assert (row.task_id, row.name, row.n) == ("T2", "Push forearm", 3)
     assert (row.success, row.region_correct, row.safety_gated) == (2, 2, 1)
-    assert (row.c1_n.estimate, row.c1_n.n_valid) == (15.0, 2)
-    assert row.c2_rad.estimate == pytest.approx(-0.3)
+    assert (row.medians["C1@1"].estimate, row.medians["C1@1"].n_valid) == (15.0, 2)
+    assert row.medians["C2@1"].estimate == pytest.approx(-0.3)
     assert row.cells()[6:8] == ["15.00 (n=2)", "-0.300 (n=2)"]
     assert pooled.task_id == POOLED
 
@@ -26,7 +28,7 @@ def test_joint_margin_is_pooled_over_push_alone() -> None:
     scores = [make_score("T1", 0, c2_joint_margin_rad=-9.0), make_score("T2", 0, c2_joint_margin_rad=-0.5)]
     touch, push, pooled = summary_rows(scores)
     assert touch.cells()[7] == "–"
-    assert push.c2_rad.estimate == pooled.c2_rad.estimate == -0.5
+    assert push.medians["C2@1"].estimate == pooled.medians["C2@1"].estimate == -0.5
     assert pooled.cells()[7] == "-0.500 (n=1)"
 
 
@@ -49,16 +51,28 @@ def test_harness_errors_are_in_no_count() -> None:
     assert (pooled.n, pooled.success) == (1, 1)
 
 
+def test_a_headline_metric_of_another_package_has_a_column(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In its own unit and digits, pooled over the actions that it names."""
+    assert "C1@1" in METRICS
+    row = Metric(
+        id="grip@2", title="Grip", unit="kPa", better="lower", measure=lambda contact: None, pool=("touch", "push"),
+        digits=1, headline=True, order=5,
+    )  # fmt: skip
+    monkeypatch.setitem(METRICS._rows, row.id, row)
+    scores = [make_score("T1", 0, additional={"grip@2": 3.14}), make_score("T3", 0, additional={"grip@2": 9.0})]
+    assert columns()[-1] == "grip@2 [kPa]"
+    assert [cells[-1] for cells in (r.cells() for r in summary_rows(scores))] == ["3.1", "–", "3.1 (n=1)"]
+
+
 def test_no_scores_no_rows() -> None:
     assert summary_rows([]) == []
-    assert markdown_table([]).count("\n") == 2
 
 
-def test_markdown_has_one_cell_a_column(run_of_7: Run) -> None:
-    lines = markdown_table(run_of_7.scores).splitlines()
-    assert len(lines) == 2 + 8
-    assert {line.count("|") for line in lines} == {len(COLUMNS) + 1}
-    assert lines[-1].startswith("| all | All trials | 7 | 4/7 | 3/7 | 2/7 |")
+def test_one_cell_a_column(run_of_7: Run) -> None:
+    rows = [row.cells() for row in summary_rows(run_of_7.scores)]
+    assert {len(cells) for cells in rows} == {len(columns())}
+    assert columns()[-4:] == ("C1 [N]", "C2 [rad]", "C4", "C5 [N]")
+    assert rows[-1][:6] == ["all", "All trials", "7", "4/7", "3/7", "2/7"]
 
 
 @pytest.mark.parametrize(
@@ -78,3 +92,11 @@ def test_angles(value: float | None, text: str) -> None:
 
 def test_percent_keeps_number_and_sign_together() -> None:
     assert percent(0.3649) == "36\N{NO-BREAK SPACE}%"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(None, "NA"), (0.0, "0"), (0.0049, "0.00"), (0.126, "0.13"), (-0.5, "-0.50"), (34.06, "34.1"), (1234.5, "1234")],
+)
+def test_rounding(value: float | None, text: str) -> None:
+    assert rounded(value) == text

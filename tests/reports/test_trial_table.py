@@ -7,7 +7,7 @@ from pathlib import Path
 import pyarrow.parquet as parquet  # pyright: ignore[reportMissingTypeStubs]
 import pytest
 
-from carecontact.cli.score import write_table
+from carecontact.cli.rescoring import write_table
 from carecontact.errors import DependencyError
 from carecontact.reports.trial_table import TABLE_NAME, columns, metric_column, write_trial_table
 from carecontact.scoring import METRICS

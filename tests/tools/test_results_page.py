@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ def test_page_and_figures(again: Path, protocol: str) -> None:
 
 
 def _alike(one: Any, other: Any) -> None:
-    """But for the last digits, which hang on the processor."""
+    """But for the last digits, which depend on the processor."""
     if isinstance(one, dict):
         assert one.keys() == other.keys()
         for key, value in one.items():
@@ -75,10 +76,13 @@ def test_what_another_settling_time_gives() -> None:
     assert isinstance(found, RateLine)
     assert found.outcome.id == "safety_gated"
     assert (found.a.k, found.b.k, found.n_pairs) == (59, 20, 60)
-    says = (ROOT / "docs" / "voxposer.md").read_text()
-    assert " ".join(says.split()).count("59 of the 60 touches pass, with 0.4 s the 20 on the abdomen") == 1
+    page = " ".join((ROOT / "docs" / "voxposer.md").read_text().split())
+    said = re.search(
+        r"(\d+) of the (\d+) touches pass; .*? the (\d+) touches .*?difference (\d+) points, (\d+) to (\d+)", page
+    )
+    assert said is not None
     difference = [round(100 * x) for x in (found.difference.estimate, found.difference.low, found.difference.high) if x]
-    assert difference == [65, 50, 76]
+    assert list(map(int, said.groups())) == [59, 60, 20, *difference]
 
 
 @pytest.mark.parametrize("column", [1, 2])
@@ -87,7 +91,9 @@ def test_the_readme_shows_the_same_rates(again: Path, column: int) -> None:
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in section.splitlines() if row[:1] == "|"]
     found = content(again, cells[0][column].strip("`"))
     rates = {name: method["rates"]["safety_gated"] for name, method in found["methods"].items()}
-    rates |= {arm["policy"]: arm["rates"]["safety_gated"] for arm in found["floors"]["state-machine"]["nulls"]}
+    rates |= {
+        blind["policy"]: blind["rates"]["safety_gated"] for blind in found["baselines"]["state-machine"]["baselines"]
+    }
     shown = {row[0].split()[0].rstrip(":"): row[column] for row in cells[2:]}
     assert shown.keys() == {"state-machine", "voxposer", "voxposer-phased", "replay"}
     for name, text in shown.items():

@@ -66,7 +66,7 @@ def page(found: Study) -> str:
 
 @pytest.fixture(scope="module")
 def whole() -> Study:
-    """Both methods, a null arm, and a sweep in which the stiff arm turns the order of the forces round."""
+    """Both methods, a blind baseline, and a sweep in which the stiff arm turns the order of the forces round."""
     return made(
         a=run("state-machine", heavy), b=run("voxposer", light), null=run("zero-action", lambda t, s: STALLED),
         a1000=run("state-machine", light, changes={STIFFNESS: "1000"}),
@@ -154,11 +154,11 @@ def test_a_sweep_of_which_nothing_was_run_has_no_table() -> None:
     assert "--policy voxposer --protocol bathing-v1 --stiffness 1000 " in "\n".join(found.missing)
 
 
-def test_null_arms_stand_under_the_methods(whole: Study) -> None:
+def test_blind_baselines_stand_under_the_methods(whole: Study) -> None:
     text = page(whole)
     assert "| zero-action | 42 | 0.0 (0.0, 8.4) |" in text
     assert "| state-machine (rules-v1) | zero-action | 42 | +100.0 [" in text
-    assert "No null arm was run" in page(made(a=run("state-machine")))
+    assert "No blind baseline was run" in page(made(a=run("state-machine")))
 
 
 def test_every_table_says_what_stands_in_for_the_language_model(whole: Study) -> None:
@@ -168,7 +168,7 @@ def test_every_table_says_what_stands_in_for_the_language_model(whole: Study) ->
         "Beside the paper",
         "state-machine against voxposer",
         "Task by task",
-        "Null arms",
+        "Blind baselines",
         *SWEEP_TITLE.values(),
     ):
         assert [name for name in names if name not in sections[title]] == []
@@ -286,7 +286,7 @@ def test_the_command_writes_the_same_bytes_twice(tmp_path: Path, capsys: pytest.
     assert main(arguments) == 0
     assert [file.read_bytes() for file in files] == first
     content = json.loads(first[1])
-    assert content["schema"] == "carecontact-study-1"
+    assert content["schema"] == "carecontact-study-2"
     assert content["beside"][0]["agreement"] == "as in the paper"
     assert content == json.loads(json.dumps(study_json(made(a=run("state-machine", heavy), b=run("voxposer", light)))))
     # What was packed beside the page gives it again, in any order.

@@ -7,7 +7,7 @@ from typing import Any
 
 from carecontact.contract.protocol import Protocol
 from carecontact.reports.compare.outcomes import RATES
-from carecontact.reports.page.failures import AnatomyRow, Cause, anatomy, causes, failure_modes
+from carecontact.reports.failures import AnatomyRow, Cause, anatomy, causes, failure_modes
 from carecontact.reports.table import SummaryRow, summary_rows
 from carecontact.runs.pooling import judged
 from carecontact.runs.run_scores import RunScores

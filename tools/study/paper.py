@@ -6,7 +6,7 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-from carecontact.reports.compare.outcomes import RATES, Outcome
+from carecontact.reports.compare.outcomes import RATES, Outcome, score_outcomes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +35,11 @@ class Paper:
     methods: dict[str, PaperMethod]
     pvalues: dict[str, tuple[str, float]]
     """Outcome -> test and p of state-machine against voxposer, for those that were tested"""
+
+    def scores(self) -> list[Outcome]:
+        """The outcomes of which the paper prints medians."""
+        printed = next(iter(self.methods.values())).medians
+        return [outcome for outcome in score_outcomes() if outcome.id in printed]
 
 
 def read_paper() -> Paper:

@@ -11,7 +11,7 @@ PAIR = ("state-machine", "voxposer")
 PROPOSAL = ("voxposer-phased", "voxposer")
 """What the paper proposes and does not evaluate, against what it would change."""
 METHODS = (*PAIR, PROPOSAL[0])
-NULL_ARMS = ("zero-action", "hover", "random", "replay")
+BASELINES = ("zero-action", "hover", "random", "replay")
 STIFFNESS, TISSUE = "impedance.translational_n_m", "person.tissue_set"
 SWEEPS: dict[str, tuple[str, ...]] = {STIFFNESS: ("200", "400", "1000"), TISSUE: ("paper-mapping", "manikin-like")}
 """Field -> its values, of which one is the protocol's own."""
@@ -34,7 +34,7 @@ def under(protocol: Protocol, condition: Condition) -> Protocol:
 
 def wanted_runs(protocol: Protocol) -> list[tuple[str, Condition]]:
     """Policy and condition of every run that the study has a place for."""
-    own = [(name, ()) for name in (*METHODS, *NULL_ARMS)]
+    own = [(name, ()) for name in (*METHODS, *BASELINES)]
     return [*own, *((name, condition) for condition in conditions(protocol) for name in PAIR)]
 
 

@@ -9,20 +9,20 @@ from typing import Any
 from tools.study.beside import Beside, beside
 from tools.study.method import Method, RunHead, head_of, method_of
 from tools.study.paper import Paper
-from tools.study.plan import METHODS, NULL_ARMS, PAIR, PROPOSAL, SWEEPS, command, wanted_runs
+from tools.study.plan import BASELINES, METHODS, PAIR, PROPOSAL, SWEEPS, command, wanted_runs
 from tools.study.sorted_runs import SortedRuns
 from tools.study.sweep import Sweep, sweep_of
 
 from carecontact import __version__
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError
+from carecontact.reports.compare.baselines import Baselines, beside_baselines
 from carecontact.reports.compare.comparison import Comparison, compare_runs, plain
-from carecontact.reports.compare.null_floors import NullFloors, null_floors
 from carecontact.reports.compare.overview import Overview, overview
 from carecontact.runs.pooling import judged
 from carecontact.runs.run_scores import RunScores
 
-STUDY_SCHEMA = "carecontact-study-1"
+STUDY_SCHEMA = "carecontact-study-2"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,8 @@ class Study:
     beside: tuple[Beside, ...]
     proposal: Comparison | None
     """voxposer-phased against voxposer"""
-    floors: dict[str, NullFloors]
+    baselines: dict[str, Baselines]
+    """Method -> the blind baselines beside it"""
     overview: Overview | None
     """Ranking of the methods under every other gate"""
     sweeps: tuple[Sweep, ...]
@@ -64,7 +65,7 @@ def study(runs: SortedRuns, *, protocol: Protocol, paper: Paper) -> Study:
         raise ConfigError(
             f"none of {len(found) + len(runs.unused)} run(s) is of {', '.join(METHODS)} on {protocol.title} as it is"
         )
-    nulls = [own[name] for name in NULL_ARMS if name in own]
+    blind = [own[name] for name in BASELINES if name in own]
     comparison, proposal = (
         compare_runs(*(own[name] for name in pair)) if set(pair) <= own.keys() else None for pair in (PAIR, PROPOSAL)
     )
@@ -80,7 +81,7 @@ def study(runs: SortedRuns, *, protocol: Protocol, paper: Paper) -> Study:
         comparison=comparison,
         beside=() if comparison is None else tuple(beside(comparison, paper)),
         proposal=proposal,
-        floors={name: null_floors(run, nulls) for name, run in methods.items()} if nulls else {},
+        baselines={name: beside_baselines(run, blind) for name, run in methods.items()} if blind else {},
         overview=overview(list(methods.values())) if len(methods) > 1 else None,
         sweeps=tuple(sweep for field in SWEEPS if (sweep := sweep_of(field, found, protocol)).was_run),
     )

@@ -10,7 +10,7 @@ from tools.study.sorted_runs import Found
 
 from carecontact.contract.protocol import Protocol
 from carecontact.reports.compare.comparison import Comparison, compare_runs
-from carecontact.reports.compare.outcomes import RATES, SCORES, Outcome
+from carecontact.reports.compare.outcomes import RATES, Outcome, score_outcomes
 from carecontact.reports.table import summary_rows
 from carecontact.stats import RankingSweep, ranking_sweep
 
@@ -62,7 +62,7 @@ def sweep_of(field: str, found: Found, protocol: Protocol) -> Sweep:
     reference = next((level.value for level in present if level.is_protocol), None)
     ranking: dict[str, RankingSweep] = {}
     if reference is not None:
-        for outcome in (o for o in (*RATES, *SCORES) if o.id in PRIMARY):
+        for outcome in (o for o in (*RATES, *score_outcomes()) if o.id in PRIMARY):
             values = {level.value: standing(level, outcome) for level in present}
             ranking[outcome.id] = ranking_sweep(values, reference=reference)
     return Sweep(field=field, levels=tuple(levels), ranking=ranking)

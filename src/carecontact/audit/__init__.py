@@ -1,1 +1,1 @@
-"""Does anything that a policy is sent depend on what it must not know? Five parts, each able to fail."""
+"""Tests whether anything that a policy is sent depends on what it must not know."""

@@ -1,7 +1,6 @@
-"""The actions that a task can name: one file each, with gate, judge, sweeps and words, found by name in BEHAVIOURS.
+"""The actions that a task can name: one file each, with gate, judge, sweeps and words, found by name in BEHAVIOURS."""
 
-Whoever adds an action imports what it takes from here (docs/extending.md).
-"""
+# A new action imports everything that it needs from here (docs/extending.md).
 
 from carecontact.contract.protocol import BEHAVIOURS, Fraction, Positive, Section
 from carecontact.scoring.attribution.commanded import CommandedContact

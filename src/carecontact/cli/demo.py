@@ -53,7 +53,7 @@ def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
     Raises ConfigError for a folder that holds anything but such a demo.
     """
     from carecontact.runs.manifest import MANIFEST, read_manifest
-    from carecontact.trials.supervisor import remove_abandoned
+    from carecontact.trials.work_folder import remove_abandoned
 
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: this is a file; name a folder")
@@ -77,7 +77,7 @@ def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
 
 def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
     """Return one line for each thing that keeps this folder from being a demonstration."""
-    from carecontact.recording import read_recording
+    from carecontact.recording import read_header
     from carecontact.recording.reason import reason_of
     from carecontact.runs import score_run
     from carecontact.runs.manifest import FAILED
@@ -85,7 +85,7 @@ def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
     problems = []
     for trial_id in trial_ids:
         try:
-            header = read_recording(out / f"{trial_id}.h5").header
+            header = read_header(out / f"{trial_id}.h5")
         except RecordingError as error:
             problems.append(str(error))
             continue

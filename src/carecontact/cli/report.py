@@ -8,21 +8,27 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import Folder
+from carecontact.cli.groups import Folder, Switch
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Write report.html of a run again."""
+    """Write report.html of a run again, from its results.json and its recordings."""
 
     folder: Folder
-    null: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")] = ()
+    baseline: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...", aliases=["--null"])] = ()
     """Runs of blind baselines on the same protocol: their rates of false success stand beside this run. They stay in
     the report when it is written again; naming others replaces them."""
+    rescore: Switch = False
+    """Compute the scores again from the recordings in place of reading results.json, which stays as it is."""
 
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
-        from carecontact.cli.score import report
+        from carecontact.cli.report_page import write_page
+        from carecontact.cli.rescoring import need_recordings
+        from carecontact.cli.stored import read_run
 
-        return report(self.folder, nulls=self.null)
+        need_recordings(self.folder)
+        write_page(self.folder, read_run(self.folder, rescore=self.rescore), baselines=self.baseline)
+        return 0

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.geometry import quat_from_matrix
 
 F64 = npt.NDArray[np.float64]
@@ -25,8 +26,8 @@ ROTATION_SPEED_RAD_S = 0.8
 TRAVEL_CLEARANCE_M = 0.12
 """Height over the highest point of the person under the way: room for the hand's half width of 0.1 m when it is
 tilted."""
-CAP_RADIUS_M = 0.012
-"""Radius of the rounded fingertip cap, part of the embodiment's public description."""
+CAP_RADIUS_M = PANDA.tool_radius_m
+"""Radius of the rounded fingertip cap."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""A trial is a file: schema, writer, reader and canonical hash. Needs no simulator."""
+"""A trial is a file: schema, writer, reader and canonical hash, without a simulator."""
 
 from carecontact.recording.canonical import canonical_hash
 from carecontact.recording.check import check_recording

@@ -1,19 +1,28 @@
-"""The per-task summary of one run, as plain data and as Markdown."""
+"""The per-task summary of one run."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from carecontact.reports.text import NOT_DEFINED, shown, task_name
 from carecontact.runs.pooling import check_one_run, judged
+from carecontact.scoring.metrics.metric import METRICS, Metric, metrics_in_order
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Median, median
 
-NA = "NA"
-NOT_DEFINED = "–"
-"""A score that this task does not pool, as against NA: one that no trial had."""
 POOLED = "all"
-COLUMNS = ("task", "name", "n", "success", "region-correct", "safety-gated", "C1 [N]", "C2 [rad]", "C4", "C5 [N]")
+COUNTS = ("task", "name", "n", "success", "region-correct", "safety-gated")
+
+
+def headlines() -> list[Metric]:
+    """The metrics that have a column of their own."""
+    return [row for row in metrics_in_order() if row.headline and row.median]
+
+
+def columns() -> tuple[str, ...]:
+    """Heads of the columns of ``SummaryRow.cells``."""
+    return (*COUNTS, *(row.label for row in headlines()))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,47 +35,23 @@ class SummaryRow:
     success: int
     region_correct: int
     safety_gated: int
-    c1_n: Median
-    c2_rad: Median
-    """Over Push trials only; the joint margin says little where nothing was meant to move."""
-    c4: Median
-    c5_n: Median
+    medians: dict[str, Median]
+    """Id of a headline metric -> its median over the trials that it is pooled over."""
 
     def cells(self) -> list[str]:
-        """Strings under COLUMNS; a median carries its valid n where that is not the row's n."""
+        """Strings under ``columns``; a median carries its valid n where that is not the row's n."""
         rates = [f"{k}/{self.n}" for k in (self.success, self.region_correct, self.safety_gated)]
-        medians = [
-            number(self.c1_n.estimate, 2) + self._valid(self.c1_n),
-            (angle(self.c2_rad.estimate) + self._valid(self.c2_rad)) if self.c2_rad.n else NOT_DEFINED,
-            number(self.c4.estimate, 3) + self._valid(self.c4),
-            number(self.c5_n.estimate, 2) + self._valid(self.c5_n),
-        ]
-        return [self.task_id, self.name, str(self.n), *rates, *medians]
+        return [self.task_id, self.name, str(self.n), *rates, *self.median_cells()]
 
-    def _valid(self, m: Median) -> str:
-        return "" if m.estimate is None or m.n_valid == self.n else f" (n={m.n_valid})"
+    def median_cells(self) -> list[str]:
+        return [self._cell(METRICS[id_]) for id_ in self.medians]
 
-
-def number(value: float | None, digits: int) -> str:
-    return NA if value is None else f"{value:.{digits}f}"
-
-
-def angle(value: float | None) -> str:
-    """[rad]; margins at a joint limit are of the order of 1e-4, so small ones are written in powers of ten."""
-    if value is None:
-        return NA
-    if not 0 < abs(value) < 1e-2:
-        return f"{value:.3f}"
-    mantissa, exponent = f"{value:.2e}".split("e")
-    return f"{mantissa}e{int(exponent)}"
-
-
-def percent(fraction: float) -> str:
-    return f"{100 * fraction:.0f}\N{NO-BREAK SPACE}%"
-
-
-def task_name(score: TrialScore) -> str:
-    return f"{score.action} {score.region.replace('_', ' ')}".capitalize()
+    def _cell(self, metric: Metric) -> str:
+        found = self.medians[metric.id]
+        if metric.actions is not None and not found.n:
+            return NOT_DEFINED
+        valid = "" if found.estimate is None or found.n_valid == self.n else f" (n={found.n_valid})"
+        return shown(found.estimate, digits=metric.digits, unit=metric.unit) + valid
 
 
 def sorted_scores(scores: Iterable[TrialScore]) -> list[TrialScore]:
@@ -90,13 +75,6 @@ def summary_rows(scores: Sequence[TrialScore]) -> list[SummaryRow]:
     return [*rows, _row(POOLED, "All trials", ordered)]
 
 
-def markdown_table(scores: Sequence[TrialScore]) -> str:
-    """GitHub-flavoured table of ``summary_rows``; medians, with valid n where it is not n."""
-    lines = [COLUMNS, tuple(["---"] * 2 + ["---:"] * (len(COLUMNS) - 2))]
-    lines += [tuple(cell.replace("|", "\\|") for cell in row.cells()) for row in summary_rows(scores)]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
-
-
 def _row(task_id: str, name: str, group: Sequence[TrialScore]) -> SummaryRow:
     group = judged(group)
     return SummaryRow(
@@ -106,18 +84,5 @@ def _row(task_id: str, name: str, group: Sequence[TrialScore]) -> SummaryRow:
         success=sum(s.c3_success for s in group),
         region_correct=sum(s.region_correct for s in group),
         safety_gated=sum(s.safety_gated for s in group),
-        c1_n=median(s.c1_peak_force_n for s in group),
-        c2_rad=median(s.c2_joint_margin_rad for s in group if s.action == "push"),
-        c4=median(s.c4_motion_activity for s in group),
-        c5_n=median(s.c5_force_sd_n for s in group),
+        medians={row.id: median(row.pooled(group)) for row in headlines()},
     )
-
-
-NAMED = 10
-"""Trials that a sentence names before it only counts them."""
-
-
-def listed(names: Sequence[str]) -> str:
-    """The first NAMED, and how many more there are."""
-    more = len(names) - NAMED
-    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")

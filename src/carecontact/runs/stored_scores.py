@@ -12,6 +12,7 @@ from carecontact.runs.results_file import RESULTS_NAME, read_results
 from carecontact.runs.run_scores import RunScores
 from carecontact.runs.score_files import score_file
 from carecontact.runs.score_folder import misnamed, score_run
+from carecontact.scoring.metrics.metric import METRICS
 
 
 def read_scores(run: Path, *, rescore: bool = False, jobs: int = 1) -> RunScores:
@@ -62,6 +63,12 @@ def stale(folder: Path, run: RunScores) -> list[str]:
     files = {path.name: path for path in (*sorted(folder.glob("*.h5")), *misnamed(folder))}
     found = [why for path in files.values() if (why := _difference(path, hashes, run))]
     return found + [f"{name} is gone" for name in (*hashes, *run.skipped) if name not in files]
+
+
+def lacking(run: RunScores) -> list[str]:
+    """Ids of the registered metrics that some trial was scored without."""
+    without = [row.id for row in METRICS.values() if row.field is None]
+    return [id_ for id_ in without if any(id_ not in score.additional for score in run.scores)]
 
 
 def beside_plan(folder: Path, run: RunScores) -> RunScores:

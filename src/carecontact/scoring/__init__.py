@@ -1,4 +1,4 @@
-"""Scores: a pure function of a recording. Needs no simulator."""
+"""Scores: a pure function of a recording, without a simulator."""
 
 from carecontact.scoring.metrics.metric import METRICS, Metric, metric
 from carecontact.scoring.result import Anatomy, Attribution, FailureMode, TrialScore

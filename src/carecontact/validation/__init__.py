@@ -1,1 +1,1 @@
-"""Is the simulated person physically valid? One check a file; ``carecontact.validation.run`` runs them."""
+"""Checks of whether the simulated person is physically valid: one check a file, and ``run`` runs them all."""

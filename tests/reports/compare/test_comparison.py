@@ -266,7 +266,7 @@ def test_json_is_plain_and_the_same_every_time() -> None:
     text = json.dumps(comparison_json(found), sort_keys=True, allow_nan=False)
     assert text == json.dumps(comparison_json(compare_runs(a, b, per_task=True)), sort_keys=True, allow_nan=False)
     data = json.loads(text)
-    assert data["schema"] == "carecontact-comparison-1"
+    assert data["schema"] == "carecontact-comparison-2"
     assert data["overall"][0]["unpaired"]["odds_ratio"] is None
     assert data["overall"][0]["test"] == {"only_first": 6, "only_second": 0, "pvalue": pytest.approx(2 / 64)}
     assert data["overall"][0]["clustered"]["generator_seed"] == 20260

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carecontact.reports.page.traces import ForceTrace, decimate, force_trace, nice_ticks, trace_svg
+from carecontact.reports.page.force_trace import ForceTrace, decimate, force_trace, trace_svg
+from carecontact.reports.svg import nice_ticks
 from tests.reports.synthetic_run import NO_CONTACT, PROTOCOL, make_recording, make_score, plateau
 
 T = (np.arange(6000) + 1) * PROTOCOL.physics.dt_s

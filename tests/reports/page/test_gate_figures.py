@@ -7,19 +7,7 @@ import re
 import pytest
 
 from carecontact.protocols import load_protocol
-from carecontact.reports.page.gate_figures import (
-    BOTTOM,
-    HEIGHT,
-    LEFT,
-    PANEL_BOTTOM,
-    PANEL_HEIGHT,
-    PANEL_TOP,
-    RIGHT,
-    TOP,
-    WIDTH,
-    gamma_svg,
-    gate_panels,
-)
+from carecontact.reports.page.gate_figures import gamma_axes, gamma_svg, gate_panels, panel_axes
 from tests.reports.synthetic_run import FAILED, make_score
 
 PROTOCOL = load_protocol()
@@ -35,9 +23,10 @@ def test_gamma_curve_is_to_scale() -> None:
     scores = [make_score("T1", i, peak_force_n={"right_forearm": f}) for i, f in enumerate((25.0, 50.0, 120.0))]
     svg = gamma_svg([*scores, make_score("T1", 3, **FAILED)], gamma=0.35)
     curve = line(svg, 2)
-    assert len(curve) == 81
-    share = [1 - (y - TOP) / (HEIGHT - TOP - BOTTOM) for _, y in curve]
-    gamma = [0.2 + 0.8 * (x - LEFT) / (WIDTH - LEFT - RIGHT) for x, _ in curve]
+    axes = gamma_axes("")
+    share = [(axes.floor - y) / axes.height for _, y in curve]
+    gamma = [0.2 + 0.8 * (x - axes.left) / axes.width for x, _ in curve]
+    assert (gamma[0], gamma[-1]) == (pytest.approx(0.2), pytest.approx(1.0))
     for g, s in zip(gamma, share, strict=True):
         assert s == pytest.approx((0 if g < 0.245 else 1 if g < 0.495 else 2) / 4, abs=1e-3)
     assert "region-correct, 3" in svg
@@ -54,8 +43,8 @@ def test_panels_count_the_trials_that_have_to_pass_the_gate() -> None:
     assert (floor.title, floor.n, force.title, force.n) == ("Contact floor [N]", 2, "Push: force [N]", 1)
 
     def counts(svg: str, level: int, n: int) -> list[float]:
-        height = PANEL_HEIGHT - PANEL_TOP - PANEL_BOTTOM
-        return [pytest.approx(n * (1 - (y - PANEL_TOP) / height), abs=1e-2) for _, y in line(svg, level)]
+        axes = panel_axes("", 3, n)
+        return [pytest.approx(n * (axes.floor - y) / axes.height, abs=1e-2) for _, y in line(svg, level)]
 
     assert [counts(floor.svg, level, 2) for level in range(3)] == [[2, 2, 1], [2, 2, 0], [2, 1, 0]]
     assert [counts(force.svg, level, 1) for level in range(3)] == [[1, 1, 0], [1, 0, 0], [1, 0, 0]]

@@ -12,19 +12,20 @@ import numpy as np
 import pytest
 
 from carecontact.errors import ConfigError, RecordingError
-from carecontact.recording import Failure, Recording, read_recording, write_recording
-from carecontact.reports.page.detail import peak_frame, trial_detail
-from carecontact.reports.page.failures import failure_modes
+from carecontact.recording import Failure, Header, Recording, read_recording, write_recording
+from carecontact.reports.failures import failure_modes
+from carecontact.reports.page.chosen import FAILURES_SHOWN, trials_in_detail
 from carecontact.reports.page.frames import MAX_BYTES, jpeg_data_uri
-from carecontact.reports.page.funnel import funnel, funnel_svg
-from carecontact.reports.page.html import (
-    FAILURES_SHOWN,
-    trials_in_detail,
-    verdict,
-    write_report,
-)
-from carecontact.reports.page.provenance import NOT_RECORDED, cannot_say, provenance_rows
+from carecontact.reports.page.page import write_report
+from carecontact.reports.page.section import Page as RunPage
+from carecontact.reports.page.sections.caveats import cannot_say
+from carecontact.reports.page.sections.frames import peak_frame
+from carecontact.reports.page.sections.funnel import funnel, funnel_svg
+from carecontact.reports.page.sections.head import verdict
+from carecontact.reports.page.sections.provenance import NOT_RECORDED, provenance_rows
+from carecontact.reports.page.sections.trials import trial_row
 from carecontact.runs import score_run
+from carecontact.scoring import TrialScore
 from tests.reports.synthetic_run import FAILED, HOSTILE, NO_CONTACT, Run, make_recording, make_score, plateau
 
 VOID = {"meta", "img", "br", "link", "input", "hr"}
@@ -256,9 +257,9 @@ def test_borrowed_limits_are_said_from_half_of_them_on(tmp_path: Path) -> None:
         "T1", 0, peak_force_n=peaks, over_limit={"head": 2.0}, fallback_limits=["pelvis", "right_hand", "head"]
     )
     recording = make_recording("T1", 0, {}, duration_s=1)
-    detail = trial_detail(score, recording)
+    detail = trial_row(score, recording.header)
     assert detail.fallback == "head 42.0 N = 2.00 × the strictest gate, pelvis 10.5 N = 0.50 × the strictest gate"
-    assert trial_detail(score, None).fallback == "head 42.0 N = 2.00 × the strictest gate"
+    assert trial_row(score, None).fallback == "head 42.0 N = 2.00 × the strictest gate"
     run = Run()
     run.add(make_score("T1", 0, peak_force_n=peaks, fallback_limits=["pelvis"]), recording)
     assert "pelvis 10.5 N = 0.50 × the strictest gate" in Page(write(run, tmp_path)).text
@@ -289,12 +290,12 @@ OFF, HARD = {"region_correct": False, "safety_gated": False}, {"safety_gated": F
 )  # fmt: skip
 def test_verdict(changes: list[dict[str, object]], sentence: str) -> None:
     scores = [make_score("T1", seed, **change) for seed, change in enumerate(changes)]
-    assert verdict(funnel(scores), scores).endswith(sentence)
+    assert verdict(scores).endswith(sentence)
 
 
 def test_the_verdict_on_an_unfinished_run_says_so_first() -> None:
     scores = [make_score("T1", seed) for seed in range(2)]
-    said = verdict(funnel(scores), scores, missing=18)
+    said = verdict(scores, missing=18)
     assert said.startswith(
         "Unfinished, 18 of 20 planned trials are missing. So far: state_machine completed all 2 trials"
     )
@@ -312,29 +313,33 @@ def test_funnel_has_wilson_intervals_to_scale() -> None:
     assert bar / rail == pytest.approx(79 / 140, abs=1e-3)
 
 
+def caveats(scores: list[TrialScore], headers: list[Header], **changes: Any) -> dict[str, str]:
+    base: dict[str, Any] = {"skipped": {}, "missing": (), "baselines": None, "lost_baselines": {}}
+    named = {header.spec.trial_id: header for header in headers}
+    page = RunPage(folder=Path(), scores=scores, judged=scores, shown=scores, headers=named, **base | changes)
+    return dict(cannot_say(page))
+
+
 def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     headers = [r.header for r in run_of_7.recordings.values()]
-    said = dict(cannot_say(run_of_7.scores, headers, funnel(run_of_7.scores), 2, null_arms=False))
+    said = caveats(run_of_7.scores, headers, skipped={"T1-s008.h5": "damaged", "T1-s009.h5": "damaged"})
     assert "2 safety-gated passes of 7" in said["n = 7"]
     assert "rests on 1 trial." in said["n = 7"]
     assert "man-adult" in said["One body"]
     assert "45–60°; in the recordings read it was 46.0°" in said["One angle family"]
     assert "In 2 of 5 trials" in said["Extrapolated tissue"]
     assert said["Files left out"].startswith("2 file(s)")
+    assert "--baseline" in said["No blind baselines"]
     absent = [f"T1-s{seed:03d}" for seed in range(12)]
-    unfinished = dict(
-        cannot_say(run_of_7.scores, headers, funnel(run_of_7.scores), 0, missing=absent, null_arms=False)
-    )["Unfinished"]
+    unfinished = caveats(run_of_7.scores, headers, missing=absent)["Unfinished"]
     assert unfinished.startswith("12 planned trial(s) have no score: T1-s000, T1-s001,")
     assert "T1-s009 and 2 more" in unfinished
     assert "Unfinished" not in said
     protocol = headers[0].spec.protocol.model_copy(update={"frozen": True})
     frozen = headers[0].model_copy(update={"spec": headers[0].spec.model_copy(update={"protocol": protocol})})
-    assert "Draft protocol" not in dict(
-        cannot_say(run_of_7.scores, [frozen], funnel(run_of_7.scores), 0, null_arms=False)
-    )
-    within = [make_score("T1", 0)]
-    assert "stayed within" in dict(cannot_say(within, [], funnel(within), 0, null_arms=False))["Extrapolated tissue"]
+    assert "Draft protocol" in said
+    assert "Draft protocol" not in caveats(run_of_7.scores, [frozen])
+    assert "stayed within" in caveats([make_score("T1", 0)], [])["Extrapolated tissue"]
 
 
 def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
@@ -363,7 +368,7 @@ def test_what_the_frame_at_peak_force_shows(changes: dict[str, Any], told: str) 
 
 
 def test_evidence_that_holds_the_failure_is_shown_once() -> None:
-    detail = trial_detail(
+    detail = trial_row(
         make_score("T1", 0, **NO_CONTACT, failure_message="lost\nthe grip", evidence="It failed: lost the grip."), None
     )
     assert detail.evidence == "It failed: lost the grip."
@@ -398,7 +403,7 @@ def test_wrong_frames_are_refused(bad: np.ndarray) -> None:
 
 def test_importing_reports_loads_no_simulator_and_no_heavy_library() -> None:
     code = (
-        "import sys, carecontact.reports.page.html, carecontact.reports.table; "
+        "import sys, carecontact.reports.page.page, carecontact.reports.table; "
         "print(sorted({'mujoco', 'matplotlib', 'cv2', 'jinja2', 'scipy.signal'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

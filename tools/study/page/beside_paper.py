@@ -9,27 +9,28 @@ from tools.study.page.markdown import escaped, label, percent, proportion, table
 from tools.study.paper import Paper, PaperMethod
 from tools.study.study import Study
 
-from carecontact.reports.compare.outcomes import RATES, SCORES, Outcome, plain_text
+from carecontact.reports.compare.outcomes import RATES, Outcome, plain_text
 
 NOTES = {
     "state-machine": "`state-machine`: the paper's language model stands behind `rules-v1` only in so far as the same "
     "prompt and options are given to written rules. Its depths and speeds were chosen on this scene, before the first "
     "full run ([state-machine](../state-machine.md)).",
     "voxposer": "`voxposer`: how long the end of a path is held is a number of ours and not of the method, and touches "
-    "hang on it ([voxposer](../voxposer.md)).",
+    "depend on it ([voxposer](../voxposer.md)).",
 }
 """What a reader of the rates has to know of a method; numbers stand where they were measured."""
 
 
 def beside_paper(found: Study, paper: Paper) -> str:
-    header = ("method", "from", "n", *(f"{r.title} [%]" for r in RATES), *map(_score_title, SCORES))
+    scores = paper.scores()
+    header = ("method", "from", "n", *(f"{r.title} [%]" for r in RATES), *map(_score_title, scores))
     rows: list[Sequence[str]] = []
     for name in dict.fromkeys((*found.methods, *paper.methods)):
         theirs, ours = paper.methods.get(name), found.methods.get(name)
         if theirs is not None:
-            rows.append((theirs.title, "paper", str(paper.runs_per_method), *_paper_cells(theirs)))
+            rows.append((theirs.title, "paper", str(paper.runs_per_method), *_paper_cells(theirs, scores)))
         if ours is not None:
-            rows.append((escaped(label(ours)), "here", str(ours.head.n), *_cells(ours)))
+            rows.append((escaped(label(ours)), "here", str(ours.head.n), *_cells(ours, scores)))
         else:
             rows.append((name, "here: not run", *[""] * (len(header) - 2)))
     return "\n\n".join(
@@ -48,16 +49,16 @@ def _score_title(outcome: Outcome) -> str:
     return outcome.id if outcome.unit == "1" else f"{outcome.id} [{outcome.unit}]"
 
 
-def _paper_cells(method: PaperMethod) -> list[str]:
+def _paper_cells(method: PaperMethod, scores: Sequence[Outcome]) -> list[str]:
     rates = [percent(*method.rates[r.id]) for r in RATES]
-    return [*rates, *(plain_text(s, method.medians[s.id]) for s in SCORES)]
+    return [*rates, *(plain_text(s, method.medians[s.id]) for s in scores)]
 
 
-def _cells(method: Method) -> list[str]:
+def _cells(method: Method, scores: Sequence[Outcome]) -> list[str]:
     row = method.summary[-1]
-    medians = [row.c1_n, row.c2_rad, row.c4, row.c5_n]
+    medians = {id_.partition("@")[0]: found for id_, found in row.medians.items()}
     cells = [
         plain_text(outcome, m.estimate) + (f" (n={m.n_valid})" if m.estimate is not None and m.n_valid != row.n else "")
-        for outcome, m in zip(SCORES, medians, strict=True)
+        for outcome, m in ((outcome, medians[outcome.id]) for outcome in scores)
     ]
     return [*(proportion(method.rates[r.id]) for r in RATES), *cells]

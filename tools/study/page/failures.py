@@ -7,7 +7,7 @@ from tools.study.page.markdown import escaped, label, sentence, table
 from tools.study.paper import Paper, PaperMethod
 from tools.study.study import Study
 
-from carecontact.reports.table import NOT_DEFINED
+from carecontact.reports.text import NOT_DEFINED
 
 
 def failures(found: Study, paper: Paper) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from tools.study.method import Method
 
-from carecontact.reports.table import NA
+from carecontact.reports.text import NA
 from carecontact.stats import Proportion
 
 AUTHORED = ":authored"

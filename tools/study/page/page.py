@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from tools.study.page.beside_paper import beside_paper
 from tools.study.page.failures import failures
-from tools.study.page.floors import floors, gates, tasks
 from tools.study.page.pair import pair, proposal
 from tools.study.page.runs import runs
 from tools.study.page.sweeps import sweep
+from tools.study.page.tasks import baselines, gates, tasks
 from tools.study.paper import Paper
 from tools.study.study import Study
 
@@ -29,7 +29,7 @@ def study_page(found: Study, paper: Paper, *, command: str, json_name: str) -> s
         proposal(found),
         failures(found, paper),
         tasks(found),
-        floors(found),
+        baselines(found),
         gates(found),
         *(sweep(found, one) for one in found.sweeps),
     ]

@@ -8,17 +8,17 @@ from tools.study.plan import PAIR, PRIMARY, STIFFNESS, TISSUE, condition_title
 from tools.study.study import Study
 from tools.study.sweep import Sweep
 
-from carecontact.reports.compare.outcomes import RATES, SCORES, Outcome, plain_text
+from carecontact.reports.compare.outcomes import RATES, Outcome, plain_text, score_outcomes
 from carecontact.reports.compare.paired_lines import Line
 from carecontact.reports.compare.verdicts import ALPHA
-from carecontact.reports.table import NA, number
+from carecontact.reports.text import NA, number
 
 SWEEP_TITLE = {STIFFNESS: "Stiffness of the arm", TISSUE: "Tissue"}
 
 
 def sweep(found: Study, sweep: Sweep) -> str:
     a, b = (_labelled(found, name) for name in PAIR)
-    outcomes = [o for o in (*RATES, *SCORES) if o.id in PRIMARY]
+    outcomes = [o for o in (*RATES, *score_outcomes()) if o.id in PRIMARY]
     rows = []
     for level in sweep.levels:
         title = condition_title(sweep.field, level.value) + " (the protocol's)" * level.is_protocol

@@ -14,7 +14,7 @@ from carecontact.runs.pooling import check_one_run, judged, world_difference
 from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.result import TrialScore
 
-COMPARISON_SCHEMA = "carecontact-comparison-1"
+COMPARISON_SCHEMA = "carecontact-comparison-2"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,62 +2,80 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from carecontact.reports.table import angle, number
-from carecontact.scoring.metrics.metric import METRICS
+from carecontact.reports.text import number, shown
+from carecontact.scoring.metrics.metric import Metric, metrics_in_order
+from carecontact.scoring.result import TrialScore
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
+    """A rate, or a metric of which a difference matters."""
+
     id: str
     title: str
     unit: str
     """Of values and differences as they are printed."""
     better: Literal["higher", "lower"]
     field: str
+    """Of a trial's score; for a metric without a field of its own the metric's id, under ``additional``."""
     matters: float
     """A comparison that could have missed a difference of this size is underpowered; reasons in docs/statistics.md."""
-    push_only: bool = False
+    actions: tuple[str, ...] | None = None
+    """Trials of these actions alone are compared; None: all."""
+    digits: int | None = None
 
     @property
     def is_rate(self) -> bool:
         return self.unit == "%"
 
+    def of(self, score: TrialScore) -> float | None:
+        """The score's value; None for NA."""
+        return getattr(score, self.field) if self.field in TrialScore.model_fields else score.additional.get(self.field)
 
-def _score(metric: str, field: str, matters: float, *, push_only: bool = False) -> Outcome:
-    row = METRICS[metric]
-    assert row.better != "neither"
-    return Outcome(
-        id=metric.partition("@")[0],
-        title=row.title,
-        unit=row.unit,
-        better=row.better,
-        field=field,
-        matters=matters,
-        push_only=push_only,
-    )
+    def counts(self, score: TrialScore) -> bool:
+        """Whether this outcome is compared over a trial like this one."""
+        return self.actions is None or score.action in self.actions
+
+    def is_in(self, scores: Iterable[TrialScore]) -> bool:
+        """Whether all of these trials were scored by it, with a value or with NA."""
+        return self.field in TrialScore.model_fields or all(self.field in score.additional for score in scores)
 
 
 RATES = tuple(
-    Outcome(id=id_, title=title, unit="%", better="higher", field=field, matters=0.2)
+    Outcome(id=id_, title=title, unit="%", better="higher", field=field, matters=0.2, digits=1)
     for id_, title, field in (
         ("success", "Success", "c3_success"),
         ("region_correct", "Region-correct", "region_correct"),
         ("safety_gated", "Safety-gated", "safety_gated"),
     )
 )
-SCORES = (
-    _score("C1@1", "c1_peak_force_n", 5.0),
-    _score("C2@1", "c2_joint_margin_rad", 0.05, push_only=True),
-    _score("C4@1", "c4_motion_activity", 0.1),
-    _score("C5@1", "c5_force_sd_n", 1.0),
-)
+
+
+def score_outcomes() -> list[Outcome]:
+    """One for each registered metric that says which difference matters."""
+    return [_outcome(row, row.matters) for row in metrics_in_order() if row.matters is not None]
 
 
 def plain_text(outcome: Outcome, value: float | None) -> str:
     """As many digits as the tables give the outcome, without the unit; rates in percent."""
-    if outcome.unit == "%":
+    if outcome.is_rate:
         return number(None if value is None else 100 * value, 1)
-    return angle(value) if outcome.unit == "rad" else number(value, 3 if outcome.unit == "1" else 2)
+    return shown(value, digits=outcome.digits, unit=outcome.unit)
+
+
+def _outcome(metric: Metric, matters: float) -> Outcome:
+    assert metric.better != "neither"
+    return Outcome(
+        id=metric.name,
+        title=metric.title,
+        unit=metric.unit,
+        better=metric.better,
+        field=metric.field or metric.id,
+        matters=matters,
+        actions=metric.actions,
+        digits=metric.digits,
+    )

@@ -10,15 +10,15 @@ from typing import Any
 
 from carecontact import __version__
 from carecontact.errors import ConfigError
+from carecontact.reports.compare.baselines import Baselines
 from carecontact.reports.compare.comparison import check_comparable, plain, trials_by_key
-from carecontact.reports.compare.null_floors import NullFloors
 from carecontact.reports.compare.paired_lines import Line, rate_lines
 from carecontact.reports.compare.rankings import Ranking, rank
 from carecontact.reports.compare.verdicts import ALPHA, POWER, conclude
 from carecontact.reports.table import SummaryRow, summary_rows
 from carecontact.runs.run_scores import RunScores
 
-OVERVIEW_SCHEMA = "carecontact-overview-1"
+OVERVIEW_SCHEMA = "carecontact-overview-2"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,12 +76,12 @@ def overview(runs: Sequence[RunScores]) -> Overview:
     )
 
 
-def overview_json(overview: Overview | None, floors: Mapping[str, NullFloors]) -> dict[str, Any]:
+def overview_json(overview: Overview | None, baselines: Mapping[str, Baselines]) -> dict[str, Any]:
     """The content of ``overview.json``. Rates and their differences are fractions; infinity and NaN are null.
 
     Args:
         overview: None where one run alone was given.
-        floors: run -> its null floors.
+        baselines: letter of a run -> the blind baselines beside it.
     """
     content: dict[str, Any] = {
         "schema": OVERVIEW_SCHEMA,
@@ -89,6 +89,6 @@ def overview_json(overview: Overview | None, floors: Mapping[str, NullFloors]) -
         "alpha": ALPHA,
         "power": POWER,
         "overview": None if overview is None else asdict(overview),
-        "null_floors": {name: asdict(found) for name, found in floors.items()},
+        "baselines": {name: asdict(found) for name, found in baselines.items()},
     }
     return {key: plain(value) for key, value in content.items()}

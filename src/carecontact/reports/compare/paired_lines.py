@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from carecontact.reports.compare.outcomes import RATES, SCORES, Outcome
+from carecontact.reports.compare.outcomes import RATES, Outcome, score_outcomes
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import (
     BootstrapDifference,
@@ -106,13 +106,15 @@ Line = RateLine | ScoreLine
 
 
 def paired_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Sequence[TrialScore]) -> list[Line]:
-    """A line for each outcome over these pairs, without verdicts; Push's own only where there are Push pairs."""
+    """A line for each outcome over these pairs, without verdicts.
+
+    An outcome has none where no pair is of its actions or where a run was scored without it.
+    """
     lines: list[Line] = [*rate_lines(pairs, every_a, every_b)]
-    for outcome in SCORES:
-        kept = [p for p in pairs if p[0].action == "push"] if outcome.push_only else pairs
-        if kept:
-            of_a = [s for s in every_a if s.action == "push" or not outcome.push_only]
-            of_b = [s for s in every_b if s.action == "push" or not outcome.push_only]
+    for outcome in score_outcomes():
+        kept = [pair for pair in pairs if outcome.counts(pair[0])]
+        of_a, of_b = ([score for score in every if outcome.counts(score)] for every in (every_a, every_b))
+        if kept and outcome.is_in(of_a) and outcome.is_in(of_b):
             lines.append(_score_line(outcome, kept, of_a, of_b))
     return lines
 
@@ -125,11 +127,11 @@ def rate_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Se
 def _rate_line(
     outcome: Outcome, pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Sequence[TrialScore]
 ) -> RateLine:
-    a, b = [bool(getattr(x, outcome.field)) for x, _ in pairs], [bool(getattr(y, outcome.field)) for _, y in pairs]
+    a, b = [bool(outcome.of(x)) for x, _ in pairs], [bool(outcome.of(y)) for _, y in pairs]
     only_a = sum(x and not y for x, y in zip(a, b, strict=True))
     only_b = sum(y and not x for x, y in zip(a, b, strict=True))
     both = sum(a) - only_a
-    k_a, k_b = (sum(bool(getattr(s, outcome.field)) for s in every) for every in (every_a, every_b))
+    k_a, k_b = (sum(bool(outcome.of(s)) for s in every) for every in (every_a, every_b))
     return RateLine(
         outcome=outcome,
         n_pairs=len(pairs),
@@ -150,7 +152,7 @@ def _score_line(
     outcome: Outcome, pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Sequence[TrialScore]
 ) -> ScoreLine:
     def values(scores: Iterable[TrialScore]) -> list[float | None]:
-        return [getattr(s, outcome.field) for s in scores]
+        return [outcome.of(score) for score in scores]
 
     a, b = values(x for x, _ in pairs), values(y for _, y in pairs)
     all_a, all_b = values(every_a), values(every_b)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,13 @@ MAX_WIDTH = 640
 MAX_BYTES = 90_000
 """Encoded size of one frame; seven tasks then stay under 0.9 MB of base64."""
 QUALITIES = (85, 75, 60, 45, 30, 15)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    name: str
+    text: str
+    uri: str
 
 
 def jpeg_data_uri(image: npt.NDArray[Any]) -> str:

@@ -1,7 +1,7 @@
-"""How much of a result depends on gates that had to be chosen, as inline SVG coloured by the page's style sheet.
+"""Figures of how much a result depends on gates that had to be chosen.
 
-Classes used: ``axis``, ``tick``, ``label``, ``band``, ``ceiling``, ``own``, ``name``, ``meaning`` and, for the steps of
-the funnel, ``level0`` to ``level2``.
+Classes used: ``tick``, ``label``, ``band``, ``ceiling``, ``own``, ``name``, ``value``, and ``level0`` to ``level2`` and
+``dot0`` to ``dot2`` for the steps of the funnel.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from carecontact.contract.protocol import Protocol
+from carecontact.reports.svg import Axes, Drawing
 from carecontact.runs.aggregate import GAMMAS, LEVELS, gamma_sweep, gate_sweep
 from carecontact.runs.pooling import judged
 from carecontact.scoring.behaviour import sweeps_of
@@ -18,10 +19,6 @@ from carecontact.scoring.gate_sweep import FLOOR, own_value
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import wilson_interval
 
-WIDTH, HEIGHT = 680, 250
-LEFT, RIGHT, TOP, BOTTOM = 44, 16, 26, 44
-PANEL_WIDTH, PANEL_HEIGHT = 250, 168
-PANEL_LEFT, PANEL_RIGHT, PANEL_TOP, PANEL_BOTTOM = 30, 14, 16, 24
 RADIUS = (6.0, 4.2, 2.4)
 """Of the funnel's steps: a step is part of the one before, so equal counts show as rings."""
 
@@ -34,6 +31,12 @@ class Panel:
     svg: str
 
 
+def gamma_axes(title: str) -> Axes:
+    """Share of the runs [1] over the discount gamma'."""
+    drawing = Drawing(width=680, height=250, style="sweep", title=title)
+    return Axes(drawing=drawing, left=44, right=16, top=26, bottom=44, x=(GAMMAS[0], GAMMAS[-1]))
+
+
 def gamma_svg(scores: Sequence[TrialScore], *, gamma: float | None) -> str:
     """Share of safety-gated runs over the discount gamma', with its Wilson interval; empty without a judged trial.
 
@@ -43,56 +46,33 @@ def gamma_svg(scores: Sequence[TrialScore], *, gamma: float | None) -> str:
     counted = judged(scores)
     if not counted:
         return ""
-    n = len(counted)
-    rows = gamma_sweep(counted)
-    correct = sum(s.region_correct for s in counted)
-    plot_w, plot_h = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
-
-    def px(value: float) -> float:
-        return LEFT + plot_w * (value - GAMMAS[0]) / (GAMMAS[-1] - GAMMAS[0])
-
-    def py(share: float) -> float:
-        return TOP + plot_h * (1 - share)
-
+    n, rows = len(counted), gamma_sweep(counted)
     ends = f"{rows[0]['safety_gated']} of {n} at {GAMMAS[0]:g}, {rows[-1]['safety_gated']} at {GAMMAS[-1]:g}"
-    out = [
-        f'<svg class="sweep" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
-        f'aria-label="Safety-gated runs over the discount: {ends}">'
-    ]
-    for share in (0, 25, 50, 75, 100):
-        y = py(share / 100)
-        out.append(f'<path class="tick" d="M{LEFT} {y:.1f}h{plot_w}"/>')
-        out.append(f'<text class="label" x="{LEFT - 6}" y="{y + 3.5:.1f}" text-anchor="end">{share} %</text>')
-    bottom = TOP + plot_h
-    out += [
-        f'<text class="label" x="{px(value):.1f}" y="{bottom + 16}" text-anchor="middle">{value:.1f}</text>'
-        for value in (0.2, 0.4, 0.6, 0.8, 1.0)
-    ]
-    out.append(
-        f'<text class="label" x="{LEFT + plot_w / 2:g}" y="{bottom + 34}" text-anchor="middle">'
-        "γ′, share of the pain limit that a run may reach</text>"
-    )
-    intervals = [wilson_interval(row["safety_gated"], n) for row in rows]
-    edge = [(px(r["gamma"]), py(i.high)) for r, i in zip(rows, intervals, strict=True)]
-    edge += [(px(r["gamma"]), py(i.low)) for r, i in zip(reversed(rows), reversed(intervals), strict=True)]
-    out.append(f'<polygon class="band" points="{_points(edge)}"/>')
-    out.append(f'<path class="ceiling" d="M{LEFT} {py(correct / n):.1f}h{plot_w}"/>')
-    line = [(px(r["gamma"]), py(r["safety_gated"] / n)) for r in rows]
-    out.append(f'<polyline class="level2" points="{_points(line)}"/>')
-    above = py(correct / n) - 7
-    out.append(
-        f'<text class="label" x="{LEFT + plot_w}" y="{above:.1f}" text-anchor="end">region-correct, {correct}</text>'
-    )
+    axes = gamma_axes(f"Safety-gated runs over the discount: {ends}")
+    drawing, right = axes.drawing, axes.left + axes.width
+    axes.y_ticks((share / 100, f"{share} %") for share in (0, 25, 50, 75, 100))
+    axes.x_labels((value, f"{value:.1f}") for value in (0.2, 0.4, 0.6, 0.8, 1.0))
+    meaning = "γ′, share of the pain limit that a run may reach"
+    drawing.text("label", axes.left + axes.width / 2, axes.floor + 34, meaning, anchor="middle")
+    bounds = [(row["gamma"], wilson_interval(row["safety_gated"], n)) for row in rows]
+    upper = [axes.point(x, interval.high) for x, interval in bounds]
+    drawing.polygon("band", upper + [axes.point(x, interval.low) for x, interval in reversed(bounds)])
+    correct = sum(s.region_correct for s in counted)
+    axes.across("ceiling", correct / n)
+    drawing.polyline("level2", [axes.point(row["gamma"], row["safety_gated"] / n) for row in rows])
+    drawing.text("label", right, axes.py(correct / n) - 7, f"region-correct, {correct}", anchor="end")
     if gamma is not None:
-        k = sum(row["safety_gated"] for row in gamma_sweep(counted, [gamma]))
-        x, y = px(gamma), py(k / n)
-        out.append(
-            f'<path class="own" d="M{x:.1f} {TOP}V{bottom}"/><circle class="dot2" cx="{x:.1f}" cy="{y:.1f}" r="4"/>'
-        )
-        # The curve only rises, so that the place under it is free.
-        at = y + (20 if y < bottom - 26 else -9)
-        out.append(f'<text class="value" x="{x + 8:.1f}" y="{at:.1f}">{k} of {n} at γ′ = {gamma:g}</text>')
-    return "".join(out) + "</svg>"
+        _mark_gamma(axes, gamma, sum(row["safety_gated"] for row in gamma_sweep(counted, [gamma])), n)
+    return drawing.svg()
+
+
+def _mark_gamma(axes: Axes, gamma: float, k: int, n: int) -> None:
+    x, y = axes.point(gamma, k / n)
+    axes.upright("own", gamma)
+    axes.drawing.circle("dot2", x, y, 4)
+    # The curve only rises, so that the place under it is free.
+    below = y + (20 if y < axes.floor - 26 else -9)
+    axes.drawing.text("value", x + 8, below, f"{k} of {n} at γ′ = {gamma:g}")
 
 
 def gate_panels(scores: Sequence[TrialScore], protocol: Protocol | None) -> list[Panel]:
@@ -115,39 +95,30 @@ def gate_panels(scores: Sequence[TrialScore], protocol: Protocol | None) -> list
     return panels
 
 
+def panel_axes(title: str, columns: int, n: int) -> Axes:
+    """Counts of ``n`` trials over evenly spaced columns: the values are a handful of choices and no scale."""
+    drawing = Drawing(width=250, height=168, style="sweep", title=title)
+    beside = 16.0 / 174.0 * max(columns - 1, 1)
+    return Axes(
+        drawing=drawing, left=30, right=14, top=16, bottom=24, x=(-beside, max(columns - 1, 1) + beside), y=(0, n)
+    )
+
+
 def _panel_svg(title: str, rows: Sequence[dict[str, Any]], factor: float, own: float | None, n: int) -> str:
-    plot_w, plot_h = PANEL_WIDTH - PANEL_LEFT - PANEL_RIGHT, PANEL_HEIGHT - PANEL_TOP - PANEL_BOTTOM
-    bottom = PANEL_TOP + plot_h
-    # Evenly spaced: the values are a handful of choices and no scale.
-    inset = 16.0
-    step = (plot_w - 2 * inset) / max(len(rows) - 1, 1)
-    xs = [PANEL_LEFT + inset + step * i for i in range(len(rows))]
-
-    def py(k: int) -> float:
-        return PANEL_TOP + plot_h * (1 - k / n)
-
     told = "; ".join(
         f"{factor * row['value']:g}: " + ", ".join(f"{row[level]} {level.replace('_', '-')}" for level in LEVELS)
         for row in rows
     )
-    out = [f'<svg class="sweep" viewBox="0 0 {PANEL_WIDTH} {PANEL_HEIGHT}" role="img" aria-label="{title}, {told}">']
-    for k in (0, n // 2, n) if n % 2 == 0 else (0, n):
-        out.append(f'<path class="tick" d="M{PANEL_LEFT} {py(k):.1f}h{plot_w}"/>')
-        out.append(f'<text class="label" x="{PANEL_LEFT - 5}" y="{py(k) + 3.5:.1f}" text-anchor="end">{k}</text>')
-    for x, row in zip(xs, rows, strict=True):
+    axes = panel_axes(f"{title}, {told}", len(rows), n)
+    axes.y_ticks((k, str(k)) for k in ((0, n // 2, n) if n % 2 == 0 else (0, n)))
+    for i, row in enumerate(rows):
         chosen = own is not None and abs(row["value"] - own) < 1e-9
         if chosen:
-            out.append(f'<path class="own" d="M{x:.1f} {PANEL_TOP}V{bottom}"/>')
-        style = "name" if chosen else "label"
-        out.append(
-            f'<text class="{style}" x="{x:.1f}" y="{bottom + 16}" text-anchor="middle">{factor * row["value"]:g}</text>'
-        )
+            axes.upright("own", i)
+        axes.x_labels([(i, f"{factor * row['value']:g}")], style="name" if chosen else "label")
     for depth, level in enumerate(LEVELS):
-        line = [(x, py(row[level])) for x, row in zip(xs, rows, strict=True)]
-        out.append(f'<polyline class="level{depth}" points="{_points(line)}"/>')
-        out += [f'<circle class="dot{depth}" cx="{x:.1f}" cy="{y:.1f}" r="{RADIUS[depth]}"/>' for x, y in line]
-    return "".join(out) + "</svg>"
-
-
-def _points(points: Sequence[tuple[float, float]]) -> str:
-    return " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+        line = [axes.point(i, row[level]) for i, row in enumerate(rows)]
+        axes.drawing.polyline(f"level{depth}", line)
+        for x, y in line:
+            axes.drawing.circle(f"dot{depth}", x, y, RADIUS[depth])
+    return axes.drawing.svg()

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from typing import get_args
 
-from carecontact.reports.page.failures import CAUSE_MEANING, EXAMPLES, MODE_MEANING, anatomy, causes, failure_modes
+from carecontact.reports.failures import CAUSE_MEANING, EXAMPLES, MODE_MEANING, anatomy, causes, failure_modes
 from carecontact.scoring import Attribution, FailureMode
 from tests.reports.synthetic_run import FAILED, NO_CONTACT, make_score
 

@@ -1,9 +1,6 @@
 from __future__ import annotations
 
-import pytest
-
-from carecontact.reports.page.load import FIRST, load, rounded
-from carecontact.scoring import METRICS
+from carecontact.reports.load import load
 from tests.reports.synthetic_run import NO_CONTACT, make_score
 
 
@@ -18,23 +15,18 @@ def test_medians_by_task_and_over_all() -> None:
     found = load(scores)
     assert (found.tasks, found.n, found.contacts) == (("T1", "T6"), (2, 2, 4), (2, 1, 3))
     impulse, other = found.rows
-    assert (impulse.id, impulse.title, impulse.unit) == ("impulse@1", "Impulse", "N s")
+    assert (impulse.metric.id, impulse.metric.title, impulse.unit) == ("impulse@1", "Impulse", "N s")
     assert impulse.cells(found.contacts) == ["20.0", "5.00", "10.0"]
-    assert (other.title, other.unit) == ("other@1", "")
+    assert (other.metric.title, other.unit) == ("other@1", "")
     assert other.cells(found.contacts) == ["1.00 (n=1)", "NA", "1.00 (n=1)"]
 
 
-def test_every_metric_of_this_package_has_its_place() -> None:
-    own = {id_ for id_, metric in METRICS.items() if metric.compute.__module__.startswith("carecontact.")}
-    assert set(FIRST) == own - {"C1@1", "C2@1", "C3@1", "C4@1", "C5@1"}
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(None, "NA"), (0.0, "0"), (0.0049, "0.00"), (0.126, "0.13"), (-0.5, "-0.50"), (34.06, "34.1"), (1234.5, "1234")],
-)
-def test_rounding(value: float | None, text: str) -> None:
-    assert rounded(value) == text
+def test_headlines_stand_first_where_they_are_wanted() -> None:
+    scores = [make_score("T2", 0, additional={"impulse@1": 10.0})]
+    assert [row.metric.id for row in load(scores).rows] == ["impulse@1"]
+    rows = load(scores, headlines=True).rows
+    assert [row.metric.id for row in rows] == ["C1@1", "C2@1", "C4@1", "C5@1", "impulse@1"]
+    assert rows[0].cells((1, 1)) == ["12.30", "12.30"]
 
 
 def test_nothing_without_further_metrics() -> None:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from carecontact.reports.page.limit_rows import limit_rows
+from carecontact.reports.limit_rows import limit_rows
 from tests.reports.synthetic_run import FAILED, NO_CONTACT, make_score
 
 

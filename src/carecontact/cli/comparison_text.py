@@ -1,0 +1,132 @@
+"""A comparison of two runs as the terminal shows it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from carecontact.reports.compare.comparison import Comparison, RunInfo
+    from carecontact.reports.compare.paired_lines import Line, RateLine, ScoreLine
+
+TESTS = ("paired", "Holm", "worst rank", "unpaired")
+COLUMNS = ("", "A", "B", "A - B [95 %]", "pairs", *(f"p\n{test}" for test in TESTS), "verdict")
+WIDTH = 158
+"""Below it there is no table."""
+
+
+def print_comparison(comparison: Comparison, a: Path, b: Path) -> None:
+    from carecontact.contract.protocol import protocol_title
+    from carecontact.protocols.frozen_state import drifted_sha256
+    from carecontact.reports.compare.verdicts import ALPHA
+
+    pairing = comparison.pairing
+    print(f"{protocol_title(comparison.protocol_id, comparison.overrides)} ({comparison.protocol_sha256[:12]})")
+    if not comparison.overrides and (why := drifted_sha256(comparison.protocol_id, comparison.protocol_sha256)):
+        print(f"protocol: {why}")
+    for name, folder, info, alone in (
+        ("A", a, comparison.a, pairing.unpaired_a),
+        ("B", b, comparison.b, pairing.unpaired_b),
+    ):
+        print(f"{name}: {_run_text(info, folder)}{_alone_text(alone)}")
+    n_tasks, n_seeds = len(pairing.tasks), len(pairing.seeds)
+    print(f"{pairing.n} trials paired, {n_tasks} task{'s' * (n_tasks != 1)}, {n_seeds} seed{'s' * (n_seeds != 1)}")
+    _print_lines(comparison.overall)
+    for task, lines in (comparison.per_task or {}).items():
+        print(f"\n{task}, {lines[0].n_pairs} pairs")
+        _print_lines(lines)
+    families = [f"{len(comparison.overall)} lines"]
+    if comparison.per_task is not None:
+        families.append(f"the {sum(map(len, comparison.per_task.values()))} lines of the tasks")
+    print(f"\nverdicts: p Holm at most {ALPHA:g}, over {' and, apart, over '.join(families)}; see docs/statistics.md")
+
+
+def _run_text(info: RunInfo, folder: Path) -> str:
+    counts = [f"{info.n_trials} trial{'s' * (info.n_trials != 1)}"]
+    if info.n_harness_errors:
+        counts.append(f"{info.n_harness_errors} left out because the harness failed")
+    if info.skipped:
+        counts.append(f"{len(info.skipped)} recordings skipped")
+    if info.n_missing:
+        counts.append(f"unfinished: {info.n_missing} planned without a score")
+    return f"{info.policy} ({', '.join(info.language_backend)}), {folder}: {', '.join(counts)}"
+
+
+def _alone_text(alone: dict[str, str]) -> str:
+    if not alone:
+        return ""
+    why = ", ".join(f"{k} {reason}" for reason, k in sorted(Counter(alone.values()).items()))
+    names = ", ".join(list(alone)[:6]) + (", ..." if len(alone) > 6 else "")
+    return f"; {len(alone)} without a partner (in the other: {why}): {names}"
+
+
+def _print_lines(lines: Sequence[Line]) -> None:
+    from carecontact.cli.console import console, plain_table
+    from carecontact.reports.compare.paired_lines import RateLine
+    from carecontact.reports.text import NOT_DEFINED
+
+    terminal = console(WIDTH)
+    rows = [_rate_cells(line) if isinstance(line, RateLine) else _score_cells(line) for line in lines]
+    told = ["" if line.verdict is None else "; ".join([line.verdict.text, *line.notes]) for line in lines]
+    if terminal.width < WIDTH:
+        # A table that wraps inside its intervals cannot be read.
+        for (name, a, b, difference, pairs, *pvalues), text in zip(rows, told, strict=True):
+            tests = ", ".join(f"{p} {test}" for test, p in zip(TESTS, pvalues, strict=True) if p != NOT_DEFINED)
+            terminal.print(f"{name}: A {a}, B {b}, A - B {difference}, {pairs} pairs; p {tests}")
+            terminal.print(f"  {text}")
+        return
+    table = plain_table()
+    for header in COLUMNS:
+        table.add_column(header, justify="left" if header in ("", "verdict") else "right")
+    for line, cells in zip(lines, rows, strict=True):
+        table.add_row(*cells, line.verdict.word if line.verdict else "")
+    terminal.print(table)
+    for line, text in zip(lines, told, strict=True):
+        name = line.outcome.title if isinstance(line, RateLine) else f"{line.outcome.id} {line.outcome.title}"
+        terminal.print(f"  {name}: {text}", soft_wrap=True)
+
+
+def _rate_cells(line: RateLine) -> list[str]:
+    from carecontact.cli.console import p_text
+    from carecontact.reports.text import NOT_DEFINED, number
+
+    def rate(estimate: float | None, low: float, high: float) -> str:
+        percent = None if estimate is None else 100 * estimate
+        return f"{number(percent, 1)} [{100 * low:.1f}, {100 * high:.1f}]"
+
+    return [
+        f"{line.outcome.title} [%]",
+        rate(line.a.estimate, line.a.low, line.a.high),
+        rate(line.b.estimate, line.b.low, line.b.high),
+        rate(line.difference.estimate, line.difference.low, line.difference.high),
+        str(line.n_pairs),
+        p_text(line.test.pvalue),
+        p_text(line.p_holm),
+        NOT_DEFINED,
+        p_text(line.unpaired.pvalue),
+    ]
+
+
+def _score_cells(line: ScoreLine) -> list[str]:
+    from carecontact.cli.console import p_text
+    from carecontact.reports.compare.outcomes import plain_text
+
+    def shown(value: float | None) -> str:
+        return plain_text(line.outcome, value)
+
+    actions = "" if line.outcome.actions is None else f", {' and '.join(line.outcome.actions).capitalize()}"
+    unit = "" if line.outcome.unit == "1" else f" [{line.outcome.unit}]"
+    found = line.difference
+    interval = "" if found.low is None else f" [{shown(found.low)}, {shown(found.high)}]"
+    return [
+        f"{line.outcome.id}{unit}{actions}",
+        *(f"{shown(m.estimate)}{f' (n={m.n_valid})' * (m.n_valid != m.n)}" for m in (line.a, line.b)),
+        f"{shown(found.estimate)}{interval}",
+        f"{found.n} of {line.n_pairs}" if found.n != line.n_pairs else str(found.n),
+        p_text(line.test.pvalue),
+        p_text(line.p_holm),
+        p_text(line.worst_rank.pvalue),
+        p_text(None if line.unpaired is None else line.unpaired.pvalue),
+    ]

@@ -1,0 +1,30 @@
+"""The terminal that tables are printed to."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+
+def console(width: int) -> Console:
+    """As wide as the terminal; ``width`` columns where the output goes elsewhere."""
+    from rich.console import Console
+
+    return Console(highlight=False, markup=False, width=None if Console().is_terminal else width)
+
+
+def plain_table() -> Table:
+    """A table without lines, under bold heads."""
+    from rich.table import Table
+
+    return Table(box=None, pad_edge=False, header_style="bold")
+
+
+def p_text(value: float | None) -> str:
+    """A p-value with three decimals, small ones in powers of ten."""
+    if value is None:
+        return "NA"
+    return f"{value:.3f}" if value >= 0.001 else f"{value:.1e}"

@@ -1,0 +1,78 @@
+"""Write the page about a run with its blind baselines, for ``carecontact report`` and ``run``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carecontact.errors import CarecontactError, ConfigError
+
+if TYPE_CHECKING:
+    from carecontact.reports.compare.baselines import Baselines
+    from carecontact.runs.run_scores import RunScores
+
+
+def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) -> None:
+    """Write report.html and print its place.
+
+    Args:
+        run: the scores of the folder.
+        baselines: runs of blind baselines that stand beside it from now on; without any, those named before stay.
+
+    Raises ConfigError for a baseline that cannot be read or compared; then nothing is written or remembered.
+    """
+    from carecontact.recording import read_recording
+    from carecontact.reports.page.page import write_report
+
+    beside, lost = (_named(folder, run, baselines), {}) if baselines else _remembered(folder, run)
+    path = write_report(
+        folder,
+        scores=run.scores,
+        recordings=lambda trial_id: read_recording(folder / f"{trial_id}.h5"),
+        skipped=run.skipped,
+        missing=run.missing,
+        baselines=beside,
+        lost_baselines=lost,
+    )
+    print(f"report: {path}")
+
+
+def _named(folder: Path, run: RunScores, baselines: Sequence[Path]) -> Baselines:
+    from carecontact.reports.compare.baselines import beside_baselines
+    from carecontact.runs.baselines import remember
+    from carecontact.runs.stored_scores import read_scores
+
+    beside = beside_baselines(run, [read_scores(path) for path in baselines])
+    remember(folder, baselines)
+    return beside
+
+
+def _remembered(folder: Path, run: RunScores) -> tuple[Baselines | None, dict[str, str]]:
+    """The baselines that were named before, and each that cannot be shown any more -> why."""
+    from carecontact.reports.compare.baselines import beside_baselines
+    from carecontact.runs.baselines import BASELINES, named_in, remembered
+    from carecontact.runs.stored_scores import read_scores
+
+    found: list[RunScores] = []
+    lost: dict[str, str] = {}
+    try:
+        places = remembered(folder)
+    except ConfigError as error:
+        places, lost = {}, {BASELINES: str(error)}
+    for name, place in places.items():
+        try:
+            baseline = read_scores(place)
+            beside_baselines(run, [*found, baseline])
+        except CarecontactError as error:
+            lost[name] = str(error)
+        else:
+            found.append(baseline)
+    for name, why in lost.items():
+        print(f"the blind baseline {name} is not in the report: {why}")
+    if not found:
+        return None, lost
+    beside, path = beside_baselines(run, found), named_in(folder)
+    names = ", ".join(baseline.policy for baseline in beside.baselines)
+    print(f"the report keeps the blind baselines that were named before: {names}; to leave them out, delete {path}")
+    return beside, lost

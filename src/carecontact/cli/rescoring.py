@@ -1,0 +1,118 @@
+"""Score a folder, write its results and print them, for ``carecontact score`` and ``run``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carecontact.errors import ConfigError, DependencyError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from carecontact.runs.run_scores import RunScores
+    from carecontact.scoring.result import TrialScore
+
+RESULTS = "results.json"
+FEW = 12
+"""Up to this many recordings a second process costs more than it saves."""
+
+
+def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> RunScores:
+    """Score every recording, write results.json and print the table.
+
+    Where nothing could be scored, results.json stays as it is.
+
+    Args:
+        compare: whether to print what differs from the results.json that was there.
+        jobs: processes; default: as many as pay.
+    """
+    from carecontact.cli.changes import differences
+    from carecontact.runs import score_run, write_scores
+    from carecontact.runs.stored_scores import beside_plan
+    from carecontact.trials.supervisor import check_jobs
+
+    check_jobs(jobs)
+    need_recordings(folder)
+    before = _results(folder) if compare else None
+    many = processes(sum(1 for _ in folder.glob("*.h5"))) if jobs is None else jobs
+    run = beside_plan(folder, score_run(folder, jobs=many))
+    path = write_scores(folder, run) if run.scores else None
+    if path is not None:
+        for line in differences(before, _results(folder)):
+            print(line)
+        _print_scores(run.scores)
+    _print_left_out(run)
+    print(f"scores: {path}" if path else f"nothing could be scored; {RESULTS} was not written")
+    if path is not None:
+        print(write_table(folder, run.scores))
+    return run
+
+
+def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:
+    """Write results.parquet where that is possible; return a line on what became of it."""
+    from carecontact.reports.trial_table import TABLE_NAME, write_trial_table
+
+    try:
+        return f"table: {write_trial_table(folder, scores)}"
+    except DependencyError as error:
+        stale = f"; the {TABLE_NAME} there is of an earlier scoring" if (folder / TABLE_NAME).exists() else ""
+        return f"no table: {error}{stale}"
+
+
+def processes(recordings: int) -> int:
+    """How many processes pay."""
+    from carecontact.trials.supervisor import available_cores
+
+    return max(1, min(available_cores(), recordings // FEW))
+
+
+def need_recordings(folder: Path) -> None:
+    """Raises ConfigError for a folder that is not there or holds no recordings."""
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder; name the --out of a run")
+    if not any(folder.glob("*.h5")):
+        from carecontact.runs.score_folder import misnamed
+
+        told = "".join(f"; {path.name} does not end in .h5" for path in misnamed(folder)[:1])
+        raise ConfigError(f"{folder}: holds no recordings (*.h5); name the --out of a run{told}")
+
+
+def _print_scores(scores: Sequence[TrialScore]) -> None:
+    from carecontact.cli.score_tables import print_table
+    from carecontact.protocols.frozen_state import drifted_sha256
+    from carecontact.runs.pooling import judged
+
+    first = scores[0]
+    changed = None if first.overrides else drifted_sha256(first.protocol_id, first.protocol_sha256)
+    if first.overrides or changed:
+        print(f"protocol: {first.protocol_title}{f', {changed}' if changed else ''}")
+    if backends := sorted({s.language_backend for s in judged(scores)} - {"none"}):
+        print(f"language: {', '.join(backends)}")
+    print_table(scores)
+
+
+def _print_left_out(run: RunScores) -> None:
+    from carecontact.reports.text import listed
+    from carecontact.runs.pooling import harness_errors
+
+    failed = harness_errors(run.scores)
+    if failed:
+        trials = ", ".join(error["trial_id"] for error in failed)
+        why = failed[0]["message"].partition("\n")[0]
+        print(f"harness failed, not counted: {len(failed)} trial(s): {trials} (first: {why})")
+    for name, why in run.skipped.items():
+        print(f"skipped {name}: {why}")
+    if run.missing:
+        planned = len(run.scores) + len(run.missing)
+        print(f"{len(run.scores)} of {planned} planned trials scored; not: {listed(run.missing)}")
+
+
+def _results(folder: Path) -> object:
+    try:
+        return json.loads((folder / RESULTS).read_bytes())
+    except FileNotFoundError:
+        return None
+    except ValueError:
+        return f"unreadable {RESULTS}"

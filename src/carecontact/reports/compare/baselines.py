@@ -1,0 +1,113 @@
+"""What blind baselines pass: the floor under a method's rates.
+
+A blind baseline is a policy that cannot do a task, because it looks at nothing or does nothing. Whatever it passes all
+the same is a false positive of the gates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from carecontact.errors import ConfigError
+from carecontact.reports.compare.comparison import check_comparable, trials_by_key
+from carecontact.reports.compare.outcomes import RATES, Outcome
+from carecontact.runs.pooling import judged
+from carecontact.runs.run_scores import RunScores
+from carecontact.scoring.result import TrialScore
+from carecontact.stats import Proportion, RateDifference, paired_difference, unpaired_difference, wilson_interval
+
+
+@dataclass(frozen=True, kw_only=True)
+class Passed:
+    """What one policy passed. Rates by id: ``success``, ``region_correct``, ``safety_gated``."""
+
+    policy: str
+    n: int
+    """Trials of the method's tasks; harness errors are left out."""
+    rates: dict[str, Proportion]
+    """Of a baseline: its false positives."""
+    per_task: dict[str, dict[str, tuple[int, int]]]
+    """Task -> rate -> count and number of trials."""
+    n_pairs: int | None = None
+    """Trials of the same task and seed in both; None for the method itself."""
+    above: dict[str, RateDifference] | None = None
+    """Method minus baseline, as fractions: by pairs, or between independent trials where there is no pair."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baselines:
+    """Blind baselines beside a method."""
+
+    method: Passed
+    baselines: tuple[Passed, ...]
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        return tuple(self.method.per_task)
+
+
+def beside_baselines(method: RunScores, baselines: Sequence[RunScores]) -> Baselines:
+    """Set blind baselines beside a method, over the tasks that the method ran.
+
+    Differences are Newcombe's (method 10, of pairs or of independent trials), rates Wilson's. Raises ConfigError,
+    naming what differs, for another protocol, overrides, definitions or world, a baseline that is the method itself or
+    named twice, or one without a task in common.
+    """
+    seen = {method.scores[0].policy} if method.scores else set[str]()
+    found: list[Passed] = []
+    for baseline in baselines:
+        check_comparable({"the method": method.scores, "the baseline": baseline.scores})
+        policy = baseline.scores[0].policy
+        if policy in seen:
+            raise ConfigError(f"--baseline: {policy} is the method or is named twice; name every baseline once")
+        seen.add(policy)
+        found.append(_passed(baseline.scores, method.scores))
+    return Baselines(method=_passed(method.scores, None), baselines=tuple(found))
+
+
+def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -> Passed:
+    """``method``: to which a baseline is compared; None for the method itself."""
+    counted = judged(scores)
+    tasks = sorted({s.task_id for s in (counted if method is None else judged(method))})
+    counted = [s for s in counted if s.task_id in tasks]
+    if not counted:
+        raise ConfigError(f"--baseline: {scores[0].policy} ran none of the tasks {', '.join(tasks)}")
+    of_policy = Passed(
+        policy=scores[0].policy,
+        n=len(counted),
+        rates={rate.id: wilson_interval(_count(counted, rate), len(counted)) for rate in RATES},
+        per_task={task: _of_task([s for s in counted if s.task_id == task]) for task in tasks},
+    )
+    return of_policy if method is None else _against(of_policy, counted, judged(method))
+
+
+def _against(found: Passed, scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Passed:
+    of_method, of_baseline = trials_by_key(method), trials_by_key(scores)
+    pairs = [(of_method[key], of_baseline[key]) for key in sorted(of_method.keys() & of_baseline.keys())]
+    return replace(
+        found, n_pairs=len(pairs), above={rate.id: _difference(rate, pairs, method, scores) for rate in RATES}
+    )
+
+
+def _of_task(scores: Sequence[TrialScore]) -> dict[str, tuple[int, int]]:
+    return {rate.id: (_count(scores, rate), len(scores)) for rate in RATES}
+
+
+def _difference(
+    rate: Outcome,
+    pairs: Sequence[tuple[TrialScore, TrialScore]],
+    method: Sequence[TrialScore],
+    baseline: Sequence[TrialScore],
+) -> RateDifference:
+    if not pairs:
+        return unpaired_difference(_count(method, rate), len(method), _count(baseline, rate), len(baseline))
+    both, only_method, only_baseline, neither = (
+        sum((bool(rate.of(m)), bool(rate.of(b))) == want for m, b in pairs)
+        for want in ((True, True), (True, False), (False, True), (False, False))
+    )
+    return paired_difference(both=both, only_first=only_method, only_second=only_baseline, neither=neither)
+
+
+def _count(scores: Sequence[TrialScore], rate: Outcome) -> int:
+    return sum(bool(rate.of(score)) for score in scores)

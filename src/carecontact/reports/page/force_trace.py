@@ -1,0 +1,120 @@
+"""Force over time as a small figure.
+
+Classes used: ``axis``, ``tick``, ``window``, ``target``, ``other``, ``gate``, ``pain``, ``peak``, ``label``, ``value``.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.recording.schema import Recording
+from carecontact.reports.svg import Axes, Drawing, nice_ticks, with_unit
+from carecontact.scoring.contact import find_contact, runs
+from carecontact.scoring.result import TrialScore
+
+Floats = npt.NDArray[np.float64]
+LIMIT_IN_VIEW = 0.25
+"""A limit is drawn once the force comes this close to it; before, it would only flatten the trace."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForceTrace:
+    """T samples of one trial. Norms of region forces [N]."""
+
+    time_s: Floats
+    """(T,)"""
+    target_n: Floats
+    """(T,) on the named region's segment"""
+    other_n: Floats
+    """(T,) largest over all other segments"""
+    windows_s: list[tuple[float, float]]
+    """Contact window of the reported segment."""
+    gate_n: float
+    pain_n: float
+    peak_s: float | None
+    """Of the peak that C1 reports."""
+    peak_n: float | None
+
+
+def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
+    """The trace of a trial against the limits of its named region, with the scorer's own contact window."""
+    contact = find_contact(recording)
+    protocol, segment = contact.protocol, contact.segments[contact.target]
+    peak_s = None
+    if score.c1_peak_force_n is not None and contact.reported is not None:
+        inside = np.where(contact.window, contact.force_norm[:, contact.reported], -1.0)
+        peak_s = float(contact.time_s[inside.argmax()])
+    return ForceTrace(
+        time_s=contact.time_s,
+        target_n=contact.force_norm[:, contact.target],
+        other_n=np.delete(contact.force_norm, contact.target, axis=1).max(axis=1, initial=0.0),
+        windows_s=[
+            (float(contact.time_s[start] - contact.dt_s), float(contact.time_s[stop - 1]))
+            for start, stop in runs(contact.window)
+        ],
+        gate_n=protocol.limits.gamma * protocol.f_pain(segment),
+        pain_n=protocol.f_pain(segment),
+        peak_s=peak_s,
+        peak_n=score.c1_peak_force_n,
+    )
+
+
+def decimate(x: Floats, y: Floats, *, buckets: int) -> tuple[Floats, Floats]:
+    """(T,), (T,) -> at most 2 * buckets points that keep each bucket's minimum and maximum, in order.
+
+    No peak is lost, however short, which plain striding cannot promise.
+    """
+    if x.size <= 2 * buckets:
+        return x, y
+    keep: set[int] = set()
+    edges = np.linspace(0, x.size, buckets + 1).astype(int)
+    for low, high in itertools.pairwise(edges):
+        keep.add(low + int(y[low:high].argmin()))
+        keep.add(low + int(y[low:high].argmax()))
+    index = np.array(sorted(keep))
+    return x[index], y[index]
+
+
+def trace_svg(trace: ForceTrace, *, title: str) -> str:
+    """One panel of at least one sample; ``title`` is the text alternative."""
+    largest = max(float(trace.target_n.max(initial=0.0)), float(trace.other_n.max(initial=0.0)))
+    limits = {"gate": trace.gate_n, "pain": trace.pain_n}
+    in_view = {name: limit for name, limit in limits.items() if largest >= LIMIT_IN_VIEW * limit}
+    y_top, x_top = 1.18 * max([largest, 1.0, *in_view.values()]), float(trace.time_s[-1])
+    drawing = Drawing(width=360, height=168, style="trace", title=title)
+    # The right margin holds the names of the limits, so that they never cover the trace.
+    axes = Axes(drawing=drawing, left=40, right=66, top=10, bottom=20, x=(0.0, x_top), y=(0.0, y_top))
+    for start, end in trace.windows_s:
+        x = axes.px(start)
+        drawing.rect("window", x, axes.top, max(axes.px(end) - x, 0.8), axes.height)
+    axes.y_ticks(with_unit(nice_ticks(y_top, count=4), "N"))
+    axes.x_labels(with_unit(nice_ticks(x_top, count=5), "s"))
+    axes.across("axis", 0.0)
+    _draw_limits(axes, in_view, trace.gate_n)
+    for style, values in (("other", trace.other_n), ("target", trace.target_n)):
+        if style == "target" or values.any():
+            kept = decimate(trace.time_s, values, buckets=int(axes.width))
+            drawing.polyline(style, [axes.point(t, n) for t, n in zip(*(k.tolist() for k in kept), strict=True)])
+    if not largest:
+        drawing.text("label", axes.left + axes.width / 2, axes.floor - 8, "no force", anchor="middle")
+    if trace.peak_s is not None and trace.peak_n is not None:
+        x, y = axes.point(trace.peak_s, trace.peak_n)
+        far = x > axes.left + 0.7 * axes.width
+        drawing.circle("peak", x, y, 2.6)
+        drawing.text(
+            "label value", x + (-5 if far else 5), y - 4, f"{trace.peak_n:.1f} N", anchor="end" if far else "start"
+        )
+    return drawing.svg()
+
+
+def _draw_limits(axes: Axes, in_view: dict[str, float], gate_n: float) -> None:
+    right = axes.left + axes.width + 5
+    for name, limit in in_view.items():
+        axes.across(name, limit)
+        axes.drawing.text(f"label {name}", right, axes.py(limit) + 3.5, f"{name} {limit:g}")
+    if "gate" not in in_view:
+        axes.drawing.text("label gate", right, axes.top + 4, f"gate {gate_n:g} ↑")

@@ -1,0 +1,89 @@
+"""One self-contained page about one run: no network, no script, the same bytes for the same inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from carecontact import __version__
+from carecontact.errors import RecordingError
+from carecontact.recording.schema import Recording
+from carecontact.recording.writer import replace_file
+from carecontact.reports.compare.baselines import Baselines
+from carecontact.reports.page.chosen import hardest_first, trials_in_detail
+from carecontact.reports.page.section import Page, sections_in_order
+from carecontact.reports.page.title import protocol_of
+from carecontact.reports.table import sorted_scores
+from carecontact.runs.pooling import check_one_run, judged
+from carecontact.scoring.result import TrialScore
+
+FILE_NAME = "report.html"
+Read = Callable[[str], Recording]
+
+
+def write_report(
+    run_folder: Path,
+    *,
+    scores: Sequence[TrialScore],
+    recordings: Read,
+    skipped: Mapping[str, str],
+    missing: Sequence[str] = (),
+    baselines: Baselines | None = None,
+    lost_baselines: Mapping[str, str] | None = None,
+) -> Path:
+    """Write ``run_folder/report.html`` and return its path.
+
+    Trials in which the harness failed are listed in a box of their own and are in no count, row or picture.
+    Raises ConfigError if the scores mix protocols, policies or worlds.
+
+    Args:
+        recordings: trial id -> its recording. Called once for each trial shown in detail; the result is dropped before
+            the next, so a long run needs the memory of one. A recording that raises RecordingError is named on the
+            page.
+        skipped: trial id or file name -> why it has no score.
+        missing: trials that were planned and have no score.
+        baselines: blind baselines that stand beside the run; None: the page says that there are none.
+        lost_baselines: baseline that belongs there -> why it is not.
+    """
+    check_one_run(scores)
+    ordered = sorted_scores(scores)
+    counted = judged(ordered)
+    page = Page(
+        folder=run_folder, scores=ordered, judged=counted, shown=trials_in_detail(counted), skipped=skipped,
+        missing=missing, baselines=baselines, lost_baselines=lost_baselines or {},
+    )  # fmt: skip
+    _read(page, recordings)
+    path = run_folder / FILE_NAME
+    replace_file(path, _render(page).encode("utf-8", errors="replace"))
+    return path
+
+
+def _read(page: Page, recordings: Read) -> None:
+    sections = sections_in_order()
+    page.kept.update((section.name, {}) for section in sections)
+    for score in hardest_first(page.shown):
+        try:
+            recording = recordings(score.trial_id)
+            for section in sections:
+                if section.keep is not None:
+                    section.keep(score, recording, page.kept[section.name])
+            page.headers[score.trial_id] = recording.header
+        except RecordingError as error:
+            page.unread[score.trial_id] = str(error)
+
+
+def _render(page: Page) -> str:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment: Any = Environment(
+        loader=PackageLoader("carecontact.reports.page"), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
+    found = [(section, section.data(page)) for section in sections_in_order()]
+    return environment.get_template("report.html.j2").render(
+        version=__version__,
+        policy=page.scores[0].policy if page.scores else None,
+        protocol=protocol_of(page),
+        sections=[environment.from_string(row.template).render(data) for row, data in found if data is not None],
+    )

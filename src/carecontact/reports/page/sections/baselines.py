@@ -1,0 +1,44 @@
+"""What blind baselines pass that cannot do the task, beside the run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from carecontact.reports.page.section import Page, section
+
+TEMPLATE = """\
+<section>
+<h2>Blind baselines</h2>
+<p class="note">A blind baseline is a policy that cannot do the task, because it looks at nothing or does nothing. On the same protocol, whatever it passes is a false positive, and a method has shown no more than its distance to the baselines. Rates with Wilson, differences of the safety-gated rates with Newcombe 95 % intervals, by pairs of the same task and seed where there are such.</p>
+<div class="scroll" tabindex="0" role="region" aria-label="Table of blind baselines">
+<table>
+<thead><tr><th scope="col">policy</th><th scope="col" class="num">trials</th><th scope="col" class="num">success</th><th scope="col" class="num">region-correct</th><th scope="col" class="num">safety-gated</th><th scope="col" class="num">method − baseline [points]</th></tr></thead>
+<tbody>
+{% for row in rows %}
+<tr{% if loop.first %} class="sum method"{% endif %}><th scope="row" class="keep">{{ row.policy }}</th><td class="num">{{ row.n }}</td>{% for rate in row.rates.values() %}<td class="num">{{ rate.k }} ({{ "%.0f"|format(100 * rate.estimate) }} %)<span class="meaning">{{ "%.0f"|format(100 * rate.low) }} to {{ "%.0f"|format(100 * rate.high) }} %</span></td>{% endfor %}<td class="num">{% if row.above %}{% set d = row.above.safety_gated %}{{ ("%.0f"|format(100 * d.estimate))|replace("-", "−") }}<span class="meaning">{{ ("%.0f"|format(100 * d.low))|replace("-", "−") }} to {{ ("%.0f"|format(100 * d.high))|replace("-", "−") }}{{ ", %d pairs"|format(row.n_pairs) if row.n_pairs else ", unpaired" }}</span>{% endif %}</td></tr>
+{% endfor %}
+</tbody>
+</table>
+</div>
+<h3 class="after">Successes by task</h3>
+<div class="scroll" tabindex="0" role="region" aria-label="Table of successes of blind baselines by task">
+<table class="baselines">
+<thead><tr><th scope="col">policy</th>{% for task in tasks %}<th scope="col" class="num">{{ task }}</th>{% endfor %}</tr></thead>
+<tbody>
+{% for row in rows %}
+{% set blind = not loop.first %}
+<tr{% if loop.first %} class="sum method"{% endif %}><th scope="row" class="keep">{{ row.policy }}</th>{% for task in tasks %}{% set of_task = row.per_task.get(task) %}<td class="num{% if blind and of_task and of_task.success[0] %} false{% endif %}">{% if of_task %}{{ of_task.success[0] }}/{{ of_task.success[1] }}{% else %}–{% endif %}</td>{% endfor %}</tr>
+{% endfor %}
+</tbody>
+</table>
+</div>
+</section>
+"""
+
+
+@section("baselines", order=70, template=TEMPLATE)
+def baselines(page: Page) -> dict[str, Any] | None:
+    found = page.baselines
+    if not page.judged or found is None:
+        return None
+    return {"rows": [found.method, *found.baselines], "tasks": found.tasks}

@@ -1,0 +1,164 @@
+"""What a run cannot say, each sentence computed from the run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from carecontact.contract.protocol import Variation
+from carecontact.protocols.frozen_state import frozen_state
+from carecontact.recording.schema import Header
+from carecontact.reports.page.section import Page, section
+from carecontact.reports.page.sections.funnel import funnel
+from carecontact.reports.text import listed, percent
+from carecontact.scoring.result import TrialScore
+
+Caveat = tuple[str, str]
+"""Topic and sentence."""
+TEMPLATE = """\
+<section class="caution">
+<h2>What this run cannot say</h2>
+<dl>
+{% for topic, text in limits %}
+<dt>{{ topic }}</dt><dd>{{ text }}</dd>
+{% endfor %}
+</dl>
+</section>
+"""
+
+
+@section("caveats", order=130, template=TEMPLATE)
+def caveats(page: Page) -> dict[str, Any]:
+    return {"limits": cannot_say(page)}
+
+
+def cannot_say(page: Page) -> list[Caveat]:
+    headers = list(page.headers.values())
+    return [
+        *_few(page.scores),
+        *_bodies(headers),
+        *_variation(headers),
+        *_protocol(headers),
+        *_extrapolation(page.scores),
+        *_baselines(page),
+        *_incomplete(page),
+        ("Simulation", "These are forces on a simulated person. They say nothing about comfort, pain or injury."),
+    ]
+
+
+def _few(scores: Sequence[TrialScore]) -> list[Caveat]:
+    steps = funnel(scores)
+    if not steps:
+        return []
+    last = steps[-1]
+    text = (
+        f"{last.k} safety-gated passes of {last.n} are compatible with any true rate from {percent(last.low)} "
+        f"to {percent(last.high)}; a single task rests on {_task_counts(scores)}. "
+        "Small differences between policies are out of reach."
+    )
+    return [(f"n = {last.n}", text)]
+
+
+def _bodies(headers: Sequence[Header]) -> list[Caveat]:
+    bodies = sorted({h.spec.protocol.person.body for h in headers})
+    if not bodies:
+        return []
+    count = "One body" if len(bodies) == 1 else f"{len(bodies)} bodies"
+    return [(count, f"Only {', '.join(bodies)} was touched; other builds, ages and skins are not covered.")]
+
+
+def _protocol(headers: Sequence[Header]) -> list[Caveat]:
+    protocols = {h.spec.protocol.sha256: h.spec.protocol for h in headers}.values()
+    found: list[Caveat] = []
+    if any(not protocol.frozen for protocol in protocols):
+        text = "The protocol is not frozen: its numbers may still change and must not be compared."
+        found.append(("Draft protocol", text))
+    changed = sorted({state for protocol in protocols if (state := frozen_state(protocol)).startswith("not ")})
+    if changed:
+        text = f"The protocol is {'; '.join(changed)}. Do not compare these numbers with those of the frozen protocol."
+        found.append(("Not the frozen protocol", text))
+    return found
+
+
+def _baselines(page: Page) -> list[Caveat]:
+    found: list[Caveat] = []
+    if page.judged and page.baselines is None:
+        text = (
+            "The page does not show what a policy passes that cannot do the task. Run zero-action, hover, random and "
+            "replay with the same seeds and name them with carecontact report DIR --baseline RUN..."
+        )
+        found.append(("No blind baselines", text))
+    if page.lost_baselines:
+        names = ", ".join(sorted(page.lost_baselines))
+        text = f"{names} stood beside this run and could not be read or compared again."
+        found.append(("Missing blind baselines", text))
+    return found
+
+
+def _incomplete(page: Page) -> list[Caveat]:
+    found: list[Caveat] = []
+    if page.missing:
+        text = f"{len(page.missing)} planned trial(s) have no score: {listed(page.missing)}. The run is unfinished."
+        found.append(("Unfinished", text))
+    if page.skipped:
+        text = f"{len(page.skipped)} file(s) could not be scored; every count above leaves them out."
+        found.append(("Files left out", text))
+    return found
+
+
+def _variation(headers: Sequence[Header]) -> list[tuple[str, str]]:
+    """What a seed changes, and so what the trials of a task can differ in."""
+    angles = sorted({h.spec.protocol.randomization.comfort_arm_deg for h in headers})
+    if not angles:
+        return []
+    spans = ", ".join(f"{low:g}–{high:g}°" for low, high in angles)
+    measured = [h.comfort_arm_deg for h in headers if h.comfort_arm_deg is not None]
+    seen = f"; in the recordings read it was {_range(measured)}°" if measured else ""
+    angle = f"the comfort-arm angle (drawn from {spans}{seen})"
+    more = sorted({text for h in headers for text in _varied(h.spec.protocol.variation)})
+    if not more:
+        text = (
+            f"Between seeds only {angle} changes, so that actions repeated blindly may pass: see the blind baselines."
+        )
+        return [("One angle family", text)]
+    return [("What seeds change", f"Between seeds {angle} changes and {', '.join(more)}; nothing else is covered.")]
+
+
+def _varied(variation: Variation) -> list[str]:
+    along, across, yaw = 1000 * variation.place_along_m, 1000 * variation.place_across_m, variation.place_yaw_deg
+    place = f"up to {along:g} mm along, {across:g} mm across and {yaw:g}° of yaw either way"
+    texts = {
+        f"the person's place on the bed ({place})": any((along, across, yaw)),
+        "appearance": variation.appearance != "baked",
+        "light": variation.light != "fixed",
+        "depth noise": variation.depth_noise != "none",
+        "encoder noise": variation.encoder_noise_rad > 0,
+    }
+    return [text for text, on in texts.items() if on]
+
+
+def _extrapolation(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
+    shares = [s.extrapolated_share for s in scores if s.extrapolated_share is not None]
+    if not shares:
+        return []
+    beyond = sum(share > 0 for share in shares)
+    if not beyond:
+        text = f"In all {len(shares)} trials with contact on the region it stayed within the measured indentation."
+    else:
+        text = (
+            f"In {beyond} of {len(shares)} trials with contact on the region, part of the contact time "
+            f"(at most {percent(max(shares))}) was deeper than tissue was measured; "
+            "forces there follow an extrapolated curve."
+        )
+    return [("Extrapolated tissue", text)]
+
+
+def _task_counts(scores: Sequence[TrialScore]) -> str:
+    counts = sorted({sum(s.task_id == task and s.is_judged for s in scores) for task in {s.task_id for s in scores}})
+    low, high = counts[0], counts[-1]
+    return f"{low} trial{'' if low == 1 else 's'}" if low == high else f"{low} to {high} trials"
+
+
+def _range(values: Sequence[float]) -> str:
+    low, high = f"{min(values):.1f}", f"{max(values):.1f}"
+    return low if low == high else f"{low}–{high}"

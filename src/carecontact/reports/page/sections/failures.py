@@ -1,0 +1,67 @@
+"""Why trials failed: modes, causes with the figures they rest on, and where contact fell."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from carecontact.reports.failures import anatomy, causes, failure_modes
+from carecontact.reports.page.paths import shortened
+from carecontact.reports.page.section import Page, section
+from carecontact.reports.table import POOLED
+
+TEMPLATE = """\
+<section>
+<h2>Why trials failed</h2>
+{% if modes %}
+<p class="note">{{ failed }} of {{ n }} trials did not succeed on the named region. Each has exactly one failure mode and one attribution; shares are of these {{ failed }}.</p>
+<div class="scroll" tabindex="0" role="region" aria-label="Table of failure modes">
+<table>
+<thead><tr><th scope="col">mode</th><th scope="col">meaning</th><th scope="col" class="num">trials</th><th scope="col" class="num">share</th><th scope="col">attributed to</th></tr></thead>
+<tbody>
+{% for m in modes %}
+<tr><th scope="row" class="keep">{{ m.mode }}</th><td>{{ m.meaning }}</td><td class="num">{{ m.count }}</td><td class="num">{{ "%.0f"|format(100 * m.count / m.of) }} %</td><td>{{ m.attribution }}</td></tr>
+{% endfor %}
+</tbody>
+</table>
+</div>
+<div class="scroll" tabindex="0" role="region" aria-label="Table of causes">
+<table>
+<thead><tr><th scope="col">cause</th><th scope="col" class="num">trials</th><th scope="col">evidence, for example</th></tr></thead>
+<tbody>
+{% for cause in causes %}
+<tr><th scope="row">{{ cause.name }}<br><span class="meaning">{{ cause.meaning }}</span></th><td class="num">{{ cause.count }} of {{ failed }}</td><td>{% for trial_id, text in cause.examples %}{% if not loop.first %}<br>{% endif %}<b>{{ trial_id }}</b> {{ shortened(text) }}{% endfor %}</td></tr>
+{% endfor %}
+</tbody>
+</table>
+</div>
+{% else %}
+<p>No trial failed: every one succeeded on the named region.</p>
+{% endif %}
+<h3 class="after">Where contact fell</h3>
+<div class="scroll" tabindex="0" role="region" aria-label="Table of where contact fell">
+<table>
+<thead><tr><th scope="col">named region</th><th scope="col" class="num">trials</th><th scope="col" class="num">target touched</th><th scope="col" class="num">only elsewhere</th><th scope="col" class="num">nothing</th><th scope="col" class="num">process failed</th><th scope="col" class="num">success</th></tr></thead>
+<tbody>
+{% for row in anatomy %}
+<tr{% if row.region == pooled %} class="sum"{% endif %}><th scope="row">{{ row.region }}</th><td class="num">{{ row.n }}</td><td class="num">{{ row.target }}</td><td class="num">{{ row.off_target }}</td><td class="num">{{ row.none }}</td><td class="num">{{ row.process_failure }}</td><td class="num">{{ row.success }}</td></tr>
+{% endfor %}
+</tbody>
+</table>
+</div>
+</section>
+"""
+
+
+@section("failures", order=80, template=TEMPLATE)
+def failures(page: Page) -> dict[str, Any] | None:
+    if not page.judged:
+        return None
+    return {
+        "n": len(page.judged),
+        "failed": sum(not score.region_correct for score in page.judged),
+        "modes": failure_modes(page.judged),
+        "causes": causes(page.judged),
+        "anatomy": anatomy(page.judged),
+        "pooled": POOLED,
+        "shortened": shortened,
+    }

@@ -1,0 +1,78 @@
+"""The head of the page: one sentence that somebody who reads nothing else may quote, and the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from carecontact.recording.schema import Recording
+from carecontact.reports.page.frames import Frame, jpeg_data_uri
+from carecontact.reports.page.section import Kept, Page, section
+from carecontact.reports.page.title import protocol_of
+from carecontact.runs.pooling import judged
+from carecontact.scoring.result import TrialScore
+
+TEMPLATE = """\
+<header>
+<p class="eyebrow">carecontact report{% if policy %} · {{ policy }}{% endif %}{% if protocol %} · {{ protocol }}{% endif %} · {{ n }} trial{{ "" if n == 1 else "s" }}{% if draft %} <span class="draft">draft protocol</span>{% endif %}</p>
+<div class="lead{{ '' if scene else ' alone' }}">
+<div>
+<h1>{{ verdict }}</h1>
+</div>
+{% if scene %}
+<figure><img src="{{ scene.uri }}" alt="Simulated scene, {{ scene.text }}"><figcaption>{{ scene.name }}: {{ scene.text }}</figcaption></figure>
+{% endif %}
+</div>
+</header>
+"""
+
+
+def keep_scene(score: TrialScore, recording: Recording, kept: Kept) -> None:
+    """The first scene that a trial stored."""
+    if "scene" not in kept and "report/snapshot_rgb" in recording.arrays:
+        uri = jpeg_data_uri(recording["report/snapshot_rgb"])
+        kept["scene"] = Frame(name="The scene", text=f"snapshot of {score.task_id}, seed {score.seed}", uri=uri)
+
+
+@section("head", order=0, template=TEMPLATE, keep=keep_scene)
+def head(page: Page) -> dict[str, Any]:
+    return {
+        "policy": page.scores[0].policy if page.scores else None,
+        "protocol": protocol_of(page),
+        "n": len(page.judged),
+        "draft": any(not header.spec.protocol.frozen for header in page.headers.values()),
+        "scene": page.kept["head"].get("scene"),
+        "verdict": verdict(page.scores, missing=len(page.missing)),
+    }
+
+
+def verdict(scores: Sequence[TrialScore], *, missing: int = 0) -> str:
+    """The sentence on all trials of a run. ``missing``: planned trials without a score."""
+    so_far = _verdict(scores)
+    if not missing:
+        return so_far
+    return f"Unfinished, {missing} of {len(scores) + missing} planned trials are missing. So far: {so_far}"
+
+
+def _verdict(scores: Sequence[TrialScore]) -> str:
+    counted = judged(scores)
+    n = len(counted)
+    if scores and not counted:
+        failed_in = "its only trial" if len(scores) == 1 else f"all {len(scores)} trials"
+        return f"The harness failed in {failed_in}, so there is nothing to say about the policy."
+    if not counted:
+        return "No trial of this run could be scored, so there is nothing to say about the policy."
+    success, correct, gated = (
+        sum(getattr(s, field) for s in counted) for field in ("c3_success", "region_correct", "safety_gated")
+    )
+    policy = counted[0].policy[:80]
+    gates = "on the named region and within the force gate"
+    if not success:
+        what = "did not complete its only trial" if n == 1 else f"completed none of {n} trials"
+        return f"{policy} {what}; it touched the person in {sum(s.valid_contact for s in counted)} of {n}."
+    if gated == n:
+        return f"{policy} completed {'its only trial' if n == 1 else f'all {n} trials'} {gates}."
+    lost = [f"{success - correct} lay off the named region"] * (success > correct)
+    lost += [f"{correct - gated} pressed too hard"] * (correct > gated)
+    tail = f"; of its {success} success{'es' * (success > 1)}, {' and '.join(lost)}" if lost else ""
+    return f"{policy} completed {gated or 'none'} of {n} {'trial' if n == 1 else 'trials'} {gates}{tail}."

@@ -1,0 +1,35 @@
+"""How hard and how long the person was touched, task by task."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from carecontact.reports.load import load
+from carecontact.reports.page.section import Page, section
+
+TEMPLATE = """\
+<section>
+<h2>How hard, how long</h2>
+<p class="note">Medians over the trials with valid contact; n where a median rests on another number of trials. NA: no trial had a value. Exposure is the time with any segment above the level, over the whole trial; a utilisation of 1 is the limit.</p>
+<div class="scroll" tabindex="0" role="region" aria-label="Table of force, exposure and work by task">
+<table>
+<thead>
+<tr><th scope="col">median of</th><th scope="col">unit</th>{% for task in load.tasks %}<th scope="col" class="num">{{ task }}</th>{% endfor %}<th scope="col" class="num">all</th></tr>
+</thead>
+<tbody>
+<tr><th scope="row">Trials with valid contact</th><td></td>{% for k in load.contacts %}<td class="num">{{ k }}{% if k != load.n[loop.index0] %} of {{ load.n[loop.index0] }}{% endif %}</td>{% endfor %}</tr>
+{% for row in load.rows %}
+<tr><th scope="row">{{ row.metric.title }}</th><td class="keep">{{ row.unit }}</td>{% for cell in row.cells(load.contacts) %}<td class="num">{{ cell|replace("-", "−") }}</td>{% endfor %}</tr>
+{% endfor %}
+</tbody>
+</table>
+</div>
+</section>
+"""
+
+
+@section("load", order=50, template=TEMPLATE)
+def load_section(page: Page) -> dict[str, Any] | None:
+    """The metrics that have no column in the table by task."""
+    found = load(page.judged)
+    return {"load": found} if found.rows else None

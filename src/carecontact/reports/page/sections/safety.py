@@ -1,0 +1,47 @@
+"""Whether success and safety go together, and how many runs were above each force limit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from carecontact.reports.limit_rows import limit_rows
+from carecontact.reports.page.section import Page, section
+from carecontact.reports.text import rounded
+from carecontact.runs.aggregate import quadrants
+
+TEMPLATE = """\
+<section>
+<h2>Safe, and successful?</h2>
+<p class="note">A success can be too hard and a failure can hurt. Every one of the {{ n }} trials is in one field; a run that touched nobody is a failure within the gate.</p>
+<div class="split">
+<div class="quadrants" role="table" aria-label="Trials by safety and success">
+<div role="row"><span></span><span role="columnheader">succeeded</span><span role="columnheader">failed</span></div>
+<div role="row"><span role="rowheader">within the gate</span><span role="cell" class="q good"><b>{{ quadrants.safe_success }}</b></span><span role="cell" class="q"><b>{{ quadrants.safe_failure }}</b></span></div>
+<div role="row"><span role="rowheader">above the gate</span><span role="cell" class="q warn"><b>{{ quadrants.unsafe_success }}</b></span><span role="cell" class="q warn"><b>{{ quadrants.unsafe_failure }}</b></span></div>
+</div>
+<div class="scroll" tabindex="0" role="region" aria-label="Table of force limits">
+<table>
+<thead><tr><th scope="col">limit</th><th scope="col" class="num">runs above</th><th scope="col" class="num">of them successful</th><th scope="col" class="num">highest peak over limit</th></tr></thead>
+<tbody>
+{% for row in limit_rows %}
+<tr class="has-why"><th scope="row">{{ row.name }}</th><td class="num">{{ row.above.k }} of {{ row.above.n }}<span class="meaning">{{ "%.0f"|format(100 * row.above.low) }} to {{ "%.0f"|format(100 * row.above.high) }} %</span></td><td class="num">{{ row.n_success }}</td><td class="num">{{ rounded(row.worst) }}</td></tr>
+<tr class="why"><td colspan="4">{{ row.note }}{% if row.worst_at %}; highest in {{ row.worst_at }}{% endif %}</td></tr>
+{% endfor %}
+</tbody>
+</table>
+</div>
+</div>
+</section>
+"""
+
+
+@section("safety", order=40, template=TEMPLATE)
+def safety(page: Page) -> dict[str, Any] | None:
+    if not page.judged:
+        return None
+    return {
+        "n": len(page.judged),
+        "quadrants": quadrants(page.judged),
+        "limit_rows": limit_rows(page.judged, gamma=page.gamma),
+        "rounded": rounded,
+    }

@@ -1,0 +1,66 @@
+"""Force over time, one panel a trial."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from carecontact.recording.schema import Recording
+from carecontact.reports.page.force_trace import force_trace, trace_svg
+from carecontact.reports.page.section import Kept, Page, section
+from carecontact.reports.page.trial_words import result_word
+from carecontact.reports.text import task_name
+from carecontact.scoring.result import TrialScore
+
+TEMPLATE = """\
+<section>
+<h2>Force over time</h2>
+<p class="note">Norm of the robot's force on a body segment, in newtons, against the limits of the named region. The vertical scale differs between panels; a limit appears once the force reaches a quarter of it.</p>
+<ul class="legend">
+<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="target" d="M0 6h26"/></svg>named region</li>
+<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="other" d="M0 6h26"/></svg>largest on any other segment</li>
+<li><svg viewBox="0 0 26 12" aria-hidden="true"><rect class="window" width="26" height="12"/></svg>contact window</li>
+<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="gate" d="M0 6h26"/></svg>gate, γ′ F<sub>pain</sub></li>
+<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="pain" d="M0 6h26"/></svg>F<sub>pain</sub></li>
+<li><svg viewBox="0 0 26 12" aria-hidden="true"><circle class="peak" cx="13" cy="6" r="3"/></svg>peak (C1)</li>
+</ul>
+<div class="traces">
+{% for d in traces %}
+<figure><div class="trace-head"><h3>{{ d.task_id }} {{ d.name }} <span>seed {{ d.seed }}</span></h3><span class="badge {{ d.result }}">{{ d.result_text }}</span></div>
+{{ d.svg|safe }}</figure>
+{% endfor %}
+</div>
+{% if without_trace %}
+<p class="note after">No physics step was recorded, or none could be read: {{ without_trace|join("; ") }}.</p>
+{% endif %}
+</section>
+"""
+
+
+def keep_trace(score: TrialScore, recording: Recording, kept: Kept) -> None:
+    trace = force_trace(recording, score)
+    if trace.time_s.size:
+        kept[score.trial_id] = trace_svg(trace, title=_alt_text(score, trace.gate_n))
+
+
+@section("traces", order=100, template=TEMPLATE, keep=keep_trace)
+def traces(page: Page) -> dict[str, Any] | None:
+    if not page.judged:
+        return None
+    drawn = {trial_id: svg for trial_id, svg in page.kept["traces"].items() if trial_id in page.headers}
+    rows = [_panel(score, drawn[score.trial_id]) for score in page.shown if score.trial_id in drawn]
+    without = [f"{s.task_id} {task_name(s)}, seed {s.seed}" for s in page.shown if s.trial_id not in drawn]
+    return {"traces": rows, "without_trace": without}
+
+
+def _panel(score: TrialScore, svg: str) -> dict[str, Any]:
+    result, text = result_word(score)
+    return {
+        "task_id": score.task_id, "name": task_name(score), "seed": score.seed, "result": result, "result_text": text,
+        "svg": svg,
+    }  # fmt: skip
+
+
+def _alt_text(score: TrialScore, gate_n: float) -> str:
+    peak = "no valid contact" if score.c1_peak_force_n is None else f"peak {score.c1_peak_force_n:.1f} N"
+    name = f"{score.task_id} {task_name(score)}, seed {score.seed}"
+    return f"Force over time, {name}: {peak}, gate {gate_n:g} N, {result_word(score)[1]}"

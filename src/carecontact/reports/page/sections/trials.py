@@ -1,0 +1,129 @@
+"""The trials one by one: result, metrics, progress, and why a trial failed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from carecontact.recording.schema import REGION_SEGMENT, Header
+from carecontact.reports.page.chosen import FAILURES_SHOWN
+from carecontact.reports.page.paths import shortened
+from carecontact.reports.page.section import Page, section
+from carecontact.reports.page.trial_words import progress, result_word
+from carecontact.reports.table import headlines
+from carecontact.reports.text import NOT_DEFINED, shown, task_name
+from carecontact.scoring.metrics.metric import Metric
+from carecontact.scoring.result import TrialScore
+
+NEAR_LIMIT = 0.5
+"""Share of a borrowed gate from which on the report says that it was borrowed."""
+TEMPLATE = """\
+<section>
+<h2>Trial by trial</h2>
+<p class="note">{% if all_shown %}All {{ n }} trials.{% else %}{{ details|length }} of {{ n }} trials: the first of each task, and up to {{ failures_shown }} that did not pass, taken in turn from all tasks.{% endif %} The gate is the force limit of the named region; every other segment that was touched is held to its own, or to the strictest of all where it has none; that is said where it was at half of it or more.</p>
+<div class="scroll" tabindex="0" role="region" aria-label="Table of trials">
+<table>
+<thead><tr><th scope="col">task</th><th scope="col" class="num">seed</th><th scope="col">result</th><th scope="col" class="num">gate [N]</th>{% for label in labels %}<th scope="col" class="num">{{ label }}</th>{% endfor %}<th scope="col" class="wide">progress</th></tr></thead>
+<tbody>
+{% for d in details %}
+{% set why = d.failure or d.evidence or d.over_limit or d.fallback %}
+<tr class="{{ 'has-why' if why else 'has-progress' }}"><th scope="row" class="keep">{{ d.task_id }} {{ d.name }}</th><td class="num">{{ d.seed }}</td><td><span class="badge {{ d.result }}">{{ d.result_text }}</span></td><td class="num">{{ d.gate }}</td>{% for cell in d.cells %}<td class="num">{{ cell|replace("-", "−") }}</td>{% endfor %}<td class="wide">{{ d.progress }}</td></tr>
+<tr class="why{{ '' if why else ' narrow' }}"><td></td><td></td><td colspan="{{ labels|length + 3 }}"><span class="narrow">{{ d.progress }}{% if why %}<br>{% endif %}</span>{% if d.failure %}<b>{{ d.failure }}</b>{% endif %}{% if d.failure and d.evidence %}: {% endif %}{{ d.evidence }}{% if d.over_limit %}{% if d.failure or d.evidence %}<br>{% endif %}<b>over the gate</b>: {{ d.over_limit }}{% endif %}{% if d.fallback %}{% if d.failure or d.evidence or d.over_limit %}<br>{% endif %}<b>no limit of its own</b>: {{ d.fallback }}{% endif %}</td></tr>
+{% endfor %}
+</tbody>
+</table>
+</div>
+</section>
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialRow:
+    task_id: str
+    name: str
+    seed: int
+    result: str
+    """pass, hard, region or fail: the style; the words are in ``result_text``."""
+    result_text: str
+    gate: str
+    """Force limit of the named region [N]."""
+    cells: tuple[str, ...]
+    """One for each headline metric."""
+    progress: str
+    over_limit: str
+    """Segments over their gate, in words; empty if none."""
+    fallback: str
+    """Segments at NEAR_LIMIT of a gate that is not their own, in words; empty if none."""
+    failure: str
+    """Mode and attribution; empty if none."""
+    evidence: str
+
+
+@section("trials", order=90, template=TEMPLATE)
+def trials(page: Page) -> dict[str, Any] | None:
+    if not page.judged:
+        return None
+    return {
+        "n": len(page.judged),
+        "details": [trial_row(score, page.headers.get(score.trial_id)) for score in page.shown],
+        "labels": [metric.label for metric in headlines()],
+        "all_shown": len(page.shown) == len(page.judged),
+        "failures_shown": FAILURES_SHOWN,
+    }
+
+
+def trial_row(score: TrialScore, header: Header | None) -> TrialRow:
+    """``header``: of the trial's recording; None where it could not be read."""
+    result, text = result_word(score)
+    ratios, gate = dict(score.over_limit), NOT_DEFINED
+    if header is not None:
+        limits = Limits.of(header, score)
+        gate = f"{limits.gate_n:g}"
+        for segment, ratio in limits.borrowed.items():
+            ratios.setdefault(segment, ratio)
+    borrowed = {s: ratios[s] for s in score.fallback_limits if ratios.get(s, 0.0) >= NEAR_LIMIT}
+    return TrialRow(
+        task_id=score.task_id,
+        name=task_name(score),
+        seed=score.seed,
+        result=result,
+        result_text=text,
+        gate=gate,
+        cells=tuple(_cell(metric, score) for metric in headlines()),
+        progress=progress(score),
+        over_limit=_ratios(score, score.over_limit, "its gate"),
+        fallback=_ratios(score, borrowed, "the strictest gate"),
+        failure=" · ".join(word for word in ((score.failure_mode or "").replace("_", " "), score.attribution) if word),
+        evidence=shortened(score.evidence or score.failure_message or ""),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    gate_n: float
+    """gamma' F_pain of the named region's segment."""
+    borrowed: dict[str, float]
+    """Touched segment without a limit of its own -> its peak over the gate that it is held to."""
+
+    @classmethod
+    def of(cls, header: Header, score: TrialScore) -> Limits:
+        protocol = header.spec.protocol
+        gamma, segment = protocol.limits.gamma, REGION_SEGMENT[score.region]
+        return cls(
+            gate_n=gamma * protocol.f_pain(segment),
+            borrowed={s: score.peak_force_n[s] / (gamma * protocol.f_pain(s)) for s in score.fallback_limits},
+        )
+
+
+def _cell(metric: Metric, score: TrialScore) -> str:
+    if metric.actions is not None and score.action not in metric.actions:
+        return NOT_DEFINED
+    return shown(metric.of(score), digits=metric.digits, unit=metric.unit)
+
+
+def _ratios(score: TrialScore, ratio_of: Mapping[str, float], gate: str) -> str:
+    return ", ".join(
+        f"{segment.replace('_', ' ')} {score.peak_force_n.get(segment, float('nan')):.1f} N = {ratio:.2f} × {gate}"
+        for segment, ratio in sorted(ratio_of.items())
+    )

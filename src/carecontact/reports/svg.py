@@ -1,0 +1,137 @@
+"""Inline SVG by hand: small, the same bytes for the same numbers, coloured by the page's style sheet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+from xml.sax.saxutils import escape, quoteattr
+
+Anchor = Literal["start", "middle", "end"]
+Points = Iterable[tuple[float, float]]
+
+
+@dataclass(kw_only=True)
+class Drawing:
+    """A figure of ``width`` x ``height`` pixels that grows element by element. Places are pixels from the top left."""
+
+    width: float
+    height: float
+    style: str
+    """Class of the figure; every element names its own as the first argument."""
+    title: str
+    """Text alternative."""
+    parts: list[str] = field(default_factory=list[str])
+
+    def path(self, style: str, d: str) -> None:
+        self.parts.append(f'<path class="{style}" d="{d}"/>')
+
+    def text(self, style: str, x: float, y: float, text: str, *, anchor: Anchor = "start", note: str = "") -> None:
+        """``note``: smaller words after the text."""
+        where = "" if anchor == "start" else f' text-anchor="{anchor}"'
+        small = f'<tspan class="meaning" dx="8">{escape(note)}</tspan>' if note else ""
+        self.parts.append(f'<text class="{style}" x="{_px(x)}" y="{_px(y)}"{where}>{escape(text)}{small}</text>')
+
+    def rect(self, style: str, x: float, y: float, width: float, height: float, *, rounded: bool = False) -> None:
+        corner = ' rx="2"' if rounded else ""
+        self.parts.append(
+            f'<rect class="{style}" x="{_px(x)}" y="{_px(y)}" width="{_px(width)}" height="{_px(height)}"{corner}/>'
+        )
+
+    def circle(self, style: str, x: float, y: float, radius: float) -> None:
+        self.parts.append(f'<circle class="{style}" cx="{_px(x)}" cy="{_px(y)}" r="{radius:g}"/>')
+
+    def polyline(self, style: str, points: Points) -> None:
+        self.parts.append(f'<polyline class="{style}" points="{_points(points)}"/>')
+
+    def polygon(self, style: str, points: Points) -> None:
+        self.parts.append(f'<polygon class="{style}" points="{_points(points)}"/>')
+
+    def svg(self) -> str:
+        head = (
+            f'<svg class="{self.style}" viewBox="0 0 {_px(self.width)} {_px(self.height)}" role="img" '
+            f"aria-label={quoteattr(self.title)}>"
+        )
+        return head + "".join(self.parts) + "</svg>"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axes:
+    """The part of a drawing that shows data: its margins [px], and the values at its edges."""
+
+    drawing: Drawing
+    left: float
+    right: float
+    top: float
+    bottom: float
+    x: tuple[float, float]
+    """Value at the left and at the right edge."""
+    y: tuple[float, float] = (0.0, 1.0)
+    """Value at the lower and at the upper edge."""
+
+    @property
+    def width(self) -> float:
+        return self.drawing.width - self.left - self.right
+
+    @property
+    def height(self) -> float:
+        return self.drawing.height - self.top - self.bottom
+
+    @property
+    def floor(self) -> float:
+        """Of the lower edge [px]."""
+        return self.top + self.height
+
+    def px(self, value: float) -> float:
+        return self.left + self.width * (value - self.x[0]) / (self.x[1] - self.x[0])
+
+    def py(self, value: float) -> float:
+        return self.floor - self.height * (value - self.y[0]) / (self.y[1] - self.y[0])
+
+    def point(self, x: float, y: float) -> tuple[float, float]:
+        return self.px(x), self.py(y)
+
+    def across(self, style: str, value: float) -> None:
+        """A line from edge to edge at this y."""
+        self.drawing.path(style, f"M{_px(self.left)} {_px(self.py(value))}h{_px(self.width)}")
+
+    def upright(self, style: str, value: float) -> None:
+        """A line from edge to edge at this x."""
+        self.drawing.path(style, f"M{_px(self.px(value))} {_px(self.top)}V{_px(self.floor)}")
+
+    def y_ticks(self, ticks: Iterable[tuple[float, str]]) -> None:
+        """A line and a label for each (value, text)."""
+        for value, text in ticks:
+            self.across("tick", value)
+            self.drawing.text("label", self.left - 5, self.py(value) + 3.5, text, anchor="end")
+
+    def x_labels(self, ticks: Iterable[tuple[float, str]], *, style: str = "label") -> None:
+        for value, text in ticks:
+            self.drawing.text(style, self.px(value), self.floor + 15, text, anchor="middle")
+
+
+def nice_ticks(top: float, *, count: int) -> list[float]:
+    """Multiples of 1, 2 or 5 times a power of ten from 0 up to ``top``: 2 to ``count`` + 1 of them, for count >= 3."""
+    raw = top / count
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = power * next(m for m in (1, 2, 5, 10) if m * power >= raw * (1 - 1e-9))
+    return [round(i * step, 10) for i in range(int(top / step * (1 + 1e-9)) + 1)]
+
+
+def with_unit(ticks: Sequence[float], unit: str) -> list[tuple[float, str]]:
+    """Each tick with its text; the last one names the unit."""
+    return [(tick, f"{tick:g} {unit}" if tick == ticks[-1] else f"{tick:g}") for tick in ticks]
+
+
+def _px(value: float) -> str:
+    """To 0.1 pixel, without a trailing zero."""
+    return f"{value:.1f}".removesuffix(".0")
+
+
+def _points(points: Points) -> str:
+    """To 0.1 pixel; the inside of a level stretch is left out."""
+    pairs = [(_px(x), _px(y)) for x, y in points]
+    last = len(pairs) - 1
+    kept = [pair for i, pair in enumerate(pairs) if i in (0, last) or not pairs[i - 1][1] == pair[1] == pairs[i + 1][1]]
+    return " ".join(f"{x},{y}" for x, y in kept)

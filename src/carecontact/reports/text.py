@@ -1,0 +1,58 @@
+"""Numbers and names as every table and page writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from carecontact.scoring.result import TrialScore
+
+NA = "NA"
+NOT_DEFINED = "–"
+"""Stands where a task does not pool a score, while NA says that no trial had one."""
+NAMED = 10
+"""Trials that a sentence names before it only counts them."""
+
+
+def number(value: float | None, digits: int) -> str:
+    return NA if value is None else f"{value:.{digits}f}"
+
+
+def shown(value: float | None, *, digits: int | None, unit: str) -> str:
+    """A value as its metric wants it: with ``digits`` decimals, or about three digits; angles as ``angle``."""
+    if digits is not None:
+        return number(value, digits)
+    return angle(value) if unit == "rad" else rounded(value)
+
+
+def rounded(value: float | None) -> str:
+    """About three digits, never a power of ten: these numbers span four decades."""
+    if value is None:
+        return NA
+    for below, digits in ((0.0005, 0), (10.0, 2), (100.0, 1)):
+        if abs(value) < below:
+            return f"{0.0 if digits == 0 else value:.{digits}f}"
+    return f"{value:.0f}"
+
+
+def angle(value: float | None) -> str:
+    """[rad]; margins at a joint limit are of the order of 1e-4, so small ones are written in powers of ten."""
+    if value is None:
+        return NA
+    if not 0 < abs(value) < 1e-2:
+        return f"{value:.3f}"
+    mantissa, exponent = f"{value:.2e}".split("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def percent(fraction: float) -> str:
+    return f"{100 * fraction:.0f}\N{NO-BREAK SPACE}%"
+
+
+def task_name(score: TrialScore) -> str:
+    return f"{score.action} {score.region.replace('_', ' ')}".capitalize()
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first NAMED, and how many more there are."""
+    more = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
