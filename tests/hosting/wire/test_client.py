@@ -220,7 +220,7 @@ def test_act_before_reset_is_the_harness_s_mistake(meet: Meet) -> None:
     ],
 )
 def test_bytes_that_are_no_websocket(monkeypatch: pytest.MonkeyPatch, frame: bytes) -> None:
-    def scribble(_: object, connection: ServerConnection) -> None:
+    def scribble(_: object, connection: ServerConnection, *given: object) -> None:
         connection.socket.sendall(frame)
         written.set()
         with contextlib.suppress(ConnectionClosed):

@@ -349,6 +349,10 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
     assert rows["sha256 of body"] == "ab" * 32
     assert rows["Protocol state"].startswith("not what was frozen as bathing-v1: ")
     assert dict(provenance_rows(run_of_42.scores, []))["Version of mujoco"] == NOT_RECORDED
+    assert "Policy arguments" not in rows
+    given = {"name": "x", "arguments": {"steps": "3", "mode": "a"}, "environment": ["TOKEN"]}
+    rows = dict(provenance_rows(run_of_42.scores, [headers[0].model_copy(update={"card": given})]))
+    assert (rows["Policy arguments"], rows["Policy variables"]) == ("steps=3 mode=a", "TOKEN")
 
 
 @pytest.mark.parametrize(
