@@ -85,6 +85,7 @@ class PolicyError(CarecontactError):
 
     KINDS = (
         "start",
+        "argument",
         "handshake",
         "died",
         "timeout",

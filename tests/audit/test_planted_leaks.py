@@ -142,9 +142,13 @@ def test_a_force_in_the_corner_of_a_picture(monkeypatch: pytest.MonkeyPatch, at_
 def leaky_pair(
     keyframe: Keyframe, spec: TrialSpec, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Watched, Watched]:
-    """A press in two worlds; the seed leaks through session and environment, the stiffness through a joint speed."""
+    """A press in two worlds.
+
+    The seed leaks through session, environment and options, the stiffness through a joint's speed.
+    """
     folder = tmp_path_factory.mktemp("witness")
     build, session, environment = ObservationBuilder.build, Episode.session, process._environment
+    options = process._options
     seeds: list[int] = []
 
     def leaky_build(self: ObservationBuilder, data: mujoco.MjData, **known: Any) -> Observation:
@@ -164,6 +168,7 @@ def leaky_pair(
         for one, prepare in ((spec, keyframe.near), (other_hidden_values(spec), keyframe.twin)):
             told = f"run {one.trial_id}"
             patch.setattr(process, "_environment", lambda told=told: {**environment(), "LANG": told})
+            patch.setattr(process, "_options", lambda *args, told=told, **fds: {**options(*args, **fds), "run": told})
             pair.append(
                 press(one, card=BLIND, poses=keyframe.poses, prepare=prepare, actions_per_look=1, folder=folder)
             )
@@ -175,7 +180,7 @@ def leaky_pair(
 def test_the_seed_in_the_handshake(leaky_pair: tuple[Watched, Watched]) -> None:
     part = audit_handshake(*leaky_pair)
     assert not part.passed
-    assert places(part) == {"session.time_limit_s", "environment.LANG"}
+    assert places(part) == {"session.time_limit_s", "environment.LANG", "options.run"}
     assert any("T1-s000" in finding.told for finding in part.findings)
 
 

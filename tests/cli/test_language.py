@@ -1,15 +1,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from carecontact.cli.groups import LanguageGroup
-from carecontact.cli.language import language_environment
+from carecontact.cli.groups import PolicyGroup
+from carecontact.cli.policy import policy_setup
 from carecontact.errors import ConfigError
-from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
 from carecontact.policies.language.completion import Completion, CompletionRequest
-from carecontact.policies.language.selection import chosen_transcript, language_name
+from carecontact.policies.language.selection import language_name, transcript_of
 from carecontact.policies.language.transcript import append_completion
 from carecontact.policies.registry import POLICIES
 
@@ -22,30 +22,34 @@ def replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "r.jsonl"
 
 
-def test_the_policys_process_finds_the_file(replay: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    given = language_environment("state-machine", LanguageGroup(language="replay:r.jsonl", record=None))
-    assert given == {LANGUAGE_VARIABLE: f"replay:{replay}", RECORD_VARIABLE: ""}
-    for name, value in given.items():
-        monkeypatch.setenv(name, value)
+@pytest.mark.parametrize("spelled", [{"language": "replay:r.jsonl"}, {"policy_arg": ("language=replay:r.jsonl",)}])
+def test_the_policys_process_finds_the_file(
+    replay: Path, monkeypatch: pytest.MonkeyPatch, spelled: dict[str, Any]
+) -> None:
+    setup = policy_setup("state-machine", PolicyGroup(**spelled))
+    assert (setup.language, setup.record, setup.arguments) == (f"replay:{replay}", None, {})
     monkeypatch.chdir("/")
-    chosen = chosen_transcript("rules-v1")
+    chosen = transcript_of(setup.language)
     assert chosen is not None
     assert chosen.name == language_name(f"replay:{replay}")
     assert chosen.name.endswith(":authored")
 
 
-def test_without_the_option_a_shells_own_variables_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(LANGUAGE_VARIABLE, "live:someone")
-    for name, value in language_environment("state-machine", LanguageGroup(language=None, record=None)).items():
-        monkeypatch.setenv(name, value)
-    assert chosen_transcript("rules-v1") is None
+def test_the_same_option_twice_is_refused() -> None:
+    with pytest.raises(ConfigError, match="--language and --policy-arg language= mean the same"):
+        policy_setup("state-machine", PolicyGroup(language="rules-v1", policy_arg=("language=rules-v1",)))
+
+
+def test_a_language_of_a_policy_of_ones_own_is_an_argument_like_any_other() -> None:
+    setup = policy_setup("my_module:Mine", PolicyGroup(policy_arg=("language=de",)))
+    assert (setup.language, setup.arguments) == (None, {"language": "de"})
 
 
 def test_rules_and_live(tmp_path: Path) -> None:
     assert language_name("rules-v1") == "rules-v1"
     assert language_name("live:m-1") == "live:m-1"
-    given = language_environment("my_module:Mine", LanguageGroup(language="live:m-1", record=tmp_path / "new.jsonl"))
-    assert given == {LANGUAGE_VARIABLE: "live:m-1", RECORD_VARIABLE: str(tmp_path / "new.jsonl")}
+    setup = policy_setup("my_module:Mine", PolicyGroup(language="live:m-1", record=tmp_path / "new.jsonl"))
+    assert (setup.language, setup.record) == ("live:m-1", str(tmp_path / "new.jsonl"))
 
 
 @pytest.mark.parametrize(
@@ -73,7 +77,7 @@ def test_rules_and_live(tmp_path: Path) -> None:
 )
 def test_what_cannot_be_is_told(policy: str, language: str | None, record: str | None, told: str) -> None:
     with pytest.raises(ConfigError, match=told):
-        language_environment(policy, LanguageGroup(language=language, record=Path(record) if record else None))
+        policy_setup(policy, PolicyGroup(language=language, record=Path(record) if record else None))
 
 
 @pytest.mark.parametrize(
@@ -86,7 +90,7 @@ def test_names_that_models_have(name: str) -> None:
 def test_an_address_that_is_none_is_told_before_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPENAI_BASE_URL", "me:opensesame@models.example")
     with pytest.raises(ConfigError, match="OPENAI_BASE_URL: expected http") as raised:
-        language_environment("state-machine", LanguageGroup(language="live:m", record=None))
+        policy_setup("state-machine", PolicyGroup(language="live:m", record=None))
     assert "opensesame" not in str(raised.value)
 
 

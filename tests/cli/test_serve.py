@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 
 from carecontact.cli import main
-from carecontact.hosting.remote import CREDENTIALS
+from carecontact.cli.groups import PolicyGroup
+from carecontact.cli.policy import CREDENTIALS, policy_setup
 from carecontact.recording import read_recording
+from carecontact.trials.request import TrialRequest
 from tests.cli.test_run_and_demo import fake
 from tests.hosting.served import served
 
@@ -23,18 +25,26 @@ RUN = ["run", "--tasks", "T1", "--seeds", "0", "--out", "r", "--policy"]
 def test_a_run_names_the_address_without_its_credentials(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    fake.setenv(CREDENTIALS, "")
+    environment = dict(os.environ)
     with served("class P(Base): pass", tmp_path) as (port, _):
         assert main([*RUN, f"ws://user:secret@127.0.0.1:{port}"]) == 0
-    # The trials' processes inherit it.
-    assert os.environ[CREDENTIALS] == "user:secret"
+    assert dict(os.environ) == environment, "a request changes no variable"
+    (request,) = Path("requests.jsonl").read_text().splitlines()
+    Path("requests.jsonl").unlink()
+    assert TrialRequest.model_validate_json(request).policy.ref.credentials == "user:secret"
     address = f"ws://127.0.0.1:{port}"
     assert capsys.readouterr().out.startswith(f"{address}: 1 trial(s)")
     assert read_recording(Path("r/T1-s000.h5")).header.spec.policy == address
     manifest = json.loads(Path("r/manifest.json").read_text())
     assert (manifest["policy"], manifest["identity"]["policy_sha256"]) == (address, None)
-    for path in Path("r").iterdir():
-        assert b"secret" not in path.read_bytes(), path
+    for path in Path().rglob("*"):
+        assert path.is_dir() or b"secret" not in path.read_bytes(), path
+
+
+def test_credentials_may_come_from_a_variable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CREDENTIALS, "user:secret")
+    assert policy_setup("ws://h:80", PolicyGroup()).ref.credentials == "user:secret"
+    assert policy_setup("ws://me:mine@h:80", PolicyGroup()).ref.credentials == "me:mine"
 
 
 def test_a_server_that_is_not_there_is_told_before_anything_runs(
@@ -44,10 +54,11 @@ def test_a_server_that_is_not_there_is_told_before_anything_runs(
         port = listener.getsockname()[1]
     assert main([*RUN, f"ws://127.0.0.1:{port}"]) == 2
     told = capsys.readouterr().err
-    assert f"--policy ws://127.0.0.1:{port} is no server of a policy: " in told
+    assert f"--policy ws://127.0.0.1:{port} is not the server of a policy: " in told
     assert "Connection refused" in told
-    assert main([*RUN, f"ws://127.0.0.1:{port}", "--language", "rules-v1"]) == 2
-    assert "is told at its end: carecontact serve" in capsys.readouterr().err
+    for option in (["--language", "rules-v1"], ["--policy-arg", "steps=3"], ["--policy-env", "HOME"]):
+        assert main([*RUN, f"ws://127.0.0.1:{port}", *option]) == 2
+        assert "give them to `carecontact serve` there" in capsys.readouterr().err
     assert not Path("r").exists()
 
 
@@ -60,6 +71,7 @@ def test_a_server_that_is_not_there_is_told_before_anything_runs(
         (["hover", "--at-once", "0"], "--at-once 0: must be at least 1"),
         (["hover", "--host", "192.0.2.1"], "cannot listen at 192.0.2.1 port 8765: "),
         (["hover", "--language", "rules-v1"], "policy hover uses no language backend"),
+        (["hover", "--policy-arg", "steps=3"], "policy 'hover' failed at start: it has no argument 'steps'"),
         (["not_there:P"], "--policy not_there:P does not start"),
     ],
 )

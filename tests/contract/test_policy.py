@@ -35,6 +35,14 @@ def test_a_card_may_ask_for_everything() -> None:
         ({"control_hz": float("nan")}, "got nan"),
         ({"control_hz": "fast"}, "got 'fast'"),
         ({"control_hz": True}, "got True"),
+        ({"arguments": {"a b": "1"}}, r"arguments: expected at most 64 names .* got \{'a b': '1'\}"),
+        ({"arguments": {"steps": 3}}, r"arguments: .* printable texts .* got \{'steps': 3\}"),
+        ({"arguments": {"steps": "3\n"}}, "arguments: .* printable texts"),
+        ({"arguments": {"steps": "3" * 2001}}, "arguments: .* at most 2000 characters"),
+        ({"arguments": {f"a{k}": "" for k in range(65)}}, "arguments: expected at most 64 names"),
+        ({"arguments": "steps=3"}, "arguments: expected at most 64 names .* got 'steps=3'"),
+        ({"environment": "TOKEN"}, "environment: expected at most 64 names of variables, got 'TOKEN'"),
+        ({"environment": ("TOKEN=3",)}, "environment: .* got 'TOKEN=3'"),
     ],
 )
 def test_a_wrong_card_names_field_and_valid_values(wrong: dict[str, Any], message: str) -> None:

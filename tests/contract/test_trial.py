@@ -30,6 +30,14 @@ def test_an_empty_noise_salt_is_not_spelt_and_another_one_is() -> None:
     assert TrialSpec.model_validate_json(salted.model_dump_json()).noise_salt == "ab"
 
 
+def test_policy_arguments_are_spelt_only_when_there_are_any() -> None:
+    """Recordings of policies without arguments keep the hash that they had before there were arguments."""
+    given = {"policy_arguments": {"steps": "3"}, "policy_environment": ("TOKEN",)}
+    back = TrialSpec.model_validate_json(SPEC.model_copy(update=given).model_dump_json())
+    assert (back.policy_arguments, back.policy_environment) == ({"steps": "3"}, ("TOKEN",))
+    assert back != SPEC
+
+
 def test_a_spec_is_frozen_and_closed() -> None:
     with pytest.raises(ValidationError):
         SPEC.seed = 8

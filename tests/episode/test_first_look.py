@@ -8,6 +8,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Variation
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.first_look import first_look
+from carecontact.hosting.setup import PolicySetup
 from carecontact.protocols import load_protocol
 from carecontact.recording.perception import perception_errors
 from carecontact.trials.trial import run_trial
@@ -32,7 +33,7 @@ def test_it_is_what_the_trial_shows_with_every_variation_on(tmp_path: Path) -> N
     protocol = load_protocol().model_copy(update={"variation": variation})
     (tmp_path / "look_once.py").write_text(POLICY)
     spec = TrialSpec(protocol=protocol, task_id="T1", seed=2, policy="look_once:Once")
-    recording = run_trial(spec, search_path=[str(tmp_path)])
+    recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(tmp_path)]))
     card = PolicyCard(name="once", modalities=("rgb", "depth"), cameras=("overhead", "wrist"))
     seen = first_look(protocol, task_id="T1", seed=2, card=card)
     for camera, view in seen.cameras.items():

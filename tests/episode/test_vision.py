@@ -7,7 +7,7 @@ import pytest
 
 from carecontact.contract.protocol import Protocol
 from carecontact.episode import vision
-from carecontact.episode.vision import WEIGHTS, person_segmenter
+from carecontact.episode.vision import person_segmenter
 from carecontact.errors import ConfigError
 from carecontact.observation.weights import MODELS, weights_sha256
 from carecontact.protocols import load_protocol, overridden
@@ -17,8 +17,7 @@ PROTOCOL = load_protocol()
 
 
 @pytest.fixture
-def weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.delenv(WEIGHTS, raising=False)
+def weights(tmp_path: Path) -> Path:
     for name in MODELS:
         (tmp_path / name).mkdir()
         (tmp_path / name / "config.json").write_text(json.dumps({"model_type": name}))
@@ -40,12 +39,11 @@ def test_the_weights_are_those_that_the_protocol_names(weights: Path, monkeypatc
     protocol = with_sam(weights_sha256(weights))
     with pytest.raises(ConfigError, match="names the segmenter grounded-sam, whose --weights are missing"):
         person_segmenter(protocol)
-    monkeypatch.setenv(WEIGHTS, str(weights))
-    person_segmenter(protocol)
+    person_segmenter(protocol, weights)
     assert loaded == [weights]
     (weights / "sam" / "model.safetensors").write_bytes(b"others")
     with pytest.raises(ConfigError, match=r"these weights have sha256 [0-9a-f]{12}, the protocol names [0-9a-f]{12}"):
-        person_segmenter(protocol)
+        person_segmenter(protocol, weights)
     assert loaded == [weights]
 
 

@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
 
 from carecontact.hosting.conversation import BUDGET_S
 from carecontact.hosting.process import PolicyProcess
+from carecontact.hosting.setup import PolicySetup
 
 PREAMBLE = """
 import os, sys, time
@@ -32,15 +33,19 @@ def launch(tmp_path: Path) -> Iterator[Launch]:
     opened: list[PolicyProcess] = []
 
     def start(
-        source: str, *, first_deadline_s: float = 20.0, deadline_s: float = 20.0, budget_s: float = BUDGET_S
+        source: str,
+        *,
+        first_deadline_s: float = 20.0,
+        deadline_s: float = 20.0,
+        budget_s: float = BUDGET_S,
+        arguments: Mapping[str, str] | None = None,
     ) -> PolicyProcess:
         (tmp_path / "under_test.py").write_text(PREAMBLE + textwrap.dedent(source))
         process = PolicyProcess(
-            "under_test:P",
+            PolicySetup.of("under_test:P", search_path=[str(tmp_path)], arguments=arguments),
             first_deadline_s=first_deadline_s,
             deadline_s=deadline_s,
             budget_s=budget_s,
-            search_path=[str(tmp_path)],
         )
         opened.append(process)
         return process

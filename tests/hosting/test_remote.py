@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import subprocess
 import threading
@@ -17,11 +16,11 @@ from websockets.sync.server import ServerConnection, basic_auth, serve
 
 from carecontact.contract.observation import CameraView
 from carecontact.contract.policy import PolicyCard
-from carecontact.contract.policy_address import remote_address
-from carecontact.errors import ConfigError, PolicyError
+from carecontact.errors import PolicyError
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.process import PolicyProcess
-from carecontact.hosting.remote import CREDENTIALS, RemotePolicy
+from carecontact.hosting.remote import RemotePolicy
+from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, pack
 from tests.hosting.served import served
@@ -54,7 +53,9 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[int, subp
 
 
 def at(port: int, *, first_deadline_s: float = 20.0, deadline_s: float = 20.0) -> RemotePolicy:
-    return RemotePolicy(f"ws://127.0.0.1:{port}", first_deadline_s=first_deadline_s, deadline_s=deadline_s)
+    return RemotePolicy(
+        PolicySetup.of(f"ws://127.0.0.1:{port}"), first_deadline_s=first_deadline_s, deadline_s=deadline_s
+    )
 
 
 def failure(policy: RemotePolicy, *, instruction: str = "touch") -> PolicyError:
@@ -123,7 +124,7 @@ def test_nothing_listens() -> None:
 
 
 def test_a_host_that_there_is_not() -> None:
-    error = failure(RemotePolicy("ws://no-such-host.invalid:1", first_deadline_s=20, deadline_s=20))
+    error = failure(RemotePolicy(PolicySetup.of("ws://no-such-host.invalid:1"), first_deadline_s=20, deadline_s=20))
     assert error.kind in ("start", "timeout")
     assert "no-such-host.invalid:1" in str(error)
 
@@ -197,53 +198,25 @@ def test_a_websocket_that_speaks_another_dialect(message: bytes | str | None, ki
     assert says in str(error)
 
 
-def test_credentials_reach_the_server_and_no_message(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_credentials_reach_the_server_and_no_message() -> None:
     card = pack({"type": "card", "card": codec.encode_card(PolicyCard(name="guarded"))})
     guard = basic_auth(realm="policy", credentials=("user", "pass/word"))
     with speaking(lambda connection: connection.send(card), process_request=guard) as port:
-        monkeypatch.setenv(CREDENTIALS, "user:pass/word")
-        with open_policy(f"ws://127.0.0.1:{port}", first_deadline_s=20, deadline_s=20) as policy:
-            assert policy.start().name == "guarded"
-        monkeypatch.setenv(CREDENTIALS, "")
-        with RemotePolicy(f"ws://user:pass%2Fword@127.0.0.1:{port}", first_deadline_s=20, deadline_s=20) as policy:
+        known = PolicySetup.of(f"ws://user:pass%2Fword@127.0.0.1:{port}")
+        with open_policy(known, first_deadline_s=20, deadline_s=20) as policy:
             assert policy.start().name == "guarded"
         error = failure(at(port))
-        wrong = failure(RemotePolicy(f"ws://user:secret@127.0.0.1:{port}", first_deadline_s=20, deadline_s=20))
+        wrong = failure(
+            RemotePolicy(PolicySetup.of(f"ws://user:secret@127.0.0.1:{port}"), first_deadline_s=20, deadline_s=20)
+        )
     assert error.kind == wrong.kind == "handshake"
     assert "HTTP 401" in str(error)
     assert "secret" not in str(wrong)
 
 
-def test_what_is_an_address() -> None:
-    assert remote_address("my_policy:Mine") is None
-    assert remote_address("hover") is None
-    assert str(remote_address("ws://gpu-3.example.org:8765/")) == "ws://gpu-3.example.org:8765"
-    assert str(remote_address("ws://u:p@[fe80::1]:80")) == "ws://[fe80::1]:80"
-
-
-@pytest.mark.parametrize(
-    ("policy", "says"),
-    [
-        ("ws://host", "expected ws://HOST:PORT"),
-        ("ws://:80", "expected ws://HOST:PORT"),
-        ("ws://host:0", "expected ws://HOST:PORT"),
-        ("ws://host:99999", "Port out of range"),
-        ("ws://user:secret@host:80/path", "policy 'ws://host:80/path': expected"),
-        ("wss://user:secret@host:80", "policy 'wss://host:80': expected ws://HOST:PORT.*; for an encrypted line"),
-        ("http://host:80", "expected ws://HOST:PORT"),
-        ("ws://secret@host:80", "before the @ comes USER:PASSWORD"),
-    ],
-)
-def test_a_malformed_address_is_told_without_its_password(policy: str, says: str) -> None:
-    with pytest.raises(ConfigError, match=says) as caught:
-        open_policy(policy, first_deadline_s=1, deadline_s=1)
-    assert "secret" not in str(caught.value)
-
-
 def test_a_name_or_class_still_runs_here() -> None:
     for policy in ("hover", "my_policy:Mine"):
-        assert isinstance(open_policy(policy, first_deadline_s=1, deadline_s=1), PolicyProcess)
-    assert CREDENTIALS not in os.environ or not os.environ[CREDENTIALS]
+        assert isinstance(open_policy(PolicySetup.of(policy), first_deadline_s=1, deadline_s=1), PolicyProcess)
 
 
 def test_an_observation_arrives_whole(tmp_path: Path) -> None:

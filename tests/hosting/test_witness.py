@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from carecontact.errors import ContractError
+from carecontact.hosting import child
 from carecontact.hosting.wire import codec
 from carecontact.hosting.witness import TASK, TOLD, Witness
 from tests.policies.synthetic import SESSION, synthetic_observation
@@ -39,7 +40,9 @@ def test_it_asks_for_what_the_other_asks_for_and_plays_its_poses(made: Witness) 
 
 def test_it_writes_down_what_it_was_told(made: Witness, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CARECONTACT_SEED", "3")
-    monkeypatch.setattr(sys, "orig_argv", ["python", json.dumps({"target": "a:B", "report_fd": 7, "lifeline_fd": 8})])
+    monkeypatch.setattr(sys, "orig_argv", ["python", "-c", "code"])
+    for name, value in {"target": "a:B", "arguments": {"seed": "3"}, "report_fd": 7, "lifeline_fd": 8}.items():
+        monkeypatch.setitem(child.RECEIVED, name, value)
     made.configure(SESSION)
     with (tmp_path / "held").open("w"):
         made.reset("touch")
@@ -49,5 +52,6 @@ def test_it_writes_down_what_it_was_told(made: Witness, tmp_path: Path, monkeypa
     assert told["instruction"] == "touch"
     assert told["session"] == json.loads(json.dumps(codec.encode_session(SESSION)))
     assert told["environment"]["CARECONTACT_SEED"] == "3"
-    assert told["arguments"] == ["python", {"target": "a:B"}]
+    assert told["command_line"] == ["python", "-c", "code"]
+    assert told["options"] == {"target": "a:B", "arguments": {"seed": "3"}}
     assert told["folder"] == os.getcwd()

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from carecontact.hosting.process import PolicyProcess
+from carecontact.hosting.setup import PolicySetup
 from tests.policies.synthetic import SESSION, synthetic_observation
 
 ROOT = Path(__file__).parents[2]
@@ -20,7 +21,7 @@ def test_the_readme_shows_the_example() -> None:
 def test_my_policy_raises_the_tool_and_ends() -> None:
     observation = synthetic_observation()
     with PolicyProcess(
-        "my_policy:MyPolicy", first_deadline_s=20, deadline_s=20, search_path=[str(EXAMPLES)]
+        PolicySetup.of("my_policy:MyPolicy", search_path=[str(EXAMPLES)]), first_deadline_s=20, deadline_s=20
     ) as process:
         process.start()
         process.reset("gently touch the right forearm", SESSION)

@@ -8,9 +8,12 @@ import pytest
 
 from carecontact import registry
 from carecontact.contract.observation import CameraView
-from carecontact.errors import ConfigError, UnknownNameError
+from carecontact.contract.policy_ref import PolicyRef
+from carecontact.errors import UnknownNameError
+from carecontact.hosting.arguments import ArgumentError, bind, load_factory, parameters_of
 from carecontact.hosting.process import PolicyProcess
-from carecontact.policies.registry import POLICIES, PolicyRow, resolve_policy
+from carecontact.hosting.setup import PolicySetup
+from carecontact.policies.registry import POLICIES, PolicyRow, policy_target
 from carecontact.protocols import load_protocol
 from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_view
 
@@ -35,7 +38,7 @@ def test_every_registered_policy_keeps_the_contract(name: str) -> None:
     """Starts behind the wall, shows a card, and answers an empty scene with valid actions."""
     assert re.fullmatch(r"[\w.]+:\w+", POLICIES[name].target)
     assert 20 < len(POLICIES[name].description) < 120
-    with PolicyProcess(name, first_deadline_s=20, deadline_s=20) as process:
+    with PolicyProcess(PolicySetup.of(name), first_deadline_s=20, deadline_s=20) as process:
         card = process.start()
         assert card.name.replace("_", "-") == name
         process.reset(load_protocol().tasks[0].prompt, SESSION)
@@ -47,8 +50,24 @@ def test_every_registered_policy_keeps_the_contract(name: str) -> None:
         assert all(action.pose_tcp_in_base is None for action in reply.actions)
 
 
+@pytest.mark.parametrize("name", list(POLICIES))
+def test_every_registered_policy_takes_the_arguments_that_it_lists_and_no_other(name: str) -> None:
+    """Each has a default, because a registered policy runs by its name alone, and a type that a text can become."""
+    factory = load_factory(POLICIES[name].target)
+    parameters = parameters_of(factory)
+    assert not [parameter.name for parameter in parameters if parameter.required]
+    assert {str(parameter).partition(": ")[2].split()[0] for parameter in parameters} <= {
+        "int", "float", "bool", "str", "Path"
+    }  # fmt: skip
+    takes_language = {"language", "record"} <= {parameter.name for parameter in parameters}
+    assert takes_language == bool(POLICIES[name].languages)
+    assert bind(factory, {}) == {}
+    with pytest.raises(ArgumentError, match="it has no argument 'no_such'"):
+        bind(factory, {"no_such": "1"})
+
+
 def test_zero_action_never_ends_and_never_moves() -> None:
-    with PolicyProcess("zero-action", first_deadline_s=20, deadline_s=20) as process:
+    with PolicyProcess(PolicySetup.of("zero-action"), first_deadline_s=20, deadline_s=20) as process:
         card = process.start()
         assert (card.modalities, card.cameras) == ((), ())
         process.reset("scrub the abdomen", SESSION)
@@ -58,21 +77,13 @@ def test_zero_action_never_ends_and_never_moves() -> None:
 
 
 def test_names_resolve_without_importing() -> None:
-    assert resolve_policy("zero-action") == "carecontact.policies.zero_action:ZeroAction"
-    assert resolve_policy("nowhere.to_be:Found") == "nowhere.to_be:Found"
+    assert policy_target(PolicyRef.parse("zero-action")) == "carecontact.policies.zero_action:ZeroAction"
+    assert policy_target(PolicyRef.parse("nowhere.to_be:Found")) == "nowhere.to_be:Found"
 
 
 def test_an_unknown_name_lists_the_valid_ones() -> None:
     with pytest.raises(UnknownNameError, match=r"no policy named 'zero'; valid: .*hover.*state-machine.*zero-action"):
-        resolve_policy("zero")
-
-
-@pytest.mark.parametrize(
-    "name", [":", "module:", ":Class", "a b:Class", "module:Class:x", "../up:Class", "m:os.system"]
-)
-def test_a_malformed_target_is_refused(name: str) -> None:
-    with pytest.raises(ConfigError, match="expected module:Class"):
-        resolve_policy(name)
+        policy_target(PolicyRef.parse("zero"))
 
 
 def test_other_packages_add_policies_through_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,5 +92,5 @@ def test_other_packages_add_policies_through_entry_points(monkeypatch: pytest.Mo
     monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group == "carecontact.policies" else [])
     monkeypatch.setattr(POLICIES, "_external_loaded", False)
     monkeypatch.setattr(POLICIES, "_rows", dict(POLICIES._rows))
-    assert resolve_policy("theirs") == "theirs.policy:Theirs"
+    assert policy_target(PolicyRef.parse("theirs")) == "theirs.policy:Theirs"
     assert "theirs" in list(POLICIES)

@@ -68,19 +68,24 @@ def one_quiet_period(spec: TrialSpec) -> dict[str, Any]:
 
 
 def main() -> int:
-    from carecontact.contract.trial import TrialSpec
+    from carecontact.trials.request import TrialRequest
 
-    asked = json.loads(sys.stdin.buffer.read())
-    spec, out = TrialSpec.model_validate(asked["spec"]), asked["out"]
+    request = TrialRequest.model_validate_json(sys.stdin.buffer.read())
+    spec, out = request.spec, request.out
     trial_id = spec.trial_id
     with Path(os.environ["FAKE_LOG"]).with_name("commands.txt").open("a") as commands:
-        commands.write(f"{out} {sys.orig_argv}\n")
+        variables = {name: value for name, value in os.environ.items() if name not in ("FAKE_PLAN", "FAKE_LOG")}
+        commands.write(f"{out} {sys.orig_argv} {variables}\n")
+    requests = Path(os.environ["FAKE_LOG"]).with_name("requests.jsonl")
+    with requests.open("a") as stream:
+        stream.write(f"{request.model_dump_json()}\n")
     note(f"{trial_id} {os.getpid()}")
     does = json.loads(os.environ["FAKE_PLAN"]).get(trial_id, "good")
     if does in ("lost", "lost_once", "lost_after", "stopped"):
         from carecontact.trials.worker import POLICY_GONE, POLICY_RUNS
 
-        os.write(asked["phase_fd"], POLICY_RUNS + (POLICY_GONE if does == "lost_after" else b""))
+        assert request.phase_fd is not None
+        os.write(request.phase_fd, POLICY_RUNS + (POLICY_GONE if does == "lost_after" else b""))
         if does != "lost_once" or Path(os.environ["FAKE_LOG"]).read_text().count(trial_id) == 1:
             os.kill(os.getpid(), signal.SIGSTOP if does == "stopped" else signal.SIGKILL)
         write(spec, out, "good")
@@ -91,7 +96,7 @@ def main() -> int:
         sys.stderr.flush()
         os._exit(7)
     elif does == "garbage":
-        Path(out).write_bytes(b"not a recording")
+        out.write_bytes(b"not a recording")
     elif does == "leave":
         from carecontact.hosting.descendants import MARK, new_mark
 
@@ -113,7 +118,7 @@ def note(line: str) -> None:
         log.write(f"{line}\n")
 
 
-def write(spec: TrialSpec, out: str, does: str) -> None:
+def write(spec: TrialSpec, out: Path, does: str) -> None:
     from carecontact.recording import write_recording
 
     if does == "other":

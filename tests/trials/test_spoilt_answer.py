@@ -11,6 +11,7 @@ import pytest
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.peak import Peak
 from carecontact.episode.prepare import settled_world
+from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire.packing import pack
 from carecontact.protocols import load_protocol
 from carecontact.recording import read_recording, write_recording
@@ -84,7 +85,7 @@ def test_the_trial_ends_as_the_policys_process_failure(
     # The report's two pictures are not what is tested here.
     monkeypatch.setattr(Peak, "pictures", lambda self, renderer, region: {})
     spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="spoilt_policy:P")
-    recording = run_trial(spec, search_path=[str(tmp_path)], prepare=begin)
+    recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(tmp_path)]), prepare=begin)
     kept = read_recording(write_recording(recording, tmp_path / "trial.h5"))
     assert kept.header.ended == "process_failure"
     assert kept.header.failure is not None
@@ -119,7 +120,7 @@ def test_a_step_that_fails_keeps_its_picture_and_notes_beside_those_before(
     name = f"fails_at_{last}"
     (tmp_path / f"{name}.py").write_text(FAILS.replace("LAST", str(last)))
     spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy=f"{name}:P")
-    recording = run_trial(spec, search_path=[str(tmp_path)], prepare=begin)
+    recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(tmp_path)]), prepare=begin)
     assert recording.header.ended == "process_failure"
     assert len(recording["policy/observation_time_s"]) == last - 1
     notes = [(note.observation_index, note.content["step"]) for note in read_notes(recording)]

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -19,21 +19,23 @@ from typing import Any
 import pytest
 
 from carecontact import __version__
+from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError
+from carecontact.hosting.setup import PolicySetup
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, read_recording
-from carecontact.runs.identity import POLICY_PATH
 from carecontact.runs.plan import plan_trials
 from carecontact.scoring import score_recording
+from carecontact.trials.request import TrialRequest
 from carecontact.trials.supervisor import RunSummary, TrialEvent, run_trials
 
 PROTOCOL = load_protocol()
 FAKE = (sys.executable, str(Path(__file__).with_name("fake_worker.py")))
 
 
-def specs(count: int, *, policy: str = "hover") -> list[TrialSpec]:
-    return plan_trials(protocol=PROTOCOL, policy=policy, tasks=["T1"], seeds=range(count))
+def specs(count: int, *, policy: str = "hover", **given: Any) -> list[TrialSpec]:
+    return plan_trials(protocol=PROTOCOL, policy=policy, tasks=["T1"], seeds=range(count), **given)
 
 
 @dataclass
@@ -49,20 +51,19 @@ class Bench:
     def log(self) -> Path:
         return self.folder / "ran.txt"
 
-    def environment(self, does: dict[str, str]) -> dict[str, str]:
-        return {"FAKE_PLAN": json.dumps(does), "FAKE_LOG": str(self.log)}
-
     def run(self, trials: Sequence[TrialSpec], does: dict[str, str] | None = None, **options: Any) -> RunSummary:
         self.events.clear()
         self.log.unlink(missing_ok=True)
-        return run_trials(
-            trials,
-            out=self.out,
-            environment=self.environment(does or {}),
-            on_event=self.events.append,
-            worker_command=FAKE,
-            **{"jobs": 2, "trial_limit_s": 60.0, **options},
-        )
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("FAKE_PLAN", json.dumps(does or {}))
+            patch.setenv("FAKE_LOG", str(self.log))
+            return run_trials(
+                trials,
+                out=self.out,
+                on_event=self.events.append,
+                worker_command=FAKE,
+                **{"jobs": 2, "trial_limit_s": 60.0, **options},
+            )
 
     def ran(self) -> list[str]:
         lines = self.log.read_text().splitlines() if self.log.exists() else []
@@ -122,11 +123,50 @@ def test_crashes_cost_one_trial_each_and_leave_evidence(bench: Bench) -> None:
     assert policys.message in (bench.out / "T1-s007.log").read_text()
 
 
-def test_nothing_that_a_policy_can_read_names_the_trial(bench: Bench) -> None:
-    bench.run(specs(2))
+def test_nothing_that_a_policy_can_read_names_the_trial_or_holds_a_secret(bench: Bench) -> None:
+    setup = PolicySetup(
+        ref=PolicyRef.parse("mine:Own"), arguments={"steps": "argument-3"}, environment={"TOKEN": "secret-4"},
+        search_path=("/place-5",), language="live:model-6", record="/record-7",
+    )  # fmt: skip
+    trials = specs(2, policy="mine:Own", arguments=setup.arguments, environment=setup.environment)
+    bench.run(trials, policy=setup, weights=Path("/weights-8"))
     told = (bench.folder / "commands.txt").read_text()
     assert told.count("fake_worker") == 2
-    assert not [word for word in ("T1", "s000", "s001", "seed") if word in told]
+    given = ("argument-3", "secret-4", "place-5", "model-6", "record-7", "weights-8")
+    assert not [word for word in ("T1", "s000", "s001", "seed", *given) if word in told]
+    requests = (bench.folder / "requests.jsonl").read_text().splitlines()
+    assert all(word in request for request in requests for word in given)
+    assert [TrialRequest.model_validate_json(request).policy for request in requests] == [setup, setup]
+
+
+def test_other_arguments_or_variables_need_another_folder(bench: Bench) -> None:
+    def run(steps: str, *variables: str) -> RunSummary:
+        trials = specs(1, arguments={"steps": steps}, environment=variables)
+        setup = replace(PolicySetup.of("hover", arguments={"steps": steps}), environment=dict.fromkeys(variables, "v"))
+        return bench.run(trials, policy=setup)
+
+    assert run("3", "TOKEN").ran == ("T1-s000",)
+    assert run("3", "TOKEN").kept == ("T1-s000",)
+    identity = json.loads((bench.out / "manifest.json").read_text())["identity"]
+    assert (identity["arguments"], identity["environment"]) == ({"steps": "3"}, ["TOKEN"])
+    spec = bench.recording("T1-s000").header.spec
+    assert (spec.policy_arguments, spec.policy_environment) == ({"steps": "3"}, ("TOKEN",))
+    with pytest.raises(ConfigError, match=r"was started with policy arguments steps=3 .*, wanted .* steps=4"):
+        run("4", "TOKEN")
+    with pytest.raises(ConfigError, match=r"variables TOKEN, wanted policy arguments steps=3: use another --out"):
+        run("3")
+    (bench.out / "manifest.json").unlink()
+    with pytest.raises(ConfigError, match=r"T1-s000.h5 was recorded with policy arguments steps=3 .*, wanted"):
+        run("4", "TOKEN")
+    assert bench.ran() == []
+
+
+def test_a_setup_of_another_policy_than_the_trials_is_a_mistake(bench: Bench) -> None:
+    with pytest.raises(ValueError, match="the trial records the policy hover"):
+        bench.run(specs(1), policy=PolicySetup.of("zero-action"))
+    with pytest.raises(ValueError, match="the trial records the policy hover"):
+        bench.run(specs(1), policy=PolicySetup.of("hover", arguments={"steps": "3"}))
+    assert not bench.out.exists()
 
 
 def test_leftovers_of_a_killed_supervisor_go_and_a_living_one_is_not_disturbed(bench: Bench) -> None:
@@ -304,16 +344,15 @@ def test_edited_policy_gets_no_more_trials_in_the_same_folder(bench: Bench) -> N
     source = bench.folder / "mine" / "own.py"
     source.parent.mkdir()
     source.write_text("class Own: ...\n")
-    environment = {**bench.environment({}), POLICY_PATH: str(bench.folder)}
-    options: dict[str, Any] = {"out": bench.out, "jobs": 2, "environment": environment, "worker_command": FAKE}
-    run_trials(specs(1, policy="mine.own:Own"), **options)
-    assert run_trials(specs(2, policy="mine.own:Own"), **options).ran == ("T1-s001",)
+    own = PolicySetup.of("mine.own:Own", search_path=[str(bench.folder)])
+    bench.run(specs(1, policy="mine.own:Own"), policy=own)
+    assert bench.run(specs(2, policy="mine.own:Own"), policy=own).ran == ("T1-s001",)
     source.write_text("class Own: 'better'\n")
     with pytest.raises(ConfigError, match="policy's source changed since this folder was started: use another --out"):
-        run_trials(specs(3, policy="mine.own:Own"), **options)
+        bench.run(specs(3, policy="mine.own:Own"), policy=own)
     (bench.out / "manifest.json").unlink()
     with pytest.raises(ConfigError, match=r"no manifest\.json"):
-        run_trials(specs(3, policy="mine.own:Own"), **options)
+        bench.run(specs(3, policy="mine.own:Own"), policy=own)
     assert not (bench.out / "T1-s002.h5").exists()
 
 

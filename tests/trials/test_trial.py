@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,28 +12,33 @@ import pytest
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.prepare import settled_world
+from carecontact.hosting.setup import PolicySetup
 from carecontact.protocols import load_protocol
 from carecontact.recording import Failure, canonical_hash, read_recording
 from carecontact.recording.perception import perception_errors
-from carecontact.runs.identity import POLICY_PATH
 from carecontact.scoring import score_recording
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Settled, Simulation
+from carecontact.trials.request import TrialRequest
 from carecontact.trials.trial import run_trial
 
 POLICIES = '''
+import os
 import numpy as np
 from carecontact.contract.action import Action
 from carecontact.contract.policy import PolicyCard
 
 class Wave:
-    """Moves 30 mm and back in one second; asks for one picture."""
-    card = PolicyCard(name="wave", modalities=("rgb", "depth"), control_hz=15)
+    """Moves ``rise_m`` up and back in one second; asks for one picture."""
+    def __init__(self, *, rise_m: float, rate_hz: int = 15, token: str = os.environ.get("WAVE_TOKEN", "")):
+        self.rise_m, self.token = rise_m, token
+        self.card = PolicyCard(name="wave", modalities=("rgb", "depth"), control_hz=rate_hz)
     def reset(self, instruction):
         self.instruction = instruction
     def act(self, observation):
         poses = np.tile(observation.pose_tcp_in_base, (15, 1))
-        poses[:, 2] += 0.03 * np.sin(np.linspace(0, np.pi, 15))
+        print("token", self.token)
+        poses[:, 2] += self.rise_m * np.sin(np.linspace(0, np.pi, 15))
         return [*(Action(pose_tcp_in_base=p) for p in poses), Action(done=True)]
 
 class Outside:
@@ -57,18 +62,30 @@ def spec(policy: str, task: str = "T1", seed: int = 0) -> TrialSpec:
 
 
 def test_same_spec_in_fresh_processes_gives_the_same_recording(policies: Path, tmp_path: Path) -> None:
+    """Of a policy with an argument and a variable: both are in the recording, but not the variable's value."""
     hashes = []
+    wave = replace(
+        PolicySetup.of("my_policies:Wave", search_path=[str(policies)], arguments={"rise_m": "0.03"}),
+        environment={"WAVE_TOKEN": "sekret-123"},
+    )
+    given = {"policy_arguments": {"rise_m": "0.03"}, "policy_environment": ("WAVE_TOKEN",)}
+    trial = spec("my_policies:Wave").model_copy(update=given)
     for name in ("a.h5", "b.h5"):
-        environment = {**__import__("os").environ, POLICY_PATH: str(policies)}
-        asked = {"spec": spec("my_policies:Wave").model_dump(mode="json"), "out": str(tmp_path / name)}
+        request = TrialRequest(spec=trial, policy=wave, out=tmp_path / name)
         done = subprocess.run(
             [sys.executable, "-m", "carecontact.trials.worker"],
-            input=json.dumps(asked), env=environment, capture_output=True, text=True, timeout=120,
+            input=request.model_dump_json(), capture_output=True, text=True, timeout=120,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         recording = read_recording(tmp_path / name)
         assert recording.header.ended == "done", recording.header.failure
         hashes.append(canonical_hash(recording))
+        assert recording.header.card is not None
+        assert (recording.header.card["arguments"], recording.header.card["environment"]) == (
+            {"rise_m": "0.03"}, ["WAVE_TOKEN"],
+        )  # fmt: skip
+        assert recording["wall/policy_output"].tobytes() == b"token [secret removed]"
+        assert b"sekret-123" not in (tmp_path / name).read_bytes()
     assert hashes[0] == hashes[1]
     # 16 actions at 15 Hz: periods of 33, 33, 34 steps keep the mean rate.
     assert len(recording["scorer/time_s"]) == 533
@@ -82,7 +99,8 @@ def test_same_spec_in_fresh_processes_gives_the_same_recording(policies: Path, t
 
 def test_action_outside_the_workspace_is_the_policys_process_failure(policies: Path) -> None:
     told: list[bool] = []
-    recording = run_trial(spec("my_policies:Outside"), search_path=[str(policies)], on_policy=told.append)
+    outside = PolicySetup.of("my_policies:Outside", search_path=[str(policies)])
+    recording = run_trial(spec("my_policies:Outside"), policy=outside, on_policy=told.append)
     assert told == [True, False]
     assert recording.header.ended == "process_failure"
     assert recording.header.failure is not None

@@ -1,14 +1,48 @@
-"""Persons with one thing wrong, as factories for ``validate(make_scene=...)``."""
+"""Persons with one thing wrong: factories for ``validate(make_scene=...)``, and changes to a sound person's scene."""
 
 from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from carecontact.contract.protocol import Protocol
 from carecontact.recording.schema import REGIONS
+from carecontact.sim.simulation import Simulation
+from carecontact.validation.subject import Subject
 from carecontact.world.human.tissue import anchor_joints
 from carecontact.world.scene import Scene, build_scene
+
+
+class ActsInContactOnly(Subject):
+    """A sound person whose model is changed once it lies at rest or under the tool.
+
+    For defects that neither settling nor the tool's way there can notice: the states of the sound person are taken.
+    """
+
+    def __init__(self, sound: Subject, change: Callable[[Scene], object]) -> None:
+        super().__init__(sound.protocol, make_scene=sound.make_scene)
+        self._sound, self._change = sound, change
+
+    def scene(self, region: str) -> Scene:
+        if region not in self._scenes:
+            sound = self._sound.scene(region)
+            self._scenes[region] = replace(sound, model=copy.copy(sound.model))
+            self._change(self._scenes[region])
+        return self._scenes[region]
+
+    def at_rest(self, region: str) -> Simulation:
+        return self._changed(self._sound.at_rest(region))
+
+    def hovering(self, region: str) -> Simulation:
+        return self._changed(self._sound.hovering(region))
+
+    def _changed(self, simulation: Simulation) -> Simulation:
+        self._change(simulation.scene)
+        return simulation
 
 
 def undamped(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
@@ -37,10 +71,8 @@ def soft_upper_arm(protocol: Protocol, *, target: str | None, skin: bool) -> Sce
     return scene
 
 
-def slippery(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
-    scene = build_scene(protocol, target=target, skin=skin)
+def slippery(scene: Scene) -> None:
     scene.model.flex_friction[:, 0] *= 0.9
-    return scene
 
 
 def half_stiff(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
@@ -60,11 +92,15 @@ def uncoupled(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     return scene
 
 
-def without_joint_limits(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
-    scene = build_scene(protocol, target=target, skin=skin)
+def unlimited(scene: Scene) -> None:
     for j in range(scene.model.njnt):
         if scene.model.joint(j).name.startswith("human_"):
             scene.model.jnt_limited[j] = 0
+
+
+def without_joint_limits(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    scene = build_scene(protocol, target=target, skin=skin)
+    unlimited(scene)
     return scene
 
 

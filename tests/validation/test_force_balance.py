@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from carecontact.validation import force_balance
-from carecontact.validation.subject import Subject
+from collections.abc import Callable
+
+from carecontact.validation.result import CheckResult
 
 
-def test_force_balances_by_independent_paths(subject: Subject) -> None:
-    result = force_balance.run(subject, quick=True)
+def test_force_balances_by_independent_paths(short_form: Callable[[str], CheckResult]) -> None:
+    result = short_form("force-balance")
     assert result.missed == []
     assert result.value("forearm: largest force") > 3.0

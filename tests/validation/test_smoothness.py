@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carecontact.protocols import load_protocol
-from carecontact.validation.run import validate
+from carecontact.validation import smoothness
 from carecontact.validation.smoothness import dropouts
-from tests.validation.defects import slippery
+from carecontact.validation.subject import Subject
+from tests.validation.defects import ActsInContactOnly, slippery
 
 
 def steady_force(count: int = 200, dt: float = 0.002) -> tuple[np.ndarray, np.ndarray]:
@@ -44,7 +44,7 @@ def test_a_lasting_step_is_no_dropout() -> None:
     assert not dropouts(time, np.minimum(force, 100.0))[102:].any()
 
 
-def test_skin_more_slippery_than_declared_is_found() -> None:
-    result = validate(load_protocol(), make_scene=slippery, quick=True, checks=["smoothness"]).results[0]
+def test_skin_more_slippery_than_declared_is_found(subject: Subject) -> None:
+    result = smoothness.run(ActsInContactOnly(subject, slippery), quick=True)
     assert [m.name for m in result.missed] == ["scrubbing at 5 N: sliding friction off the declared one"]
     assert result.missed[0].value == pytest.approx(10.0, abs=1.0)

@@ -16,6 +16,7 @@ from carecontact.contract.observation import MODALITIES
 from carecontact.contract.policy import CAMERAS, PolicyCard
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.prepare import settled_world
+from carecontact.hosting.setup import PolicySetup
 from carecontact.sim.simulation import Settled, Simulation
 
 QUICK_TRIAL_S = 0.1
@@ -64,13 +65,13 @@ class RegionAudit:
         yield
         shutil.rmtree(self._log)
 
-    def try_policies(self, policies: Sequence[str], search_path: Sequence[str]) -> list[Watched]:
+    def try_policies(self, policies: Sequence[PolicySetup]) -> list[Watched]:
         """One trial of every policy, whose messages are checked against its card."""
         for index, policy in enumerate(policies):
-            self.on_event(f"a trial of {policy}")
+            self.on_event(f"a trial of {policy.ref}")
             trial = watch(
-                _shortened(self.spec, policy, quick=self.quick), policy=policy, prepare=self.keyframe.parked,
-                log=self._log / f"real-{index:02d}", search_path=search_path,
+                _shortened(self.spec, policy, quick=self.quick), policy=policy.ref.text, prepare=self.keyframe.parked,
+                log=self._log / f"real-{index:02d}", setup=policy,
             )  # fmt: skip
             self.add(schema.audit_schema([trial]))
             trial.forget()
@@ -111,12 +112,19 @@ class RegionAudit:
         self.add(readings.audit_readings(self._log, [*self._real, *self._pressed]))
 
 
-def _shortened(spec: TrialSpec, policy: str, *, quick: bool) -> TrialSpec:
+def _shortened(spec: TrialSpec, policy: PolicySetup, *, quick: bool) -> TrialSpec:
     protocol = spec.protocol
     if quick:
         phases = protocol.phases.model_copy(update={"time_limit_s": QUICK_TRIAL_S})
         protocol = protocol.model_copy(update={"phases": phases})
-    return spec.model_copy(update={"policy": policy, "protocol": protocol})
+    return spec.model_copy(
+        update={
+            "policy": policy.ref.text,
+            "policy_arguments": dict(policy.arguments),
+            "policy_environment": tuple(policy.environment),
+            "protocol": protocol,
+        }
+    )
 
 
 def cards_of(trials: Sequence[Watched], *, together: bool) -> list[PolicyCard]:

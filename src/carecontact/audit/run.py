@@ -17,6 +17,7 @@ from carecontact.audit.region import RegionAudit, cards_of
 from carecontact.audit.watched import Watched
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
+from carecontact.hosting.setup import PolicySetup
 from carecontact.recording.versions import package_versions
 
 SCHEMA = "carecontact-audit-1"
@@ -46,13 +47,12 @@ class Audit:
 
 def audit(
     protocol: Protocol,
-    policies: Sequence[str],
+    policies: Sequence[PolicySetup],
     *,
     quick: bool,
-    search_path: Sequence[str] = (),
     on_event: Callable[[str], None] = lambda said: None,
 ) -> Audit:
-    """Run every part on every policy (registered names or ``module:Class``).
+    """Run every part on every policy.
 
     The quick form presses one region, with one card that requests all that the policies request. The full form presses
     every region of the protocol with each card, and lets the policies' own trials run to their end.
@@ -72,13 +72,14 @@ def audit(
             )  # fmt: skip
             with region.logs():
                 if number == 0:
-                    real = region.try_policies(policies, search_path)
+                    real = region.try_policies(policies)
                 cards = cards_of(real, together=quick)
                 region.press_with(cards)
                 region.scramble(cards)
                 region.make_again()
     parts = tuple(_merged(part.NAME, part.TITLE, found[part.NAME]) for part in PARTS)
-    return Audit(protocol=protocol, policies=tuple(policies), quick=quick, parts=parts)
+    names = tuple(policy.ref.text for policy in policies)
+    return Audit(protocol=protocol, policies=names, quick=quick, parts=parts)
 
 
 def write(result: Audit, folder: Path) -> Path:

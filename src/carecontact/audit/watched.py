@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from carecontact.contract.embodiment import PANDA
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import CarecontactError
+from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire import codec
 from carecontact.hosting.witness import TASK, TOLD
 from carecontact.recording.schema import Recording
@@ -89,9 +90,12 @@ class Watched:
 
 
 def watch(
-    spec: TrialSpec, *, policy: str, prepare: Prepare, log: Path | None = None, search_path: Sequence[str] = ()
+    spec: TrialSpec, *, policy: str, prepare: Prepare, log: Path | None = None, setup: PolicySetup | None = None
 ) -> Watched:
-    """Run one trial and keep what it showed; with ``log`` also on disk. What fails is told, never raised."""
+    """Run one trial and keep what it showed; with ``log`` also on disk. What fails is reported, never raised.
+
+    ``setup``: how the policy is reached; default: as its name in ``spec`` alone says.
+    """
     watched = Watched(policy=policy)
     readers: list[StateReader] = []
     kept = 0
@@ -114,7 +118,7 @@ def watch(
             write_look(log, number, observation=look.observation, raw=look.raw, sent=look.sent, state=state)
 
     try:
-        recording = watched.recording = run_trial(spec, search_path=search_path, prepare=prepared, on_look=on_look)
+        recording = watched.recording = run_trial(spec, policy=setup, prepare=prepared, on_look=on_look)
     except CarecontactError as error:
         watched.error = str(error)
         return watched
@@ -166,7 +170,8 @@ def press(
     told.unlink(missing_ok=True)
     watched = watch(
         spec.model_copy(update={"policy": WITNESS}),
-        policy=card.name, prepare=prepare, log=log, search_path=[str(folder)],
+        policy=card.name, prepare=prepare, log=log,
+        setup=PolicySetup.of(WITNESS, search_path=[str(folder)]),
     )  # fmt: skip
     if told.is_file():
         watched.told = json.loads(told.read_text())

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from carecontact import __version__
 from carecontact.errors import CarecontactError, ConfigError
 
+REPEATABLE = ("--policy-arg", "--policy-env")
 INTERRUPTED, BROKEN_PIPE = 130, 141
 """128 and the signal's number, as a shell counts."""
 
@@ -51,6 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _once(arguments: Sequence[str]) -> None:
     """The parser would silently keep the last of two. Raises ConfigError naming the option."""
     options = [argument.partition("=")[0] for argument in arguments if argument.startswith("--")]
+    options = [option for option in options if option.replace("_", "-") not in REPEATABLE]
     twice = next((option for option in options if options.count(option) > 1), None)
     if twice:
         raise ConfigError(f"{twice} is given twice; several values follow one {twice}, parted as --help shows")

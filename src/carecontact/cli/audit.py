@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, RulesGroup, Switch
+from carecontact.cli.groups import FLAT, ArgumentsGroup, PolicyGroup, RulesGroup, Switch
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ class Audit:
 
     policy: tuple[str, ...] = ()
     """Policies to audit: names from `carecontact list policies`, or module:Class; default: every registered one."""
+    given: Annotated[ArgumentsGroup, FLAT] = field(default_factory=ArgumentsGroup)
     quick: Switch = False
     """Audit one region with short trials, for continuous integration. The full audit takes minutes."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
@@ -36,7 +37,7 @@ class Audit:
     def __call__(self) -> int:
         """Return 1 if a part found a leak or could not look. Raises ConfigError for what cannot be audited."""
         from carecontact.audit.run import audit, write
-        from carecontact.cli.policy_name import check_policy, public_name
+        from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.policies.registry import POLICIES
         from carecontact.runs.preflight import check_protocol
 
@@ -45,6 +46,8 @@ class Audit:
         twice = sorted({name for name in self.policy if self.policy.count(name) > 1})
         if twice:
             raise ConfigError(f"--policy: {', '.join(twice)} is named twice")
+        if (self.given.policy_arg or self.given.policy_env) and len(self.policy) != 1:
+            raise ConfigError("--policy-arg and --policy-env are for one policy; name it with --policy")
         rules = self.rules.load()
         check_protocol(rules)
         if rules.vision.segmenter != "mediapipe":
@@ -52,18 +55,18 @@ class Audit:
                 f"--protocol {self.rules.protocol}: only the segmenter mediapipe can be audited, this protocol names "
                 f"{rules.vision.segmenter}"
             )
-        folder = Path.cwd()
-        names = tuple(public_name(name) for name in self.policy) or tuple(POLICIES)
-        for name in names:
-            check_policy(name, search_path=folder, deadline_s=rules.phases.first_call_deadline_s)
+        given = PolicyGroup(policy_arg=self.given.policy_arg, policy_env=self.given.policy_env)
+        setups = [policy_setup(name, given) for name in self.policy or POLICIES]
+        for setup in setups:
+            check_policy(setup, deadline_s=rules.phases.first_call_deadline_s)
         # Now, not after minutes of work.
         self.out.mkdir(parents=True, exist_ok=True)
-        print(f"{rules.title}, {rules.person.body}{', quick' if self.quick else ''}: {', '.join(names)}", flush=True)
+        names = ", ".join(f"{setup.ref}{arguments_text(setup)}" for setup in setups)
+        print(f"{rules.title}, {rules.person.body}{', quick' if self.quick else ''}: {names}", flush=True)
         result = audit(
             rules,
-            names,
+            setups,
             quick=self.quick,
-            search_path=[str(folder)],
             on_event=lambda event: print(f"  {event}", flush=True),
         )
         _print(result)

@@ -53,7 +53,7 @@ def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
     Raises ConfigError for a folder that holds anything but such a demo.
     """
     from carecontact.runs.manifest import MANIFEST, read_manifest
-    from carecontact.trials.supervisor import remove_abandoned
+    from carecontact.trials.work_folder import remove_abandoned
 
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: this is a file; name a folder")

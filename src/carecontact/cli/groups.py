@@ -120,9 +120,17 @@ class JobsGroup:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LanguageGroup:
+class ArgumentsGroup:
+    policy_arg: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
+    """Argument for the policy's constructor; `carecontact list policies` shows those that exist. Recordings show it."""
+    policy_env: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = ()
+    """Environment variable that may pass from here to the policy's process. Recordings show its name, not its value."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyGroup(ArgumentsGroup):
     language: str | None = None
-    """rules-v1, replay:FILE.jsonl or live:MODEL, for policies that use language (see docs/language.md); default: the
-    policy's own."""
+    """rules-v1, replay:FILE.jsonl or live:MODEL: argument `language` of policies that use language (see
+    docs/language.md); default: the policy's own."""
     record: Path | None = None
     """With a live language model: replay file to which its completions are added."""

@@ -1,46 +1,53 @@
-"""--language and --record: checked before a run, then carried to every policy's process."""
+"""--language and --record: the arguments ``language`` and ``record`` of a policy, checked before a run."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
-from carecontact.cli.groups import LanguageGroup
+from carecontact.cli.groups import PolicyGroup
+from carecontact.contract.policy_ref import PolicyRef
 from carecontact.errors import ConfigError
-from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
+from carecontact.policies.language.selection import language_name
+from carecontact.policies.registry import POLICIES
 
 
-def language_environment(policy: str, options: LanguageGroup) -> dict[str, str]:
-    """Return variables for the trials' processes, empty without an option, so that a shell's own are not inherited.
+def chosen_language(ref: PolicyRef, options: PolicyGroup, arguments: dict[str, str]) -> tuple[str | None, str | None]:
+    """Return ``language`` and ``record`` for the policy, with paths that hold in every folder, or None.
 
-    Raises ConfigError for a policy that takes no such language, a replay file that is none, or a record of nothing;
-    DependencyError for ``live:`` without its package.
+    A registered policy with language backends may be given both as --policy-arg too, which takes them out of
+    ``arguments``.
+
+    Raises UnknownNameError; ConfigError for a policy that takes no such language, a file that is not a replay file, or
+    a record without a live model; DependencyError for ``live:`` without its package.
     """
+    kinds = POLICIES[ref.text].languages if ref.kind == "registered" else ()
     language, record = options.language, options.record
-    if record is not None and not (language or "").startswith("live:"):
-        raise ConfigError("--record: only the answers of --language live:MODEL can be recorded")
+    if kinds:
+        language = _one("language", language, arguments.pop("language", None))
+        place = _one("record", None if record is None else str(record), arguments.pop("record", None))
+        record = None if place is None else Path(place)
     if record is not None:
+        if not (language or "").startswith("live:"):
+            raise ConfigError("--record: only the answers of --language live:MODEL can be recorded")
         _check_record(record)
     if language is None:
-        return {LANGUAGE_VARIABLE: "", RECORD_VARIABLE: ""}
-    from carecontact.contract.policy_address import remote_address
-    from carecontact.policies.language.selection import language_name
-    from carecontact.policies.registry import POLICIES
-
-    if remote_address(policy) is not None:
-        raise ConfigError(f"--language {language}: a policy on another host is told at its end: carecontact serve")
-
-    if ":" not in policy:
-        kinds = POLICIES[policy].languages
-        if language.partition(":")[0] not in kinds:
-            takes = f"takes {', '.join(kinds)}" if kinds else "uses no language backend that can be chosen"
-            raise ConfigError(f"--language {language}: policy {policy} {takes}")
+        return None, None
     kind, colon, place = language.partition(":")
+    if ref.kind == "registered" and kind not in kinds:
+        takes = f"takes {', '.join(kinds)}" if kinds else "uses no language backend that can be chosen"
+        raise ConfigError(f"--language {language}: policy {ref} {takes}")
     if kind == "replay" and not place:
         raise ConfigError(f"--language {language}: expected a file after it, as in replay:said.jsonl")
     spelled = f"replay:{os.path.abspath(place)}" if kind == "replay" and colon else language
     language_name(spelled)
-    return {LANGUAGE_VARIABLE: spelled, RECORD_VARIABLE: os.path.abspath(record) if record else ""}
+    return spelled, None if record is None else os.path.abspath(record)
+
+
+def _one(name: str, option: str | None, argument: str | None) -> str | None:
+    if option is not None and argument is not None:
+        raise ConfigError(f"--{name} and --policy-arg {name}= mean the same; give one of them")
+    return argument if option is None else option
 
 
 def _check_record(record: Path) -> None:

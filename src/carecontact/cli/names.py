@@ -43,8 +43,20 @@ def _tasks(protocol: str) -> list[tuple[str, str]]:
 def _policies(protocol: str) -> list[tuple[str, str]]:
     from carecontact.policies.registry import POLICIES
 
-    rows = [(name, row.description) for name, row in POLICIES.items()]
-    return [*rows, ("module:Class", "Your own, importable from the current folder.")]
+    rows = [(name, f"{row.description} {_arguments(row.target)}") for name, row in POLICIES.items()]
+    return [*rows, ("module:Class", "Your own, importable from the current folder; its constructor's arguments.")]
+
+
+def _arguments(target: str) -> str:
+    """What --policy-arg may give."""
+    from carecontact.hosting.arguments import load_factory, parameters_of
+
+    try:
+        parameters = parameters_of(load_factory(target))
+    except Exception as error:
+        # Another package's policy, which may raise anything, must not hide the others.
+        return f"Arguments: unknown, {target} cannot be imported: {type(error).__name__}: {error}"
+    return f"Arguments: {', '.join(map(str, parameters)) or 'none'}."
 
 
 def _protocols(protocol: str) -> list[tuple[str, str]]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.groups import FLAT, JobsGroup, LanguageGroup, PhysicsGroup, RulesGroup, Switch, VisionGroup
+from carecontact.cli.groups import FLAT, JobsGroup, PhysicsGroup, PolicyGroup, RulesGroup, Switch, VisionGroup
 
 if TYPE_CHECKING:
     from carecontact.contract.protocol import Protocol
@@ -21,6 +21,7 @@ class Run:
     policy: str
     """Name from `carecontact list policies`, or module:Class, importable from the current folder, or ws://HOST:PORT of
     a policy that `carecontact serve` serves."""
+    given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
     out: Path
     """Folder for recordings, results.json and report.html."""
     tasks: str = "all"
@@ -36,7 +37,6 @@ class Run:
     unfrozen: Switch = False
     """Run a frozen protocol although it drifted from its lock (see `carecontact protocol verify`). Every output shows
     it."""
-    language: Annotated[LanguageGroup, FLAT] = field(default_factory=LanguageGroup)
     parallel: Annotated[JobsGroup, FLAT] = field(default_factory=JobsGroup)
     retry_failed: Switch = False
     """Run trials again that ended as process_failure or harness_error."""
@@ -48,33 +48,35 @@ class Run:
 
     def execute(self, *, purpose: Purpose) -> int:
         """Return 1 if the harness failed in any trial or a recording was skipped; a policy that fails is a result."""
-        from carecontact.cli.language import language_environment
-        from carecontact.cli.policy_name import check_policy, public_name
+        from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.cli.progress import progress
         from carecontact.cli.report_page import write_page
         from carecontact.cli.rescoring import rescore
-        from carecontact.episode.vision import WEIGHTS
-        from carecontact.runs.identity import POLICY_PATH
         from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
         from carecontact.trials.supervisor import check_jobs, run_trials
 
         check_jobs(self.parallel.jobs)
-        policy = public_name(self.policy)
+        setup = policy_setup(self.policy, self.given)
         rules = self._protocol()
         tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
-        folder = Path.cwd()
-        spoken = language_environment(policy, self.language)
-        check_policy(policy, search_path=folder, deadline_s=rules.phases.first_call_deadline_s)
-        specs = plan_trials(protocol=rules, policy=policy, tasks=tasks, seeds=seeds)
-        print(f"{policy}: {len(specs)} trial(s) of {rules.title} into {self.out}", flush=True)
-        weights = str(self.vision.weights.resolve()) if self.vision.weights else ""
+        check_policy(setup, deadline_s=rules.phases.first_call_deadline_s)
+        specs = plan_trials(
+            protocol=rules,
+            policy=setup.ref.text,
+            tasks=tasks,
+            seeds=seeds,
+            arguments=setup.arguments,
+            environment=setup.environment,
+        )
+        print(f"{setup.ref}{arguments_text(setup)}: {len(specs)} trial(s) of {rules.title} into {self.out}", flush=True)
         with progress() as on_event:
             summary = run_trials(
                 specs,
                 out=self.out,
                 jobs=self.parallel.jobs,
                 retry_failed=self.retry_failed,
-                environment={POLICY_PATH: str(folder), WEIGHTS: weights, **spoken},
+                policy=setup,
+                weights=self.vision.weights and self.vision.weights.resolve(),
                 on_event=on_event,
                 purpose=purpose,
             )

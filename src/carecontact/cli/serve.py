@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, LanguageGroup
+from carecontact.cli.groups import FLAT, PolicyGroup
 from carecontact.errors import ConfigError
 
 
@@ -20,21 +18,19 @@ class Serve:
 
     policy: Annotated[str, tyro.conf.Positional]
     """Name from `carecontact list policies`, or module:Class, importable from the current folder."""
+    given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
     host: str = "127.0.0.1"
     """Address of this host to listen at; 0.0.0.0 for all of them."""
     port: int = 8765
     """Port to listen at; 0 for one that is free."""
     at_once: int | None = None
     """Number of trials that run at once, further ones wait; default: one per core."""
-    language: Annotated[LanguageGroup, FLAT] = field(default_factory=LanguageGroup)
 
     after_interrupt: ClassVar[str] = "; its policies have ended"
 
     def __call__(self) -> int:
         """Serve until interrupted. Raises ConfigError for what cannot be served or where nothing can listen."""
-        from carecontact.cli.language import language_environment
-        from carecontact.cli.policy_name import check_policy
-        from carecontact.contract.policy_address import remote_address
+        from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.hosting.serving import LOAD_DEADLINE_S, serve_trials
         from carecontact.trials.supervisor import available_cores
 
@@ -42,18 +38,17 @@ class Serve:
             raise ConfigError(f"--port {self.port}: expected 0 to 65535")
         if self.at_once is not None and self.at_once < 1:
             raise ConfigError(f"--at-once {self.at_once}: must be at least 1")
-        if remote_address(self.policy) is not None:
-            raise ConfigError(f"{self.policy}: this is served already; give a registered name or module:Class")
-        folder = Path.cwd()
-        os.environ.update(language_environment(self.policy, self.language))
-        check_policy(self.policy, search_path=folder, deadline_s=LOAD_DEADLINE_S)
+        setup = policy_setup(self.policy, self.given)
+        if setup.ref.kind == "remote":
+            raise ConfigError(f"{setup.ref}: this is served already; give a registered name or module:Class")
+        check_policy(setup, deadline_s=LOAD_DEADLINE_S)
+        name = f"{setup.ref}{arguments_text(setup)}"
         serve_trials(
-            self.policy,
+            setup,
             host=self.host,
             port=self.port,
             at_once=self.at_once or available_cores(),
-            search_path=[str(folder)],
-            on_port=lambda bound: print(f"{self.policy}: serving at {self.host} port {bound}", flush=True),
+            on_port=lambda bound: print(f"{name}: serving at {self.host} port {bound}", flush=True),
             on_event=lambda event: print(event, flush=True),
         )
         return 0

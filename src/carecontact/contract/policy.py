@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import NoReturn, Protocol, cast, runtime_checkable
 
 from carecontact.contract.action import ACTION_SPACES, Action, ActionBounds
@@ -13,11 +13,13 @@ from carecontact.errors import ContractError
 CAMERAS = ("overhead", "bedside", "exterior", "wrist")
 MAX_NAME = 200
 """Characters of a card's name and language backend: they stand in headers, tables and file names."""
+MAX_ARGUMENTS, MAX_ARGUMENT = 64, 2000
+"""Number of arguments or variables of a policy, and characters of one value: they stand in every recording."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyCard:
-    """What a policy asks for; only what it names is rendered."""
+    """What a policy requests. Only what it names is rendered."""
 
     name: str
     action_space: str = "cartesian_pose"
@@ -29,29 +31,68 @@ class PolicyCard:
     language_backend: str = "none"
     """``none``, ``rules-v1``, ``replay:<hash>:<model>`` or ``live:<model>``; travels with every result. The model of
     completions that a person wrote is ``authored``."""
+    arguments: Mapping[str, str] = field(default_factory=dict[str, str], hash=False)
+    """What --policy-arg gave: name -> text. The policy's process adds it, so a policy need not fill it in."""
+    environment: tuple[str, ...] = ()
+    """Names of the caller's variables that --policy-env let pass; never their values. Added like ``arguments``."""
 
     def __post_init__(self) -> None:
         """Raises ContractError naming the field, what was expected and what was got."""
         # Whatever its annotations say, a card is written by hand.
-        fields = {name: cast(object, value) for name, value in vars(self).items()}
-        for field in ("name", "language_backend"):
-            text = fields[field]
+        given = {name: cast(object, value) for name, value in vars(self).items()}
+        for name in ("name", "language_backend"):
+            text = given[name]
             if not isinstance(text, str) or not text.isprintable() or not 0 < len(text) <= MAX_NAME:
-                _wrong(field, f"1 to {MAX_NAME} printable characters", text)
+                _wrong(name, f"1 to {MAX_NAME} printable characters", text)
         if self.action_space not in ACTION_SPACES:
             _wrong("action_space", f"one of {', '.join(ACTION_SPACES)}", self.action_space)
-        for field, valid in (("modalities", MODALITIES), ("cameras", CAMERAS)):
-            names = fields[field]
+        for kind, valid in (("modalities", MODALITIES), ("cameras", CAMERAS)):
+            names = given[kind]
             expected = f"a tuple of names out of {', '.join(valid)}"
             if not isinstance(names, tuple | list):
-                _wrong(field, expected, names)
+                _wrong(kind, expected, names)
             for name in cast(Sequence[object], names):
                 if name not in valid:
-                    _wrong(field, expected, name)
-        rate = fields["control_hz"]
+                    _wrong(kind, expected, name)
+        check_arguments(given["arguments"])
+        check_variables(given["environment"])
+        rate = given["control_hz"]
         if isinstance(rate, bool) or not isinstance(rate, int | float) or not 1 <= rate <= 50:
             _wrong("control_hz", "a number from 1 to 50 [Hz]", rate)
         object.__setattr__(self, "control_hz", float(rate))  # as it arrives over the wire
+
+    def plain(self) -> dict[str, object]:
+        """The card as JSON has it, with lists for tuples.
+
+        Arguments and variables are left out where there are none, so that such a card is written as it always was.
+        """
+        entries = {field.name: getattr(self, field.name) for field in fields(self)}
+        entries |= {name: list(entries[name]) for name in ("modalities", "cameras", "environment")}
+        entries["arguments"] = dict(self.arguments)
+        return {name: value for name, value in entries.items() if value or name not in ("arguments", "environment")}
+
+
+def check_arguments(given: object) -> None:
+    """Raises ContractError for names or texts that cannot stand in a card."""
+    expected = f"at most {MAX_ARGUMENTS} names with printable texts of at most {MAX_ARGUMENT} characters"
+    if not isinstance(given, Mapping):
+        _wrong("arguments", expected, given)
+    entries = cast(Mapping[object, object], given)
+    for name, text in entries.items():
+        fits = isinstance(text, str) and text.isprintable() and len(text) <= MAX_ARGUMENT
+        if len(entries) > MAX_ARGUMENTS or not isinstance(name, str) or not name.isidentifier() or not fits:
+            _wrong("arguments", expected, {name: text})
+
+
+def check_variables(given: object) -> None:
+    """Raises ContractError for what cannot be names of environment variables in a card."""
+    expected = f"at most {MAX_ARGUMENTS} names of variables"
+    if not isinstance(given, tuple | list):
+        _wrong("environment", expected, given)
+    names = cast(Sequence[object], given)
+    for name in names:
+        if len(names) > MAX_ARGUMENTS or not isinstance(name, str) or not name.isidentifier():
+            _wrong("environment", expected, name)
 
 
 def _wrong(field: str, expected: str, got: object) -> NoReturn:

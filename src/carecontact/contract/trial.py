@@ -8,6 +8,9 @@ from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model
 
 from carecontact.contract.protocol import Protocol
 
+LATER = ("policy_arguments", "policy_environment", "noise_salt")
+"""Fields that trials did not always have."""
+
 
 class TrialSpec(BaseModel):
     """Everything that determines a trial besides the policy's answers. Frozen; part of the recording's header."""
@@ -18,15 +21,19 @@ class TrialSpec(BaseModel):
     task_id: str
     seed: int
     policy: str
-    """Registry name, ``module:Class`` or ``ws://HOST:PORT``."""
+    """Text of its ``PolicyRef``: a registered name, ``module:Class`` or ``ws://HOST:PORT``."""
+    policy_arguments: dict[str, str] = {}
+    """What --policy-arg gave: name -> text. A language backend that --language named stands in the policy's card."""
+    policy_environment: tuple[str, ...] = ()
+    """Names of the variables that --policy-env let pass."""
     noise_salt: str = ""
     """Drawn by a run whose protocol names sensor noise and never shown to the policy: noise that protocol and seed
     alone decide would tell the seed to whoever tries the published ones against a single reading."""
 
     @model_serializer(mode="wrap")
-    def _without_empty_salt(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A trial without a salt has the spelling, and so the hash, that it had before there were salts."""
-        return {name: value for name, value in serialize(self).items() if name != "noise_salt" or value}
+    def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out LATER fields that are empty: such a trial keeps the JSON, and so the hash, that it had before."""
+        return {name: value for name, value in serialize(self).items() if name not in LATER or value}
 
     @property
     def trial_id(self) -> str:

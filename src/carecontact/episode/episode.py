@@ -11,11 +11,10 @@ A trial's process, an environment for learning, the audit and a plain loop all s
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -236,7 +235,7 @@ class Episode:
         extra["wall/report_renders"] = np.array([report_renders], "<f8")
         header = header_of(
             self.spec, self.simulation, self._settled, self._ended, model_sha256=self._model_sha256,
-            card=None if self.card is None else json.loads(json.dumps(asdict(self.card))),
+            card=None if self.card is None else self.card.plain(),
             control=None if self.card is None else self.space.control,
         )  # fmt: skip
         return Recording(header=header, arrays=self.log.arrays())

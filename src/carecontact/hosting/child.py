@@ -1,17 +1,18 @@
-"""What the policy's process does: raise the wall, load the policy, say the port, serve, end with its parent."""
+"""What the policy's process does: raise the wall, construct the policy, report the port, serve, end with its parent."""
 
 from __future__ import annotations
 
 import ctypes
-import importlib
 import json
 import os
 import signal
 import sys
 import threading
-from typing import cast
+from collections.abc import Mapping
+from typing import TypedDict, cast
 
 from carecontact.contract.policy import Policy
+from carecontact.hosting.arguments import ArgumentError, bind, load_factory
 from carecontact.hosting.wall import raise_wall
 from carecontact.hosting.wire.server import serve_policy, told
 
@@ -19,35 +20,59 @@ _PR_SET_PDEATHSIG = 1
 """linux/prctl.h"""
 
 
-def main(target: str, search_path: list[str], *, report_fd: int, lifeline_fd: int) -> None:
-    """Serve ``module:Class``. Writes one JSON line to ``report_fd``: ``{"port": n}`` or ``{"error": text}``."""
+class Options(TypedDict):
+    """What the parent writes to this process's standard input, as JSON."""
+
+    root: str
+    """Folder of the package carecontact."""
+    target: str
+    """``module:Class`` or ``module:function``."""
+    search_path: list[str]
+    arguments: dict[str, str]
+    """Of the constructor or factory; these stand in the card."""
+    language: dict[str, str]
+    """The arguments ``language`` and ``record``, which do not: the card's language backend names the model."""
+    environment: list[str]
+    """Names, for the card, of the variables that --policy-env let pass."""
+    report_fd: int
+    """Where this process writes one JSON line: ``{"port": n}`` or ``{"error": text, "kind": kind}``."""
+    lifeline_fd: int
+    """Ends when the parent does."""
+
+
+RECEIVED: dict[str, object] = {}
+"""The options of this process; the audit's witness reports them."""
+
+
+def main(options: Options) -> None:
+    """Construct the policy behind the wall and serve it."""
+    RECEIVED.update(options)
     _die_with_parent()
-    threading.Thread(target=_end_with_parent, args=(lifeline_fd,), daemon=True).start()
-    with os.fdopen(report_fd, "w") as report:
+    threading.Thread(target=_end_with_parent, args=(options["lifeline_fd"],), daemon=True).start()
+    arguments = options["arguments"]
+    with os.fdopen(options["report_fd"], "w") as report:
         try:
             raise_wall()
-            sys.path[:0] = search_path
-            policy = _load(target)
+            sys.path[:0] = options["search_path"]
+            policy = _construct(options["target"], {**arguments, **options["language"]})
+        except ArgumentError as error:
+            report.write(json.dumps({"error": str(error), "kind": "argument"}) + "\n")
+            return
         except (Exception, SystemExit) as error:
-            report.write(json.dumps({"error": told(error)}) + "\n")
+            message = f"could not load {options['target']}:\n{told(error)}"
+            report.write(json.dumps({"error": message, "kind": "start"}) + "\n")
             return
 
         def tell(port: int) -> None:
             report.write(json.dumps({"port": port}) + "\n")
             report.close()
 
-        serve_policy(policy, on_port=tell)
+        serve_policy(policy, on_port=tell, arguments=arguments, environment=tuple(options["environment"]))
 
 
-def _load(target: str) -> Policy:
-    module, _, name = target.partition(":")
-    loaded = importlib.import_module(module)
-    try:
-        factory = getattr(loaded, name)
-    except AttributeError:
-        classes = [n for n, v in vars(loaded).items() if isinstance(v, type) and hasattr(v, "act")]
-        raise ImportError(f"{module} has no {name!r}; it has {', '.join(classes) or 'no class with act'}") from None
-    policy = factory()
+def _construct(target: str, arguments: Mapping[str, str]) -> Policy:
+    factory = load_factory(target)
+    policy = factory(**bind(factory, arguments))
     missing = [method for method in ("reset", "act") if not callable(getattr(policy, method, None))]
     if missing:
         raise TypeError(f"{target} has no method {' or '.join(missing)}; a policy has card, reset and act")

@@ -91,6 +91,10 @@ class PolicyConversation(ABC):
     def _open(self, left: Callable[[], float]) -> PolicyClient:
         """Reach the policy within the seconds that are ``left``."""
 
+    def _shown(self, text: str) -> str:
+        """Make text that came from the policy fit for a terminal, a log or a recording."""
+        return readable(text)
+
     def _how_it_ended(self) -> str:
         """To follow the message of a policy that is gone."""
         return ""
@@ -137,7 +141,7 @@ class PolicyConversation(ABC):
             message = f"policy {self.policy!r} failed at {doing}: {str(error)[:EVIDENCE_CHARS]}{ended}"
             if self.printed:
                 message += f"\nit printed last:\n{self.printed[-EVIDENCE_CHARS // 2 :]}"
-            raise PolicyError(error.kind, readable(message), notes=error.notes) from None
+            raise PolicyError(error.kind, self._shown(message), notes=error.notes) from None
         except BaseException:
             self._drop()
             raise

@@ -10,18 +10,21 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import carecontact
 from carecontact.errors import PolicyError
-from carecontact.hosting.conversation import BUDGET_S, GRACE_S, PolicyConversation, readable
+from carecontact.hosting.conversation import BUDGET_S, GRACE_S, PolicyConversation
 from carecontact.hosting.descendants import MARK, kill_marked, new_mark
+from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire.client import PolicyClient
-from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
-from carecontact.policies.registry import resolve_policy
+from carecontact.policies.registry import policy_target
+
+if TYPE_CHECKING:
+    from carecontact.hosting.child import Options
 
 OUTPUT_BYTES = 8192
 """Of what the policy printed, the end that is kept as evidence."""
@@ -29,18 +32,19 @@ OUTPUT_BYTES = 8192
 ENVIRONMENT = (
     "PATH", "HOME", "TMPDIR", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "CUDA_VISIBLE_DEVICES", "SSL_CERT_FILE",
     "HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY", "http_proxy", "https_proxy", "no_proxy",
-    LANGUAGE_VARIABLE, RECORD_VARIABLE,
 )  # fmt: skip
+SECRET_CHARS = 6
+"""A value of --policy-env that is at least as long is taken out of what the policy printed. Shorter ones are words."""
 ENVIRONMENT_PREFIXES = ("OMP_", "OPENBLAS_", "OPENAI_")
-"""Nothing else reaches the policy: no variable of the harness can carry a seed or a label."""
+"""Nothing else but what --policy-env names reaches the policy: no variable of the harness can carry a seed or label."""
 
 _BOOTSTRAP = """
 import json, sys
-options = json.loads(sys.argv[1])
+options = json.load(sys.stdin)
 if options["root"] not in sys.path:
     sys.path.insert(0, options["root"])
 from carecontact.hosting.child import main
-main(options["target"], options["search_path"], report_fd=options["report_fd"], lifeline_fd=options["lifeline_fd"])
+main(options)
 """
 
 
@@ -48,21 +52,12 @@ class PolicyProcess(PolicyConversation):
     """A conversation with a policy whose process it starts, and leaves no process behind."""
 
     def __init__(
-        self,
-        policy: str,
-        *,
-        first_deadline_s: float,
-        deadline_s: float,
-        budget_s: float = BUDGET_S,
-        search_path: Sequence[str] = (),
+        self, setup: PolicySetup, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S
     ) -> None:
-        """``policy``: a registered name or ``module:Class``, looked up in ``search_path`` first.
-
-        Raises UnknownNameError or ConfigError.
-        """
-        super().__init__(policy, first_deadline_s=first_deadline_s, deadline_s=deadline_s, budget_s=budget_s)
-        self._target = resolve_policy(policy)
-        self._search_path = [os.path.abspath(p) for p in search_path]
+        """``setup``: of a registered or importable policy. Raises UnknownNameError."""
+        super().__init__(setup.ref.text, first_deadline_s=first_deadline_s, deadline_s=deadline_s, budget_s=budget_s)
+        self._target = policy_target(setup.ref)
+        self._setup = setup
         self._child: subprocess.Popen[bytes] | None = None
         self._mark = new_mark()
         self._lifeline: int | None = None
@@ -71,7 +66,7 @@ class PolicyProcess(PolicyConversation):
 
     @property
     def printed(self) -> str:
-        return readable(self._output.decode(errors="replace")).strip()
+        return self._shown(self._output.decode(errors="replace")).strip()
 
     def launch(self) -> int:
         """The port of the loopback interface where the policy waits for whoever speaks to it instead of this object.
@@ -95,23 +90,16 @@ class PolicyProcess(PolicyConversation):
         return PolicyClient(port=port, deadline_s=left())
 
     def _launch(self, left: Callable[[], float]) -> int:
-        """The port on which the child listens."""
+        """Return the port on which the child listens."""
         report_read, report_write = os.pipe()
         lifeline_read, self._lifeline = os.pipe()
-        options: dict[str, Any] = {
-            "root": str(Path(carecontact.__file__).resolve().parents[1]),
-            "target": self._target,
-            "search_path": self._search_path,
-            "report_fd": report_write,
-            "lifeline_fd": lifeline_read,
-        }
         try:
             # -s -P and no PYTHON* variable isolate as -I does, but leave PYTHONHASHSEED, without which the order of a
             # set, and so a policy's answer, may differ from run to run.
             self._child = subprocess.Popen(
-                [sys.executable, "-s", "-P", "-u", "-c", _BOOTSTRAP, json.dumps(options)],
-                env=_environment() | {MARK: self._mark},
-                stdin=subprocess.DEVNULL,
+                [sys.executable, "-s", "-P", "-u", "-c", _BOOTSTRAP],
+                env=_environment() | dict(self._setup.environment) | {MARK: self._mark},
+                stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 pass_fds=(report_write, lifeline_read),
@@ -125,6 +113,14 @@ class PolicyProcess(PolicyConversation):
             os.close(lifeline_read)
         self._reader = threading.Thread(target=self._drain, args=(self._child,), daemon=True)
         self._reader.start()
+        options = _options(self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline_read)
+        # Not on the command line, which every user of the machine can read.
+        assert self._child.stdin is not None
+        with suppress(BrokenPipeError), self._child.stdin as stdin:
+            stdin.write(json.dumps(options).encode())
+        return self._reported_port(report_read, left)
+
+    def _reported_port(self, report_read: int, left: Callable[[], float]) -> int:
         with os.fdopen(report_read, "rb", buffering=0) as report:
             line = b""
             while not line.endswith(b"\n"):
@@ -134,15 +130,21 @@ class PolicyProcess(PolicyConversation):
                 if not piece:
                     raise PolicyError("start", "the process ended before it listened")
                 line += piece
-        told = json.loads(line)
-        if "error" in told:
-            raise PolicyError("start", f"could not load {self._target}:\n{told['error']}")
-        return int(told["port"])
+        report_line: dict[str, Any] = json.loads(line)
+        if "error" in report_line:
+            raise PolicyError(report_line["kind"], report_line["error"])
+        return int(report_line["port"])
 
     def _drain(self, child: subprocess.Popen[bytes]) -> None:
         assert child.stdout is not None
         while piece := os.read(child.stdout.fileno(), 65536):
             self._output = (self._output + piece)[-OUTPUT_BYTES:]
+
+    def _shown(self, text: str) -> str:
+        for value in self._setup.environment.values():
+            if len(value) >= SECRET_CHARS:
+                text = text.replace(value, "[secret removed]")
+        return super()._shown(text)
 
     def _how_it_ended(self) -> str:
         if self._child is None:
@@ -175,6 +177,19 @@ class PolicyProcess(PolicyConversation):
         if lifeline is not None:
             os.close(lifeline)
         super()._drop()
+
+
+def _options(setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: int) -> Options:
+    return {
+        "root": str(Path(carecontact.__file__).resolve().parents[1]),
+        "target": target,
+        "search_path": [os.path.abspath(place) for place in setup.search_path],
+        "arguments": dict(setup.arguments),
+        "language": {name: text for name in ("language", "record") if (text := getattr(setup, name)) is not None},
+        "environment": list(setup.environment),
+        "report_fd": report_fd,
+        "lifeline_fd": lifeline_fd,
+    }
 
 
 def _environment() -> dict[str, str]:

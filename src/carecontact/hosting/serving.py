@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import socket
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from typing import NoReturn
 
 from carecontact.errors import ConfigError, PolicyError
 from carecontact.hosting.process import PolicyProcess
+from carecontact.hosting.setup import PolicySetup
 
 LOAD_DEADLINE_S = 600.0
 """For a policy to load; the trial at the other end has its own, shorter one."""
@@ -18,17 +19,17 @@ KEEPALIVE_S = 60
 
 
 def serve_trials(
-    policy: str,
+    setup: PolicySetup,
     *,
     host: str,
     port: int,
     at_once: int,
-    search_path: Sequence[str],
     on_port: Callable[[int], None],
     on_event: Callable[[str], None],
 ) -> NoReturn:
-    """Until the process ends. ``on_port`` learns the port once it listens, ``on_event`` what becomes of each trial; it
-    is called from several threads.
+    """Serve until the process ends.
+
+    ``on_port`` learns the port once it listens, ``on_event`` what becomes of each trial; several threads call it.
 
     Raises ConfigError where nothing can listen.
     """
@@ -42,7 +43,7 @@ def serve_trials(
     def serve_one(connection: socket.socket, peer: str) -> None:
         try:
             with connection:
-                _serve_one(connection, peer, policy=policy, search_path=search_path, on_event=on_event)
+                _serve_one(connection, peer, setup=setup, on_event=on_event)
         finally:
             slots.release()
 
@@ -55,13 +56,9 @@ def serve_trials(
             threading.Thread(target=serve_one, args=(connection, f"{address} port {number}"), daemon=True).start()
 
 
-def _serve_one(
-    connection: socket.socket, peer: str, *, policy: str, search_path: Sequence[str], on_event: Callable[[str], None]
-) -> None:
+def _serve_one(connection: socket.socket, peer: str, *, setup: PolicySetup, on_event: Callable[[str], None]) -> None:
     on_event(f"{peer}: a trial begins")
-    process = PolicyProcess(
-        policy, first_deadline_s=LOAD_DEADLINE_S, deadline_s=LOAD_DEADLINE_S, search_path=search_path
-    )
+    process = PolicyProcess(setup, first_deadline_s=LOAD_DEADLINE_S, deadline_s=LOAD_DEADLINE_S)
     try:
         with process, socket.create_connection(("127.0.0.1", process.launch())) as inner:
             _relay(connection, inner)

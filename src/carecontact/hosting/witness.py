@@ -17,6 +17,7 @@ from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.errors import ContractError
+from carecontact.hosting.child import RECEIVED
 from carecontact.hosting.descendants import MARK
 from carecontact.hosting.wire import codec
 
@@ -63,12 +64,13 @@ class Witness:
 
 
 def everything_here() -> dict[str, object]:
-    """Command line, environment, folder, open files and the connection's opening request of this process."""
+    """Return command line, options, environment, folder, open files and the connection's opening request."""
     # Not isinstance: it asks a weak proxy for its dead object's class.
     request = next((o.request for o in gc.get_objects() if issubclass(type(o), ServerConnection)), None)
     headers = [] if request is None else sorted(request.headers.raw_items())
     return {
-        "arguments": [_without_pipes(argument) for argument in sys.orig_argv],
+        "command_line": list(sys.orig_argv),
+        "options": {name: value for name, value in RECEIVED.items() if name not in PIPES},
         # The mark is a process id and chance.
         "environment": {name: value for name, value in os.environ.items() if name != MARK},
         "folder": os.getcwd(),
@@ -78,16 +80,6 @@ def everything_here() -> dict[str, object]:
             "headers": [list(pair) for pair in headers if pair[0].lower() not in CHANCE_HEADERS],
         },
     }
-
-
-def _without_pipes(argument: str) -> object:
-    try:
-        options = cast(object, json.loads(argument))
-    except ValueError:
-        return argument
-    if not isinstance(options, dict):
-        return argument
-    return {name: value for name, value in cast(dict[str, object], options).items() if name not in PIPES}
 
 
 def _open_files() -> list[str]:

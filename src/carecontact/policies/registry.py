@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from carecontact.errors import ConfigError, UnknownNameError
+from carecontact.contract.policy_ref import IMPORTABLE, REMOTE, PolicyRef
+from carecontact.errors import UnknownNameError
 from carecontact.registry import Registry
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyRow:
     target: str
-    """``module:Class``; imported only in the policy's own process."""
+    """``module:Class``. It is imported in the policy's own process, and by `carecontact list policies`."""
     description: str
     languages: tuple[str, ...] = ()
-    """Kinds of language backend that it takes by --language, its default first; empty: it takes none."""
+    """Kinds of language backend that --language may name, the policy's default first. A policy that lists any takes the
+    arguments ``language`` and ``record``."""
 
 
 POLICIES: Registry[PolicyRow] = Registry("policy", plural="policies")
@@ -72,17 +74,16 @@ POLICIES.register(
 )
 
 
-def resolve_policy(name: str) -> str:
-    """``module:Class`` of a registered name; ``module:Class`` itself passes through.
+def policy_target(ref: PolicyRef) -> str:
+    """Return ``module:Class`` of a registered or importable policy.
 
-    Raises UnknownNameError listing the names, or ConfigError for a malformed ``module:Class``.
+    Raises UnknownNameError listing the registered names; ValueError for a remote policy, which has no target here.
     """
-    if ":" in name:
-        module, _, attribute = name.partition(":")
-        if not attribute.isidentifier() or not all(part.isidentifier() for part in module.split(".")):
-            raise ConfigError(f"policy {name!r}: expected module:Class, for example my_policy:MyPolicy")
-        return name
+    if ref.kind == "remote":
+        raise ValueError(f"{ref.text} is not a policy of this host")
+    if ref.kind == "importable":
+        return ref.text
     try:
-        return POLICIES[name].target
+        return POLICIES[ref.text].target
     except UnknownNameError as error:
-        raise UnknownNameError("policy", name, (*error.valid, "module:Class", "ws://HOST:PORT")) from None
+        raise UnknownNameError("policy", ref.text, (*error.valid, IMPORTABLE, REMOTE)) from None

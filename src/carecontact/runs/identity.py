@@ -12,14 +12,11 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from carecontact.contract.policy_address import remote_address
+from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
 from carecontact.policies.language.selection import language_name
 from carecontact.recording.versions import package_versions
 from carecontact.world.human.smplx import SMPLX_PREFIX, smplx_path
-
-POLICY_PATH = "CARECONTACT_POLICY_PATH"
-"""Tells a trial's process where ``module:Class`` policies are looked for."""
 
 
 class Identity(BaseModel):
@@ -32,6 +29,10 @@ class Identity(BaseModel):
     and for one on another host, of which nothing is known but its address and card."""
     language: str | None = None
     """Backend that --language named; None: the policy's own choice."""
+    arguments: dict[str, str] = {}
+    """What --policy-arg gave."""
+    environment: tuple[str, ...] = ()
+    """Names of the variables that --policy-env let pass."""
     versions: dict[str, str]
     sha256: dict[str, str]
     """Of the body's and the robot's baked archives; keys and values are those of a recording's header."""
@@ -44,10 +45,13 @@ class Identity(BaseModel):
 
 
 def identity_of(spec: TrialSpec, *, search_path: Sequence[str], language: str | None = None) -> Identity:
-    """``search_path``: folders in which ``module:Class`` is looked for before the installed packages; ``language``: as
-    the command line spells it."""
+    """
+    Args:
+        search_path: folders in which ``module:Class`` is looked for before the installed packages.
+        language: as the command line spells it.
+    """
     versions = package_versions()
-    source = policy_source(spec.policy, search_path=search_path)
+    source = policy_source(PolicyRef.parse(spec.policy), search_path=search_path)
     assets = resources.files("carecontact") / "assets"
     body = spec.protocol.person.body
     shipped = assets / "bodies" / f"{body}.npz"
@@ -57,23 +61,24 @@ def identity_of(spec: TrialSpec, *, search_path: Sequence[str], language: str | 
     return Identity(
         policy_sha256=None if source is None else hashlib.sha256(source.read_bytes()).hexdigest(),
         language=language_name(language) if language else None,
+        arguments=spec.policy_arguments,
+        environment=spec.policy_environment,
         versions={name: versions[name] for name in ("carecontact", "mujoco")},
         sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()},
     )
 
 
-def policy_source(policy: str, *, search_path: Sequence[str]) -> Path | None:
-    """File of a ``module:Class`` policy's module, found as the policy's process will find it but without importing it.
+def policy_source(ref: PolicyRef, *, search_path: Sequence[str]) -> Path | None:
+    """Find the file of a ``module:Class`` policy's module as the policy's process will, but without importing it.
 
     None for a registered policy, one on another host, and where there is no such file.
     """
-    module, colon, _ = policy.partition(":")
-    if not colon or remote_address(policy) is not None:
+    if ref.kind != "importable":
         return None
     importlib.invalidate_caches()
     places: Sequence[str] | None = [place for place in (*search_path, *sys.path) if place]
     name, found = "", None
-    for part in module.split("."):
+    for part in ref.text.partition(":")[0].split("."):
         name = f"{name}.{part}" if name else part
         found = None if places is None else PathFinder.find_spec(name, list(places))
         if found is None:

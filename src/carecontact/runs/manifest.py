@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -65,8 +65,8 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identit
     """
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: this is a file; name a folder")
-    if any((spec.policy, spec.protocol) != (specs[0].policy, specs[0].protocol) for spec in specs):
-        raise ConfigError("a run has one policy and one protocol")
+    if any((*_policy_of(spec), spec.protocol) != (*_policy_of(specs[0]), specs[0].protocol) for spec in specs):
+        raise ConfigError("a run has one policy, with one set of arguments, and one protocol")
     if len({spec.trial_id for spec in specs}) != len(specs):
         raise ConfigError("the same trial is planned twice")
     manifest = read_manifest(out)
@@ -152,6 +152,9 @@ def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity:
     held = manifest.identity
     if held.policy_sha256 != identity.policy_sha256:
         raise ConfigError(f"{out}: the policy's source changed since this folder was started: use another --out")
+    started_with, wanted = (_policy_text(i.arguments, i.environment) for i in (held, identity))
+    if started_with != wanted:
+        raise ConfigError(f"{out} was started with {started_with}, wanted {wanted}: use another --out")
     if held.language != identity.language:
         spoken = [name or "the policy's own" for name in (held.language, identity.language)]
         raise ConfigError(f"{out} was started with language backend {spoken[0]}, wanted {spoken[1]}: use another --out")
@@ -166,12 +169,25 @@ def _check_header(header: Header, spec: TrialSpec, *, path: Path, identity: Iden
             f"{path.parent} holds another run: {path.name} is of {_told(header.spec)}; wanted {_told(spec)}: "
             "use another --out"
         )
+    if _policy_of(header.spec) != _policy_of(spec):
+        recorded, wanted = (_policy_text(s.policy_arguments, s.policy_environment) for s in (header.spec, spec))
+        raise ConfigError(f"{path} was recorded with {recorded}, wanted {wanted}: use another --out")
     spoken = (header.card or {}).get("language_backend", identity.language)
     if identity.language is not None and spoken != identity.language:
         raise ConfigError(f"{path} was recorded with language backend {spoken}: use another --out")
     changed = identity.differences(versions=header.versions, sha256=header.sha256)
     if changed:
         raise ConfigError(f"{path} was recorded with something else ({'; '.join(changed)}): use another --out")
+
+
+def _policy_of(spec: TrialSpec) -> tuple[object, ...]:
+    return spec.policy, spec.policy_arguments, spec.policy_environment
+
+
+def _policy_text(arguments: Mapping[str, str], environment: Sequence[str]) -> str:
+    """For example ``policy arguments steps=3 and policy variables TOKEN``; both may be ``none``."""
+    given = " ".join(f"{name}={text}" for name, text in sorted(arguments.items())) or "none"
+    return f"policy arguments {given}" + (f" and policy variables {' '.join(environment)}" if environment else "")
 
 
 def _told(spec: TrialSpec) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
@@ -59,10 +59,28 @@ def parse_seeds(text: str, *, protocol: Protocol) -> list[int]:
     return [seed for seed in order if seed in wanted]
 
 
-def plan_trials(*, protocol: Protocol, policy: str, tasks: Iterable[str], seeds: Iterable[int]) -> list[TrialSpec]:
-    """Seed by seed, so that an interrupted run has whole sets of tasks."""
+def plan_trials(
+    *,
+    protocol: Protocol,
+    policy: str,
+    tasks: Iterable[str],
+    seeds: Iterable[int],
+    arguments: Mapping[str, str] | None = None,
+    environment: Iterable[str] = (),
+) -> list[TrialSpec]:
+    """Plan seed by seed, so that an interrupted run has whole sets of tasks.
+
+    Args:
+        policy: text of its ``PolicyRef``.
+        arguments, environment: what --policy-arg gives and the names that --policy-env lets pass.
+    """
     task_ids = list(tasks)
-    return [TrialSpec(protocol=protocol, task_id=task, seed=seed, policy=policy) for seed in seeds for task in task_ids]
+    alike = {"policy_arguments": dict(arguments or {}), "policy_environment": tuple(environment)}
+    return [
+        TrialSpec.model_validate({"protocol": protocol, "task_id": task, "seed": seed, "policy": policy, **alike})
+        for seed in seeds
+        for task in task_ids
+    ]
 
 
 def compact(numbers: Iterable[int]) -> str:

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy_address import remote_address
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
 from carecontact.episode.prepare import World
 from carecontact.errors import ActionError, PolicyError
 from carecontact.hosting.conversation import PolicyConversation
 from carecontact.hosting.opening import open_policy
+from carecontact.hosting.setup import PolicySetup
 from carecontact.observation.builder import RawReadings
 from carecontact.recording.schema import Recording
-from carecontact.runs.identity import POLICY_PATH
+from carecontact.trials.request import check_setup, setup_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,8 @@ class Look:
 def run_trial(
     spec: TrialSpec,
     *,
-    search_path: Sequence[str] | None = None,
+    policy: PolicySetup | None = None,
+    weights: Path | None = None,
     prepare: Callable[[TrialSpec], World] | None = None,
     on_look: Callable[[Look], None] | None = None,
     on_policy: Callable[[bool], None] | None = None,
@@ -42,7 +43,8 @@ def run_trial(
     """Run the trial to its end; a policy's failure is part of the recording.
 
     Args:
-        search_path: folders in which ``module:Class`` is looked for first.
+        policy: how the trial's policy is reached; by default as its name in ``spec`` alone says.
+        weights: folder with the weights of the protocol's segmenter.
         prepare: gives the world at t = 0, as ``settled_world`` does; the audit has its own.
         on_look: called after every answer with what the policy was shown and what it was made of.
         on_policy: called with True when the process of a local policy is about to start, with False when it is gone.
@@ -50,25 +52,26 @@ def run_trial(
     Raises:
         CarecontactError: the harness itself failed (SceneError, SettleError, DependencyError and others).
     """
-    if search_path is None:
-        search_path = [p for p in os.environ.get(POLICY_PATH, "").split(os.pathsep) if p]
-    local = on_policy is not None and remote_address(spec.policy) is None
-    with Episode(spec, prepare=prepare) as episode:
-        if on_policy is not None and local:
-            on_policy(True)
-        _converse(episode, list(search_path), on_look)
-        if on_policy is not None and local:
-            on_policy(False)
+    setup = policy or setup_of(spec)
+    check_setup(spec, setup)
+    report = on_policy if on_policy is not None and setup.ref.kind != "remote" else _report_to_nobody
+    with Episode(spec, prepare=prepare, weights=weights) as episode:
+        report(True)
+        _converse(episode, setup, on_look)
+        report(False)
         return episode.finish()
 
 
-def _converse(episode: Episode, search_path: list[str], on_look: Callable[[Look], None] | None) -> None:
+def _report_to_nobody(running: bool) -> None:
+    pass
+
+
+def _converse(episode: Episode, setup: PolicySetup, on_look: Callable[[Look], None] | None) -> None:
     phases = episode.protocol.phases
     try:
         with open_policy(
-            episode.spec.policy, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s,
-            search_path=search_path,
-        ) as policy:  # fmt: skip
+            setup, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s
+        ) as policy:
             try:
                 episode.card = policy.start()
                 policy.reset(episode.instruction, episode.session)

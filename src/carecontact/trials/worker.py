@@ -1,18 +1,15 @@
-"""One trial in its own process: ``python -m carecontact.trials.worker`` with ``{"spec": ..., "out": PATH}`` on stdin.
+"""One trial in its own process: ``python -m carecontact.trials.worker`` with a ``TrialRequest`` on standard input.
 
-Not on the command line, where a policy could read which task and seed it is given. With ``"phase_fd": N`` it writes
-POLICY_RUNS to that file when the process of a local policy is about to start and POLICY_GONE when it is gone. Exit
-status 0 means that PATH was written, whatever happened to the trial. A crash of the interpreter itself writes nothing;
-then the supervisor writes a recording.
+The worker writes POLICY_RUNS to the request's ``phase_fd`` when the process of a local policy is about to start, and
+POLICY_GONE when it is gone. Exit status 0 means that the recording was written, whatever happened to the trial. A crash
+of the interpreter itself writes nothing; then the supervisor writes a recording.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import traceback
-from pathlib import Path
 
 SINGLE_THREAD = {
     name: "1"
@@ -26,35 +23,33 @@ SINGLE_THREAD = {
 }
 """A sum split over threads depends on how many there are; and the supervisor already uses every core."""
 
-
 POLICY_RUNS, POLICY_GONE = b"+", b"-"
 
 
 def main() -> int:
     os.environ.update(SINGLE_THREAD)
-    from carecontact.contract.trial import TrialSpec
     from carecontact.errors import CarecontactError
     from carecontact.recording import write_recording
     from carecontact.trials.failed import harness_error_recording, tail
+    from carecontact.trials.request import TrialRequest
 
-    asked = json.loads(sys.stdin.buffer.read())
-    spec, out = TrialSpec.model_validate(asked["spec"]), Path(asked["out"])
-    phase_fd: int | None = asked.get("phase_fd")
+    request = TrialRequest.model_validate_json(sys.stdin.buffer.read())
 
     def tell(running: bool) -> None:
-        if phase_fd is not None:
-            os.write(phase_fd, POLICY_RUNS if running else POLICY_GONE)
+        if request.phase_fd is not None:
+            os.write(request.phase_fd, POLICY_RUNS if running else POLICY_GONE)
 
     try:
         from carecontact.trials.trial import run_trial
 
-        write_recording(run_trial(spec, on_policy=tell), out)
+        recording = run_trial(request.spec, policy=request.policy, weights=request.weights, on_policy=tell)
+        write_recording(recording, request.out)
     except Exception as error:
         trace = traceback.format_exc()
         sys.stderr.write(trace)
-        told = str(error) if isinstance(error, CarecontactError) else f"{type(error).__name__}: {error}"
-        failed = harness_error_recording(spec, kind=type(error).__name__, message=f"{told}\n\n{tail(trace)}")
-        write_recording(failed, out)
+        reason = str(error) if isinstance(error, CarecontactError) else f"{type(error).__name__}: {error}"
+        message = f"{reason}\n\n{tail(trace)}"
+        write_recording(harness_error_recording(request.spec, kind=type(error).__name__, message=message), request.out)
     return 0
 
 

@@ -80,6 +80,9 @@ def test_session_and_card_round_trip() -> None:
     card = PolicyCard(name="n", modalities=("rgb", "depth"), cameras=("wrist",), control_hz=15, language_backend="x")
     assert codec.decode_card(unpack(pack(codec.encode_card(card)))) == card
     assert codec.decode_card({"name": "short"}) == PolicyCard(name="short")
+    assert not {"arguments", "environment"} & set(codec.encode_card(card)), "the bytes of a card without them stay"
+    given = dataclasses.replace(card, arguments={"steps": "3"}, environment=("TOKEN",))
+    assert codec.decode_card(unpack(pack(codec.encode_card(given)))) == given
 
 
 def _planted(place: str, key: str) -> dict[str, object]:
@@ -173,6 +176,10 @@ def test_a_wrong_answer_is_named(answer: object, says: str) -> None:
         ({"name": "n", "control_hz": "fast"}, "a number"),
         ({"name": "n", "control_hz": float("nan")}, "1 to 50"),
         ({"name": 1}, "expected text"),
+        ({"name": "n", "arguments": [1]}, "card.arguments: expected a map of names to texts"),
+        ({"name": "n", "arguments": {"a": 1}}, "card.arguments: expected a map of names to texts"),
+        ({"name": "n", "arguments": {"a b": "1"}}, "arguments: expected at most 64 names"),
+        ({"name": "n", "environment": "TOKEN"}, "card.environment: expected a list of names"),
     ],
 )
 def test_a_wrong_card_is_a_handshake_failure(card: object, says: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from carecontact.contract.observation import Observation
 from carecontact.contract.policy import Session
 from carecontact.errors import PolicyError
 from carecontact.hosting.process import PolicyProcess
-from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
+from carecontact.hosting.setup import PolicySetup
 from tests.policies.language.endpoint import Answer, endpoint, error, says
 
 READ = says(json.dumps({"action": "touch", "region": "forearm", "side": "right", "manner": "none", "unclear": ""}))
@@ -25,10 +26,10 @@ def run(
 ) -> Callable[..., PolicyProcess]:
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
 
-    def trial(language: str, *, url: str = "", record: str = "") -> dict[str, object]:
-        for name, value in ((LANGUAGE_VARIABLE, language), (RECORD_VARIABLE, record), ("OPENAI_BASE_URL", url)):
-            monkeypatch.setenv(name, value)
-        with PolicyProcess("state-machine", first_deadline_s=20, deadline_s=20) as process:
+    def trial(language: str | None, *, url: str = "", record: str | None = None) -> dict[str, object]:
+        monkeypatch.setenv("OPENAI_BASE_URL", url)
+        setup = replace(PolicySetup.of("state-machine"), language=language, record=record)
+        with PolicyProcess(setup, first_deadline_s=20, deadline_s=20) as process:
             card = process.start()
             process.reset("touch the right forearm", session())
             reply = process.act(observation)
@@ -53,7 +54,7 @@ def test_a_model_chooses_and_its_recording_replays(run: Callable[..., dict], tmp
 
 
 def test_options_and_choice_are_noted_under_rules_too(run: Callable[..., dict]) -> None:
-    notes = run("")
+    notes = run(None)
     chosen = notes["options"][notes["chosen"]]
     assert (chosen["primitive"], chosen["key_point"], chosen["approach"]) == ("touch", 0.5, "above")
     assert len(chosen["corners_px"]) == len(chosen["corners_m"]) == 1

@@ -121,7 +121,7 @@ def test_progress_is_nothing_else(observation: Observation, session: Callable[..
     code = 'execute(parse_query_obj("gripper"), affordance_map=get_affordance_map("x"), progress=get_progress("p"))'
     for said, told in (("ret_val = 3", "leaves no objective"), ("ret_val = slide((1, 0, 0), 5)", "span_cm")):
         programs = BENIGN | {("composer", "there"): code, ("get_progress", "p"): said}
-        policy = VoxPoserPhased(transcript=scripted(programs, VOXPOSER_PHASED))
+        policy = VoxPoserPhased(language=scripted(programs, VOXPOSER_PHASED))
         policy.configure(session())
         policy.reset("go")
         with pytest.raises(ProgramError, match=told):

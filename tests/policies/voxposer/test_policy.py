@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from carecontact.contract.observation import Observation
 from carecontact.contract.policy import Policy, Session
 from carecontact.errors import ContractError, LanguageError, PolicyError, ProgramError
 from carecontact.hosting.process import PolicyProcess
-from carecontact.policies.language import LANGUAGE_VARIABLE
+from carecontact.hosting.setup import PolicySetup
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.policy import VoxPoser
 from carecontact.policies.voxposer.prompts import SETS
@@ -49,7 +50,7 @@ def follow(policy: VoxPoser, observation: Observation, *, looks: int = 60) -> tu
 
 
 def started(session: Session, programs: dict | None = None, instruction: str = "go") -> VoxPoser:
-    policy = VoxPoser(transcript=None if programs is None else scripted(programs))
+    policy = VoxPoser(language=None if programs is None else scripted(programs))
     policy.configure(session)
     policy.reset(instruction)
     return policy
@@ -253,12 +254,12 @@ def test_the_order_of_calls(session: MakeSession, observation: Observation) -> N
 
 
 def test_a_hostile_program_ends_its_own_trial_and_no_other(
-    replay_file: Callable[[dict], Path], observation: Observation, session: MakeSession, monkeypatch: pytest.MonkeyPatch
+    replay_file: Callable[[dict], Path], observation: Observation, session: MakeSession
 ) -> None:
     hostile = BENIGN | {("get_affordance_map", "x"): "ret_val = open('/etc/passwd').read()"}
     for programs, told in ((hostile, "PermissionError"), (BENIGN, None)):
-        monkeypatch.setenv(LANGUAGE_VARIABLE, f"replay:{replay_file(programs)}")
-        with PolicyProcess("voxposer", first_deadline_s=20, deadline_s=20) as process:
+        setup = replace(PolicySetup.of("voxposer"), language=f"replay:{replay_file(programs)}")
+        with PolicyProcess(setup, first_deadline_s=20, deadline_s=20) as process:
             process.start()
             process.reset("go", session())
             if told is None:

@@ -148,11 +148,10 @@ def _decode_action(plain: object, place: str) -> Action:
 
 def encode_card(card: object) -> Plain:
     """Raises PolicyError ``handshake``."""
-    try:
-        plain = _fields(card, PolicyCard, ContractError, place="card")
-    except ContractError as error:
-        raise PolicyError("handshake", f"{error}; a policy shows a PolicyCard as its attribute 'card'") from None
-    plain |= {name: list(cast(Sequence[object], plain[name])) for name in ("modalities", "cameras")}
+    if not isinstance(card, PolicyCard):
+        said = f"card: expected a PolicyCard, got {type(card).__name__} {card!r:.80}"
+        raise PolicyError("handshake", f"{said}; a policy shows a PolicyCard as its attribute 'card'")
+    plain = card.plain()
     decode_card(plain)
     return plain
 
@@ -160,15 +159,18 @@ def encode_card(card: object) -> Plain:
 def decode_card(plain: object) -> PolicyCard:
     """Raises PolicyError ``handshake`` naming the field, what was expected and what was got."""
     try:
-        entries = _known(plain, PolicyCard, "card", ContractError)
+        entries = _known({"arguments": {}, **plain} if is_map(plain) else plain, PolicyCard, "card", ContractError)
         for name in ("name", "action_space", "language_backend"):
             if not isinstance(entries[name], str):
                 _wrong(ContractError, f"card.{name}", "text", entries[name])
-        for name in ("modalities", "cameras"):
+        for name in ("modalities", "cameras", "environment"):
             names = entries[name]
             if not is_list(names) or not all(isinstance(n, str) for n in names):
                 _wrong(ContractError, f"card.{name}", "a list of names", names)
             entries[name] = tuple(names)
+        arguments = entries["arguments"]
+        if not is_map(arguments) or not all(isinstance(text, str) for text in arguments.values()):
+            _wrong(ContractError, "card.arguments", "a map of names to texts", arguments)
         entries["control_hz"] = _number(entries["control_hz"], "card.control_hz", ContractError)
         return PolicyCard(**cast(dict[str, Any], entries))
     except ContractError as error:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from queue import SimpleQueue
 from typing import Any
 
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve
 
-from carecontact.contract.policy import Policy
+from carecontact.contract.policy import Policy, PolicyCard
 from carecontact.errors import ActionError, ContractError, LanguageError, PolicyError, ProgramError
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.packing import MAX_MESSAGE_BYTES, MAX_REPLY_BYTES, is_map, pack, unpack
@@ -21,8 +22,17 @@ TRACEBACK_CHARS = 2000
 """Of a traceback or message; all of it could be the policy's whole input."""
 
 
-def serve_policy(policy: Policy, *, on_port: Callable[[int], None], port: int = 0) -> None:
+def serve_policy(
+    policy: Policy,
+    *,
+    on_port: Callable[[int], None],
+    port: int = 0,
+    arguments: Mapping[str, str] | None = None,
+    environment: tuple[str, ...] = (),
+) -> None:
     """Serve one client on the loopback interface until it closes; ``on_port`` learns the port once it listens.
+
+    The card that the client receives is the policy's own with ``arguments`` and ``environment`` added.
 
     The policy runs in the calling thread, because GPU, GUI and asyncio libraries are happiest there. The messages:
     ``card`` to the client; then ``reset`` -> ``ready``, ``act`` -> ``actions``, in any number, and ``close``; ``error``
@@ -41,14 +51,23 @@ def serve_policy(policy: Policy, *, on_port: Callable[[int], None], port: int = 
         threading.Thread(target=server.serve_forever, daemon=True).start()
         on_port(server.socket.getsockname()[1])
         try:
-            _converse(policy, offered.get())
+            _converse(policy, offered.get(), arguments or {}, environment)
         finally:
             finished.set()
 
 
-def _converse(policy: Policy, connection: ServerConnection) -> None:
+def _converse(
+    policy: Policy, connection: ServerConnection, arguments: Mapping[str, str], environment: tuple[str, ...]
+) -> None:
     try:
-        connection.send(pack({"type": "card", "card": codec.encode_card(getattr(policy, "card", None))}))
+        card: object = getattr(policy, "card", None)
+        if isinstance(card, PolicyCard):
+            card = replace(
+                card,
+                arguments={**card.arguments, **arguments},
+                environment=tuple(dict.fromkeys((*card.environment, *environment))),
+            )
+        connection.send(pack({"type": "card", "card": codec.encode_card(card)}))
         for frame in connection:
             reply = _answer(policy, frame)
             if reply is None:

@@ -1,12 +1,10 @@
-"""Which language backend a run uses: named on the command line, carried to the policy's process by its environment."""
+"""From the text of a policy's argument ``language`` to the language backend that it names."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from carecontact.errors import ConfigError
-from carecontact.policies.language import LANGUAGE_VARIABLE, RECORD_VARIABLE
 from carecontact.policies.language.completion import MODEL_NAME, MODEL_NAME_WANTED
 from carecontact.policies.language.live import Live
 from carecontact.policies.language.replay import Replay
@@ -17,18 +15,20 @@ SPELLINGS = "rules-v1, replay:FILE.jsonl or live:MODEL"
 
 
 def language_name(spelled: str) -> str:
-    """What a result calls the backend that ``spelled`` names; opens a replay file, connects to nothing.
+    """Return what a result calls the backend that ``spelled`` names. Opens a replay file, connects to nothing.
 
-    Raises ConfigError for another spelling or a replay file that is none, DependencyError for live without its package.
+    Raises ConfigError for another spelling or a file that is not a replay file, DependencyError for live without its
+    package.
     """
     return Rules.name if spelled == Rules.name else _source(spelled).name
 
 
-def chosen_transcript(default: str) -> Transcript | None:
-    """Of this process's environment; None stands for rules-v1. Raises as ``language_name``."""
-    spelled = os.environ.get(LANGUAGE_VARIABLE) or default
-    record = os.environ.get(RECORD_VARIABLE)
-    return None if spelled == Rules.name else Transcript(_source(spelled), record=Path(record) if record else None)
+def transcript_of(spelled: str, *, record: Path | None = None) -> Transcript | None:
+    """Return the transcript of a language model, None for rules-v1. Raises as ``language_name``.
+
+    ``record``: file to which the completions of a live model are added.
+    """
+    return None if spelled == Rules.name else Transcript(_source(spelled), record=record)
 
 
 def _source(spelled: str) -> Replay | Live:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,7 @@ from carecontact.errors import ContractError
 from carecontact.policies.language.backend import Intent, LanguageBackend
 from carecontact.policies.language.model import LanguageModel
 from carecontact.policies.language.rules import Rules
-from carecontact.policies.language.selection import chosen_transcript
+from carecontact.policies.language.selection import transcript_of
 from carecontact.policies.motion import CONTROL_HZ, TRAVEL_CLEARANCE_M, sample
 from carecontact.policies.region_geometry import person_points, region_from_observation
 from carecontact.policies.state_machine import fixed_values as fixed
@@ -34,13 +35,16 @@ class StateMachine:
     If the region cannot be found or reached, it ends the trial without touching and logs the reason.
     """
 
-    def __init__(self, *, language: LanguageBackend | None = None) -> None:
+    def __init__(self, *, language: str | LanguageBackend = Rules.name, record: Path | None = None) -> None:
         """
         Args:
-            language: the backend that reads the instruction and chooses; by default the one that the run's --language
-                names, or rules-v1.
+            language: rules-v1, replay:FILE.jsonl, live:MODEL, or the backend itself, which reads the instruction and
+                chooses.
+            record: file to which the completions of a live model are added.
+
+        Raises ConfigError for a language that cannot be read, DependencyError for live without its package.
         """
-        self._language: LanguageBackend = language or _backend()
+        self._language = _backend(language, record) if isinstance(language, str) else language
         self.card = PolicyCard(
             name="state-machine",
             modalities=("rgb", "depth", "points", "masks", "landmarks"),
@@ -113,8 +117,8 @@ class StateMachine:
         return notes | ({"language": calls} if calls else {})
 
 
-def _backend() -> LanguageBackend:
-    transcript = chosen_transcript(Rules.name)
+def _backend(language: str, record: Path | None) -> LanguageBackend:
+    transcript = transcript_of(language, record=record)
     return Rules() if transcript is None else LanguageModel(transcript)
 
 

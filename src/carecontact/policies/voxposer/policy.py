@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.errors import ConfigError, ContractError, ProgramError
-from carecontact.policies.language.selection import chosen_transcript
+from carecontact.policies.language.selection import transcript_of
 from carecontact.policies.language.transcript import Transcript
 from carecontact.policies.region_geometry import PerceptionFailure
 from carecontact.policies.voxposer import fixed_values as fixed
@@ -51,13 +52,19 @@ class VoxPoser:
     horizon_s = fixed.HORIZON_S
     settle_s = fixed.SETTLE_S
 
-    def __init__(self, *, transcript: Transcript | None = None) -> None:
+    def __init__(self, *, language: str | Transcript | None = None, record: Path | None = None) -> None:
         """
         Args:
-            transcript: what answers the prompts; by default the backend that the run's --language names, or the shipped
-                completions that were written by hand.
+            language: replay:FILE.jsonl, live:MODEL, or the transcript itself, which answers the prompts; by default the
+                shipped completions that were written by hand.
+            record: file to which the completions of a live model are added.
+
+        Raises ConfigError for rules-v1 or a language that cannot be read, DependencyError for live without its package.
         """
-        self._transcript = transcript or _chosen(self.authored)
+        if not isinstance(language, Transcript):
+            shipped = resources.files(__package__ or __name__) / "completions" / self.authored
+            language = _transcript(language or f"replay:{shipped}", record)
+        self._transcript = language
         self.card = PolicyCard(
             name=self.name,
             modalities=("rgb", "depth", "points", "masks", "landmarks"),
@@ -157,9 +164,8 @@ class VoxPoser:
             self._roles.value_map(query)
 
 
-def _chosen(authored: str) -> Transcript:
-    shipped = resources.files(__package__ or __name__) / "completions" / authored
-    transcript = chosen_transcript(f"replay:{shipped}")
+def _transcript(language: str, record: Path | None) -> Transcript:
+    transcript = transcript_of(language, record=record)
     if transcript is None:
         raise ConfigError("voxposer needs programs: --language replay:FILE.jsonl or live:MODEL, not rules-v1")
     return transcript

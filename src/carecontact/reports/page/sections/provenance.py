@@ -46,6 +46,7 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
         ("Protocol sha256", _distinct(s.protocol_sha256 for s in scores)),
         ("Protocol state", _distinct(frozen_state(p) for p in protocols)),
         ("Policy", _distinct(s.policy for s in scores)),
+        *_given(headers),
         ("Language backend", _distinct(s.language_backend for s in scores)),
         *_language(scores),
         ("Embodiment", _distinct(h.embodiment for h in headers)),
@@ -67,6 +68,17 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
     warnings = sum(bool(h.solver_warnings) for h in headers)
     rows.append(("Solver warnings", f"in {warnings} of {len(headers)} recordings read" if warnings else "none"))
     return rows
+
+
+def _given(headers: Sequence[Header]) -> list[tuple[str, str]]:
+    """Arguments and variables, only where a policy was given any; a remote policy's card alone names them."""
+    cards = [
+        h.card or {"arguments": h.spec.policy_arguments, "environment": h.spec.policy_environment} for h in headers
+    ]
+    arguments = [" ".join(f"{name}={text}" for name, text in card.get("arguments", {}).items()) for card in cards]
+    variables = [" ".join(card.get("environment", ())) for card in cards]
+    rows = (("Policy arguments", arguments), ("Policy variables", variables))
+    return [(name, _distinct(value or "none" for value in values)) for name, values in rows if any(values)]
 
 
 def _language(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:

@@ -1,0 +1,103 @@
+"""From the options about a policy to its setup; checked before a run, since each trial would fail alike."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from carecontact.cli.groups import PolicyGroup
+from carecontact.cli.language import chosen_language
+from carecontact.contract.policy import check_arguments, check_variables
+from carecontact.contract.policy_ref import PolicyRef
+from carecontact.errors import ConfigError, ContractError, PolicyError
+from carecontact.hosting.opening import open_policy
+from carecontact.hosting.setup import PolicySetup
+from carecontact.recording.reason import reason
+
+CREDENTIALS = "CARECONTACT_POLICY_CREDENTIALS"
+"""Variable that may hold USER:PASSWORD of a remote policy, so that no shell history does."""
+CLOSED = ("CARECONTACT_", "PYTHON")
+"""Beginnings of variables that never pass: the harness's own, and those that would undo the process's isolation."""
+
+
+def policy_setup(policy: str, options: PolicyGroup) -> PolicySetup:
+    """Return the setup of a policy that is looked for in the current folder first.
+
+    Raises ConfigError for a malformed reference, argument or variable, for a language that the policy does not take,
+    and for options that a remote policy cannot be given; UnknownNameError; DependencyError as ``chosen_language``.
+    """
+    ref = PolicyRef.parse(policy)
+    if ref.kind == "remote":
+        # Refuses whatever else was given.
+        return PolicySetup(
+            ref=ref if ref.credentials else replace(ref, credentials=os.environ.get(CREDENTIALS, "")),
+            arguments=_arguments(options.policy_arg),
+            environment=dict.fromkeys(options.policy_env, ""),
+            language=options.language,
+            record=None if options.record is None else str(options.record),
+        )
+    arguments = _arguments(options.policy_arg)
+    language, record = chosen_language(ref, options, arguments)
+    return PolicySetup(
+        ref=ref,
+        search_path=(str(Path.cwd()),),
+        arguments=arguments,
+        environment=_variables(options.policy_env),
+        language=language,
+        record=record,
+    )
+
+
+def check_policy(setup: PolicySetup, *, deadline_s: float) -> None:
+    """Start the policy once, just as a trial does, unless it is a registered one that is given nothing.
+
+    Raises UnknownNameError, or ConfigError saying in one line why a policy does not start or a server shows no card.
+    """
+    conversation = open_policy(setup, first_deadline_s=deadline_s, deadline_s=deadline_s)
+    if setup.ref.kind == "registered" and not (setup.arguments or setup.environment or setup.language):
+        return
+    try:
+        with conversation:
+            conversation.start()
+    except PolicyError as error:
+        if error.kind == "argument":
+            raise ConfigError(reason(str(error))) from None
+        place = f" (looked in {setup.search_path[0]} first)" if setup.ref.kind == "importable" else ""
+        where = "is not the server of a policy" if setup.ref.kind == "remote" else f"does not start{place}"
+        raise ConfigError(f"--policy {setup.ref} {where}: {reason(str(error))}") from None
+
+
+def arguments_text(setup: PolicySetup) -> str:
+    """Return the arguments as a line shows them, with a space before each."""
+    return "".join(f" {name}={text}" for name, text in setup.arguments.items())
+
+
+def _arguments(given: Sequence[str]) -> dict[str, str]:
+    arguments: dict[str, str] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals or not name.isidentifier():
+            raise ConfigError(f"--policy-arg {text!r:.80}: expected NAME=VALUE, for example steps=10")
+        if name in arguments:
+            raise ConfigError(f"--policy-arg: {name} is given twice")
+        arguments[name] = value
+    try:
+        check_arguments(arguments)
+    except ContractError as error:
+        raise ConfigError(f"--policy-arg: {str(error).removeprefix('PolicyCard.')}") from None
+    return arguments
+
+
+def _variables(names: Sequence[str]) -> Mapping[str, str]:
+    for name in names:
+        if name.startswith(CLOSED):
+            raise ConfigError(f"--policy-env {name}: variables that begin with {' or '.join(CLOSED)} never pass")
+        if name not in os.environ:
+            raise ConfigError(f"--policy-env {name}: this variable is not set here")
+    try:
+        check_variables(names)
+    except ContractError as error:
+        raise ConfigError(f"--policy-env: {str(error).removeprefix('PolicyCard.')}") from None
+    return {name: os.environ[name] for name in names}

@@ -1,0 +1,183 @@
+"""The processes of trials that run now: started, watched, reaped, and their recordings collected."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from carecontact.contract.trial import TrialSpec
+from carecontact.errors import RecordingError
+from carecontact.hosting.descendants import kill_marked, marks_of
+from carecontact.hosting.setup import PolicySetup
+from carecontact.recording import read_recording, write_recording
+from carecontact.recording.schema import Recording
+from carecontact.runs.manifest import FAILED
+from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, tail
+from carecontact.trials.request import TrialRequest
+from carecontact.trials.worker import POLICY_RUNS, SINGLE_THREAD
+
+# -P: the folder a user happens to stand in must not shadow a module of the trial's process.
+WORKER_COMMAND = (sys.executable, "-P", "-X", "faulthandler", "-m", "carecontact.trials.worker")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Worker:
+    spec: TrialSpec
+    process: subprocess.Popen[bytes]
+    partial: Path
+    output: Path
+    phase: int
+    """End of the pipe in which the worker reports when its policy runs."""
+    started: float
+
+
+@dataclass(kw_only=True)
+class Workers:
+    """The processes of one run's trials."""
+
+    out: Path
+    """Folder for the recordings and logs."""
+    work: Path
+    """Folder for what is not finished."""
+    policy: PolicySetup
+    weights: Path | None
+    command: Sequence[str]
+    trial_limit_s: float
+    running: list[_Worker] = field(default_factory=list[_Worker])
+    again: set[str] = field(default_factory=set[str])
+    """Trials whose process was lost once while their policy ran."""
+
+    def start(self, spec: TrialSpec) -> None:
+        # Neither a name nor a command line may tell the policy, which can read both, what it is tried on.
+        folder = Path(tempfile.mkdtemp(dir=self.work))
+        partial, output = folder / "trial.h5", folder / "output.txt"
+        phase, phase_fd = os.pipe()
+        os.set_blocking(phase, False)
+        try:
+            with output.open("wb") as log:
+                process = subprocess.Popen(
+                    self.command,
+                    stdin=subprocess.PIPE,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    env={**os.environ, **SINGLE_THREAD, "PYTHONHASHSEED": "0"},
+                    pass_fds=(phase_fd,),
+                    start_new_session=True,
+                )
+        finally:
+            os.close(phase_fd)
+        request = TrialRequest(
+            spec=spec, policy=self.policy, out=partial.resolve(), weights=self.weights, phase_fd=phase_fd
+        )
+        assert process.stdin is not None
+        # A worker that is dead already is found so when it is polled.
+        with suppress(BrokenPipeError), process.stdin as stdin:
+            stdin.write(request.model_dump_json().encode())
+        self.running.append(
+            _Worker(spec=spec, process=process, partial=partial, output=output, phase=phase, started=time.monotonic())
+        )
+
+    def finished(self) -> list[tuple[TrialSpec, Recording | None]]:
+        """Reap the workers that have ended, were stopped or ran out of time; their recordings are then in ``out``.
+
+        None in place of a recording: the trial has to run once more.
+        """
+        done: list[tuple[TrialSpec, Recording | None]] = []
+        for worker in list(self.running):
+            stopped = _is_stopped(worker.process)
+            timed_out = time.monotonic() - worker.started > self.trial_limit_s
+            if worker.process.poll() is None and not timed_out and not stopped:
+                continue
+            self.running.remove(worker)
+            kill_tree(worker.process)
+            with os.fdopen(worker.phase, "rb") as pipe:
+                policy_ran = (pipe.read() or b"").endswith(POLICY_RUNS)
+            recording = self._collected(worker, timed_out=timed_out, stopped=stopped, policy_ran=policy_ran)
+            if recording is not None:
+                os.replace(worker.partial, self.out / f"{worker.spec.trial_id}.h5")
+                self._keep_log(worker, recording)
+            done.append((worker.spec, recording))
+        return done
+
+    def kill_all(self) -> None:
+        for worker in self.running:
+            kill_tree(worker.process)
+            os.close(worker.phase)
+        self.running.clear()
+
+    def _collected(self, worker: _Worker, *, timed_out: bool, stopped: bool, policy_ran: bool) -> Recording | None:
+        """Return the recording in ``worker.partial``, writing one if the worker left none; None to run it again."""
+        try:
+            # A complete file counts even if the interpreter then crashed, as graphics drivers do while it shuts down.
+            recording = read_recording(worker.partial)
+            if recording.header.spec == worker.spec:
+                return recording
+            problem = f"the worker recorded another trial, {recording.header.spec.trial_id}"
+        except RecordingError as error:
+            problem = str(error)
+        kind, message = _death(
+            worker.process.returncode, timed_out=timed_out, stopped=stopped, limit_s=self.trial_limit_s
+        )
+        if kind == "no_recording":
+            message += f": {problem}"
+        evidence = f"\n\n{tail(worker.output.read_text(errors='replace')) or '(no output)'}"
+        if not policy_ran or timed_out:
+            recording = harness_error_recording(worker.spec, kind=kind, message=message + evidence)
+        elif worker.spec.trial_id not in self.again:
+            # Chance, such as a machine out of memory, does not come twice at the same place; a policy that kills
+            # does, and must not be able to leave its bad trials out of the count.
+            self.again.add(worker.spec.trial_id)
+            return None
+        else:
+            message = f"{message} while the policy was running, twice{evidence}"
+            recording = killed_by_policy_recording(worker.spec, message=message)
+        write_recording(recording, worker.partial)
+        return recording
+
+    def _keep_log(self, worker: _Worker, recording: Recording) -> None:
+        trial_id, failure = worker.spec.trial_id, recording.header.failure
+        log = self.out / f"{trial_id}.log"
+        if recording.header.ended not in FAILED or failure is None:
+            log.unlink(missing_ok=True)
+            return
+        output = worker.output.read_text(errors="replace").strip()
+        head = f"{trial_id} {recording.header.ended} ({failure.kind})\n{failure.message}\n"
+        printed = f"\nthe trial's process printed:\n{output}\n" if output else ""
+        worker.output.write_text(head + printed, errors="replace")
+        os.replace(worker.output, log)
+
+
+def kill_tree(process: subprocess.Popen[bytes]) -> None:
+    """Kill the worker with its process group, and its policy, which has a session of its own, with all it started."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    kill_marked(marks_of(process.pid))
+
+
+def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
+    """Whether somebody sent it SIGSTOP: nothing in the harness does."""
+    try:
+        return os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT) is not None
+    except (AttributeError, ChildProcessError):
+        return False
+
+
+def _death(returncode: int, *, timed_out: bool, stopped: bool, limit_s: float) -> tuple[str, str]:
+    if stopped:
+        return "signal", "the trial's process was stopped by a signal"
+    if timed_out:
+        return "timeout", f"the trial's process ran longer than {limit_s:g} s and was killed"
+    if returncode < 0:
+        return "signal", f"the trial's process died of signal {-returncode} ({signal.strsignal(-returncode)})"
+    if returncode > 0:
+        return "exit", f"the trial's process ended with status {returncode} and wrote no recording"
+    return "no_recording", "the trial's process ended with status 0 but its recording cannot be read"
