@@ -24,28 +24,28 @@ POLICIES.register(
     "zero-action",
     PolicyRow(
         target="carecontact.policies.zero_action:ZeroAction",
-        description="Null arm: stays parked for the whole trial. Must fail every task safely.",
+        description="Blind baseline: stays parked for the whole trial. It must fail every task safely.",
     ),
 )
 POLICIES.register(
     "hover",
     PolicyRow(
         target="carecontact.policies.hover:Hover",
-        description="Null arm: finds the named region by vision and waits 50 mm above it. Must fail every task safely.",
+        description="Blind baseline: finds the named region and waits 50 mm above it. It must fail every task safely.",
     ),
 )
 POLICIES.register(
     "random",
     PolicyRow(
         target="carecontact.policies.random_targets:RandomTargets",
-        description="Null arm: random targets over the whole workspace. What it passes, a gate gives away.",
+        description="Blind baseline: moves to random targets in the workspace. A gate that it passes is too easy.",
     ),
 )
 POLICIES.register(
     "replay",
     PolicyRow(
         target="carecontact.policies.replay.policy:Replay",
-        description="Null arm: the state machine's actions for another posture, repeated blindly.",
+        description="Blind baseline: repeats the state machine's actions for another posture without looking.",
     ),
 )
 POLICIES.register(
