@@ -92,7 +92,7 @@ class Watched:
 def watch(
     spec: TrialSpec, *, policy: str, prepare: Prepare, log: Path | None = None, setup: PolicySetup | None = None
 ) -> Watched:
-    """Run one trial and keep what it showed; with ``log`` also on disk. A failure is kept in ``error`` and never raised.
+    """Run one trial and keep what it showed; with ``log`` also on disk. A failure is kept in ``error``, never raised.
 
     ``setup``: how the policy is reached; by default as its name in ``spec`` alone says.
     """
