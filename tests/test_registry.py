@@ -18,6 +18,7 @@ class Point:
     name: str
     row: Any
     loads: int = 0
+    dist: Any = None
 
     def load(self) -> Any:
         self.loads += 1

@@ -29,6 +29,7 @@ class Registry(Mapping[str, T], Generic[T]):
         """
         self.kind, self.plural = kind, plural or f"{kind}s"
         self._rows: dict[str, T] = {}
+        self._package: dict[str, str] = {}
         self._scan = scan
         self._scanned = self._external_loaded = False
 
@@ -41,6 +42,11 @@ class Registry(Mapping[str, T], Generic[T]):
 
     def decorator(self, name: str) -> Callable[[T], T]:
         return lambda row: self.register(name, row)
+
+    def package(self, name: str) -> str | None:
+        """The installed package whose entry point supplied the row; None for any other row."""
+        self._load()
+        return self._package.get(name)
 
     def __getitem__(self, name: str) -> T:
         """Raises UnknownNameError, which lists the valid names."""
@@ -80,5 +86,7 @@ class Registry(Mapping[str, T], Generic[T]):
         if self._external_loaded:
             return
         for point in entry_points(group=f"carecontact.{self.plural}"):
-            self._rows.setdefault(point.name, point.load())
+            row = point.load()
+            if self._rows.setdefault(point.name, row) is row and point.dist is not None:
+                self._package[point.name] = point.dist.name
         self._external_loaded = True

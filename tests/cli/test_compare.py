@@ -1,4 +1,4 @@
-"""``carecontact compare`` over recordings and over results.json alone."""
+"""``carecontact compare`` and ``report`` over results.json, alone and beside its recordings."""
 
 from __future__ import annotations
 
@@ -27,10 +27,15 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             missed = name == "b" and seed == 1
             recording = make_recording("T1", seed=seed, policy=name) if missed else touch(seed=seed, policy=name)
             write_recording(recording, tmp_path / name / f"T1-s{seed:03d}.h5")
+        scored(tmp_path / name)
     return tmp_path
 
 
-def test_compares_recordings_and_writes_nothing(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def scored(folder: Path) -> None:
+    write_scores(folder, score_run(folder))
+
+
+def test_compares_results_and_writes_nothing(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = sorted(runs.rglob("*"))
     assert main(["compare", "a", "b"]) == 0
     told = capsys.readouterr().out
@@ -43,6 +48,9 @@ def test_compares_recordings_and_writes_nothing(runs: Path, capsys: pytest.Captu
     assert "66.7 [20.8, 93.9]" in row
     assert "33.3 [" in row
     assert row.endswith("underpowered")
+    assert main(["compare", "a", "b", "--rescore"]) == 0
+    assert capsys.readouterr().out == told
+    assert sorted(runs.rglob("*")) == before
     row = next(line for line in told.splitlines() if line.startswith("C1 [N]"))
     assert "6.50 (n=2)" in row, "B has no force where it did not touch"
     assert "2 of 3" in row
@@ -81,15 +89,16 @@ def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -
 
     assert "nowhere: no such folder; name the --out of a run" in refused("a", "nowhere")
     assert "a is given twice; name different runs" in refused("a", f"../{runs.name}/a")
-    assert "1 run is nothing to compare; name two or more, or one and --null RUN..." in refused("a")
+    assert "1 run is nothing to compare; name two or more, or one and --baseline RUN..." in refused("a")
     assert "--per-task compares two runs" in refused("a", "--null", "b", "--per-task")
-    assert "--null: a is the method or was named before" in refused("a", "--null", "copy")
+    assert "--baseline: a is the method or is named twice" in refused("a", "--null", "copy")
     Path("empty").mkdir()
     assert "empty: holds neither recordings (*.h5) nor results.json" in refused("a", "empty")
     assert "--out a/T1-s000.h5: this is a file" in refused("a", "b", "--out", "a/T1-s000.h5")
     Path("bad").mkdir()
     Path("bad/T1-s000.h5").write_text("not a recording")
-    assert "bad: no recording could be scored" in refused("a", "bad")
+    assert "bad: holds recordings but no results.json; run `carecontact score bad`" in refused("a", "bad")
+    assert "bad: no recording could be scored" in refused("a", "bad", "--rescore")
     Path("wrong.json").write_text("[]")
     assert "wrong.json is damaged or of another release (content: " in refused("a", "wrong.json")
     Path("wrong.json").write_text('{"schema": "other"}')
@@ -132,6 +141,7 @@ def third(runs: Path) -> Path:
     write_recording(push(seed=0, policy="c"), runs / "c" / "T2-s000.h5")
     for seed in (0, 1):
         write_recording(make_recording("T1", seed=seed, policy="c"), runs / "c" / f"T1-s{seed:03d}.h5")
+    scored(runs / "c")
     return runs
 
 
@@ -149,62 +159,106 @@ def test_three_runs_are_ranked(third: Path, capsys: pytest.CaptureFixture[str]) 
     data = json.loads(Path("all/overview.json").read_bytes())
     assert data["overview"]["ranking"]["order"] == [["A"], ["B"], ["C"]]
     assert [(p["a"], p["b"]) for p in data["overview"]["pairs"]] == [("A", "B"), ("A", "C"), ("B", "C")]
-    assert data["null_floors"] == {}
+    assert data["baselines"] == {}
 
 
-def test_null_arms_stand_under_one_run_and_under_two(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["compare", "a", "--null", "c", "--out", "all"]) == 0
+def test_blind_baselines_stand_under_one_run_and_under_two(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", "a", "--baseline", "c", "--out", "all"]) == 0
     told = capsys.readouterr().out
-    assert "null floors under a: what arms pass that cannot do the task" in told
+    assert "blind baselines under a:" in told
     row = next(line for line in told.splitlines() if line.startswith("c "))
     assert row.split()[-2:] == ["0/2", "1/1"]
-    found = json.loads(Path("all/overview.json").read_bytes())["null_floors"]["A"]["nulls"][0]
+    found = json.loads(Path("all/overview.json").read_bytes())["baselines"]["A"]["baselines"][0]
     assert (found["policy"], found["n"], found["rates"]["success"]["k"]) == ("c", 3, 1)
     assert not Path("all/comparison.json").exists()
-    assert main(["compare", "a", "b", "--null", "c"]) == 0
+    assert main(["compare", "a", "--null", "c"]) == 0
+    assert capsys.readouterr().out in told, "the option's earlier name"
+    assert main(["compare", "a", "b", "--baseline", "c"]) == 0
     told = capsys.readouterr().out
     assert "3 trials paired" in told
-    assert "null floors under B (b)" in told
+    assert "blind baselines under B (b)" in told
 
 
-def test_a_report_shows_the_null_arms(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["report", "a", "--null", "c"]) == 0
-    assert "<h2>Null floors</h2>" in Path("a/report.html").read_text()
+def test_a_report_shows_the_baselines(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", "a", "--baseline", "c"]) == 0
+    assert "<h2>Blind baselines</h2>" in Path("a/report.html").read_text()
     first = Path("a/report.html").read_bytes()
     assert main(["report", "b"]) == 0
     text = Path("b/report.html").read_text()
-    assert "<h2>Null floors</h2>" not in text
-    assert "No null arms" in text
+    assert "<h2>Blind baselines</h2>" not in text
+    assert "No blind baselines" in text
     capsys.readouterr()
     assert main(["report", "a"]) == 0
-    assert "null arms as named before: c " in capsys.readouterr().out
+    assert "named before: c;" in capsys.readouterr().out
     assert Path("a/report.html").read_bytes() == first
 
 
-def test_null_arms_of_a_report_move_with_it_and_are_missed_when_gone(
+def test_baselines_of_a_report_move_with_it_and_are_missed_when_gone(
     third: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["report", "a", "--null", "c"]) == 0
+    assert main(["report", "a", "--baseline", "c"]) == 0
     Path("study").mkdir()
     for name in ("a", "c"):
         Path(name).rename(Path("study") / name)
     assert main(["report", "study/a"]) == 0
-    assert "<h2>Null floors</h2>" in Path("study/a/report.html").read_text()
+    assert "<h2>Blind baselines</h2>" in Path("study/a/report.html").read_text()
     shutil.rmtree("study/c")
     capsys.readouterr()
     assert main(["report", "study/a"]) == 0
-    assert "null arm ../c is not in the report: study/c: no such folder" in capsys.readouterr().out
+    assert "baseline ../c is not in the report: study/c: no such folder" in capsys.readouterr().out
     text = Path("study/a/report.html").read_text()
-    assert "<h2>Null floors</h2>" not in text
-    assert "Missing null arms" in text
-    assert main(["report", "study/a", "--null", "b"]) == 0
-    assert main(["report", "study/a", "--null", "nowhere"]) == 2
+    assert "<h2>Blind baselines</h2>" not in text
+    assert "Missing blind baselines" in text
+    assert main(["report", "study/a", "--baseline", "b"]) == 0
+    assert main(["report", "study/a", "--baseline", "nowhere"]) == 2
     capsys.readouterr()
     assert main(["report", "study/a"]) == 0
-    assert "null arms as named before: b " in capsys.readouterr().out, "an arm that is refused replaces none"
-    Path("study/a/null_arms.json").write_text("{")
+    assert "named before: b;" in capsys.readouterr().out, "a baseline that is refused replaces none"
+    Path("study/a/baselines.json").write_text("{")
     assert main(["report", "study/a"]) == 0
-    assert "null_arms.json is damaged (" in capsys.readouterr().out
+    assert "baselines.json is damaged (" in capsys.readouterr().out
+
+
+def test_baselines_that_an_earlier_release_remembered(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    earlier = Path("a/null_arms.json")
+    earlier.write_text(json.dumps({"schema": "carecontact-null-arms-1", "runs": ["../c"]}))
+    assert main(["report", "a"]) == 0
+    assert "named before: c;" in capsys.readouterr().out
+    assert "<h2>Blind baselines</h2>" in Path("a/report.html").read_text()
+    assert main(["report", "a", "--baseline", "b"]) == 0
+    assert not earlier.exists()
+    assert json.loads(Path("a/baselines.json").read_text())["runs"] == ["../b"]
+
+
+def test_results_of_other_recordings_are_refused(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_recording(touch(seed=1, force=9.0, policy="a"), Path("a/T1-s001.h5"))
+    for command in (["report", "a"], ["compare", "a", "b"], ["compare", "b", "--baseline", "a"]):
+        assert main(command) == 2
+        told = capsys.readouterr()
+        assert (told.out, told.err.count("\n")) == ("", 1)
+        assert "T1-s001.h5 was changed" in told.err
+        assert "`carecontact score a`" in told.err
+    before = Path("a/results.json").read_bytes()
+    assert main(["report", "a", "--rescore"]) == 0
+    assert main(["compare", "a", "b", "--rescore"]) == 0
+    assert Path("a/results.json").read_bytes() == before
+    assert main(["score", "a"]) == 0
+    assert main(["report", "a"]) == 0
+
+
+def test_a_run_without_results_is_reported_from_its_recordings_when_asked(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = Path("a/results.json")
+    assert main(["report", "a"]) == 0
+    page = Path("a/report.html").read_bytes()
+    whole.unlink()
+    capsys.readouterr()
+    assert main(["report", "a"]) == 2
+    assert "no results.json; run `carecontact score a`, or add --rescore" in capsys.readouterr().err
+    assert main(["report", "a", "--rescore"]) == 0
+    assert Path("a/report.html").read_bytes() == page
+    assert not whole.exists()
 
 
 def test_an_unfinished_run_says_so(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -256,7 +256,9 @@ def test_a_stiffness_that_the_protocol_does_not_allow_is_one_line(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["run", "--policy", "hover", "--out", "r", "--stiffness", "5000"]) == 2
-    assert "stiffness 5000 N/m: bathing-v1 allows 100 to 1000 N/m" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "impedance.translational_n_m: expected 100 to 1000" in said
+    assert said.count("\n") == 1
     assert not Path("r").exists()
 
 

@@ -61,7 +61,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def log() -> TrialLog:
-    return TrialLog(human_joints=len(JOINTS), constants=CONSTANTS)
+    return TrialLog(human_joints=len(JOINTS), regions=len(REGIONS), constants=CONSTANTS)
 
 
 def add_period(log: TrialLog, clock: Clock, *blocks: int) -> None:

@@ -120,7 +120,7 @@ def test_errors_are_measured_beside_the_observation(seen: tuple[Simulation, Scen
     assert renderer.renders["truth"] == before + 1
     rows = log.arrays()
     assert {path: (a.dtype.str[1:], a.shape[1:]) for path, a in rows.items()} == {
-        path: (dtype, shape) for path, (dtype, shape, _) in ARRAYS.items()
+        path: (dtype, tuple(3 if size == "R" else size for size in shape)) for path, (dtype, shape, _) in ARRAYS.items()
     }
     assert rows["perception/observation_index"].tolist() == [1]
     assert rows["perception/joint_visible"][0, list(JOINTS).index("right elbow")]

@@ -5,6 +5,7 @@ import pytest
 from carecontact.errors import ConfigError
 from carecontact.reports.table import POOLED, columns, summary_rows
 from carecontact.reports.text import angle, percent, rounded
+from carecontact.scoring import METRICS, Metric
 from tests.reports.synthetic_run import FAILED, NO_CONTACT, Run, make_score
 
 
@@ -48,6 +49,19 @@ def test_harness_errors_are_in_no_count() -> None:
     assert touch.cells()[1:] == summary_rows(scores[:1])[0].cells()[1:]
     assert push.cells()[2:] == ["0", "0/0", "0/0", "0/0", "NA", "–", "NA", "NA"]
     assert (pooled.n, pooled.success) == (1, 1)
+
+
+def test_a_headline_metric_of_another_package_has_a_column(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In its own unit and digits, pooled over the actions that it names."""
+    assert "C1@1" in METRICS
+    row = Metric(
+        id="grip@2", title="Grip", unit="kPa", better="lower", measure=lambda contact: None, pool=("touch", "push"),
+        digits=1, headline=True, order=5,
+    )  # fmt: skip
+    monkeypatch.setitem(METRICS._rows, row.id, row)
+    scores = [make_score("T1", 0, additional={"grip@2": 3.14}), make_score("T3", 0, additional={"grip@2": 9.0})]
+    assert columns()[-1] == "grip@2 [kPa]"
+    assert [cells[-1] for cells in (r.cells() for r in summary_rows(scores))] == ["3.1", "–", "3.1 (n=1)"]
 
 
 def test_no_scores_no_rows() -> None:

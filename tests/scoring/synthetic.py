@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
 from carecontact.protocols import load_protocol
-from carecontact.recording import REGION_SEGMENT, REGIONS, SEGMENTS, Failure, Header, Recording, empty_arrays
+from carecontact.recording import SEGMENTS, Failure, Header, Recording, empty_arrays
+from carecontact.regions import REGIONS
 
 F64 = npt.NDArray[np.float64]
 DT = 0.002
@@ -18,6 +20,8 @@ JOINTS = ["right_shoulder_abduction", "right_elbow_flexion"]
 JOINT_RANGE = [[-0.5, 2.5], [0.0, 2.4]]
 REGION_AT = {"forearm": (0.30, 0.65, 0.70), "upper_arm": (0.05, 0.45, 0.70), "abdomen": (-0.05, 0.0, 0.75)}
 SIZE = {"forearm": (0.24, 0.045, 0.045), "upper_arm": (0.26, 0.05, 0.05), "abdomen": (0.22, 0.16, 0.11)}
+ELSEWHERE, SMALL = (0.50, 0.75, 0.70), (0.18, 0.05, 0.03)
+"""Place and size of any other region."""
 BASE = [-0.22, 0.62, 0.62, 1.0, 0.0, 0.0, 0.0]
 
 
@@ -56,18 +60,22 @@ def make_recording(
     seed: int = 0,
     policy: str = "synthetic",
     extra: Mapping[str, npt.NDArray[Any]] | None = None,
+    protocol: Protocol | None = None,
 ) -> Recording:
     """``normal`` maps segments to (T,) normal forces [N] that push straight down, so norm and normal sum agree.
 
     Targets are (time, TCP position in the task's region frame); regions lie still and unrotated. A trial that was cut
     was cut by its force where one is above the line, else by the solver.
     """
-    protocol = load_protocol("bathing-v1")
+    protocol = protocol or load_protocol("bathing-v1")
+    regions = protocol.regions
+    at, size = ([table.get(r, other) for r in regions] for table, other in ((REGION_AT, ELSEWHERE), (SIZE, SMALL)))
     spec = TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy=policy)
     region = protocol.task(task_id).region
     t = seconds(duration)
     steps = len(t)
-    arrays = empty_arrays(len(JOINTS))
+    arrays = empty_arrays(len(JOINTS), regions=len(regions))
+    own = regions.index(region)
 
     force = np.zeros((steps, len(SEGMENTS)), np.float32)
     for segment, signal in (normal or {}).items():
@@ -76,19 +84,20 @@ def make_recording(
     vector[..., 2] = -force
     tcp = np.zeros((steps, 7), np.float32)
     tcp[:, 3] = 1.0
-    hover = np.tile([0.0, 0.0, SIZE[region][2] + 0.05], (steps, 1))
-    tcp[:, :3] = np.array(REGION_AT[region]) + (hover if tcp_in_region is None else tcp_in_region)
-    pose = np.zeros((steps, len(REGIONS), 7), np.float32)
-    pose[..., :3] = [REGION_AT[r] for r in REGIONS]
+    hover = np.tile([0.0, 0.0, size[own][2] + 0.05], (steps, 1))
+    tcp[:, :3] = np.array(at[own]) + (hover if tcp_in_region is None else tcp_in_region)
+    pose = np.zeros((steps, len(regions), 7), np.float32)
+    pose[..., :3] = at
     pose[..., 3] = 1.0
     wrist = np.tile([0.42, 0.65, 0.70], (steps, 1))
     if wrist_shift is not None:
         wrist[:, 1] += wrist_shift
     periods = t[9::10]
+    indentation = np.array([0.003 if REGIONS[r].soft else 0.0 for r in regions], np.float32)
     targets = targets_in_region or []
     given = np.full((len(targets), 7), np.nan)
     for row, (_, position) in zip(given, targets, strict=True):
-        row[:] = [*(np.array(REGION_AT[region]) + position - BASE[:3]), 1.0, 0.0, 0.0, 0.0]
+        row[:] = [*(np.array(at[own]) + position - BASE[:3]), 1.0, 0.0, 0.0, 0.0]
 
     arrays |= {
         "scorer/time_s": t,
@@ -104,9 +113,9 @@ def make_recording(
         "scorer/tcp_speed": np.broadcast_to(np.float32(speed), (steps,)).copy(),
         "scorer/tcp_rotation_speed": np.zeros(steps, np.float32),
         "scorer/region_pose_in_world": pose,
-        "scorer/region_size_m": np.array([SIZE[r] for r in REGIONS]),
+        "scorer/region_size_m": np.array(size),
         "scorer/period_time_s": periods,
-        "scorer/indentation_m": np.full((len(periods), len(REGIONS)), 0.003, np.float32),
+        "scorer/indentation_m": np.tile(indentation, (len(periods), 1)),
         "scorer/target_in_base": np.zeros((len(periods), 7), np.float32),
         "actions/time_s": np.array([time for time, _ in targets], np.float64),
         "actions/pose_tcp_in_base": given,
@@ -127,7 +136,7 @@ def make_recording(
             "embodiment": "panda-closed-gripper",
             "comfort_arm_deg": 50.0,
             "segments": list(SEGMENTS),
-            "regions": list(REGIONS),
+            "regions": list(regions),
             "human_joints": JOINTS,
             "pose_base_in_world": BASE,
             "versions": {"carecontact": "0.0.0", "mujoco": "4.0.0"},
@@ -139,7 +148,7 @@ def make_recording(
 
 
 def target_segment(task_id: str) -> str:
-    return REGION_SEGMENT[load_protocol("bathing-v1").task(task_id).region]
+    return REGIONS[load_protocol("bathing-v1").task(task_id).region].segment
 
 
 def touch(force: float = 5.0, **options: Any) -> Recording:

@@ -15,14 +15,15 @@ from carecontact.hosting.wire.packing import unpack
 
 NAME, TITLE = "canary", "worlds with other hidden values until contact"
 OTHER_SEED = 48_611
-"""Added to the seed: no protocol has it."""
+"""Added to the seed; no protocol uses such seeds."""
 OTHER_ANGLES = 8
-"""Seeds to choose another angle of the arm from."""
+"""Number of seeds from which another angle of the arm is chosen."""
 CONTROL = "scorer/force_human_from_robot_in_world"
 
 
 def without_noise(protocol: Protocol) -> Protocol:
-    """Sensor noise is drawn from the seed by design; it would differ between the two worlds."""
+    """The protocol without sensor noise, which is drawn from the seed by design and would differ between the two
+    worlds."""
     quiet = protocol.variation.model_copy(update={"depth_noise": "none", "encoder_noise_rad": 0.0})
     return protocol.model_copy(update={"variation": quiet})
 
@@ -62,7 +63,8 @@ def other_arm_angle(spec: TrialSpec) -> TrialSpec:
 
 
 def audit_canary(one: Watched, twin: Watched) -> Part:
-    """``one`` and ``twin``: the same press, recorded by ``watched.press``, their looks still there."""
+    """``one`` and ``twin``: the same press in two worlds, recorded by ``watched.press``, with their looks still in
+    memory."""
     findings = [
         Finding(policy=trial.policy, place=place, told=f"could not be run in the {which} world: {trial.error}")
         for which, trial in (("first", one), ("other", twin))

@@ -1,4 +1,5 @@
-"""Where tool and cameras are, from the cell's calibration and the encoders alone: a second way to the poses sent."""
+"""Computes where tool and cameras are from the cell's calibration and the encoders alone: a second way to the poses
+sent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Part (a): is every byte that a policy was sent a function of images, calibration and encoders?"""
+"""Part (a) tests whether every byte sent to a policy is a function of images, calibration and encoders."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NAME, TITLE = "re-derivation", "made again without a simulator"
 
 
 def audit_derivation(logs: Path, pressed: list[Watched]) -> Part:
-    """``logs``: folder of raw logs of trials. ``pressed``: those of them in which contact is to be seen.
+    """``logs``: folder of raw logs of trials. ``pressed``: the trials among them in which contact must occur.
 
     Raises CarecontactError if the re-deriving process itself breaks.
     """

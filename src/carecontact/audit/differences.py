@@ -1,4 +1,4 @@
-"""Where two values of the wire's kind differ, bit for bit, and by how much."""
+"""Finds where two values as sent over the wire differ, bit for bit, and by how much."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 
 
 def differences(expected: Any, got: Any, place: str) -> list[tuple[str, str]]:
-    """(place, what differs) of every leaf: maps, lists, arrays, numbers, text. Empty: equal to the last bit."""
+    """(place, what differs) for every leaf of maps and lists: arrays, numbers, text. Empty where both are equal to the
+    last bit."""
     if isinstance(expected, dict) and isinstance(got, dict):
         out = [(f"{place}.{key}", "is there and should not be") for key in sorted(got.keys() - expected.keys())]
         out += [(f"{place}.{key}", "is missing") for key in sorted(expected.keys() - got.keys())]

@@ -1,4 +1,4 @@
-"""What a part of the audit hands back."""
+"""What a part of the audit returns."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 class Finding:
     policy: str
     place: str
-    """What leaks, as ``observation.cameras.overhead.landmarks`` or ``session.time_limit_s``."""
+    """The value that leaks, such as ``observation.cameras.overhead.landmarks`` or ``session.time_limit_s``."""
     told: str
 
 
@@ -19,7 +19,7 @@ class Part:
     name: str
     title: str
     counts: dict[str, int]
-    """What was looked at and how often; a part that looked at nothing has shown nothing."""
+    """What was examined, and how often. A part that examined nothing has shown nothing, and fails."""
     findings: tuple[Finding, ...]
 
     @property
@@ -28,7 +28,7 @@ class Part:
 
     @property
     def missing(self) -> list[str]:
-        """What the part should have looked at and did not."""
+        """What the part should have examined and did not."""
         return [what for what, count in self.counts.items() if not count]
 
     def as_json(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Parts of the audit that run where nothing of the audited process is left: neither its memory nor what was patched."""
+"""Runs parts of the audit in a fresh process, which shares neither memory nor patches with the audited one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ LONGEST_S = 1800.0
 
 
 def said_by(code: str, logs: Path, *, environment: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """The JSON object that ``code`` prints last, run by ``python -c`` with the folder of the package and ``logs``.
+    """Run ``code`` by ``python -c`` with the folder of the package and ``logs``; returns the JSON object that it prints
+    last.
 
     Raises CarecontactError if the process breaks or takes more than LONGEST_S.
     """

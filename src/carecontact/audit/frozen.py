@@ -1,4 +1,4 @@
-"""Part (b): with images and encoders held still, does anything else of the world move the observation?"""
+"""Part (b) holds images and encoders still and tests whether anything else in the world changes the observation."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ POSES = (
     "cam_xpos", "cam_xmat", "light_xpos", "light_xdir", "flexvert_xpos", "flexelem_aabb", "flexedge_length",
     "ten_wrapadr", "ten_wrapnum", "wrap_obj", "wrap_xpos", "bvh_aabb_dyn", "bvh_active", "mocap_pos", "mocap_quat",
 )  # fmt: skip
-"""Of MjData: what is drawn, and only that."""
+"""Fields of MjData that are drawn; all others are hidden."""
 HIDDEN_OF_MODEL = (
     "jnt_stiffness", "jnt_stiffnesspoly", "jnt_range", "jnt_solref", "qpos_spring", "dof_damping", "dof_armature",
     "dof_frictionloss", "body_mass", "body_inertia", "geom_friction", "geom_solref", "geom_solimp", "flex_friction",
     "flex_solref", "flex_solimp", "tendon_stiffness", "tendon_damping", "actuator_gainprm", "actuator_biasprm",
 )  # fmt: skip
-"""Of MjModel: mechanics of person, tissue and robot, none of which is drawn."""
+"""Fields of MjModel: mechanics of person, tissue and robot, none of which is drawn."""
 
 
 def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruction: str) -> Part:
-    """``simulation``: at a moment of contact. Its data and model are left as they were."""
+    """``simulation`` must be at a moment of contact. Its data and model stay as they were."""
     findings: list[Finding] = []
     fields = changed = images = 0
     mujoco.mj_forward(simulation.model, simulation.data)
@@ -139,7 +139,7 @@ def _draw(array: np.ndarray, rng: np.random.Generator) -> None:
 
 
 class _Frames:
-    """Images that the first build made, given again to every later one whatever the world is."""
+    """Keeps the images of the first build and gives them to every later one, whatever the world is."""
 
     def __init__(self) -> None:
         self._kept: dict[tuple[str, str], np.ndarray] = {}

@@ -1,4 +1,4 @@
-"""Part (d): does anything that reaches a policy's process before its first observation know which trial it is?"""
+"""Part (d) tests whether anything that reaches a policy's process before its first observation reveals the trial."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def audit_handshake(one: Watched, twin: Watched) -> Part:
 def audit_start(one: Watched, other: Watched) -> Part:
     """``one`` and ``other``: blind witnesses of trials whose seeds lay the person's arm at different angles.
 
-    What they are told, and all of their first observation, at t = 0, must be the same.
+    What reaches them, and all of their first observation at t = 0, must be the same.
     """
     what = "seed and the angle of the person's arm"
     findings = _told_differently(one, other, what)
@@ -50,7 +50,7 @@ def audit_start(one: Watched, other: Watched) -> Part:
 
 
 def _another_angle(one: Watched, other: Watched) -> bool:
-    """Whether the arm did lie at another angle; a protocol that fixes the angle has none to hide."""
+    """Whether the arm did lie at another angle; a protocol that fixes the angle has nothing to hide."""
     if one.recording is None or other.recording is None:
         return False
     low, high = one.recording.header.spec.protocol.randomization.comfort_arm_deg

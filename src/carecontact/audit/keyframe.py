@@ -1,4 +1,4 @@
-"""Worlds that trials of the audit begin from: settled once, with the robot parked or just about to touch."""
+"""Worlds from which the audit's trials begin: settled once, with the robot parked or about to touch."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from carecontact.world.scene import Scene
 F64 = npt.NDArray[np.float64]
 
 CONTROL_HZ = 20.0
-"""Of the pressing motion."""
+"""Rate of the pressing motion."""
 PRESS_DEPTH_M = 0.020
-"""Commanded below the skin: with the default 400 N/m at most 8 N."""
+"""Commanded depth below the skin; with the default 400 N/m at most 8 N."""
 CLEARANCE_M = 0.20
-"""Over the skin on the way there."""
+"""Height over the skin on the way to the press."""
 PRESS_SPEED_M_S = 0.06
 BEFORE_S, AFTER_S = 0.30, 0.45
 """How long before the first contact the later keyframe lies, and how much of the press follows it."""
@@ -93,8 +93,8 @@ class Twin(Simulation):
     """A world whose model holds stiffer tissue whenever it is looked at, and which moves like the other until contact.
 
     Springs that differ sag differently under the tissue's own weight: with twice the stiffness 15,000 depth pixels
-    changed before anything was touched. That is no leak but sight, so until the first contact the steps themselves are
-    taken with the other world's springs.
+    changed before anything was touched. That is not a leak but visible, so until the first contact the steps themselves
+    are taken with the other world's springs.
     """
 
     def __init__(self, scene: Scene) -> None:

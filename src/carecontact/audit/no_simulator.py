@@ -13,7 +13,7 @@ CLOSED = ("mujoco", "carecontact.world", "carecontact.sim", "carecontact.trials"
 
 
 class NoSimulator:
-    """An import hook that refuses CLOSED."""
+    """Install an import hook that refuses to load CLOSED."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None, /
@@ -28,7 +28,7 @@ def refuse_simulators() -> None:
 
 
 def within_reach() -> list[str]:
-    """What of CLOSED is loaded or could be.
+    """Modules of CLOSED that are loaded or could be loaded.
 
     Where ``refuse_simulators`` was called this asks that same hook: it shows a hook that was forgotten or came too
     late, not one that fails. The tests look from outside, at the interpreter's log of imports.

@@ -1,4 +1,4 @@
-"""A second renderer: the pictures that a state gives, without any code of the one that made the policy's."""
+"""A second renderer: it draws the pictures of a state without any code of the renderer that made the policy's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an audited trial showed its policy and what that was made of, on disk, for a process that knows no simulator.
+"""Logs what an audited trial showed its policy, and what that was made of, for a process that knows no simulator.
 
 A trial is a folder: ``trial.json``, ``spec.json`` and a ``look-NNNN.npz`` for each observation. An ordinary trial
 writes none of it. ``spec.json`` and ``LoggedLook.state`` are for the process that draws again; the one that re-derives
@@ -27,7 +27,7 @@ IMAGES = ("rgb", "depth", "robot_depth", "cell_depth")
 @dataclass(frozen=True, kw_only=True)
 class Meta:
     policy: str
-    """Whose card was shown."""
+    """The policy that showed the card."""
     instruction: str
     modalities: tuple[str, ...]
     cameras: tuple[str, ...]
@@ -39,7 +39,7 @@ class Meta:
 
 @dataclass(frozen=True, kw_only=True)
 class WorldState:
-    """What the simulator itself held at a look (``state.StateReader``)."""
+    """The simulator's own state at a look (``state.StateReader``)."""
 
     steps: int
     """Physics steps since t = 0."""
@@ -48,7 +48,7 @@ class WorldState:
     joint_velocity: npt.NDArray[np.float64]
     """(7,) of the robot [rad/s]"""
     vector: npt.NDArray[np.float64]
-    """(n,) all that is drawn, as ``state.DRAWN`` orders it."""
+    """(n,) everything that is drawn, in the order of ``state.DRAWN``."""
 
 
 @dataclass(frozen=True, kw_only=True)

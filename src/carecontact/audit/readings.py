@@ -1,4 +1,4 @@
-"""Part (f): are time, encoders, poses and pictures what the recorded state gives, and nothing more?"""
+"""Part (f) tests whether time, encoders, poses and pictures are what the recorded state gives, and nothing more."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NAME, TITLE = "readings", "time, encoders and pictures made again from the state
 
 
 def audit_readings(logs: Path, trials: list[Watched]) -> Part:
-    """``logs``: folder of raw logs. ``trials``: all that were run, looks that are in no log included.
+    """``logs``: folder of raw logs. ``trials``: all trials that were run, also those whose looks are in no log.
 
     Raises CarecontactError if the process that draws again breaks.
     """

@@ -1,4 +1,4 @@
-"""Part (a)'s process: every byte sent, made again from what was logged, where no simulator can be imported."""
+"""The process of part (a): makes every byte that was sent again from the log, where no simulator can be imported."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def rederive_trial(folder: Path, keypoints: KeypointEstimator) -> list[dict[str,
 
 
 def _changed(look: LoggedLook, meta: Meta, keypoints: KeypointEstimator) -> list[tuple[str, str]]:
-    """Where the message is not what the logged readings give, bit for bit."""
+    """Places where the message is not, bit for bit, what the logged readings give."""
     try:
         observation = derive(
             look.raw,

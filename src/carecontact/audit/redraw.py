@@ -1,4 +1,4 @@
-"""The readings part's process: time, encoders, poses and pictures of every look, made anew from the recorded state."""
+"""The process of part (f): makes time, encoders, poses and pictures of every look again from the recorded state."""
 
 from __future__ import annotations
 

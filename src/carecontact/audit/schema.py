@@ -1,4 +1,4 @@
-"""Part (e): does a policy get what its card names, in the contract's schema, and no word more?"""
+"""Part (e) tests whether a policy gets what its card names, in the contract's schema, and nothing more."""
 
 from __future__ import annotations
 
@@ -31,11 +31,12 @@ PRIVILEGED = (
 """No key of a message may contain one of these words, whatever the contract's classes say."""
 
 _REFUSED = re.compile(r"\b(observation(?:\.\w+)*): unknown key (\w+(?:, \w+)*)")
-"""In what the codec says at the policy's end; such a message comes back to nobody, so its keys are read from there."""
+"""Matches the codec's error at the policy's end. Such a message never comes back, so its keys are read from the
+error."""
 
 
 def audit_schema(trials: list[Watched]) -> Part:
-    """``trials``: real trials of the audited policies, their looks still there."""
+    """``trials``: real trials of the audited policies, with their looks still in memory."""
     findings: list[Finding] = []
     for trial in trials:
         if trial.error:
@@ -54,7 +55,7 @@ def audit_schema(trials: list[Watched]) -> Part:
 
 
 def failed_at(error: str) -> list[str]:
-    """Keys that the policy's end refused, if that is why its trial failed; else the trial."""
+    """The keys that the policy's end refused, if its trial failed for that reason; otherwise ``trial``."""
     refused = _REFUSED.search(reason(error))
     return ["trial"] if refused is None else [f"{refused[1]}.{key}" for key in refused[2].split(", ")]
 

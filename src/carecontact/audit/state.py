@@ -1,4 +1,4 @@
-"""What the simulator holds at a look, read by MuJoCo's own interface: past all code that makes observations."""
+"""Reads the simulator's state at a look through MuJoCo's own interface, without any code that makes observations."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ DRAWN = int(
     mujoco.mjtState.mjSTATE_TIME | mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
     | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
 )  # fmt: skip
-"""Parts of the integration state from which every picture follows; sensor history, a hundred times as long, is none."""
+"""Parts of the integration state from which every picture follows; sensor history, a hundred times as long, is left
+out."""
 
 
 class StateReader:
-    """Reads one simulation; made at its t = 0, from which it counts steps."""
+    """Reads one simulation. It must be made at t = 0, from which it counts steps."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._model, self._data = simulation.model, simulation.data
@@ -36,6 +37,6 @@ class StateReader:
 
 
 def robot_addresses(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
-    """Of the seven joints in qpos and qvel."""
+    """Addresses of the seven joints in qpos and qvel."""
     joints = [model.joint(name) for name in PANDA.joints]
     return [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]

@@ -1,4 +1,4 @@
-"""Trials that the audit runs through the product's own ``run_trial``, with a raw log beside them."""
+"""Runs the audit's trials through the product's own ``run_trial`` and keeps a raw log beside them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Watched:
     """One audited trial."""
 
     policy: str
-    """Whose card was shown."""
+    """Name of the policy whose card was shown."""
     recording: Recording | None = None
     error: str | None = None
     """Why the harness could not run it, or why the policy's process failed."""
@@ -60,9 +60,9 @@ class Watched:
     look_steps: list[int] = field(default_factory=list[int])
     """Physics steps before each of all looks, counted by the simulator's own clock."""
     look_times_s: list[float] = field(default_factory=list[float])
-    """Of all looks, as sent."""
+    """Time of each look, as it was sent."""
     told: dict[str, Any] = field(default_factory=dict[str, Any])
-    """Of a witness: what reached its process by its reset."""
+    """For a witness: what had reached its process by its reset."""
 
     @property
     def card(self) -> PolicyCard | None:
@@ -85,16 +85,16 @@ class Watched:
         return sum(0 < steps <= len(force_n) and bool(force_n[steps - 1]) for steps in self.look_steps)
 
     def forget(self) -> None:
-        """Give the looks' memory back; when they were stays known."""
+        """Free the looks' memory; their times stay known."""
         self.looks.clear()
 
 
 def watch(
     spec: TrialSpec, *, policy: str, prepare: Prepare, log: Path | None = None, setup: PolicySetup | None = None
 ) -> Watched:
-    """Run one trial and keep what it showed; with ``log`` also on disk. What fails is reported, never raised.
+    """Run one trial and keep what it showed; with ``log`` also on disk. A failure is kept in ``error``, never raised.
 
-    ``setup``: how the policy is reached; default: as its name in ``spec`` alone says.
+    ``setup``: how the policy is reached; by default as its name in ``spec`` alone says.
     """
     watched = Watched(policy=policy)
     readers: list[StateReader] = []

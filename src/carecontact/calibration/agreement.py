@@ -9,21 +9,21 @@ import numpy as np
 from carecontact.calibration.trial import Array
 
 UPPER = 0.5
-"""Tangent stiffness is taken over the depths from this share of the deepest point on."""
+"""Tangent stiffness is the slope over the depths from this share of the deepest point on."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
     nrmse: float
-    """Root mean square of the difference over both legs, over the measured peak."""
+    """Root mean square of the difference over loading and unloading, divided by the measured peak."""
     r2: float
     """Share of the measured force's variance that the simulation explains."""
     peak_error: float
-    """Simulated over measured force at the deepest common point, less 1."""
+    """Simulated divided by measured force at the deepest common point, minus 1."""
     tangent_error: float
-    """The same of the slope over the deeper half of the loading."""
+    """The same for the slope over the deeper half of the loading."""
     loop_error: float | None
-    """The same of the work lost between loading and unloading; None without unloading."""
+    """The same for the work lost between loading and unloading; None without unloading."""
 
 
 def agreement(depth: Array, measured: tuple[Array, Array], simulated: tuple[Array, Array]) -> Agreement:
@@ -57,7 +57,7 @@ def tangent(depth: Array, force: Array) -> float:
 
 
 def pooled(rows: list[Agreement]) -> dict[str, float | None]:
-    """Over trials: root mean square of nrmse, means of the others."""
+    """Pools trials: the root mean square of nrmse and the means of all others."""
     out: dict[str, float | None] = {}
     for field in fields(Agreement):
         values = np.array([v for row in rows if (v := getattr(row, field.name)) is not None])

@@ -1,4 +1,4 @@
-"""From a trial's samples to force over depth: baseline off, zeroed at touch, on a grid of depths."""
+"""From a trial's samples to force over depth: without the baseline, zeroed at touch, on a grid of depths."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from carecontact.errors import ConfigError
 GRID = np.linspace(0.025, 1.0, 40)
 """Shares of a trial's deepest point at which forces are compared."""
 TOUCH_SHARE = 0.02
-"""Touch is where force first exceeds this share of the peak, the preload or three times the noise, the largest."""
+"""Touch is where the force first exceeds the largest of this share of the peak, the preload and three times the
+noise."""
 MIN_FREE_SAMPLES = 5
 PATH_STEP_S = 0.002
 SPIKE_SHARE = 0.1
@@ -21,7 +22,8 @@ SPIKE_SHARE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """One trial, zeroed. Simulations of it are zeroed by the same force, so that the rule's bias is in both."""
+    """One trial with its depth counted from touch. Simulations of it are zeroed at the same force, so that both share
+    the rule's bias."""
 
     trial: Trial
     touch_force_n: float
@@ -64,7 +66,7 @@ def make_curve(trial: Trial) -> Curve:
     # Second differences see noise alone; taken where nothing was recorded out of contact.
     offset, drift, noise = 0.0, 0.0, float(np.std(np.diff(trial.force_n[load], 2)) / np.sqrt(6))
     if free.sum() >= MIN_FREE_SAMPLES:
-        # A slope seen over a small part of the trial would be blown up over the rest.
+        # A slope fitted over a small part of the trial would grow large over the rest.
         slope = np.ptp(time[free]) > 0.3 * np.ptp(time)
         fit = np.polyfit(time[free], raw[free], 1 if slope else 0)
         drift, offset = (float(fit[0]), float(fit[1])) if slope else (0.0, float(fit[0]))
@@ -114,7 +116,7 @@ def despiked(force: Array) -> Array:
 
 
 def _smooth_path(trial: Trial, zero: float) -> tuple[Array, Array]:
-    """Depth past touch at even times, smoothed over a twelfth of the loading: replays move along it."""
+    """Depth past touch at even times, smoothed over a twelfth of the loading; replays move along this path."""
     from scipy.signal import savgol_filter
 
     loading_s = float(np.ptp(trial.time_s[trial.phase == 0]))

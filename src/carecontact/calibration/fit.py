@@ -1,4 +1,5 @@
-"""Anchor law from replayed trials: bounded least squares, intervals by resampling trials, error on held-out trials.
+"""Fits the anchor law to replayed trials: bounded least squares, intervals from resampled trials, errors on held-out
+trials.
 
 scipy's least_squares rather than mujoco.sysid: sysid fits recorded control and sensor sequences of equal time stamps
 and needs packages of its own; here the residual is force over depth past a touch that both sides find by force, the
@@ -23,12 +24,13 @@ from carecontact.contract.protocol import Tissue
 LAW = ("a_n_m3", "b_n_m4", "c_n_m5")
 DAMPING = "damping_ns_m3"
 DIFF_STEP = 0.03
-"""Of every parameter: logarithms, and shares of the pressure at the typical depth."""
+"""Step of the finite differences in every parameter; parameters are logarithms, and shares of the pressure at the
+typical depth."""
 BOOTSTRAPS = 2000
 BOOTSTRAP_SEED = 20250101
 FOLDS = 5
 MIN_LOOP = 0.5
-"""Damping counts as identified if its interval's half width is below this share of it."""
+"""Damping counts as identified if half the width of its interval is below this share of its value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,11 +40,11 @@ class Fit:
     damping_reason: str
     replayed: list[Replayed]
     agreement: list[Agreement]
-    """Per trial, in their order; of the law fitted to all trials"""
+    """One per trial, in their order, under the law that was fitted to all trials."""
     held_out: list[Agreement] | None
-    """Per trial, each simulated under a law fitted without its fold; None for a single trial"""
+    """One per trial, simulated under a law that was fitted without the trial's fold; None for a single trial."""
     draws: list[Tissue] | None
-    """Laws of resampled trials; None for a single trial"""
+    """Laws fitted to resampled trials; None for a single trial."""
     secant_draws: Array | None
     """(draws, 2) relative change of the mean simulated secant stiffness and of the tangent over the deeper half"""
     evaluations: int
@@ -121,7 +123,7 @@ class _Problem:
         return self.base.model_copy(update={"a_n_m3": a, "b_n_m4": b, "c_n_m5": c, "damping_ns_m3": damping})
 
     def start(self) -> Array:
-        """The base law scaled so that its forces are the measured ones on average."""
+        """The base law, scaled so that its forces are the measured ones on average."""
         scale = 1.0
         for _ in range(2):
             law = {name: scale * getattr(self.base, name) for name in (*LAW, DAMPING)}
@@ -144,7 +146,8 @@ class _Problem:
         return self.replay.run(self.tissue(p), only)
 
     def residuals(self, p: Array) -> Array:
-        """Difference over the measured peak, each trial's as one mean: rows in the order of the trials."""
+        """Differences divided by the measured peak; every trial weighs the same. Rows are in the order of the
+        trials."""
         replayed = self.at(p)
         parts = []
         for index, curve in enumerate(self.curves):
@@ -201,7 +204,7 @@ class _Problem:
         rng = np.random.default_rng(BOOTSTRAP_SEED)
         count = len(self.curves)
         weights = rng.multinomial(count, np.full(count, 1 / count), BOOTSTRAPS).astype(float)
-        # The optimum is found to a tolerance; what is left of the way to it is no part of the spread.
+        # The optimum is found to a tolerance; the rest of the way to it is not part of the spread.
         rest = self.step(p, np.ones(count)) - p
         return np.array([moved_back(self.step(p, weight), rest) for weight in weights])
 

@@ -1,4 +1,5 @@
-"""Which simple law describes the measured response: four candidates, AICc and leave-one-trial-out."""
+"""Finds the simple law that describes the measured response best: four candidates, AICc and leave-one-trial-out
+errors."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from carecontact.calibration.curve import Curve
 from carecontact.calibration.trial import Array
 
 MAX_FOLDS = 20
-"""Trials are left out one by one up to this many, in this many groups beyond."""
+"""Up to this many trials are left out one by one; more are left out in this many groups."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""A trials file as columns: its text, delimiter, numbers and lines, before anything is known of presses."""
+"""Reads a trials file into columns of text and numbers, before anything is known about presses."""
 
 from __future__ import annotations
 

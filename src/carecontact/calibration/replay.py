@@ -17,7 +17,7 @@ from carecontact.world.scene import region_shell
 DEPTH_CLASS = 0.06
 """Trials of one condition share a replay if their deepest points differ by less than this share."""
 TURN_TOLERANCE_M = 5e-5
-"""How well a replay must turn at the measured depth past its own touch."""
+"""Largest error of the depth past its own touch at which a replay turns round."""
 
 
 TIME_STEP_S = 0.001
@@ -43,7 +43,7 @@ class Group:
 
 @dataclass(frozen=True, kw_only=True)
 class Replayed:
-    """One simulated press on its group's grid, nan where it was not asked."""
+    """One simulated press on its group's grid; nan where the group has no such leg."""
 
     press: Press
     zero_m: float
@@ -82,7 +82,7 @@ def group_curves(curves: Sequence[Curve]) -> tuple[Group, ...]:
 
 
 class Replay:
-    """All groups on benches that are compiled once, one per indenter."""
+    """Replays all groups on benches that are compiled once, one per indenter."""
 
     def __init__(self, *, body: Body, region: str, tissue: Tissue, groups: Sequence[Group]) -> None:
         self.groups, self.tissue = tuple(groups), tissue

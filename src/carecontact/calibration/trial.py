@@ -14,7 +14,7 @@ SHAPES = ("flat", "hemisphere", "cap")
 
 @dataclass(frozen=True, kw_only=True)
 class Condition:
-    """What a replay has to match."""
+    """Indenter, speed and place of a press, which its replay has to match."""
 
     indenter_shape: str
     indenter_size_m: float | None
@@ -42,7 +42,7 @@ class Trial:
     phase: npt.NDArray[np.int64]
     """(n,) index into PHASES"""
     line: int
-    """Of its first row in the file."""
+    """Line of its first row in the file."""
 
     @property
     def unloads(self) -> bool:

@@ -10,11 +10,10 @@ if TYPE_CHECKING:
 
 
 def read_run(run: Path, *, rescore: bool = False) -> RunScores:
-    """As ``read_scores``; print which registered metrics the run was scored without."""
+    """As ``read_scores``; for a folder of recordings, print which registered metrics it was scored without."""
     from carecontact.runs.stored_scores import lacking, read_scores
 
     scores = read_scores(run, rescore=rescore)
-    absent = lacking(scores)
-    if absent and run.is_dir():
+    if any(run.glob("*.h5")) and (absent := lacking(scores)):
         print(f"{run} was scored without {', '.join(absent)}; `carecontact score {run} --append` adds what is missing")
     return scores

@@ -8,7 +8,7 @@ from carecontact.contract.embodiment import PANDA
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.ended import Ended
 from carecontact.recording.schema import SEGMENTS, Header
-from carecontact.recording.versions import package_versions
+from carecontact.recording.versions import trial_versions
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.world.robot import panda_sha256
 
@@ -39,7 +39,7 @@ def header_of(
         regions=list(spec.protocol.regions),
         human_joints=simulation.joint_names,
         pose_base_in_world=simulation.pose_base_in_world.tolist(),
-        versions=package_versions(spec.protocol.vision.segmenter),
+        versions=trial_versions(spec.protocol),
         sha256={
             "model": model_sha256,
             "protocol": spec.protocol.sha256,

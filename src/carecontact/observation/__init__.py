@@ -1,1 +1,1 @@
-"""From camera images to what a policy may see."""
+"""Makes what a policy may see from camera images and encoders."""

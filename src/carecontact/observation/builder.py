@@ -35,7 +35,7 @@ IMAGES_FOR = {
     "masks": ("rgb", "depth", "robot_depth", "cell_depth"),
     "landmarks": ("rgb", "depth"),
 }
-"""Modality -> images that it is made of; nothing else is rendered."""
+"""Modality -> the images from which it is made; no other image is rendered."""
 
 ALLOWED = frozenset(
     (
@@ -73,14 +73,14 @@ class RawView:
     rgb: U8 | None = None
     depth: F32 | None = None
     robot_depth: F32 | None = None
-    """Of the robot's own model at the encoder angles."""
+    """Depth of the robot's own model at the encoder angles."""
     cell_depth: F32 | None = None
-    """Of the empty cell, known from calibration."""
+    """Depth of the empty cell, which is known from calibration."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RawReadings:
-    """All that one observation is made of, besides the instruction and the time."""
+    """Everything from which one observation is made, except the instruction and the time."""
 
     joint_position: F64
     joint_velocity: F64
@@ -112,8 +112,8 @@ def derive_view(
     bed_height_in_base_m: float,
     segmenter: PersonSegmenter | None = None,
 ) -> dict[str, Any]:
-    """Every modality named, from one camera's images; a pure function if the models are. ``segmenter``: None takes the
-    estimator's own person mask.
+    """Make every named modality from one camera's images; a pure function if the models are. Without a ``segmenter``
+    the estimator's own person mask is used.
 
     Raises ObservationError if an image that a modality needs is missing.
     """
@@ -171,7 +171,7 @@ def derive(
     bed_height_in_base_m: float,
     segmenter: PersonSegmenter | None = None,
 ) -> Observation:
-    """The observation that raw readings give; needs no simulator. Raises ObservationError as its parts do."""
+    """Make the observation from raw readings, without a simulator. Raises ObservationError as its parts do."""
     pose = raw.pose_tcp_in_base
     values = {
         "instruction": instruction,
@@ -209,7 +209,7 @@ class ObservationBuilder:
         segmenter: PersonSegmenter | None = None,
     ) -> None:
         self._renderer, self._card, self._keypoints, self._segmenter = renderer, card, keypoints, segmenter
-        # Without a key there is no noise to repeat; a protocol that asks for it needs the trial's.
+        # Without a key no noise can be repeated; a protocol with noise needs the trial's own.
         self._noise = noise or SensorNoise(Variation(), key=(), dt_s=protocol.physics.dt_s)
         self._bed_height_in_base_m = protocol.scene.mattress_top_m - protocol.scene.robot_base_m[2]
         self._images = {image for modality in card.modalities for image in IMAGES_FOR[modality]}
@@ -220,7 +220,7 @@ class ObservationBuilder:
         """``data`` is only read. Images show the last computed kinematics."""
         robot = self._renderer.proprioception
         angles = self._noise.joint_position(robot.joint_position(data), sim_time_s=sim_time_s)
-        # What follows from the encoders follows from what they say.
+        # Whatever is computed from the encoders is computed from their noisy readings.
         known = self._renderer.at_encoders(angles) if self._noise.on_encoders else data
         cameras = self._card.cameras if self._card.modalities else ()
         self.raw = RawReadings(

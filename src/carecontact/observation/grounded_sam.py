@@ -1,4 +1,5 @@
-"""Grounded-SAM: Grounding DINO finds the person by a word, SAM outlines what is in the box. Weights are the user's."""
+"""Grounded-SAM: Grounding DINO finds the person by a word, SAM outlines what is in the box. The user brings the
+weights."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ class GroundedSam:
     """
 
     def __init__(self, folder: Path) -> None:
-        # Read when transformers is imported, and only then; local_files_only below stands for one imported before.
+        # transformers reads this variable when it is imported; local_files_only below serves where that was before.
         os.environ["HF_HUB_OFFLINE"] = "1"
         try:
             self._torch: Any = import_module("torch")
@@ -84,7 +85,7 @@ class GroundedSam:
         sizes = given.pop("original_sizes"), given.pop("reshaped_input_sizes")
         # The processor makes boxes of 64 bits, the model has 32.
         given["input_boxes"] = given["input_boxes"].to(self._torch.float32)
-        # A box leaves no doubt which whole is meant, so one mask is asked for, not three to choose from.
+        # A box leaves no doubt which object is meant, so one mask is requested and not three to choose from.
         found = self._outliner(**given, multimask_output=False)
         masks = self._outliner_input.image_processor.post_process_masks(found.pred_masks, *sizes)
         return masks[0].numpy()[0, 0]
@@ -92,7 +93,7 @@ class GroundedSam:
 
 def _model(kind: Any, folder: Path) -> Any:
     model, loaded = _part(kind, folder, use_safetensors=True, output_loading_info=True)
-    # transformers would start what it does not find at random, with a warning.
+    # transformers would initialise missing weights at random and only warn.
     missing = sorted(loaded["missing_keys"])
     if missing:
         raise ConfigError(f"{folder}: {len(missing)} weight(s) of {kind.__name__} are missing, the first {missing[0]}")
@@ -101,7 +102,7 @@ def _model(kind: Any, folder: Path) -> Any:
 
 def _tokenizer(kind: Any, folder: Path) -> Any:
     tokenizer = _part(kind, folder)
-    # transformers makes an empty one, without a word, of a folder that has no vocabulary.
+    # transformers silently makes an empty tokenizer from a folder that has no vocabulary.
     if tokenizer.unk_token_id in tokenizer(PROMPT)["input_ids"]:
         raise ConfigError(f"{folder}: its tokenizer does not know the words {PROMPT!r}: vocab.txt or tokenizer.json?")
     return tokenizer

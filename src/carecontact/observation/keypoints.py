@@ -1,4 +1,4 @@
-"""Where the joints of a person are in an image: an estimator protocol and its default, MediaPipe Pose."""
+"""Finds the joints of a person in an image: an estimator protocol and its default, MediaPipe Pose."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def nobody(height: int, width: int) -> KeyPoints:
 
 @contextmanager
 def _quiet_stderr() -> Iterator[None]:
-    """MediaPipe's C++ side writes start-up notices to file descriptor 2 whatever its log level is."""
+    """Silence file descriptor 2: MediaPipe's C++ side writes start-up notices there whatever its log level is."""
     sys.stderr.flush()
     saved = os.dup(2)
     sink = os.open(os.devnull, os.O_WRONLY)
@@ -78,7 +78,8 @@ def unrotate(uv: npt.NDArray[np.float64], quarter_turns: int, height: int, width
 
 @contextmanager
 def _without_pyplot() -> Iterator[None]:
-    """MediaPipe imports pyplot for drawings that nobody makes here; that would take a second of every trial."""
+    """Keep MediaPipe from importing pyplot, which only its drawing functions need; the import would cost a second of
+    every trial."""
     names = [name for name in ("matplotlib", "matplotlib.pyplot") if name not in sys.modules]
     stand_ins = {name: ModuleType(name) for name in names}
     sys.modules.update(stand_ins)
@@ -93,8 +94,8 @@ def _without_pyplot() -> Iterator[None]:
 class MediaPipePose:
     """MediaPipe Pose 0.10.21, the model its wheel carries: median over three rotations, then again on a crop.
 
-    The person lies, so single views scatter: the median and the second pass at higher resolution steady them.
-    The graph is built at the first image. Raises nothing when nobody is found: landmarks are NaN then.
+    The person lies, so single views scatter: the median and the second pass at higher resolution steady them. The graph
+    is built at the first image. Raises nothing when nobody is found: landmarks are NaN then.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""What real depth cameras and encoders add to the truth; repeatable for a seed, a moment and a camera."""
+"""Noise of real depth cameras and encoders; the same for the same seed, moment and camera."""
 
 from __future__ import annotations
 

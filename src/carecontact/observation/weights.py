@@ -1,4 +1,4 @@
-"""A folder with the weights of Grounded-SAM: what has to lie in it, and the hash that names it."""
+"""Checks a folder with the weights of Grounded-SAM and computes the hash that names it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MODELS = ("grounding-dino", "sam")
 
 
 def weights_sha256(folder: Path) -> str:
-    """Of names and contents of all files of both models, wherever the folder lies.
+    """sha256 of the names and contents of all files of both models, wherever the folder lies.
 
     Raises ConfigError naming the place that has no model, another one, or weights that are not safetensors.
     """

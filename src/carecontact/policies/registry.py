@@ -31,21 +31,21 @@ POLICIES.register(
     "hover",
     PolicyRow(
         target="carecontact.policies.hover:Hover",
-        description="Blind baseline: finds the region by vision and waits 50 mm above it. It must fail every task safely.",
+        description="Blind baseline: finds the named region and waits 50 mm above it. It must fail every task safely.",
     ),
 )
 POLICIES.register(
     "random",
     PolicyRow(
         target="carecontact.policies.random_targets:RandomTargets",
-        description="Blind baseline: moves to random targets in the workspace. What it passes shows how loose a gate is.",
+        description="Blind baseline: moves to random targets in the workspace. A gate that it passes is too easy.",
     ),
 )
 POLICIES.register(
     "replay",
     PolicyRow(
         target="carecontact.policies.replay.policy:Replay",
-        description="Blind baseline: the state machine's actions for another posture, repeated blindly.",
+        description="Blind baseline: repeats the state machine's actions for another posture without looking.",
     ),
 )
 POLICIES.register(

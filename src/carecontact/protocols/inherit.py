@@ -49,12 +49,13 @@ def inherit(base: Table, own: Table) -> Table:
     person, own_person = kept.get("person"), own.get("person")
     if isinstance(person, dict) and isinstance(own_person, dict) and "tissue_set" in own_person:
         kept["person"] = {name: value for name, value in person.items() if name != "tissue"}
-    return {"frozen": False, **_merged(kept, own)}
+    return {"frozen": False, **merged(kept, own)}
 
 
-def _merged(base: Table, own: Table) -> Table:
+def merged(base: Table, own: Table) -> Table:
+    """``own`` over ``base``, table by table."""
     out = dict(base)
     for name, value in own.items():
         before = out.get(name)
-        out[name] = _merged(before, value) if isinstance(before, dict) and isinstance(value, dict) else value
+        out[name] = merged(before, value) if isinstance(before, dict) and isinstance(value, dict) else value
     return out

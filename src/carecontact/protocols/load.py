@@ -6,14 +6,16 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from carecontact.contract.protocol import Protocol
+from carecontact.contract.protocol import Protocol, Tissue
 from carecontact.errors import ConfigError
-from carecontact.protocols.inherit import Table, ancestry, inherit
+from carecontact.protocols.inherit import Table, ancestry, inherit, merged
 from carecontact.protocols.tissue_sets import load_tissue_set
 from carecontact.protocols.wrong_fields import wrong_fields
 from carecontact.regions import REGIONS, STANDARD_REGIONS
 
 DEFAULT_PROTOCOL = "bathing-v1"
+ROW = {name for name, field in Tissue.model_fields.items() if field.is_required()}
+"""Fields that a row of tissue must have."""
 
 
 def load_protocol(name_or_path: str = DEFAULT_PROTOCOL) -> Protocol:
@@ -39,17 +41,22 @@ def _validated(place: str, table: Table) -> Protocol:
 
 
 def _with_tissue(table: Table) -> Table:
-    """Fill in the rows of the tissue set that the file names, but for regions whose rows the file spells out."""
+    """The rows of the tissue set that the file names, under what the file says of tissue itself."""
     person = table.get("person")
     if not isinstance(person, dict) or not isinstance(person.get("tissue_set"), str):
         return table
     own = person.get("tissue", {})
     soft = [name for name in (*STANDARD_REGIONS, *_task_regions(table)) if REGIONS[name].soft]
-    if not isinstance(own, dict) or all(name in own for name in soft):
+    # A file that spells out every row may give its set any name.
+    if not isinstance(own, dict) or all(_is_whole(own.get(name)) for name in soft):
         return table
     rows = load_tissue_set(person["tissue_set"]).tissue
-    taken = {name: rows[name].model_dump() for name in soft if name in rows and name not in own}
-    return {**table, "person": {**person, "tissue": {**taken, **own}}}
+    taken = {name: rows[name].model_dump() for name in soft if name in rows}
+    return {**table, "person": {**person, "tissue": merged(taken, own)}}
+
+
+def _is_whole(row: object) -> bool:
+    return isinstance(row, dict) and row.keys() >= ROW
 
 
 def _with_neighbourhoods(table: Table) -> Table:

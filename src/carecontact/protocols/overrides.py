@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from carecontact.contract.protocol import Protocol, Vision
 from carecontact.errors import ConfigError
 from carecontact.protocols.tissue_sets import load_tissue_set
-from carecontact.protocols.wrong_fields import wrong_fields
+from carecontact.protocols.wrong_fields import faults
 
 FAST_DT_S = 0.004
 """The fast mode's physics step; ``carecontact validate`` shows what it does to the scores."""
@@ -50,7 +50,7 @@ def overridden(protocol: Protocol, changes: Mapping[str, object]) -> Protocol:
         made = Protocol.model_validate(content)
     except ValidationError as error:
         given = ", ".join(f"{path}={value!s:.40}" for path, value in changes.items())
-        raise ConfigError(wrong_fields(f"{protocol.id} with {given}", error)) from None
+        raise ConfigError(f"{protocol.id} with {given}: {'; '.join(faults(error))}") from None
     said = dict(protocol.overrides)
     for path in changed:
         leader = FOLLOWS.get(path, path)

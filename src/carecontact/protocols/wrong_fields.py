@@ -1,4 +1,4 @@
-"""What a user's TOML file has wrong, field by field."""
+"""What a user's TOML file or option has wrong, field by field."""
 
 from __future__ import annotations
 
@@ -11,10 +11,17 @@ INPUT_CHARACTERS = 80
 
 
 def wrong_fields(place: str, error: ValidationError) -> str:
-    """One line a field; a value is shown where it is one, not the table around a field that is missing."""
-    lines = [f"{place}: {error.error_count()} field(s) wrong"]
+    """A heading that begins with ``place``, and one line for each fault."""
+    return "\n  ".join([f"{place}: {error.error_count()} field(s) wrong", *faults(error)])
+
+
+def faults(error: ValidationError) -> list[str]:
+    """One line for each wrong field; a value is shown where it is one, not the table around a field that is missing."""
+    lines: list[str] = []
     for found in error.errors():
-        value, where = found["input"], ".".join(map(str, found["loc"])) or "together"
+        value, where = found["input"], ".".join(map(str, found["loc"]))
         shown = "" if isinstance(value, dict | list) else f" (got {str(value)[:INPUT_CHARACTERS]})"
-        lines.append(f"  {where}: {found['msg'].removeprefix('Value error, ')}{shown}")
-    return "\n".join(lines)
+        said = found["msg"].removeprefix("Value error, ")
+        # A check over several fields names its field in the message.
+        lines.append(f"{where}: {said}{shown}" if where else said)
+    return lines

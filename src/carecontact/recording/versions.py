@@ -6,9 +6,23 @@ import sys
 from importlib import metadata
 
 from carecontact import __version__
+from carecontact.contract.protocol import BEHAVIOURS, Protocol
+from carecontact.regions import REGIONS
 
 SEGMENTER_PACKAGES = {"mediapipe": (), "grounded-sam": ("torch", "transformers", "tokenizers", "pillow")}
 """Segmenter -> what it runs on besides the packages of every trial."""
+
+
+def trial_versions(protocol: Protocol) -> dict[str, str]:
+    """Of everything that decides the numbers of a protocol's trials."""
+    return package_versions(protocol.vision.segmenter) | supplier_versions(protocol)
+
+
+def supplier_versions(protocol: Protocol) -> dict[str, str]:
+    """Of the other packages that supply actions and regions of the protocol's tasks."""
+    suppliers = {BEHAVIOURS.package(task.action) for task in protocol.tasks}
+    suppliers |= {REGIONS.package(task.region) for task in protocol.tasks}
+    return {name: metadata.version(name) for name in sorted(filter(None, suppliers))}
 
 
 def package_versions(segmenter: str = "mediapipe") -> dict[str, str]:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
 from carecontact.policies.language.selection import language_name
-from carecontact.recording.versions import package_versions
+from carecontact.recording.versions import package_versions, supplier_versions
 from carecontact.world.human.smplx import SMPLX_PREFIX, smplx_path
 
 
@@ -63,7 +63,7 @@ def identity_of(spec: TrialSpec, *, search_path: Sequence[str], language: str | 
         language=language_name(language) if language else None,
         arguments=spec.policy_arguments,
         environment=spec.policy_environment,
-        versions={name: versions[name] for name in ("carecontact", "mujoco")},
+        versions={name: versions[name] for name in ("carecontact", "mujoco")} | supplier_versions(spec.protocol),
         sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()},
     )
 

@@ -19,7 +19,7 @@ from carecontact.runs.aggregate import (
 from carecontact.runs.pooling import check_one_run, harness_errors, judged
 from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.limits import LIMIT_PACKS
-from carecontact.scoring.metrics.metric import METRICS
+from carecontact.scoring.metrics.metric import METRICS, Metric
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import median
 
@@ -76,7 +76,7 @@ def summarise(scores: Iterable[TrialScore]) -> dict[str, Any]:
         "exceedances": exceedances(scores),
         "quadrants": quadrants(scores),
         "medians": {
-            "_".join((row.field, *(row.actions or ()))): asdict(median(row.pooled(scores)))
+            _median_key(row): asdict(median(row.pooled(scores)))
             for row in METRICS.values()
             if row.field is not None and row.median
         },
@@ -85,3 +85,10 @@ def summarise(scores: Iterable[TrialScore]) -> dict[str, Any]:
         "failure_modes": dict(Counter(s.failure_mode for s in scores if s.failure_mode)),
         "attributions": dict(Counter(s.attribution for s in scores if s.attribution)),
     }
+
+
+def _median_key(metric: Metric) -> str:
+    """The metric's field, and what it is pooled over. Push stands for all actions that move the person: the key is part
+    of the format, which does not change where another package adds such an action."""
+    pool = ("push",) if metric.pool == "moving" else metric.pool or ()
+    return "_".join((metric.field or metric.id, *pool))

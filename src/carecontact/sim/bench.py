@@ -43,7 +43,7 @@ STALLED_N = 0.02
 Newton's method of MuJoCo 4.0.0 some newtons where it stalls, with 65 contacts and more."""
 APPROACH_M = 0.0005
 SEARCH_M = 0.02
-"""Touch is looked for from this far outside the surface on."""
+"""The search for touch begins this far outside the surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +118,8 @@ class _StalledError(Exception):
 
 
 class Bench:
-    """Compiled once; then any number of presses, at any place and speed, and any law on the same mesh.
+    """A bench is compiled once and then makes any number of presses, at any place and speed, under any law on the same
+    mesh.
 
     Args:
         region: a soft one of ``carecontact.regions``.
@@ -149,7 +150,7 @@ class Bench:
         bone = spec.worldbody.add_body(name=body_name(segment))
         bone.add_body(name=tissue_body_name(region))
         # Every spring and damper is linear in its own coefficient: those of a unit law, scaled, are those of any law.
-        # The membrane is none of the law's.
+        # The membrane is not part of the law.
         unit = tissue.model_copy(update=dict.fromkeys(LAW_FIELDS, 1.0))
         made = add_tissue(spec, body, region, self.shell, unit)
         _add_indenter(spec, indenter)
@@ -282,7 +283,7 @@ class Bench:
         try:
             return self._follow(time_s, depth_m, along_m, across_m, tilt_deg, stride)
         except _StalledError:
-            # For this press only: what a press answers must not depend on those before it.
+            # For this press only: a press must not depend on those before it.
             option = self.model.opt
             before = option.solver, option.iterations
             by_conjugate_gradients(self.model)

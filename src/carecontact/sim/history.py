@@ -1,4 +1,4 @@
-"""Every physics step's value of every sensor, read from ``MjData.history`` in one gather."""
+"""Reads every sensor's value at every physics step from ``MjData.history`` in one gather."""
 
 from __future__ import annotations
 

@@ -19,8 +19,8 @@ Array = npt.NDArray[np.float64]
 
 POSTURE_STIFFNESS = 10.0
 POSTURE_DAMPING = 3.0
-"""[N m/rad], [N m s/rad] in the null space. Held for a whole target period, so the damping stays well below
-inertia / period (about 0.3 kg m^2 / 20 ms)."""
+"""Stiffness [N m/rad] and damping [N m s/rad] in the null space. The torque is held for a whole target period, so the
+damping stays well below inertia / period (about 0.3 kg m^2 / 20 ms)."""
 POSTURE_TORQUE_NM = 10.0
 """Largest norm of the posture torque before projection."""
 
@@ -41,7 +41,7 @@ def set_stiffness(model: mujoco.MjModel, translational: float, rotational: float
 
 
 def write_target(model: mujoco.MjModel, data: mujoco.MjData, pose_in_base: Array) -> None:
-    """Place the mocap target at a TCP pose (7,) given in the robot's base frame."""
+    """Put the mocap target at a TCP pose (7,) in the robot's base frame."""
     base = model.body(PANDA.base_body).id
     mocap = int(model.body_mocapid[model.body("tcp_target").id])
     rotation = matrix_from_quat(model.body_quat[base])
@@ -72,7 +72,7 @@ def tcp_pose_in_base(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
 class TargetInterpolator:
     """Moves the impedance's target toward the policy's last target, a little every target period.
 
-    The way from where the target is to the goal takes the policy's period, or longer if the speed limits ask for it;
+    The way from where the target is to the goal takes the policy's period, or longer if the speed limits require it;
     position and rotation then arrive together.
     """
 
@@ -83,7 +83,7 @@ class TargetInterpolator:
 
     @property
     def pose(self) -> Array:
-        """(7,) where the target is, in base."""
+        """(7,) current target pose in base."""
         return self._pose.copy()
 
     def reset(self, pose_in_base: Array) -> None:

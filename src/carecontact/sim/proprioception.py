@@ -1,4 +1,4 @@
-"""What a real robot knows about itself: its encoders and, from them, where its tool is."""
+"""What a real robot knows about itself: its joint angles and, computed from them, the pose of its tool."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ class Proprioception:
         return data.qvel[self._dof].copy()
 
     def set_joint_position(self, data: mujoco.MjData, joint_position: npt.ArrayLike) -> None:
-        """For a copy of the state that shows the robot alone. Raises ValueError unless (7,)."""
+        """Set the robot's joints (7,) [rad], in a copy of the state that shows the robot alone. Raises ValueError for
+        another shape."""
         angles = np.asarray(joint_position, np.float64)
         if angles.shape != (len(PANDA.joints),):
             raise ValueError(f"joint_position: expected 7 angles [rad], got shape {angles.shape}")

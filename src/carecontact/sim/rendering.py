@@ -1,4 +1,4 @@
-"""Camera images of a scene, headless: one OpenGL context per process, made when the first image is asked for."""
+"""Camera images of a scene, headless: one OpenGL context per process, made for the first image."""
 
 from __future__ import annotations
 
@@ -169,7 +169,8 @@ class SceneRenderer:
         """(H, W) depth [m] of bed, pillow, arm board and room without person and robot; NaN beyond DEPTH_RANGE_M.
 
         What a real cell's cameras saw before anyone lay down, pillow and board in their places; for a camera on the
-        hand, what its map of the empty cell gives at the encoder angles (7,) [rad]. Cameras that stand are asked once.
+        hand, what its map of the empty cell gives at the encoder angles (7,) [rad]. A camera that stands is rendered
+        once.
         """
         if camera in self._empty_cell:
             return self._empty_cell[camera].copy()

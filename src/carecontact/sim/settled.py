@@ -1,4 +1,4 @@
-"""Settled persons kept between trials: lying down takes longer than loading where it ended.
+"""Keeps settled persons between trials, since lying down takes longer than loading the final state.
 
 A file is named by all that the settled state depends on: the compiled model, the comfort angle, the place on the bed,
 the settling rules and MuJoCo's version. A trial continues from the stored state in the same way whether it was just
@@ -21,7 +21,7 @@ from carecontact.sim.simulation import Settled, Simulation
 from carecontact.world.place import place_in_model
 
 CACHE_VARIABLE = "CARECONTACT_CACHE"
-"""Environment variable with the folder; empty: keep nothing."""
+"""Environment variable that names the folder; where it is empty, nothing is kept."""
 
 
 def cache_folder() -> Path | None:
@@ -34,7 +34,8 @@ def cache_folder() -> Path | None:
 
 
 def settle(simulation: Simulation, comfort_arm_deg: float, *, model_sha256: str) -> Settled:
-    """``simulation.settle``, or what it gave before for the same model and angle. Raises SettleError as it does.
+    """Settle the person, or load what ``simulation.settle`` gave before for the same model and angle. Raises
+    SettleError as it does.
 
     Args:
         model_sha256: of the scene before anything was changed in it.
@@ -66,7 +67,7 @@ def _key(simulation: Simulation, comfort_arm_deg: float, model_sha256: str) -> s
 
 
 def _read(path: Path, simulation: Simulation) -> tuple[np.ndarray, Settled] | None:
-    """None for a file that is not there or not whole: it is computed anew."""
+    """None where the file is missing or not whole; the caller then computes the state again."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             state = stored["state"]
@@ -82,7 +83,8 @@ def _read(path: Path, simulation: Simulation) -> tuple[np.ndarray, Settled] | No
 
 
 def _write(path: Path, state: np.ndarray, settled: Settled) -> None:
-    """Whole or not at all: trials run beside each other. A folder that cannot be written costs time, not the trial."""
+    """Write the file whole or not at all, since trials run at the same time. Where the folder cannot be written, only
+    time is lost."""
     arrays = {
         "state": state, "duration_s": settled.duration_s, "comfort_arm_deg": settled.comfort_arm_deg,
         "joint_position": settled.joint_position, "wrist_in_world": settled.wrist_in_world,

@@ -47,7 +47,7 @@ class Settled:
 
 @dataclass(frozen=True, kw_only=True)
 class Samples:
-    """One entry a physics step; fields as in the recording schema."""
+    """One entry for each physics step; the fields are those of the recording schema."""
 
     time_s: F64
     force: F64
@@ -69,7 +69,7 @@ class Samples:
 
 
 class Simulation:
-    """One world. Times are seconds since t = 0 once ``start`` was called."""
+    """One world. After ``start``, times are seconds since t = 0."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.model, self.protocol = scene, scene.model, scene.protocol
@@ -91,7 +91,7 @@ class Simulation:
         self.interpolator = TargetInterpolator(self.protocol.physics)
         self.posture = np.array(self.protocol.scene.parked_joint_rad)
         self.normal_sum_truncated = False
-        """A segment had more contacts at once than its normal sensor has slots."""
+        """Whether a segment had more contacts at once than its normal sensor has slots."""
         self._steps = 0
         self._until_target = 0
         self.set_stiffness(self.protocol.impedance.translational_n_m, self.protocol.impedance.rotational_nm_rad)
@@ -181,7 +181,7 @@ class Simulation:
     # -- running ----------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """T = 0."""
+        """Begin the trial: t = 0."""
         self._steps = 0
         self._until_target = 0
 
@@ -192,7 +192,7 @@ class Simulation:
         set_stiffness(self.model, translational, rotational, self.protocol)
 
     def advance(self, steps: int) -> list[Samples]:
-        """Run ``steps`` physics steps; the target moves on its own period. One C call between two target moves."""
+        """Run ``steps`` physics steps, with one C call between two moves of the target, which has its own period."""
         period = round(self.protocol.physics.target_period_s / self.model.opt.timestep)
         out: list[Samples] = []
         while steps > 0:

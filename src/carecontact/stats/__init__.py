@@ -1,4 +1,4 @@
-"""Statistics over trial scores."""
+"""Statistics over trial scores: intervals, tests, rankings and what a comparison could have detected."""
 
 from carecontact.stats.bootstrap import BootstrapDifference, clustered_bootstrap
 from carecontact.stats.contrasts import FisherExact, MannWhitney, fisher_exact, mann_whitney

@@ -1,4 +1,4 @@
-"""Intervals that keep together what a seed gave to all tasks."""
+"""Intervals of a paired difference from resampled seeds: all trials of one seed are drawn together."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Statistic = Literal["median_difference", "difference_of_medians", "difference_of
 GENERATOR_SEED = 20260
 RESAMPLES = 10_000
 AT_ONCE = 2_000_000
-"""Cells of the weight table that are held at a time."""
+"""Cells of the weight table that are held in memory at a time."""
 
 Floats = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
@@ -27,13 +27,13 @@ class BootstrapDifference:
 
     statistic: Statistic
     estimate: float | None
-    """None without a complete pair."""
+    """None where no pair is complete."""
     low: float | None
     high: float | None
     standard_error: float | None
     """Standard deviation over the resamples."""
     n: int
-    """Pairs in which both have a value; no other enters."""
+    """Pairs in which both methods have a value; all others are left out."""
     n_clusters: int
     """Clusters with such a pair."""
     confidence: float
@@ -54,8 +54,8 @@ def clustered_bootstrap(
     """Percentile interval of a paired difference when whole clusters are drawn with replacement.
 
     Efron & Tibshirani, An Introduction to the Bootstrap (1993), ch. 13; clusters as in Davison & Hinkley, Bootstrap
-    Methods (1997), 3.8. Percentile and not BCa, because the jackknife that BCa needs is inconsistent for medians.
-    With few clusters (below about 10) such intervals are too narrow. Where the quantiles of a small sample leave the
+    Methods (1997), 3.8. Percentile and not BCa, because the jackknife that BCa needs is inconsistent for medians. With
+    few clusters (below about 10) such intervals are too narrow. Where the quantiles of a small sample leave the
     estimate out, the interval is stretched to it. Pass 0 and 1 and ``difference_of_means`` for rates.
 
     Args:
@@ -129,7 +129,7 @@ def _statistic(a: Floats, b: Floats, of_pair: Counts, times: Counts, statistic: 
 
 
 def _medians(values: Floats, of_pair: Counts, times: Counts) -> Floats:
-    """(R,) medians; nothing is copied as often as it was drawn, the middle is found in the cumulated counts."""
+    """(R,) medians of R resamples, found in the cumulated counts instead of in copies of the drawn values."""
     order = np.argsort(values, kind="stable")
     ordered = values[order]
     reached = np.cumsum(times[:, of_pair[order]], axis=1)

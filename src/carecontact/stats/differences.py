@@ -10,7 +10,7 @@ from carecontact.stats.proportions import wilson_interval
 
 @dataclass(frozen=True, kw_only=True)
 class RateDifference:
-    """First rate minus second, as fractions. Of nothing nothing is known: no estimate, interval [-1, 1]."""
+    """First rate minus second, as fractions. Without trials there is no estimate, and the interval is [-1, 1]."""
 
     estimate: float | None
     low: float
@@ -23,9 +23,9 @@ def paired_difference(
 ) -> RateDifference:
     """Difference of two rates over the same trials, from the counts of pairs.
 
-    Newcombe, Statistics in Medicine 17:2635 (1998), method 10: Wilson intervals squared and added, with the
-    correlation of the pairs taken off after a continuity correction. Raises ValueError for a negative count or unless
-    0 < confidence < 1.
+    Newcombe, Statistics in Medicine 17:2635 (1998), method 10: Wilson intervals squared and added, with the correlation
+    of the pairs taken off after a continuity correction. Raises ValueError for a negative count or unless 0 <
+    confidence < 1.
     """
     counts = (both, only_first, only_second, neither)
     if min(counts) < 0:
@@ -42,8 +42,8 @@ def paired_difference(
 def unpaired_difference(k1: int, n1: int, k2: int, n2: int, confidence: float = 0.95) -> RateDifference:
     """Difference of k1 of n1 and k2 of n2 from independent trials.
 
-    Newcombe, Statistics in Medicine 17:873 (1998), method 10. Raises ValueError unless 0 <= k <= n for both and
-    0 < confidence < 1.
+    Newcombe, Statistics in Medicine 17:873 (1998), method 10. Raises ValueError unless 0 <= k <= n for both and 0 <
+    confidence < 1.
     """
     return _square_and_add(k1, n1, k2, n2, 0.0, confidence)
 

@@ -1,4 +1,4 @@
-"""p-values of a family of tests, adjusted so that the family errs no more often than one test."""
+"""Adjusts the p-values of a family of tests, so that the whole family errs no more often than one test."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ class Holm:
     adjusted: tuple[float | None, ...]
     """In the order given; None where there was no test."""
     n: int
-    """Size of the family: the tests that were made."""
+    """Size of the family: how many tests were made."""
 
 
 def holm(pvalues: Sequence[float | None]) -> Holm:
     """Step-down adjustment of Holm, Scandinavian Journal of Statistics 6:65 (1979).
 
-    None is a test that could not be made; it is not of the family. Raises ValueError for a value outside [0, 1].
+    None stands for a test that could not be made; it does not count in the family. Raises ValueError for a value
+    outside [0, 1].
     """
     for p in pvalues:
         if p is not None and not 0 <= p <= 1:

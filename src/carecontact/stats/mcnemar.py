@@ -1,4 +1,4 @@
-"""Whether two methods differ in a rate, trial by trial."""
+"""Tests whether two methods differ in a rate, trial by trial."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carecontact.stats.values import check_count
 @dataclass(frozen=True, kw_only=True)
 class McNemar:
     pvalue: float
-    """Two-sided, exact; 1 without discordant pairs, which say nothing against equality."""
+    """Two-sided, exact; 1 without discordant pairs: nothing then speaks against equality."""
     only_first: int
     """Pairs in which the first method alone succeeded."""
     only_second: int

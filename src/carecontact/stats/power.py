@@ -1,4 +1,4 @@
-"""What a comparison could not have detected."""
+"""The smallest difference that a comparison could have detected."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BISECTIONS = 30
 @dataclass(frozen=True, kw_only=True)
 class DetectableDifference:
     difference: float | None
-    """Smallest one that a two-sided test at ``alpha`` finds with ``power``; None if it would find none there is."""
+    """Smallest one that a two-sided test at ``alpha`` finds with ``power``; None if no difference is large enough."""
     power: float
     alpha: float
 
@@ -102,7 +102,11 @@ def detectable_from_standard_error(
 
 
 def _smallest(power_at: Callable[[float], float], power: float, largest: float) -> float | None:
-    """By bisection: power grows with the difference."""
+    """Where the power, which grows with the difference, reaches ``power``; None if it does not up to ``largest``.
+
+    By bisection and not by scipy's root finding: the returned difference does reach the power, also where the power
+    jumps, and the published results keep their last digits.
+    """
     if power_at(largest) < power:
         return None
     low, high = 0.0, largest

@@ -11,7 +11,7 @@ from carecontact.stats.values import check_counts
 
 @dataclass(frozen=True, kw_only=True)
 class Proportion:
-    """k of n with an interval. Of nothing (n = 0) nothing is known: no estimate, interval [0, 1]."""
+    """k of n with an interval. Without trials (n = 0) there is no estimate, and the interval is [0, 1]."""
 
     k: int
     n: int

@@ -1,4 +1,4 @@
-"""Whether a ranking of methods survives a sweep of what was chosen."""
+"""Tests whether a ranking of methods stays the same when a chosen parameter is varied."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every statistic asks of its samples: numbers, or None where a score does not exist."""
+"""Checks on the samples of every statistic: they hold numbers, or None where a score does not exist."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ def check_counts(k: int, n: int) -> tuple[int, int]:
 
 
 def check_count(name: str, value: int) -> int:
-    """``value`` as Python's whole number. Raises ValueError unless it is one from 0 up; True and False are none."""
+    """``value`` as Python's whole number. Raises ValueError unless it is a whole number from 0 up; True and False are
+    not."""
     try:
         count = -1 if isinstance(value, bool) else index(value)
     except TypeError:

@@ -1,4 +1,4 @@
-"""Whether two methods differ in a score, trial by trial."""
+"""Tests whether two methods differ in a score, trial by trial."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from carecontact.stats.values import complete_pairs
 
 EXACT_UP_TO = 400
-"""Unequal pairs; the exact distribution takes their square of memory and their cube of time."""
+"""Unequal pairs; the exact distribution needs memory that grows with their square and time with their cube."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,21 +20,21 @@ class SignedRank:
     pvalue: float | None
     """Two-sided; 1 if all pairs are equal, None without pairs."""
     rank_sum_first: float
-    """Of the pairs in which the first is larger."""
+    """Sum of the ranks of the pairs in which the first value is larger."""
     rank_sum_second: float
     n: int
     """Pairs with both values."""
     n_unequal: int
-    """Of these, those that differ; no other is ranked."""
+    """How many of these pairs differ; only these are ranked."""
 
 
 def signed_rank(first: Sequence[float | None], second: Sequence[float | None]) -> SignedRank:
     """Wilcoxon signed-rank test (Wilcoxon 1945) over the pairs that have both values.
 
     Equal pairs are left out, as Wilcoxon did and as McNemar's test does. Exact, given the ranks, with ties too, which
-    worst ranks make; beyond EXACT_UP_TO unequal pairs the normal approximation with tie correction.
-    Infinite values are allowed: only ranks count, and two equal infinities are an equal pair.
-    Raises ValueError for lengths that differ or NaN.
+    worst ranks make; beyond EXACT_UP_TO unequal pairs the normal approximation with tie correction. Infinite values are
+    allowed: only ranks count, and two equal infinities are an equal pair. Raises ValueError for lengths that differ or
+    NaN.
     """
     a, b, _ = complete_pairs(first, second)
     differences = [x - y for x, y in zip(a, b, strict=True) if x != y]

@@ -1,4 +1,4 @@
-"""Scores that exist only where the person was touched, compared over all trials: no score is the worst score."""
+"""Compares scores that exist only where the person was touched, over all trials: no score counts as the worst score."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class WorstRank:
     pvalue: float | None
     """Two-sided; None without pairs."""
     better: Side
-    """Which the ranks favour, significant or not."""
+    """The method that the ranks favour, whether significantly or not."""
     n: int
     n_only_first: int
     """Pairs in which the first method alone has a score."""

@@ -1,4 +1,5 @@
-"""Check 3: the scores do not hang on the time step or on the mesh; how the force grows with the tool's size."""
+"""Check 3: the scores do not depend on the time step or on the mesh. It also reports how the force grows with the
+tool's size."""
 
 from __future__ import annotations
 
@@ -30,9 +31,9 @@ MESH_LIMIT_PERCENT = 5.0
 MESH_REFERENCES = (FOREARM, ABDOMEN)
 Places = tuple[tuple[float, float], ...]
 PLACES_M: Places = ((0.0, 0.0), (0.020, 0.008))
-"""(along, across) of the region's frame: where a law is fitted anew to a finer mesh,"""
+"""Places (along, across) in the region's frame at which a law is fitted to a finer mesh."""
 HELD_OUT_M: Places = ((-0.018, -0.006), (0.034, 0.002))
-"""and where the two meshes are then compared."""
+"""Places at which the two meshes are then compared."""
 TOOL_DEPTHS_M = np.linspace(0.001, 0.008, 8)
 RECALIBRATIONS = 2
 RADIUS_FACTORS = (0.5, 1.0, 2.0)
@@ -44,7 +45,7 @@ class Trend:
     region: str
     shape: Shape
     radius_m: float
-    """The middle one"""
+    """The middle one of the three radii."""
     layer: tuple[float, float] | None = None
     """Exponents of force over radius of an incompressible elastic layer bonded to bone, 50 to 30 mm thick, as a test
     computes them (sphere: Dimitriadis et al. 2002, Biophys J 82:2798; flat: Hayes et al. 1972, J Biomech 5:541). A limb
@@ -56,7 +57,7 @@ TRENDS = {
     "abdomen, sphere": Trend(region="abdomen", shape="hemisphere", radius_m=0.010, layer=(0.58, 0.65)),
     "abdomen, flat": Trend(region="abdomen", shape="flat", radius_m=0.0107, layer=(1.31, 1.52)),
 }
-"""Both calibration indenters, and a disc where the layer says what to expect of one."""
+"""Both calibration indenters, and a disc where the theory of a layer predicts the exponent."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -67,7 +68,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     motions = (SCRUB,) if quick else (PRESS, SCRUB)
     shipped = {region: _scores(subject, region, motions) for region in regions}
     halved: dict[str, dict[str, Scores]] = {}
-    # Twice the protocol's is the fast mode: it has to give the same scores.
+    # Twice the protocol's step is the fast mode, which must give the same scores.
     for factor in (0.5,) if quick else (0.5, 2.0):
         other = subject.with_dt(dt * factor)
         for region in regions:
@@ -85,7 +86,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
             try:
                 measures += mesh(subject, reference, halved[reference.region], curves)
             except (SceneError, ConfigError) as error:
-                # The rest of the check still says something.
+                # The other measures are still useful.
                 name = f"{reference.region}: mesh twice as fine, not measured: {error}"
                 measures.append(Measure(name=name, value=float("nan"), unit="%", limit=MESH_LIMIT_PERCENT))
         for name, tool_size in TRENDS.items():
@@ -119,8 +120,8 @@ def _changes(before: dict[str, Scores], after: dict[str, Scores]) -> list[tuple[
 def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curves: dict[str, Array]) -> list[Measure]:
     """A mesh twice as fine, with the same law per area and with its law fitted anew at the calibration indenter.
 
-    Laws belong to a mesh: a coarser one spreads a small tool's load further, and its anchors are fitted to make up
-    for it.
+    A law belongs to a mesh: a coarser mesh spreads a small tool's load further, and its anchors are fitted to
+    compensate.
     """
     region = reference.region
     tissue = subject.tissue(region)
@@ -172,8 +173,8 @@ def _nrmse(got: Array, wanted: Array) -> float:
 
 
 def recalibrated(bench: Bench, depths: Array, wanted: Array) -> Tissue:
-    """Fit stiffness (a with b, and c, by one factor each) so that the bench answers ``wanted``, the mean over
-    PLACES_M; sets it and returns it.
+    """Fit stiffness (a with b, and c, by one factor each) so that the bench answers ``wanted``, the mean over PLACES_M;
+    sets it and returns it.
 
     Gauss-Newton on the factors' logarithms: two parameters that act almost linearly need few steps.
     """
@@ -220,7 +221,7 @@ def draw(result: CheckResult, figure: Figure) -> None:
             panel.plot(depth, shipped, style, color="k", label=f"shipped mesh, {where}")
             panel.plot(depth, same, style, color="C1", lw=0.9, label="finer, same law" if kind == "reference" else None)
             panel.plot(depth, fitted, style, color="C0", lw=0.9, label="finer, fitted" if kind == "reference" else None)
-        # A press that diverged must not hide the others.
+        # One press that diverged must not hide the others.
         highest = max(result.curves[f"mesh/{region}/{kind}"][1].max() for kind in ("reference", "tool"))
         panel.set(xlabel="indentation [mm]", title=region, ylim=(0, 1.25 * highest))
     if regions:
@@ -258,7 +259,7 @@ def _draw_step(measures: Sequence[Measure], axes: Axes) -> None:
     axes.set_yticks(range(len(labels)), labels)
     both = len(rows) > len(labels) * len({m.name.partition(":")[0] for m in rows})
     title = "half (o), twice (x) the step" if both else "half the step"
-    # Room on the right, where no change is, for the names.
+    # The names need room on the right, where no change lies.
     farthest = max(m.value for m in rows) if rows else 0.0
     axes.set(xlabel="change [%] and its limit (|)", title=title, xlim=(0, 2.2 * max(farthest, *limits.values(), 1.0)))
     axes.invert_yaxis()

@@ -56,7 +56,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 
 
 def _off(name: str, rows: Array | list[Array]) -> Measure:
-    """``rows`` (n, 2): as it is, as declared. A joint declared without a spring has to have none."""
+    """``rows`` (n, 2): actual and declared value. A joint that is declared without a spring must have none."""
     rows = np.asarray(rows)
     scale = np.where(rows[:, 1] == 0, 1e-9, rows[:, 1])
     return Measure(name=name, value=100 * float(np.abs((rows[:, 0] - rows[:, 1]) / scale).max()), unit="%", limit=1.0)
@@ -71,7 +71,7 @@ def segment_masses(scene: Scene) -> tuple[Array, Array]:
     ids = {model.body(body_name(segment)).id: segment for segment in body.segments}
     owner = np.full(model.nbody, -1)
     for i in range(model.nbody):
-        # Shell vertices and their cells hang on the segment; bodies come after their parents.
+        # Shell vertices and their cells are children of the segment; bodies come after their parents.
         owner[i] = i if i in ids else owner[model.body_parentid[i]]
     declared = segment_inertias(body)
     masses, distances = [], []

@@ -1,4 +1,4 @@
-"""Check 6: the same trial in two fresh processes is the same recording, bit for bit."""
+"""Check 6: the same trial in two fresh processes gives the same recording, bit for bit."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LONGEST_S = 600.0
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
-    """Runs the package's own trials: a planted scene factory does not reach them."""
+    """Run the package's own trials; another scene factory does not reach them."""
     phases = subject.protocol.phases.model_copy(update={"time_limit_s": QUICK_TRIAL_S if quick else TRIAL_S})
     spec = TrialSpec(protocol=subject.protocol.model_copy(update={"phases": phases}), task_id=TASK, seed=SEED,
                      policy=POLICY)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Check 2: a dropped limb never gains energy, and a loading loop takes as much work as the damping law says."""
+"""Check 2: a dropped limb never gains energy, and a loading loop absorbs as much work as the damping law says."""
 
 from __future__ import annotations
 
@@ -21,18 +21,19 @@ LIFTS_DEG = {
     "forearm": {"right_forearm_flexion": 40.0},
     "whole arm": {"right_upper_arm_flexion": 25.0, "right_forearm_flexion": 20.0},
 }
-"""Added to the settled angles: enough that the limb falls freely before it meets the board."""
+"""Lift added to the settled angles, so high that the limb falls freely before it meets the board."""
 DROP_S = 1.5
 GAIN_LIMIT_PERCENT = 1.0
 LOOP_DEPTH_M, LOOP_SPEEDS_M_S, QUICK_SPEEDS_M_S = 0.004, (0.005, 0.020, 0.080), (0.020,)
 LOOP_SHARE_PERCENT, LOOP_EXCESS_PERCENT = 80.0, 125.0
-"""Of the work that the declared damping takes in the same loop; springs without dampers leave under a fifth."""
+"""Share of the work that the declared damping absorbs in the same loop; springs without dampers absorb under a
+fifth."""
 PEAK_LIMIT_PERCENT = 3.0
 """Chosen. Of the loop's peak on the person's compiled anchors against the declared law's on the same shell; it is the
 only line on a region's stiffness where no reference is its own."""
 LOST_SPEED_M_S, LOST_LIMIT_PERCENT, RETURNED_LIMIT_PERCENT = 0.020, 5.0, 20.0
-"""Chosen, so that a set which declares no damping to speak of, or putty, is told whatever it declares: living tissue
-gives back less than it takes, and springs back."""
+"""Chosen, so that a set which declares no damping to speak of, or putty, is detected whatever it declares: living
+tissue gives back less than it takes, and springs back."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -88,7 +89,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 
 
 def _work(loop: Press) -> float:
-    """That the indenter does on the tissue over the whole loop [J]."""
+    """Work that the indenter does on the tissue over the whole loop [J]."""
     return float(np.trapezoid(loop.force_n, loop.indentation_m))
 
 
@@ -96,7 +97,7 @@ def drop(simulation: Simulation, lift_deg: dict[str, float]) -> tuple[Array, Arr
     """Lift joints by angles and let go.
 
     Returns at every step time (n,) [s], the person's mechanical energy (n,) [J] and the work (n,) [J] that bed contacts
-    and end stops have done on the person so far. The bed is padded: what it stores and returns is no gain.
+    and end stops have done on the person so far. The bed is padded: what it stores and returns is not a gain.
     """
     model, data = simulation.model, simulation.data
     for joint, angle in lift_deg.items():

@@ -23,12 +23,13 @@ RANGE_M = (0.003, 0.008)
 LEVELS_M, QUICK_LEVELS_M = (0.0033, 0.0046, 0.0059, 0.0072), (0.0035, 0.0070)
 """Depths at which the tool stops and the forces are read."""
 SPEED_M_S = 0.004
-"""Between two levels; at a level the tool rests."""
+"""Speed between two levels; at a level the tool rests."""
 REST_M_S, LONGEST_REST_S, READ_S = 2e-5, 6.0, 0.06
-"""The tool rests when it is slower than this, and no longer than that is waited for it. The elbow creeps on after the
-tool has stopped: at 1e-4 m/s its slowing down was 0.015 N in the joint torques of an arm high above the belly."""
+"""The tool counts as at rest below this speed; the check waits for that no longer than this time. The elbow creeps on
+after the tool has stopped: at 1e-4 m/s its slowing down was 0.015 N in the joint torques of an arm high above the
+belly."""
 STIFFNESS = (1000.0, 20.0)
-"""Translational and rotational: the stiffer, the less the target has to run ahead of the tool."""
+"""Translational and rotational stiffness: the stiffer, the less the target has to run ahead of the tool."""
 GRAVITY_M_S2 = 9.81
 LONGEST_PRESS_S = 10.0
 PATHS = ("contact", "anchors", "joint torques", "bed")

@@ -13,7 +13,7 @@ from carecontact.world.human.tissue import anchor_directions
 
 
 class AnchorForce:
-    """Force that a region's anchors, springs and dampers, hand to the bone."""
+    """Force that a region's anchors (springs and dampers) exert on the bone."""
 
     def __init__(self, simulation: Simulation, region: str) -> None:
         self._data, model = simulation.data, simulation.model
@@ -57,7 +57,7 @@ def tip_force(simulation: Simulation) -> Array:
 
 
 def touches_hard_parts(simulation: Simulation, region: str) -> bool:
-    """Whether the robot meets anything of the person now that is no free vertex of the region's shell."""
+    """Whether the robot now touches any part of the person other than free vertices of the region's shell."""
     model, data = simulation.model, simulation.data
     flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, region)
     bone = model.body(tissue_body_name(region)).id

@@ -22,11 +22,12 @@ PUSHES_N, QUICK_PUSHES_N = (10.0, -10.0, 20.0, -20.0), (20.0,)
 PUSH_S, RISE_S, RELEASE_S = 1.5, 0.4, 3.0
 RAMP_N_S, BREAKAWAY_M = 10.0, 0.002
 LOCK_KGM2 = 1e5
-"""Added to each joint's inertia: 20 N turn it by less than 0.1 mrad. A damper of 1e6 N m s/rad instead let the whole
-person creep, by 1 mm on man-adult-heavy."""
+"""Added to each joint's inertia, so that 20 N turn it by less than 0.1 mrad. A damper of 1e6 N m s/rad instead let the
+whole person creep, by 1 mm on man-adult-heavy."""
 REST_M_S = 0.010
 STOP_TORQUE_NM = {"upper_arm": 8.0, "forearm_flexion": 5.0, "forearm_supination": 2.5, "hand": 1.5}
-"""More than the passive joint resists anywhere in its range; it grows over STOP_RISE_S, as a hand would pull."""
+"""Torque above what the passive joint resists anywhere in its range; it grows over STOP_RISE_S, as a hand would
+pull."""
 QUICK_STOPS = ("forearm_flexion", "upper_arm_rotation")
 STOP_RISE_S, STOP_S, OVERSHOOT_LIMIT_DEG, REACHED_DEG = 1.5, 2.0, 5.0, -2.0
 ROOT_HOLD_NMS = 1e6

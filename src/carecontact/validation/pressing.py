@@ -10,7 +10,7 @@ from carecontact.world.human.tissue import anchor_joints
 
 
 def person_bench(subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None) -> Bench:
-    """A bench whose stiffness, damping, mass and contact are the compiled person's, whatever the protocol says."""
+    """A bench with the stiffness, damping, mass and contact of the compiled person, whatever the protocol says."""
     bench = declared_bench(subject, region, indenter, dt_s=dt_s)
     there, here = subject.scene(region).model, bench.model
     for j in anchor_joints(there, region):
@@ -24,7 +24,7 @@ def person_bench(subject: Subject, region: str, indenter: Indenter, *, dt_s: flo
     for name in ("flex_friction", "flex_solref", "flex_solimp"):
         getattr(here, name)[flex[0]] = getattr(there, name)[flex[1]]
     for k in range(here.nbody):
-        # Cells and vertices: the bone does not move here.
+        # Only cells and vertices: the bone does not move on the bench.
         if (name := here.body(k).name).startswith(f"{region}_"):
             twin = there.body(name).id
             here.body_mass[k], here.body_inertia[k] = there.body_mass[twin], there.body_inertia[twin]

@@ -1,4 +1,4 @@
-"""What a check hands back: measured quantities, the lines that decide, and the curves of its figure."""
+"""What a check returns: measured quantities, the limits that decide, and the curves of its figure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """One measured quantity; with a limit it is a pass line."""
+    """One measured quantity; one with a limit passes or fails."""
 
     name: str
     value: float
@@ -27,7 +27,7 @@ class Measure:
 
     @property
     def met(self) -> bool | None:
-        """None without a limit. A value that is not finite meets nothing."""
+        """Whether the limit is met; None without a limit. A value that is not finite never meets one."""
         if self.limit is None:
             return None
         if not isfinite(self.value):
@@ -37,7 +37,7 @@ class Measure:
         return self.value <= self.limit if self.side == "at most" else self.value >= self.limit
 
     def as_json(self) -> dict[str, Any]:
-        """Six digits: what lies beyond them is rounding of the platform, no measurement."""
+        """Six digits: further digits are rounding of the platform and not measurement."""
         value = float(f"{self.value:.6g}") if isfinite(self.value) else None
         out: dict[str, Any] = {"name": self.name, "value": value, "unit": self.unit}
         if self.limit is not None:
@@ -48,7 +48,7 @@ class Measure:
 @dataclass(frozen=True, kw_only=True)
 class CheckResult:
     check: str
-    """Name on the command line."""
+    """Name of the check on the command line."""
     title: str
     measures: tuple[Measure, ...]
     curves: Mapping[str, Array] = field(default_factory=dict)
@@ -58,7 +58,7 @@ class CheckResult:
 
     @property
     def passed(self) -> bool:
-        """Every deciding line is met, there is one, and the check came to its end."""
+        """Whether the check came to its end, has a deciding limit, and every such limit is met."""
         deciding = [m for m in self.measures if m.limit is not None and m.decides]
         return self.error is None and bool(deciding) and all(m.met for m in deciding)
 

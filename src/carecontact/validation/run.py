@@ -41,12 +41,12 @@ class Validation:
     tissue_set: str
     dt_s: float
     model_sha256: str
-    """Of the compiled world with the forearm as target."""
+    """sha256 of the compiled world with the forearm as target."""
     quick: bool
     asked: tuple[str, ...]
-    """Checks that are to run"""
+    """Checks that are to run."""
     results: tuple[CheckResult, ...]
-    """of those that have run, in their order."""
+    """Results of the checks that have run, in their order."""
 
     @property
     def finished(self) -> bool:
@@ -82,9 +82,9 @@ def validate(
     Args:
         body: another body than the protocol's.
         make_scene: what builds the person; a test plants its defects here.
-        on_check: told after every check what there is so far; the last result is the new one.
+        on_check: called after every check with everything found so far; the last result is the new one.
 
-    Raises UnknownNameError for a check that there is not, and what ``make_scene`` raises if no world can be built.
+    Raises UnknownNameError for an unknown check, and what ``make_scene`` raises if no world can be built.
     """
     modules = [_module(name) for name in checks]
     protocol = protocol if body is None else overridden(protocol, {"person.body": body})
@@ -105,11 +105,12 @@ def validate(
 
 
 def write(validation: Validation, folder: Path) -> list[Path]:
-    """validation.json so far, and the last check's figure if it came to its end; returns what was written."""
+    """Write validation.json so far, and the last check's figure if that check came to its end; returns the written
+    files."""
     folder.mkdir(parents=True, exist_ok=True)
     if len(validation.results) == 1:
         for name in CHECKS:
-            # Of an earlier validation: this one may not draw it.
+            # These are of an earlier validation, and this one may not draw them all.
             (folder / f"{name}.png").unlink(missing_ok=True)
     record = folder / "validation.json"
     record.write_text(json.dumps(validation.as_json(), indent=2) + "\n")

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import SceneError
 from carecontact.recording.schema import SEGMENTS, Header, Recording
+from carecontact.regions import REGIONS
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.metrics.c1_peak_force import peak_force
 from carecontact.scoring.metrics.c5_force_stability import force_stability
@@ -64,12 +66,23 @@ def motion_scores(subject: Subject, region: str, motion: Motion) -> Scores:
     return scores_of(simulation, region, perform(simulation, region, motion))
 
 
-def recording_of(simulation: Simulation, region: str, samples: Sequence[Samples]) -> Recording:
-    """What the scorer reads of a trial whose policy was the script."""
-    protocol = simulation.protocol
-    spec = TrialSpec(
-        protocol=protocol, task_id=next(t.id for t in protocol.tasks if t.region == region), seed=0, policy="scripted"
+def _with_task_on(protocol: Protocol, region: str) -> Protocol:
+    """The protocol, with a task on the region where it has none: the scorer finds a trial's region by its task."""
+    if any(task.region == region for task in protocol.tasks):
+        return protocol
+    task = protocol.tasks[0].model_copy(update={"id": "scripted", "region": region})
+    contact = protocol.contact
+    near = {region: list(REGIONS[region].neighbourhood), **contact.neighbourhood}
+    return protocol.model_copy(
+        update={"tasks": [*protocol.tasks, task], "contact": contact.model_copy(update={"neighbourhood": near})}
     )
+
+
+def recording_of(simulation: Simulation, region: str, samples: Sequence[Samples]) -> Recording:
+    """A recording of a scripted contact, as far as the scorer reads one."""
+    protocol = _with_task_on(simulation.protocol, region)
+    task_id = next(task.id for task in protocol.tasks if task.region == region)
+    spec = TrialSpec(protocol=protocol, task_id=task_id, seed=0, policy="scripted")
     header = Header(
         spec=spec, ended="done", failure=None, card=None, embodiment="", comfort_arm_deg=None, segments=list(SEGMENTS),
         regions=list(protocol.regions), human_joints=simulation.joint_names,

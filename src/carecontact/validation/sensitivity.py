@@ -1,4 +1,5 @@
-"""Check 7: how far the uncertain constants of the person move the scores, and whether they change who ranks first."""
+"""Check 7 measures how far the uncertain constants of the person move the scores, and whether they change the
+ranking."""
 
 from __future__ import annotations
 

@@ -30,7 +30,8 @@ TITLE = "Smoothness of scrubbing"
 REGION = "forearm"
 FORCES_N, QUICK_FORCES_N = (5.0, 15.0), (5.0,)
 SPEED_M_S, HALF_STROKE_M, STROKES, QUICK_STROKES = 0.10, 0.090, 4, 2
-"""Of the target. Damping and friction hold the tool about 45 mm behind it, so the tool itself covers half of that."""
+"""Motion of the target. Damping and friction hold the tool about 45 mm behind it, so the tool covers half of that
+way."""
 STEADY = 0.7
 """Share of the speed above which the tool counts as scrubbing; below, it turns, and there the force really jumps."""
 NOISE_ABOVE_HZ, NOISE_LIMIT_N = 20.0, 0.15
@@ -90,8 +91,8 @@ def dropouts(time_s: Array, force_n: Array) -> npt.NDArray[np.bool_]:
 def scrub(simulation: Simulation, newton: float, *, strokes: int) -> Scrub:
     """To and fro over the skin at a mean force.
 
-    The target follows the skin's profile at rest under the tool; its depth is set by the measured force, slowly
-    enough (about 1 Hz) to leave the noise alone.
+    The target follows the skin's profile at rest under the tool; its depth is set by the measured force, slowly enough
+    (about 1 Hz) to leave the noise alone.
     """
     stiffness = simulation.protocol.impedance.translational_n_m
     along, across = axes(simulation, REGION)

@@ -1,4 +1,4 @@
-"""Check 8: random targets that reach deep under the skin leave the world whole."""
+"""Check 8: random targets that reach deep under the skin do not break the simulation."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 
 
 def random_trial(simulation: Simulation, region: str, rng: np.random.Generator) -> tuple[float, bool]:
-    """New random targets at the highest stiffness; the largest contact force [N], and whether nothing broke."""
+    """Send random targets at the highest stiffness; returns the largest contact force [N], and whether nothing
+    broke."""
     impedance = simulation.protocol.impedance
     simulation.set_stiffness(impedance.translational_bounds[1], impedance.rotational_bounds[1])
     for warning in simulation.data.warning:

@@ -1,4 +1,4 @@
-"""The person under test: scenes from a factory, built and settled once, handed out at rest or with the tool above."""
+"""The person under test: builds and settles each scene once and gives simulations at rest or with the tool above."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ HOVER_M = 0.020
 
 
 class MakeScene(Interface):
-    """``build_scene``, or what a test puts in its place to plant a defect."""
+    """``build_scene``, or a function that a test puts in its place to plant a defect."""
 
     def __call__(self, protocol: Protocol, *, target: str | None, skin: bool) -> Scene: ...
 
 
 class Subject:
-    """Every simulation handed out has a model of its own, so that a check may change it."""
+    """Every simulation that it gives has a model of its own, so that a check may change it."""
 
     def __init__(self, protocol: Protocol, *, make_scene: MakeScene = build_scene) -> None:
         self.protocol, self.make_scene = protocol, make_scene
@@ -35,13 +35,14 @@ class Subject:
         self._hover: dict[str, Array] = {}
 
     def scene(self, region: str) -> Scene:
-        """The compiled world in which ``region`` is the target; not to be changed."""
+        """The compiled world in which ``region`` is the target; callers must not change it."""
         if region not in self._scenes:
             self._scenes[region] = self.make_scene(self.protocol, target=region, skin=False)
         return self._scenes[region]
 
     def at_rest(self, region: str) -> Simulation:
-        """Settled, robot parked, t = 0. Raises SettleError if the person does not come to rest."""
+        """A simulation of the settled person with the robot parked, at t = 0. Raises SettleError if the person does not
+        come to rest."""
         if region not in self._rest:
             simulation = Simulation(_own_model(self.scene(region)))
             simulation.settle(COMFORT_ARM_DEG)
@@ -49,8 +50,8 @@ class Subject:
         return self._restored(region, self._rest[region])
 
     def hovering(self, region: str) -> Simulation:
-        """Settled, the tool pointing down at rest HOVER_M over the region's middle, t = 0. Raises SceneError if MuJoCo
-        warned on the way there."""
+        """A simulation of the settled person at t = 0, with the tool at rest HOVER_M over the region's middle, pointing
+        down. Raises SceneError if MuJoCo warned on the way there."""
         if region not in self._hover:
             simulation = self.at_rest(region)
             top = surface_point(simulation, region)
@@ -67,7 +68,7 @@ class Subject:
         return self.protocol.soft_regions[: 1 if quick else None]
 
     def tissue(self, region: str) -> Tissue:
-        """What the protocol declares."""
+        """The tissue row that the protocol declares."""
         return self.protocol.person.tissue[region]
 
     def with_dt(self, dt_s: float) -> Subject:
@@ -79,7 +80,7 @@ class Subject:
         return self.variant(person=person.model_copy(update={"tissue": {**person.tissue, region: tissue}}))
 
     def variant(self, **update: object) -> Subject:
-        """Another protocol through the same factory."""
+        """The person of another protocol, from the same factory."""
         return Subject(self.protocol.model_copy(update=update), make_scene=self.make_scene)
 
     def _restored(self, region: str, state: Array) -> Simulation:

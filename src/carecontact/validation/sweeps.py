@@ -1,4 +1,4 @@
-"""The scripted trials of the probes: each level changes one thing, and what it came to is measured past the scorer."""
+"""The scripted trials of the probes: each level changes one thing, whose size is measured without the scorer."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Trial:
     known: float
     """What the score must be, in its unit, measured along another path than the recording's or by other arithmetic."""
     held: Mapping[str, float]
-    """What the sweep keeps the same, by name."""
+    """Quantities that the sweep keeps the same, by name."""
 
 
 Script = Callable[[Simulation, str, float], Trial]
@@ -72,7 +72,7 @@ class _Motion:
 
 
 class _Force:
-    """The force that the region's springs and dampers hand to the bone, without contact sensors [N]."""
+    """The force that the region's springs and dampers exert on the bone, read without contact sensors [N]."""
 
     def __init__(self, simulation: Simulation, region: str) -> None:
         self._read = AnchorForce(simulation, region)

@@ -1,4 +1,4 @@
-"""Acceptance: wherever the tool lands on the target, the same indentation asks for nearly the same force."""
+"""Acceptance: wherever the tool lands on the target, the same indentation needs nearly the same force."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ PLACES, QUICK_PLACES = 60, 20
 line judges the region more than the draw."""
 SEED = 20
 BORDER_M = 0.019
-"""Kept free along the mask's border: half the tool's width."""
+"""Width kept free along the mask's border: half the tool's width."""
 UPWARD = 0.5
-"""The mask is what a tool from above meets: normals within 60 degrees of the region's outward direction."""
+"""The mask is what a tool from above touches: normals within 60 degrees of the region's outward direction."""
 SPEED_M_S = 0.010
 
 

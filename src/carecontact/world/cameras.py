@@ -1,4 +1,4 @@
-"""The four named cameras."""
+"""Adds the protocol's cameras to the world."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from carecontact.contract.protocol import Camera, Protocol
 
 
 def look_at(camera: Camera) -> np.ndarray:
-    """(4,) wxyz of a MuJoCo camera (x right, y up, looking along -z)."""
+    """Orientation (4,) wxyz of a MuJoCo camera (x right, y up, looking along -z)."""
     position, target = np.array(camera.position_m), np.array(camera.look_at_m)
     z = position - target
     z /= np.linalg.norm(z)

@@ -14,7 +14,7 @@ PILLOW_HEIGHT_M = 0.045
 SUPPORT = "bed_support"
 """A body that rests on the bed and holds what moves with the person: pillow and arm board."""
 FURNITURE_GROUP = 0
-"""Geoms of the empty cell and no others: what a camera sees of it is part of the cell's calibration."""
+"""Group of the empty cell's geoms and no others: what a camera sees of them is part of the cell's calibration."""
 
 BOX, CYLINDER, ELLIPSOID = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_ELLIPSOID
 

@@ -1,4 +1,4 @@
-"""How a room may be lit: strength, direction and colour drawn by a seed, set in a compiled model."""
+"""Light of the room: strength, direction and colour are drawn by a seed and set in a compiled model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ STRENGTH = (0.65, 1.35)
 """Factor on every lamp and on the ambient light."""
 TURN_DEG = (-180.0, 180.0)
 TILT_DEG = (0.0, 25.0)
-"""The main lamp's direction: turned about the vertical, and tilted away from where it stands by default."""
+"""Ranges of the main lamp's direction: a turn about the vertical, and a tilt away from the default direction."""
 WARMTH = (-1.0, 1.0)
 WARM_GAIN = np.array([0.10, 0.0, -0.16])
 """Change of red, green and blue at full warmth: about 3000 K at 1 and 8000 K at -1 under a camera balanced for 5000 K;
@@ -27,13 +27,13 @@ class Light:
 
 
 def draw_light(rng: np.random.Generator) -> Light:
-    """The order of the draws is part of ``varied-v1``."""
+    """Draw a light uniformly from its ranges; the order of the draws is part of ``varied-v1``."""
     strength, turn, tilt, warmth = (float(rng.uniform(*span)) for span in (STRENGTH, TURN_DEG, TILT_DEG, WARMTH))
     return Light(strength=strength, turn_deg=turn, tilt_deg=tilt, warmth=warmth)
 
 
 def shine(model: mujoco.MjModel, light: Light) -> None:
-    """Set the lamps of a compiled model once; depth images and physics stay."""
+    """Set the lamps of a compiled model, once; depth images and physics do not change."""
     gain = light.strength * (1 + light.warmth * WARM_GAIN)
     model.light_diffuse[:] *= gain
     model.light_specular[:] *= gain

@@ -1,4 +1,4 @@
-"""Where on the bed the person lies: drawn by a seed, set in a compiled model."""
+"""Place of the person on the bed: drawn by a seed and set in a compiled model."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from carecontact.world.human.skeleton import ROOT_JOINT
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Against the protocol's own: first turned about the vertical through the right shoulder, then shifted.
+    """Change of the protocol's own place: first a turn about the vertical through the right shoulder, then a shift.
 
-    About the shoulder, since that is where the person is laid beside the robot: far from it a turn moves the arm most.
+    The turn is about the shoulder, which lies beside the robot: a turn about a far point would move the arm most.
     """
 
     along_m: float = 0.0
-    """Along the bed, to the head."""
+    """Shift along the bed, towards the head."""
     across_m: float = 0.0
-    """To the person's right, which is towards the robot."""
+    """Shift to the person's right, which is towards the robot."""
     yaw_deg: float = 0.0
-    """Seen from above, counter-clockwise."""
+    """Turn, counter-clockwise when seen from above."""
 
 
 def draw_place(rng: np.random.Generator, variation: Variation) -> Place:
-    """Each uniform between plus and minus what the protocol says; shares are drawn, so that a narrower range keeps the
-    order of the seeds, and none takes another's number."""
+    """Draw each value uniformly between plus and minus the protocol's. The draws are shares of these, so that a
+    narrower range keeps the order of the seeds, and each value always uses its own draw."""
     along, across, yaw = (float(share) for share in rng.uniform(-1.0, 1.0, 3))
     return Place(
         along_m=along * variation.place_along_m,
@@ -43,7 +43,7 @@ def draw_place(rng: np.random.Generator, variation: Variation) -> Place:
 def move_person(model: mujoco.MjModel, place: Place) -> None:
     """Lay the person, pillow and arm board elsewhere in a compiled model; bed, robot and cameras stay.
 
-    Once, and before the person settles: it sets where a reset puts the person.
+    Call it once, before the person settles: it changes where a reset puts the person.
     """
     turn, at = np.zeros(4), np.array([*RIGHT_SHOULDER_M, 0.0])
     mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0.0, 1.0]), radians(place.yaw_deg))
@@ -63,7 +63,7 @@ def move_person(model: mujoco.MjModel, place: Place) -> None:
 
 
 def place_in_model(model: mujoco.MjModel) -> list[float]:
-    """(14,) poses of the person at a reset and of pillow and board: with the compiled model all that ``move_person``
-    decides."""
+    """(14,) pose of the person at a reset, and of pillow and board: everything that ``move_person`` changes in a
+    compiled model."""
     start, support = model.joint(ROOT_JOINT).qposadr[0], model.body(SUPPORT)
     return [*model.qpos0[start : start + 7].tolist(), *support.pos.tolist(), *support.quat.tolist()]

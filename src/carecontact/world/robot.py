@@ -24,7 +24,7 @@ from carecontact.contract.protocol import Impedance, Protocol
 from carecontact.errors import AssetError, SceneError
 
 FINGER_ORIGIN_Z_M = 0.0584
-"""Carriage of the fingers in the hand's frame (URDF panda_finger_joint1)."""
+"""Position of the fingers' carriage in the hand's frame (URDF panda_finger_joint1)."""
 JOINT_DAMPING = 1.0
 """[N m s/rad] light viscous friction; assumed."""
 JOINT_ARMATURE = 0.1
@@ -45,7 +45,7 @@ Array = npt.NDArray[np.float64]
 
 @lru_cache(maxsize=1)
 def panda_asset() -> dict[str, npt.NDArray[np.generic]]:
-    """Arrays of the baked arm. Raises AssetError if the file is missing or is not the one of its provenance record."""
+    """Arrays of the baked arm. Raises AssetError if the file is missing or does not match its provenance record."""
     folder = resources.files("carecontact.assets") / "panda"
     try:
         data = (folder / "panda.npz").read_bytes()
@@ -59,7 +59,7 @@ def panda_asset() -> dict[str, npt.NDArray[np.generic]]:
 
 
 def panda_sha256() -> str:
-    """Of the baked arm, as recorded in its provenance file."""
+    """sha256 of the baked arm, as recorded in its provenance file."""
     folder = resources.files("carecontact.assets") / "panda"
     return str(json.loads((folder / "panda.provenance.json").read_text())["sha256"])
 
@@ -73,8 +73,8 @@ def add_robot(spec: mujoco.MjSpec, protocol: Protocol) -> None:
     """Add the arm on its pedestal, the mocap target and the impedance actuators to ``spec``.
 
     The joints' neutral position is 0, which is outside joint 4's range: set the parked posture of the protocol before
-    the first step. Torque limits apply to what the impedance asks for, on top of the gravity compensation.
-    Raises SceneError if the base is under the floor.
+    the first step. Torque limits apply to the impedance's torque, which is added to the gravity compensation. Raises
+    SceneError if the base is under the floor.
     """
     asset, scene = panda_asset(), protocol.scene
     if scene.robot_base_m[2] <= 0:
@@ -194,7 +194,8 @@ def _add_pedestal(base: mujoco.MjsBody, height_m: float) -> None:
 
 
 def _add_tool(hand: mujoco.MjsBody, meshes: list[str]) -> None:
-    """Closed fingers (visual), the shaft that stands for them in collisions, the cap meant to touch, the TCP."""
+    """Add the closed fingers (visual), the shaft that stands for them in collisions, the cap that is meant to touch,
+    and the TCP."""
     for name in meshes:
         _, kind, link, part = name.split("_")
         if link == "finger" and kind == "visual":

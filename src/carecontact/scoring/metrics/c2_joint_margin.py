@@ -25,7 +25,7 @@ class JointMargin:
 
 
 @metric(
-    "C2@1", title="Joint-limit margin", unit="rad", better="higher", field="c2_joint_margin_rad", actions="moving",
+    "C2@1", title="Joint-limit margin", unit="rad", better="higher", field="c2_joint_margin_rad", pool="moving",
     headline=True, matters=0.05, order=0,
 )  # fmt: skip
 def joint_margin(contact: Contact) -> JointMargin | None:

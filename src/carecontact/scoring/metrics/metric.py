@@ -120,7 +120,7 @@ def metric(
     unit: str,
     better: Better,
     field: str | None = None,
-    actions: Pool = None,
+    pool: Pool = None,
     median: bool = True,
     digits: int | None = None,
     headline: bool = False,
@@ -136,7 +136,7 @@ def metric(
         METRICS.register(
             id_,
             Metric(
-                id=id_, title=title, unit=unit, better=better, measure=measure, field=field, pool=actions,
+                id=id_, title=title, unit=unit, better=better, measure=measure, field=field, pool=pool,
                 median=median, digits=digits, headline=headline, matters=matters, order=order,
             ),
         )  # fmt: skip

@@ -18,9 +18,9 @@ from carecontact.world.human.body import Array, Body
 class SegmentFractions:
     mass: float
     centre: float
-    """Along the segment from its first end."""
+    """Centre of mass along the segment, from its first end, as a share of its length."""
     gyration: tuple[float, float, float]
-    """sagittal, transverse, longitudinal"""
+    """About the sagittal, transverse and longitudinal axis, as shares of its length."""
 
 
 def _row(mass: float, centre: float, *gyration: float) -> SegmentFractions:
@@ -81,7 +81,7 @@ LEAST_MOMENT_SHARE = 0.02
 
 
 def without_points(row: SegmentInertia, masses: Array, places: Array) -> tuple[float, Array, Array]:
-    """What is left of a segment when point masses are taken out.
+    """Take point masses out of a segment.
 
     Args:
         masses: (n,) [kg]
@@ -134,7 +134,7 @@ def segment_ends(body: Body, segment: str) -> tuple[Array, Array]:
 
 
 def segment_inertias(body: Body) -> dict[str, SegmentInertia]:
-    """Every segment of the body; masses sum to the body's."""
+    """Inertia of every segment of the body; the masses add up to the body's."""
     table = DE_LEVA[body.sex]
     total = sum(
         table[s.split("_", 1)[-1] if s.startswith(("left", "right")) else s].mass

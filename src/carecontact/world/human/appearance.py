@@ -1,4 +1,4 @@
-"""How a person may look: skin, clothes and hair drawn by a seed, painted on the body's own texture."""
+"""Looks of the person: skin, clothes and hair are drawn by a seed and painted on the body's own texture."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ HAIR: dict[str, Rgb] = {
 }  # fmt: skip
 
 SPLITS = {"pelvis": 3, "abdomen": 3, "left_thigh": 3, "right_thigh": 3, "head": 1}
-"""Of each face before painting, where an edge of cloth or a face's features cross it."""
+"""How often a triangle is split before painting where an edge of clothes or the features of the face cross it."""
 TOP_SPLITS = {"thorax": 2}
 
 
 def draw_appearance(rng: np.random.Generator) -> Appearance:
-    """Every tone, cloth and hair equally likely and independent. The order of the draws is part of ``varied-v1``."""
+    """Draw tone, clothes and hair, all equally likely and independent; the order of the draws is part of
+    ``varied-v1``."""
     skin, cloth, hair = (list(colours.values())[rng.integers(len(colours))] for colours in (SKIN_TONES, CLOTHES, HAIR))
     return Appearance(skin=skin, cloth=cloth, hair=hair)
 
@@ -46,7 +47,7 @@ def fine_paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
 
 
 def wear(model: mujoco.MjModel, body: Body, appearance: Appearance) -> None:
-    """Replace the skin's texture in a compiled model; before the first image, which uploads it. Physics stays."""
+    """Replace the skin's texture in a compiled model, before the first image uploads it. Physics does not change."""
     texture = model.texture("human_skin").id
     start = int(model.tex_adr[texture])
     painted = fine_paint(body, appearance)

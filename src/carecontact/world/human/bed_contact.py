@@ -1,4 +1,4 @@
-"""Where a lying body meets the bed: spheres tangent to its back, and the tilt at which its trunk rests on them."""
+"""Contact of a lying body with the bed: spheres tangent to its back, and the tilt at which its trunk rests on them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from carecontact.world.human.body import Array, Body
 
 MOST_TILT_DEG = 1.5
-"""A mattress gives way under the pelvis, which carries the most weight, until the trunk lies about level (assumed)."""
+"""The mattress gives way under the pelvis, which carries the most weight, until the trunk lies about level
+(assumed)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,9 +33,9 @@ class Body:
     name: str
     """As ``library.load_body`` takes it."""
     sex: Sex
-    """Chooses the rows of de Leva's table."""
+    """Selects the rows of de Leva's table."""
     age_group: AgeGroup
-    """Chooses the ranges of motion."""
+    """Selects the ranges of motion."""
     mass_kg: float
     licence: str
     vertices: Array
@@ -55,7 +55,7 @@ class Body:
     meta: dict[str, Any]
     """Provenance."""
     sha256: str
-    """Of the file."""
+    """sha256 of the file."""
 
     @cached_property
     def owner(self) -> npt.NDArray[np.int64]:

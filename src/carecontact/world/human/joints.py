@@ -1,8 +1,8 @@
 """The person's hinges: axis, range of motion, passive stiffness and damping.
 
-Ranges go by the body's age group, see ``RANGE_DEG``. Angles are
-anatomical: zero is the anatomical position with the forearm in neutral rotation, so ``qpos`` reads as in a clinic.
-Order in a segment is the order of rotation, outermost first: shoulder abduction, flexion, rotation.
+The ranges depend on the body's age group, see ``RANGE_DEG``. Angles are anatomical: zero is the anatomical position
+with the forearm in neutral rotation, so ``qpos`` reads as in a clinic. Order in a segment is the order of rotation,
+outermost first: shoulder abduction, flexion, rotation.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Hinge:
     damping_nms_rad: float
     range_source: str
     source: str
-    """Of stiffness and damping."""
+    """Source of stiffness and damping."""
 
 
 AAOS = "American Academy of Orthopaedic Surgeons 1965, Joint Motion, adult means"
@@ -67,7 +67,7 @@ def hinges(body: Body) -> list[Hinge]:
         segment: str, motion: str, axis: Array, bind: float, k: float, d: float, source: str = ASSUMED,
         range_deg: tuple[float, float] | None = None,
     ) -> None:  # fmt: skip
-        """Trunk and neck name their range, which is assumed; limbs look it up."""
+        """Add a hinge. Trunk and neck give their range, which is assumed; limbs take theirs from RANGE_DEG."""
         unit = np.asarray(axis, np.float64) / np.linalg.norm(axis)
         kind = f"{segment.partition('_')[2]}_{motion}"
         if range_deg is None:
@@ -127,8 +127,8 @@ STRAIGHT_DEG = 10.0
 def elbow_axis(upper: Array, forearm: Array) -> Array:
     """(3,) unit axis about which the elbow flexes: across its bend.
 
-    An arm straighter than STRAIGHT_DEG has none that can be told (a T-pose), or is bent by its carrying angle rather
-    than by flexion: there it is the axis about which the forearm comes forward.
+    The axis of an arm straighter than STRAIGHT_DEG cannot be detected (a T-pose), or its bend is the carrying angle
+    rather than flexion: then it is the axis about which the forearm comes forward.
     """
     across = np.cross(upper, forearm)
     bend = float(np.degrees(np.arcsin(np.clip(np.linalg.norm(across), 0, 1))))

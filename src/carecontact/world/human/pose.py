@@ -1,4 +1,4 @@
-"""The lying pose: where each hinge starts before the person settles."""
+"""The lying pose: the angle of each hinge before the person settles."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ LIES_DEG = {
     **{f"{s}_thigh_abduction": 3.0 for s in ("left", "right")},
     **{f"{s}_foot_plantarflexion": 18.0 for s in ("left", "right")},
 }  # fmt: skip
-"""The same for every body; the right arm lies palm up on its board. Hinges not named here keep the bind pose, but for
-shoulder, elbow and hip flexion, which follow from the body's own thickness."""
+"""Angles [deg] that are the same for every body; the right arm lies palm up on its board. Other hinges keep the bind
+pose, except the flexion of shoulder, elbow and hip, which follows from the body's own thickness."""
 
 
 LEAST_ELBOW_DEG = 7.0
-"""From the end of the elbow's range."""
+"""Least distance of the elbow from the end of its range."""
 
 
 def lying_pose_deg(body: Body, comfort_arm_deg: float) -> dict[str, float]:
-    """Hinge -> anatomical angle [deg]; hinges not named keep the bind pose.
+    """Hinge -> anatomical angle [deg]; hinges that are not named keep the bind pose.
 
     The trunk rests on buttocks and shoulder blades. From there shoulder, elbow and hip are flexed until elbow, wrist
     and heel (or calf) just touch what is under them: the board under the right arm, else the mattress.
@@ -79,7 +79,11 @@ def lying_pose_deg(body: Body, comfort_arm_deg: float) -> dict[str, float]:
 
 
 def angle_of_root(gap: Callable[[float], float], low: float, high: float) -> float:
-    """Where a rising function crosses zero, by bisection; the end of the range where it does not."""
+    """Where a rising function crosses zero; the end of the range where it does not.
+
+    By 24 bisections and not by scipy's root finding: the lying pose is part of every settled world, and its last bits
+    decide whether old trials can be repeated.
+    """
     for _ in range(24):
         middle = (low + high) / 2
         low, high = (middle, high) if gap(middle) < 0 else (low, middle)

@@ -1,4 +1,4 @@
-"""Finer triangles for the drawn skin where a dent should be seen."""
+"""Splits the drawn skin into finer triangles where a dent should be visible."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def refined(body: Body, segment: str, *, times: int) -> Body:
 
     New points are pulled to the tangent planes at their edge's ends (Phong tessellation, Boubekeur and Alexa 2008), or
     shading would show every old triangle; on the segment's rim they stay on the straight edge, so that nothing gapes.
-    For drawing only: region geometry and masses come from the body as baked.
+    This is for drawing only: region geometry and masses come from the body as it was baked.
     """
     for _ in range(times):
         body = _split(body, segment)

@@ -41,14 +41,14 @@ def baked_texture(name: str) -> npt.NDArray[np.uint8]:
 
 
 def texture_of(body: Body) -> npt.NDArray[np.uint8]:
-    """A shipped body's own texture; any other body is painted now, in the colours of its age."""
+    """A shipped body's own texture; any other body is painted here, in the colours of its age."""
     if body.name in body_names():
         return baked_texture(body.name)
     return paint(body, Appearance(hair=GREY) if body.age_group == "old" else Appearance())
 
 
 def add_skin(spec: mujoco.MjSpec, body: Body) -> None:
-    """One skin over all segments. Corners that share a vertex but not a texture point are split."""
+    """Add one skin over all segments. Corners that share a vertex but not a texture point are split."""
     pairs = np.stack([body.faces.ravel(), body.uv_faces.ravel()], 1)
     unique, inverse = np.unique(pairs, axis=0, return_inverse=True)
     vertex = unique[:, 0]

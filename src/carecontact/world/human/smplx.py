@@ -1,8 +1,8 @@
 """A user's own SMPL-X model as a body: ``smplx:FILE.npz?sex=F&age=old&betas=0.5,-1``. Needs numpy only.
 
-Read are the arrays of the official archive (https://smpl-x.is.tue.mpg.de, licence of its own, which forbids shipping
-it): ``v_template``, ``f``, ``weights``, ``J_regressor``, ``kintree_table``; ``shapedirs`` if betas are given; ``vt``
-and ``ft`` if they are there. Pose and expression blend shapes are not used: the skin turns by linear blending alone.
+It reads these arrays of the official archive (https://smpl-x.is.tue.mpg.de, whose licence forbids shipping it):
+``v_template``, ``f``, ``weights``, ``J_regressor``, ``kintree_table``; ``shapedirs`` if betas are given; ``vt`` and
+``ft`` if they are there. Pose and expression blend shapes are not used: the skin turns by linear blending alone.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ LANDMARKS = {
 TO_MESH = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """SMPL-X has y up and faces +z."""
 DENSITY_KG_M3 = 980.0
-"""Where no mass is given: that by which Anny gives the shipped bodies theirs."""
+"""Used where no mass is given; Anny gives the shipped bodies their mass by the same density."""
 SUPINATION_DEG = 50.0
 """The file's palms face down. They are turned up to here before anything else, evenly along the forearm as skin does
 it: a rigid forearm turned that far would wring the skin at the elbow."""
@@ -79,10 +79,10 @@ def load_smplx(name: str) -> Body:
     """The body that ``smplx:FILE.npz?sex=F`` names.
 
     Raises ConfigError naming the file and what is wrong: no file, no npz, a missing key, a wrong shape, another number
-    of joints or another tree of them, values that are no numbers, or options that there are not.
+    of joints or another tree of them, values that are not numbers, or an unknown option.
     """
     place = smplx_path(name)
-    # First whether there is a file: nobody wants to hear of options for one that was misspelt.
+    # The file comes first: if its name is misspelt, an error about options would mislead.
     arrays, digest = _arrays(place)
     sex, age, mass, betas = _options(name.partition("?")[2], name=name)
     joints = np.asarray(arrays["J_regressor"], np.float64)
@@ -105,11 +105,11 @@ def load_smplx(name: str) -> Body:
     joint_centre["pelvis"] = (at["left_hip"] + at["right_hip"]) / 2
     joint_centre["abdomen"] = at["spine1"]
     uv, uv_faces = _texture(arrays, vertices, faces)
-    # On the plain projection eyes and their lids share one place of the picture: the lids win.
+    # On the plain projection, eyes and lids share one place of the texture: the lids win.
     is_eye = np.isin(weights.argmax(1), [JOINTS.index(f"{s}_eye") for s in ("left", "right")]) & ("vt" in arrays)
     volume = _volume(vertices, faces)
     if not 0.01 < volume < 0.3:
-        raise ConfigError(f"{place}: the surface encloses {volume:.3g} m^3, which is no person in metres")
+        raise ConfigError(f"{place}: the surface encloses {volume:.3g} m^3, which is not a person's in metres")
     body = Body(
         name=name, sex=sex, age_group=age, mass_kg=mass or DENSITY_KG_M3 * volume, licence=LICENCE, vertices=vertices,
         faces=faces, uv=uv, uv_faces=uv_faces, segments=segments, joint_centre=joint_centre, weight_segment=order,
@@ -129,7 +129,7 @@ def _options(query: str, *, name: str) -> tuple[Sex, AgeGroup, float | None, lis
         raise ConfigError(f"{name}: no option {', '.join(unknown)}; valid: {OPTIONS}")
     sex, age = given.get("sex"), given.get("age", "adult")
     if sex not in ("F", "M"):
-        raise ConfigError(f"{name}: segment masses go by sex, say ?sex=F or ?sex=M; valid: {OPTIONS}")
+        raise ConfigError(f"{name}: segment masses depend on the sex, add ?sex=F or ?sex=M; valid: {OPTIONS}")
     if age not in ("adult", "old"):
         raise ConfigError(f"{name}: age {age!r} is neither adult nor old; valid: {OPTIONS}")
     try:
@@ -149,7 +149,7 @@ def _arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
     except OSError as error:
         raise ConfigError(f"SMPL-X file {path}: {error.strerror}; expected smplx:FILE.npz?sex=F") from None
     if not zipfile.is_zipfile(io.BytesIO(data)):
-        raise ConfigError(f"{path}: no npz archive; expected SMPLX_*.npz as it was downloaded")
+        raise ConfigError(f"{path}: not an npz archive; expected SMPLX_*.npz as it was downloaded")
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             wanted = [k for k in (*REQUIRED, "shapedirs", "vt", "ft") if k in archive.files]
@@ -177,12 +177,14 @@ def _arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
 
 
 def _check_tree(table: npt.NDArray[Any], path: Path) -> None:
-    """Joints below are told apart by their order alone, so at least their parents must be those of SMPL-X."""
+    """Check the parents of some joints: everything below identifies joints by their order alone."""
     expected = {"left_elbow": "left_shoulder", "right_wrist": "right_elbow", "jaw": "head", "spine3": "spine2",
                 "left_middle1": "left_wrist", "right_pinky3": "right_pinky2", "left_foot": "left_ankle"}  # fmt: skip
     for child, parent in expected.items():
         if int(table[0, JOINTS.index(child)]) != JOINTS.index(parent):
-            raise ConfigError(f"{path}: kintree_table does not hang {child} on {parent}; expected the joints of SMPL-X")
+            raise ConfigError(
+                f"{path}: kintree_table does not make {parent} the parent of {child}; expected the joints of SMPL-X"
+            )
 
 
 def _shape(arrays: dict[str, npt.NDArray[Any]], betas: list[float], *, place: Path) -> Array:
@@ -233,7 +235,7 @@ def _palm_up(body: Body, side: Literal["left", "right"], dense: Array) -> Body:
 def _texture(
     arrays: dict[str, npt.NDArray[Any]], vertices: Array, faces: npt.NDArray[np.int64]
 ) -> tuple[Array, npt.NDArray[np.int64]]:
-    """The file's texture coordinates; without any, front and back seen from afar, side by side."""
+    """The file's texture coordinates; where it has none, front and back are projected side by side."""
     vt, ft = arrays.get("vt"), arrays.get("ft")
     if vt is not None and ft is not None and vt.ndim == 2 and ft.shape == faces.shape and int(ft.max()) < len(vt):
         return np.clip(np.asarray(vt[:, :2], np.float64), 0.0, 1.0), ft.astype(np.int64)

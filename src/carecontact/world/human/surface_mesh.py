@@ -158,7 +158,7 @@ def _reduced(ufunc: np.ufunc, image: Array, added: dict[tuple[int, int], float])
 
 
 class Triangles:
-    """Corners (m, 3, 3) made ready for many rays (Moeller and Trumbore 1997)."""
+    """Triangles with corners (m, 3, 3), prepared for many rays (Moeller and Trumbore 1997)."""
 
     def __init__(self, corners: Array) -> None:
         a = corners[:, 0]

@@ -1,0 +1,62 @@
+"""Every registered action: its schema, its sweeps and its words hold together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from carecontact.behaviours import BEHAVIOURS, Behaviour, Section
+from carecontact.errors import ConfigError, UnknownNameError
+from carecontact.protocols import load_protocol
+from carecontact.scoring import score_recording
+from carecontact.scoring.behaviour import actions_that_move, behaviour_of
+from carecontact.scoring.contact import find_contact
+from carecontact.scoring.metrics.c3_success import judge
+from tests.scoring.synthetic import make_recording, push, scrub, touch
+
+PROTOCOL = load_protocol()
+GOOD = {"touch": touch, "push": push, "scrub": scrub}
+
+
+def test_one_file_each_registers_the_shipped_actions() -> None:
+    assert set(GOOD) <= set(BEHAVIOURS)
+    assert actions_that_move() >= {"push"}
+    assert not actions_that_move() & {"touch", "scrub"}
+
+
+@pytest.mark.parametrize("action", sorted(BEHAVIOURS))
+def test_sweeps_move_fields_of_the_gate(action: str) -> None:
+    behaviour = behaviour_of(action)
+    assert issubclass(behaviour.gate, Section)
+    for sweep in behaviour.sweeps:
+        assert sweep.field in behaviour.gate.model_fields
+        assert sweep.name.startswith(f"{action}_")
+        assert sorted(sweep.values) == list(sweep.values)
+
+
+@pytest.mark.parametrize("action", sorted(GOOD))
+def test_a_good_trial_passes_and_an_empty_one_is_told_what_is_missing(action: str) -> None:
+    assert score_recording(GOOD[action]()).c3_success
+    task = next(task.id for task in PROTOCOL.tasks if task.action == action)
+    contact = find_contact(make_recording(task))
+    result = judge(contact)
+    assert not result.success
+    assert behaviour_of(action).shortfall(contact, PROTOCOL.gates.of(action), result)
+
+
+def test_an_action_without_a_gate_in_the_protocol_lists_those_that_have_one() -> None:
+    with pytest.raises(UnknownNameError, match="no gate named 'hold'; valid: push, scrub, touch"):
+        PROTOCOL.gates.of("hold")
+
+
+@pytest.fixture
+def odd() -> Iterator[str]:
+    BEHAVIOURS.register("odd", Behaviour)  # pyright: ignore[reportArgumentType]
+    yield "odd"
+    del BEHAVIOURS._rows["odd"]
+
+
+def test_a_row_that_is_no_behaviour_object_is_named(odd: str) -> None:
+    with pytest.raises(ConfigError, match=r"action 'odd' is registered as .*; expected a Behaviour object"):
+        behaviour_of(odd)
