@@ -61,13 +61,9 @@ def identity_of(spec: TrialSpec, *, search_path: Sequence[str], language: str | 
     return Identity(
         policy_sha256=None if source is None else hashlib.sha256(source.read_bytes()).hexdigest(),
         language=language_name(language) if language else None,
-<<<<<<< HEAD
-        versions={name: versions[name] for name in ("carecontact", "mujoco")} | supplier_versions(spec.protocol),
-=======
         arguments=spec.policy_arguments,
         environment=spec.policy_environment,
-        versions={name: versions[name] for name in ("carecontact", "mujoco")},
->>>>>>> main
+        versions={name: versions[name] for name in ("carecontact", "mujoco")} | supplier_versions(spec.protocol),
         sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()},
     )
 
