@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -26,10 +25,11 @@ from carecontact.recording import SEGMENTS, Recording, read_recording, write_rec
 from carecontact.recording.versions import trial_versions
 from carecontact.regions import REGIONS
 from carecontact.registry import Registry
-from carecontact.reports.page.html import write_report
+from carecontact.reports.page.page import write_report
 from carecontact.runs import score_run
 from carecontact.scoring import score_recording
 from carecontact.sim.simulation import Simulation
+from carecontact.trials.request import TrialRequest, setup_of
 from carecontact.validation.moves import move_to
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene, build_scene
@@ -183,7 +183,7 @@ def test_a_worker_process_finds_the_rows_by_itself(protocol: Protocol, tmp_path:
     package it says what is missing."""
     gone = overridden(protocol, {"person.body": "smplx:gone.npz?sex=F"})
     spec = TrialSpec(protocol=gone, task_id="T8", seed=0, policy="zero-action")
-    asked = json.dumps({"spec": spec.model_dump(mode="json"), "out": str(tmp_path / "trial.h5")})
+    asked = TrialRequest(spec=spec, policy=setup_of(spec), out=tmp_path / "trial.h5").model_dump_json()
     source = Path(carecontact.__file__).parents[1]
 
     def worker(*path: Path) -> subprocess.CompletedProcess[str]:

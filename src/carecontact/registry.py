@@ -86,7 +86,10 @@ class Registry(Mapping[str, T], Generic[T]):
         if self._external_loaded:
             return
         for point in entry_points(group=f"carecontact.{self.plural}"):
-            row = point.load()
-            if self._rows.setdefault(point.name, row) is row and point.dist is not None:
+            if point.name in self._rows:
+                continue
+            # A module may register its row as it is imported; then the object that the entry point names is ignored.
+            self._rows.setdefault(point.name, point.load())
+            if point.dist is not None:
                 self._package[point.name] = point.dist.name
         self._external_loaded = True

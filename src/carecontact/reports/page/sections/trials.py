@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from carecontact.recording.schema import REGION_SEGMENT, Header
+from carecontact.recording.schema import Header
+from carecontact.regions import REGIONS
 from carecontact.reports.page.chosen import FAILURES_SHOWN
 from carecontact.reports.page.paths import shortened
 from carecontact.reports.page.section import Page, section
@@ -109,7 +110,7 @@ class Limits:
     @classmethod
     def of(cls, header: Header, score: TrialScore) -> Limits:
         protocol = header.spec.protocol
-        gamma, segment = protocol.limits.gamma, REGION_SEGMENT[score.region]
+        gamma, segment = protocol.limits.gamma, REGIONS[score.region].segment
         return cls(
             gate_n=gamma * protocol.f_pain(segment),
             borrowed={s: score.peak_force_n[s] / (gamma * protocol.f_pain(s)) for s in score.fallback_limits},
