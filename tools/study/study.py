@@ -17,8 +17,9 @@ from carecontact import __version__
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError
 from carecontact.reports.compare.baselines import Baselines, beside_baselines
-from carecontact.reports.compare.comparison import Comparison, compare_runs, plain
+from carecontact.reports.compare.comparison import Comparison, compare_runs
 from carecontact.reports.compare.overview import Overview, overview
+from carecontact.reports.compare.plain import plain
 from carecontact.runs.pooling import judged
 from carecontact.runs.run_scores import RunScores
 

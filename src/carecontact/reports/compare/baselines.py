@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from carecontact.errors import ConfigError
-from carecontact.reports.compare.comparison import check_comparable, trials_by_key
+from carecontact.reports.compare.comparable import check_comparable, trials_by_key
 from carecontact.reports.compare.outcomes import RATES, Outcome
 from carecontact.runs.pooling import judged
 from carecontact.runs.run_scores import RunScores

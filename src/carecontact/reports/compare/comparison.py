@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from carecontact import __version__
 from carecontact.errors import ConfigError
+from carecontact.reports.compare.comparable import check_comparable, trials_by_key
 from carecontact.reports.compare.paired_lines import Line, paired_lines
+from carecontact.reports.compare.plain import plain
 from carecontact.reports.compare.verdicts import ALPHA, POWER, conclude
-from carecontact.runs.pooling import check_one_run, judged, world_difference
+from carecontact.runs.pooling import judged
 from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.result import TrialScore
 
@@ -116,55 +118,6 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
     return {key: plain(value) for key, value in content.items()}
 
 
-def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
-    """Raises ConfigError, naming the runs and what differs, unless all ran one protocol, same overrides, in one world,
-    were scored by the same definitions, and have a trial that says something about the policy.
-
-    Args:
-        runs: name for messages -> scores.
-    """
-    for name, scores in runs.items():
-        check_one_run(scores)
-        if not judged(scores):
-            raise ConfigError(f"run {name} has no trial that says anything about its policy; compare scored runs")
-    (reference, scores), *others = runs.items()
-    for name, other in others:
-        _check_two(reference, scores, name, other)
-
-
-def _check_two(name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[TrialScore]) -> None:
-    first, other = a[0], b[0]
-    if first.protocol_sha256 != other.protocol_sha256 or first.overrides != other.overrides:
-        told = [f"{s.protocol_title} ({s.protocol_sha256[:12]})" for s in (first, other)]
-        raise ConfigError(
-            f"{name_a} ran {told[0]}, {name_b} ran {told[1]}: "
-            "only runs of one protocol, same overrides, can be compared"
-        )
-    if first.metric_versions != other.metric_versions:
-        keys = sorted(
-            key
-            for key in first.metric_versions.keys() | other.metric_versions.keys()
-            if first.metric_versions.get(key) != other.metric_versions.get(key)
-        )
-        told = ", ".join(f"{k} {first.metric_versions.get(k)} and {other.metric_versions.get(k)}" for k in keys)
-        raise ConfigError(
-            f"{name_a} and {name_b} are scored by different definitions ({told}): score both again with one release"
-        )
-    found = world_difference([*judged(a), *judged(b)])
-    if found is not None:
-        what, one, two = found
-        raise ConfigError(
-            f"{name_a} and {name_b} are of different worlds: {what} {one.world[what][:12]} ({one.trial_id} of "
-            f"{name_a}) and {two.world[what][:12]} ({two.trial_id} of {name_b}); run both with one release and one "
-            "robot"
-        )
-
-
-def trials_by_key(scores: Iterable[TrialScore]) -> dict[tuple[str, int], TrialScore]:
-    """(task, seed) -> its trial, of those that are ``judged``."""
-    return {(s.task_id, s.seed): s for s in judged(scores)}
-
-
 def _told(trials: Mapping[tuple[str, int], TrialScore]) -> str:
     tasks, seeds = sorted({task for task, _ in trials}), sorted({seed for _, seed in trials})
     more = ", ..." if len(seeds) > 8 else ""
@@ -196,14 +149,3 @@ def _info(run: RunScores) -> RunInfo:
         n_missing=len(run.missing),
         versions=run.versions,
     )
-
-
-def plain(value: Any) -> Any:
-    """For JSON: tuples as lists, and no infinity or NaN."""
-    if isinstance(value, dict):
-        return {key: plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(inner) for inner in value]
-    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
-        return None
-    return value

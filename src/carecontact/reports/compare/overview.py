@@ -11,8 +11,9 @@ from typing import Any
 from carecontact import __version__
 from carecontact.errors import ConfigError
 from carecontact.reports.compare.baselines import Baselines
-from carecontact.reports.compare.comparison import check_comparable, plain, trials_by_key
+from carecontact.reports.compare.comparable import check_comparable, trials_by_key
 from carecontact.reports.compare.paired_lines import Line, rate_lines
+from carecontact.reports.compare.plain import plain
 from carecontact.reports.compare.rankings import Ranking, rank
 from carecontact.reports.compare.verdicts import ALPHA, POWER, conclude
 from carecontact.reports.table import SummaryRow, summary_rows

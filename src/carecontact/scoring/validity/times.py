@@ -12,15 +12,16 @@ from carecontact.scoring.metrics.c3_success import broke_down
 TIME_TOLERANCE_S = 1e-6
 SHORTEST_STEP_S, LONGEST_STEP_S = 1e-5, 0.1
 LATE_ACTION_S = 0.25
-"""An action that the end of the trial overtook is let pass: recordings with one were made and keep their score."""
+"""An action may be this much later than the trial's end: recordings with one exist, and they keep their score."""
 
 
 def check_times(recording: Recording) -> None:
     """Raises RecordingError naming the trial, the array and the sample where the clocks contradict one another.
 
-    Definitions that the sample rate cannot serve; samples that are not one physics step apart, begin elsewhere than at
-    t = 0 or go on beyond the time limit; control periods that run back, leave a gap or end elsewhere than the samples;
-    actions and observations that run back or lie outside the trial; no samples of a trial that did not fail.
+    Refused are definitions whose filters need a higher sample rate; samples that are not one physics step apart, begin
+    elsewhere than at t = 0 or go on beyond the time limit; control periods that run back, leave a gap or end elsewhere
+    than the samples; actions and observations that run back or lie outside the trial; and a trial without samples that
+    did not fail.
     """
     trial_id, protocol = recording.header.spec.trial_id, recording.header.spec.protocol
     dt = protocol.physics.dt_s

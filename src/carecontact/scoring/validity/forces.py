@@ -21,7 +21,7 @@ CANCELLED_SHARE = 0.1
 """Of a segment's contact. One arm with a closed gripper presses from one side: of 400 simulated trials, random targets
 up to 277 N among them, the ratio of the two sums was never below 0.81 or above 1.12."""
 CANCELLED_S = 0.01
-"""So long contacts may oppose one another whatever share it is: a bounce."""
+"""Contacts may oppose one another for this long, whatever share of the contact it is: a bounce."""
 LEAST_RATIO = 0.5
 """Of vector sum to normal sum, median over a segment's contact: below, the two are in different units."""
 CUT_ROUNDING = 1e-5
@@ -30,8 +30,8 @@ CUT_ROUNDING = 1e-5
 def check_forces(recording: Recording) -> None:
     """Raises RecordingError naming the trial, the segment and the time where the forces contradict one another.
 
-    A vector sum that no friction explains, or that vanishes while the normal sum does not; a cut that its force or its
-    cause does not bear out, or a force above the line for a cut in a trial that was not cut.
+    They do where no friction explains a vector sum, or it vanishes while the normal sum does not; where force or cause
+    do not match a cut; and where a force is above the line for a cut in a trial that was not cut.
     """
     force, normal = recording["scorer/force_human_from_robot_in_world"], recording["scorer/normal_force"]
     loaded = np.flatnonzero((force != 0).any(axis=0).any(axis=1) | (normal != 0).any(axis=0)).tolist()

@@ -1,0 +1,37 @@
+"""Whether the recorded actions are ones that a policy can have sent."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carecontact.errors import RecordingError
+from carecontact.recording import Recording
+from carecontact.scoring.validity.values import ROOM_M
+
+MOST_STIFFNESS = 1e5
+"""[N/m] and [N m/rad]"""
+
+
+def check_actions(recording: Recording) -> None:
+    """Raises RecordingError for an action that the trial would have refused.
+
+    Valid is a pose within the room, or NaN in all seven numbers where the last target was kept, with a stiffness above
+    zero.
+    """
+    trial_id = recording.header.spec.trial_id
+    pose, stiffness = recording["actions/pose_tcp_in_base"], recording["actions/stiffness"]
+    kept = np.isnan(pose).all(axis=1)
+    wrong = ~kept & ~(np.abs(pose) <= ROOM_M).all(axis=1)
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise RecordingError(
+            f"{trial_id}: actions/pose_tcp_in_base holds {pose[row].tolist()} at {row}; valid: seven numbers, "
+            f"positions of at most {ROOM_M:g} m, or NaN in all seven where the last target was kept"
+        )
+    wrong = ~((stiffness > 0) & (stiffness <= MOST_STIFFNESS)).all(axis=1)
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise RecordingError(
+            f"{trial_id}: actions/stiffness holds {stiffness[row].tolist()} at {row}; "
+            f"valid: above 0 and up to {MOST_STIFFNESS:g}"
+        )

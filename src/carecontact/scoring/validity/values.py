@@ -1,0 +1,89 @@
+"""Whether each value of a stream is one that can be: finite, within bounds, a rotation, a range."""
+
+from __future__ import annotations
+
+from math import inf, pi
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.errors import RecordingError
+from carecontact.recording import Recording
+
+QUAT_TOLERANCE = 1e-3
+ROOM_M = 5.0
+"""Nothing is farther from the world's origin, the robot's base or a joint's centre; real scenes reach about 1 m."""
+BOUNDS: dict[str, tuple[float, float, str]] = {
+    "scorer/normal_force": (0.0, inf, "N, a sum of magnitudes"),
+    "scorer/centroid_in_world": (-ROOM_M, ROOM_M, "m"),
+    "scorer/human_joint_position": (-2 * pi, 2 * pi, "rad"),
+    "scorer/human_joint_range": (-2 * pi, 2 * pi, "rad"),
+    "scorer/human_joint_settled": (-2 * pi, 2 * pi, "rad"),
+    "scorer/wrist_in_world": (-ROOM_M, ROOM_M, "m"),
+    "scorer/wrist_settled_in_world": (-ROOM_M, ROOM_M, "m"),
+    "scorer/pose_tcp_in_world": (-ROOM_M, ROOM_M, "m"),
+    "scorer/tcp_speed": (0.0, 10.0, "m/s"),
+    "scorer/tcp_rotation_speed": (0.0, 100.0, "rad/s"),
+    "scorer/region_pose_in_world": (-ROOM_M, ROOM_M, "m"),
+    "scorer/region_size_m": (0.001, 1.0, "m"),
+    "scorer/indentation_m": (0.0, 0.2, "m"),
+    "scorer/target_in_base": (-ROOM_M, ROOM_M, "m"),
+}
+"""Array -> lowest and highest value [unit]. Generous: they detect another unit or another sign, not a bad trial."""
+
+
+def check_finite_streams(recording: Recording) -> None:
+    """Raises RecordingError for a value in a scorer stream, or a time of an action, that is not finite."""
+    for path in sorted(recording.arrays):
+        array = recording.arrays[path]
+        if not (path.startswith("scorer/") or path == "actions/time_s") or array.dtype.kind != "f":
+            continue
+        finite = np.isfinite(array)
+        if not finite.all():
+            place = _first(~finite)
+            trial_id = recording.header.spec.trial_id
+            raise RecordingError(f"{trial_id}: {path} holds {array[place]} at {place}; every value must be finite")
+
+
+def check_bounds(recording: Recording) -> None:
+    """Raises RecordingError for a value outside BOUNDS, or a base of the robot outside the room."""
+    trial_id = recording.header.spec.trial_id
+    for path, (low, high, unit) in BOUNDS.items():
+        array = recording[path]
+        # By the extremes: they need no array of their own, and a good recording has nothing to look for.
+        if array.size and not (array.min() >= low and array.max() <= high):
+            place = _first((array < low) | (array > high))
+            raise RecordingError(
+                f"{trial_id}: {path} holds {array[place]:g} at {place}; valid: {low:g} to {high:g} {unit}"
+            )
+    base = recording.header.pose_base_in_world
+    if max(abs(number) for number in base) > ROOM_M:
+        raise RecordingError(
+            f"{trial_id}: pose_base_in_world holds {base}; valid: positions of at most {ROOM_M:g} m, quat_wxyz"
+        )
+
+
+def check_rotations(recording: Recording) -> None:
+    """Raises RecordingError for a pose of the tool or of a region whose quaternion does not have length 1."""
+    for path in ("scorer/pose_tcp_in_world", "scorer/region_pose_in_world"):
+        quat = recording[path][..., 3:].astype(np.float64)
+        wrong = np.abs(np.einsum("...i,...i", quat, quat) - 1.0) > QUAT_TOLERANCE
+        if wrong.any():
+            raise RecordingError(
+                f"{recording.header.spec.trial_id}: {path} at {_first(wrong)} is not a rotation: quat_wxyz must have "
+                "length 1"
+            )
+
+
+def check_joint_ranges(recording: Recording) -> None:
+    """Raises RecordingError for a joint whose range ends below its start."""
+    low, high = recording["scorer/human_joint_range"].T
+    for joint in np.flatnonzero(low >= high).tolist():
+        raise RecordingError(
+            f"{recording.header.spec.trial_id}: scorer/human_joint_range of {recording.header.human_joints[joint]} is "
+            f"{low[joint]:g} to {high[joint]:g} rad; expected low below high"
+        )
+
+
+def _first(wrong: npt.NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple(int(i) for i in np.argwhere(wrong)[0])
