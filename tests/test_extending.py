@@ -82,6 +82,12 @@ def test_the_protocol_has_ten_lines_and_everything_else_from_its_base(protocol: 
     assert HAND not in protocol.person.tissue
 
 
+def test_the_page_shows_these_files() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "extending.md").read_text()
+    for name in ("outside_hold.py", "outside_right_hand.py", "holding-v1.toml"):
+        assert (FOLDER / name).read_text().rstrip() in page, name
+
+
 def test_its_fields_can_be_replaced_and_a_wrong_one_is_named(protocol: Protocol, tmp_path: Path) -> None:
     other = overridden(protocol, {"gates.hold.high_n": "8"})
     assert other.title == "holding-v1 with gates.hold.high_n 8"

@@ -18,6 +18,7 @@ from carecontact.episode.peak import Peak
 from carecontact.episode.prepare import World, settled_world
 from carecontact.episode.spaces import SPACES
 from carecontact.errors import ActionError, ConfigError, PolicyError
+from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.packing import pack
 from carecontact.protocols import load_protocol
@@ -95,7 +96,7 @@ def test_a_loop_and_a_trial_s_process_make_the_same_recording(
     exec(POLICY, scope)
     asked = spec("waving:Wave")
     here = by_loop(asked, scope["Wave"](), again)
-    there = run_trial(asked, search_path=[str(tmp_path)], prepare=again)
+    there = run_trial(asked, policy=PolicySetup.of(asked.policy, search_path=[str(tmp_path)]), prepare=again)
     assert here.header == there.header
     assert here.header.ended == "done"
     assert here.header.control == "cartesian-impedance"

@@ -1,10 +1,5 @@
-"""The right hand: rigid, so it needs no tissue."""
+"""The right hand, as a rigid region."""
 
 from carecontact.regions import Region
 
-RIGHT_HAND = Region(
-    segment="right_hand",
-    neighbourhood=("right_hand", "right_forearm"),
-    words=("palm",),
-    close_up_azimuth_deg=75.0,
-)
+RIGHT_HAND = Region(segment="right_hand", neighbourhood=("right_hand", "right_forearm"), words=("palm",))

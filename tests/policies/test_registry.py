@@ -88,7 +88,7 @@ def test_an_unknown_name_lists_the_valid_ones() -> None:
 
 def test_other_packages_add_policies_through_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
     row = PolicyRow(target="theirs.policy:Theirs", description="Somebody's policy.")
-    point = SimpleNamespace(name="theirs", load=lambda: row)
+    point = SimpleNamespace(name="theirs", load=lambda: row, dist=None)
     monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group == "carecontact.policies" else [])
     monkeypatch.setattr(POLICIES, "_external_loaded", False)
     monkeypatch.setattr(POLICIES, "_rows", dict(POLICIES._rows))

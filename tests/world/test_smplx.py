@@ -89,7 +89,7 @@ def test_mass_age_and_shape_are_options(file: Path, smplx: Body) -> None:
 @pytest.mark.parametrize(
     ("query", "told"),
     [
-        ("", "say \\?sex=F or \\?sex=M"), ("?sex=X", "say \\?sex=F"), ("?sex=F&age=child", "neither adult nor old"),
+        ("", r"\?sex=F or \?sex=M"), ("?sex=X", r"\?sex=F or \?sex=M"), ("?sex=F&age=child", "neither adult nor old"),
         ("?sex=F&height=2", "no option height"), ("?sex=F&betas=a", "could not convert"),
         ("?sex=F&mass=5000", "20 to 300"), ("?sex=F&betas=1,2,3", "3 betas, but shapedirs has 2"),
         ("?sex=F&mass=nan", "20 to 300"),
@@ -104,7 +104,7 @@ WRONG = {
     "weights": (None, "lacks weights; an SMPL-X npz has v_template"),
     "v_template": (np.zeros((10, 2)), r"v_template has shape \(10, 2\), expected \(10, 3\)"),
     "J_regressor": (np.zeros((24, 13710)), "J_regressor has shape .* for the 55 joints"),
-    "kintree_table": (np.zeros((2, 55), np.int64), "does not hang left_elbow on left_shoulder"),
+    "kintree_table": (np.zeros((2, 55), np.int64), "kintree_table .*left_shoulder .*left_elbow"),
     "f": (np.array([[0, 1, 10**6]]), "f must name vertices 0 to"),
 }
 
@@ -119,7 +119,7 @@ def test_wrong_arrays_are_told(tmp_path: Path, key: str) -> None:
 
 def test_nan_and_millimetres_are_told(tmp_path: Path) -> None:
     vertices = smplx_arrays()["v_template"]
-    with pytest.raises(ConfigError, match="no person in metres"):
+    with pytest.raises(ConfigError, match=r"m\^3.*metres"):
         load_body(f"smplx:{write_smplx(tmp_path / 'mm.npz', v_template=1000 * vertices)}?sex=F")
     vertices[3] = np.nan
     with pytest.raises(ConfigError, match="v_template holds something other than finite numbers"):
@@ -130,7 +130,7 @@ def test_nan_and_millimetres_are_told(tmp_path: Path) -> None:
 def test_what_is_no_npz_is_told(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "SMPLX_MALE.npz"
     path.write_bytes(content)
-    with pytest.raises(ConfigError, match="no npz archive"):
+    with pytest.raises(ConfigError, match=r"SMPLX_MALE\.npz: .*npz archive"):
         load_body(f"smplx:{path}?sex=M")
 
 

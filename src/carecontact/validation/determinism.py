@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
+from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import canonical_hash, read_recording
 from carecontact.recording.schema import Recording
 from carecontact.regions import REGIONS
@@ -67,9 +69,10 @@ def two_recordings(spec: TrialSpec) -> tuple[Recording, Recording]:
                 [sys.executable, "-m", "carecontact.trials.worker"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )  # fmt: skip
-            asked = json.dumps({"spec": spec.model_dump(mode="json"), "out": str(path)})
+            policy = asdict(PolicySetup.of(spec.policy))
+            request = json.dumps({"spec": spec.model_dump(mode="json"), "policy": policy, "out": str(path)})
             assert process.stdin is not None
-            process.stdin.write(asked.encode())
+            process.stdin.write(request.encode())
             process.stdin.close()
             running.append(process)
         try:
