@@ -45,7 +45,7 @@ class Look:
         card = PolicyCard(name="look", modalities=MODALITIES, cameras=CAMERAS)
         observation = first_look(rules, task_id=self.task, seed=self.seed, card=card, weights=self.vision.weights)
         name = rules.task(self.task).name
-        title = f"Not told to it: {self.task} {name}, seed {self.seed}, {rules.title}."
+        title = f"{self.task} {name}, seed {self.seed}, {rules.title} (the policy does not receive this line)"
         save_sheet(observation, path, title=title)
         print(f"{path}: {self.task} seed {self.seed}, {len(CAMERAS)} cameras")
         return 0

@@ -97,6 +97,8 @@ class Episode:
         self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol)
         self._peak = Peak(self.simulation, target=SEGMENTS.index(REGIONS[self.task.region].segment))
         self._force_cut = ForceCut(self.protocol)
+        self._space: ActionSpace | None = None
+        self._builder: ObservationBuilder | None = None
         self._perception: PerceptionLog | None = None
         self._pending: Observation | None = None
         self._done_steps = 0
@@ -138,12 +140,10 @@ class Episode:
             self._space = SPACES[self.card.action_space](self.simulation)
         return self._space
 
-    _space: ActionSpace | None = None
-
     @property
     def raw(self) -> RawReadings | None:
-        """What the last observation was made of: for the audit, never for a policy."""
-        return self._builder.raw
+        """What the last observation was made of: for the audit, never for a policy. None before ``reset``."""
+        return None if self._builder is None else self._builder.raw
 
     def reset(self) -> Observation:
         """The first observation. An episode can be reset once: the world has been consumed then."""
@@ -241,6 +241,7 @@ class Episode:
         return Recording(header=header, arrays=self.log.arrays())
 
     def _observe(self) -> Observation:
+        assert self._builder is not None
         self.simulation.refresh()
         self._pending = self._builder.build(
             self.simulation.data, instruction=self.instruction, sim_time_s=self.simulation.time_s

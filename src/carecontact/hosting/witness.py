@@ -1,4 +1,4 @@
-"""The audit's own policy: asks for what another asks for, presses as it is told, and notes all that reaches it."""
+"""The audit's own policy: requests what another one requests, plays a given motion, and notes all that reaches it."""
 
 from __future__ import annotations
 

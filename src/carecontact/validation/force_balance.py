@@ -84,7 +84,7 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
 
     def go(speed: float) -> Samples:
         nonlocal height
-        # A spring between target and tool: the target runs ahead by what the tissue's stiffness asks for.
+        # A spring between target and tool: the target runs ahead by what the tissue's stiffness requires.
         height -= speed * period * (1.0 + tangent / STIFFNESS[0])
         return move_to(simulation, np.array([*top[:2], height]), seconds=period)[-1]
 

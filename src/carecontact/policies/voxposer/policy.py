@@ -1,4 +1,4 @@
-"""VoxPoser as a policy: it asks for programs once, then looks, composes maps, plans, moves a little, and repeats."""
+"""VoxPoser as a policy: it requests programs once, then looks, composes maps, plans, moves a little, and repeats."""
 
 from __future__ import annotations
 

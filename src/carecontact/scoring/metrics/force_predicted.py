@@ -24,7 +24,7 @@ def force_predicted_r2(contact: Contact) -> float | None:
     """Adjusted R^2 of F_b of the reported segment, least squares over the control periods of the contact window.
 
     Predictors are what a policy commanded and what its encoders tell: stiffness times the distance from tool to
-    impedance target, the force that the controller's spring asks for, and the tool's velocity, which its damper
+    impedance target, the force that the controller's spring commands, and the tool's velocity, which its damper
     brakes; three components each, in the robot's base, and a constant. 1: no force sensor was needed to know the
     force; 0: these say nothing. Adjusted for the six slopes (Ezekiel, Methods of Correlation Analysis, 1930), so
     slightly below 0 is possible. The fit is the trial's own: information that is there, not a predictor that works
