@@ -25,7 +25,8 @@ import numpy as np
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.protocol import Protocol
 from carecontact.protocols import FAST_DT_S, load_protocol, overridden
-from carecontact.recording.schema import REGION_SEGMENT, SEGMENTS
+from carecontact.recording.schema import SEGMENTS
+from carecontact.regions import REGIONS as REGION_ROWS
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import build_scene
 
@@ -55,7 +56,7 @@ def press(simulation: Simulation, region: str) -> float:
         goal = matrix_from_quat(base[3:]).T @ (np.array([*middle[:2], top + height]) - base[:3])
         simulation.set_goal(np.r_[goal, DOWN], seconds)
         simulation.advance(round((seconds + 0.5) / model.opt.timestep))
-    force = simulation.advance(10)[-1].force[-1, SEGMENTS.index(REGION_SEGMENT[region])]
+    force = simulation.advance(10)[-1].force[-1, SEGMENTS.index(REGION_ROWS[region].segment)]
     return float(np.linalg.norm(force))
 
 

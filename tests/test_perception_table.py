@@ -13,7 +13,7 @@ import pytest
 import carecontact
 from carecontact.protocols import load_protocol, overridden
 from carecontact.recording.perception import JOINTS
-from carecontact.recording.schema import REGIONS
+from carecontact.regions import STANDARD_REGIONS
 
 TOOLS = Path(__file__).parents[1] / "tools"
 
@@ -30,9 +30,9 @@ def made_rows(seed: int, *, body: str, target_m: float, found_on_wrist: bool = F
     row = {
         "seed": seed, "body": body, "tone": "tan", "region": "", "somebody": True, "sure": 33,
         "error_px": [4.0] * len(JOINTS), "visible": [True] * len(JOINTS), "iou": 0.99,
-        "target_m": [[target_m, 0.0, 0.0]] * len(REGIONS),
+        "target_m": [[target_m, 0.0, 0.0]] * len(STANDARD_REGIONS),
     }  # fmt: skip
-    over = [{**row, "condition": "over", "region": region} for region in REGIONS]
+    over = [{**row, "condition": "over", "region": region} for region in STANDARD_REGIONS]
     wrist = {**row, "condition": "wrist", "somebody": found_on_wrist, "sure": 21, "error_px": [229.0] * 2 + [None] * 10}
     return [{**row, "condition": "parked"}, {**row, "condition": "noise"}, wrist, *over]
 

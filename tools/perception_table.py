@@ -34,7 +34,7 @@ from carecontact.observation.builder import ObservationBuilder
 from carecontact.observation.keypoints import KeyPoints, MediaPipePose
 from carecontact.protocols import load_protocol, overridden
 from carecontact.recording.perception import JOINTS
-from carecontact.recording.schema import REGIONS
+from carecontact.regions import STANDARD_REGIONS
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Simulation
@@ -111,7 +111,7 @@ def scene_rows(protocol: Protocol, seed: int, keypoints: Remembering) -> list[Ro
         look(protocol, "parked", "")
         look(noisy, "noise", "")
         look(protocol, "wrist", "", ON_WRIST)
-        for region in REGIONS:
+        for region in STANDARD_REGIONS:
             place, _ = true_target(region, joints, skin, model.skin_face)
             simulation.robot.set_joint_position(data, above(place, protocol))
             mujoco.mj_forward(model, data)
@@ -192,7 +192,7 @@ def tables(rows: list[Row]) -> str:
             "| region | found | median | 95th percentile | along, median | across | up |",
             "|---|---|---|---|---|---|---|",
         ]
-        for region in REGIONS:
+        for region in STANDARD_REGIONS:
             error = targets(rows, condition, region)
             found = error[np.isfinite(error).all(1)]
             if not len(found):
@@ -222,7 +222,7 @@ def grouped(rows: list[Row], key: str, names: list[str]) -> list[str]:
     over = []
     for name in names:
         mine = [r for r in rows if r["condition"] == "parked" and r[key] == name]
-        medians = {region: median_mm(mine, region) for region in REGIONS}
+        medians = {region: median_mm(mine, region) for region in STANDARD_REGIONS}
         over += [f"{name} {r.replace('_', ' ')} {mm:.1f}" for r, mm in medians.items() if not mm <= TARGET_MM]
         numbers = [f"{np.nanmedian(pixels(mine)):.1f}", f"{np.mean([r['iou'] for r in mine]):.3f}"]
         out.append(
@@ -262,7 +262,7 @@ def misses(rows: list[Row]) -> list[str]:
         ("landmark error", float(np.nanmedian(pixels(parked))), LANDMARK_PX, "px", 1),
         ("mean IoU", float(np.mean(ious)), IOU_MEAN, "", -1), ("least IoU", min(ious), IOU_MIN, "", -1),
     ]  # fmt: skip
-    for region in REGIONS:
+    for region in STANDARD_REGIONS:
         error = targets(rows, "parked", region)
         size = np.linalg.norm(np.where(np.isfinite(error), error, np.inf), axis=1)
         measured.append((f"{region} target, median", median_mm(rows, region), TARGET_MM, "mm", 1))
@@ -282,7 +282,7 @@ def pixels(rows: list[Row]) -> np.ndarray:
 def targets(rows: list[Row], condition: str, region: str) -> np.ndarray:
     """(n, 3) [mm]; with the tool above a region only that region's."""
     mine = [r for r in rows if r["condition"] == condition and r["region"] in ("", region)]
-    return 1000 * np.array([r["target_m"][REGIONS.index(region)] for r in mine], float)
+    return 1000 * np.array([r["target_m"][STANDARD_REGIONS.index(region)] for r in mine], float)
 
 
 def main() -> None:

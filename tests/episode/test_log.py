@@ -12,7 +12,8 @@ import pytest
 from carecontact.contract.observation import CameraView, Observation
 from carecontact.episode.log import MAX_LOSSLESS_FRAMES, MAX_NOTES, MAX_NOTES_BYTES, MAX_STEP_NOTES, TrialLog
 from carecontact.errors import PolicyError
-from carecontact.recording.schema import ARRAYS, REGIONS, SEGMENTS, dimensions
+from carecontact.recording.schema import ARRAYS, SEGMENTS, dimensions
+from carecontact.regions import STANDARD_REGIONS
 from carecontact.sim.simulation import Samples
 
 JOINTS = ["a", "b", "c"]
@@ -41,7 +42,7 @@ class Clock:
             Samples(
                 time_s=time, force=ramp(s, 3), normal=2 * ramp(s), centroid=3 * ramp(s, 3), human_joint=4 * ramp(3),
                 tcp_pose=5 * ramp(7), tcp_speed=6 * time, tcp_rotation_speed=7 * time, wrist=8 * ramp(3),
-                region_pose=9 * ramp(len(REGIONS), 7),
+                region_pose=9 * ramp(len(STANDARD_REGIONS), 7),
             )
         ]  # fmt: skip
 
@@ -61,14 +62,16 @@ def clock() -> Clock:
 
 @pytest.fixture
 def log() -> TrialLog:
-    return TrialLog(human_joints=len(JOINTS), regions=len(REGIONS), constants=CONSTANTS)
+    return TrialLog(human_joints=len(JOINTS), regions=len(STANDARD_REGIONS), constants=CONSTANTS)
 
 
 def add_period(log: TrialLog, clock: Clock, *blocks: int) -> None:
     """One period of the clock, in blocks of so many steps; keeps the state where the log wants one."""
     samples = [sample for steps in blocks or (STEPS,) for sample in clock.advance(steps)]
     now = clock.time_s
-    log.add_period(samples, time_s=now, indentation_m=np.full(len(REGIONS), now / 100), target_in_base=np.full(7, now))
+    log.add_period(
+        samples, time_s=now, indentation_m=np.full(len(STANDARD_REGIONS), now / 100), target_in_base=np.full(7, now)
+    )
     if log.wants_state(now):
         log.add_state(now, np.array([now, 1.0, 2.0]))
 
@@ -90,7 +93,7 @@ def sha(text: str) -> bytes:
 
 
 def assert_fits_the_schema(arrays: dict[str, np.ndarray]) -> None:
-    sizes: dict[str, int] = {"S": len(SEGMENTS), "J": len(JOINTS), "R": len(REGIONS)}
+    sizes: dict[str, int] = {"S": len(SEGMENTS), "J": len(JOINTS), "R": len(STANDARD_REGIONS)}
     for path, (dtype, _) in ARRAYS.items():
         array, names = arrays[path], dimensions(path)
         assert array.dtype == np.dtype(dtype).newbyteorder("<"), path

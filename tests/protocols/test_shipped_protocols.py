@@ -8,7 +8,8 @@ from carecontact.contract.policy import CAMERAS
 from carecontact.contract.protocol import SEGMENT_PARTS, Protocol, Variation
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol, shipped_protocols
 from carecontact.protocols.lock import read_lock
-from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS
+from carecontact.recording.schema import SEGMENTS
+from carecontact.regions import REGIONS, STANDARD_REGIONS
 from carecontact.world.human.library import body_names
 
 
@@ -29,17 +30,17 @@ def test_file_name_is_the_id_and_what_is_frozen_has_its_lock(protocol: Protocol)
 
 
 def test_names_are_those_of_recording_and_contract(protocol: Protocol) -> None:
-    assert set(protocol.person.tissue) == set(REGIONS)
-    assert set(protocol.contact.neighbourhood) == set(REGIONS)
+    assert set(protocol.person.tissue) == set(STANDARD_REGIONS)
+    assert set(protocol.contact.neighbourhood) == set(STANDARD_REGIONS)
     assert set(protocol.cameras) == set(CAMERAS)
     assert protocol.person.body in body_names()
     for region, segments in protocol.contact.neighbourhood.items():
         assert set(segments) <= set(SEGMENTS)
         assert len(set(segments)) == len(segments)
-        assert REGION_SEGMENT[region] in segments
+        assert REGIONS[region].segment in segments
     anatomical = {s.removeprefix("right_").removeprefix("left_") for s in SEGMENTS}
     assert anatomical == set(SEGMENT_PARTS)
-    assert set(REGIONS) <= set(protocol.limits.f_pain_n) <= anatomical
+    assert set(STANDARD_REGIONS) <= set(protocol.limits.f_pain_n) <= anatomical
 
 
 def test_tasks_are_distinct_and_their_prompts_name_the_region(protocol: Protocol) -> None:
@@ -49,7 +50,7 @@ def test_tasks_are_distinct_and_their_prompts_name_the_region(protocol: Protocol
         assert len(set(values)) == len(values), field
     for task in protocol.tasks:
         words = task.region.replace("_", " ")
-        assert task.region in REGIONS
+        assert task.region in STANDARD_REGIONS
         assert task.action in task.prompt
         assert words in task.prompt
         assert task.name == f"{task.action.capitalize()} {words}"
@@ -160,7 +161,7 @@ def test_bathing_gates() -> None:
     ("region", "gate_n", "cut_n"), [("forearm", 35.0, 200.0), ("upper_arm", 35.0, 200.0), ("abdomen", 21.0, 120.0)]
 )
 def test_bathing_force_limits(region: str, gate_n: float, cut_n: float) -> None:
-    pain = BATHING.f_pain(REGION_SEGMENT[region])
+    pain = BATHING.f_pain(REGIONS[region].segment)
     assert BATHING.limits.gamma * pain == pytest.approx(gate_n)
     assert BATHING.phases.truncation_over_pain * pain == pytest.approx(cut_n)
 

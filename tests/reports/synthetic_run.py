@@ -12,8 +12,6 @@ from carecontact.errors import RecordingError
 from carecontact.protocols import load_protocol
 from carecontact.recording.schema import (
     ARRAYS,
-    REGION_SEGMENT,
-    REGIONS,
     SEGMENTS,
     EndReason,
     Failure,
@@ -21,6 +19,7 @@ from carecontact.recording.schema import (
     Recording,
     empty_arrays,
 )
+from carecontact.regions import REGIONS
 from carecontact.scoring.result import TrialScore
 
 PROTOCOL = load_protocol().model_copy(update={"frozen": False})  # a draft, which pages have to say
@@ -109,7 +108,7 @@ def make_recording(
 def make_score(task_id: str, seed: int, **changes: Any) -> TrialScore:
     """A passing trial of the task, with some fields changed."""
     task = PROTOCOL.task(task_id)
-    segment = REGION_SEGMENT[task.region]
+    segment = REGIONS[task.region].segment
     base: dict[str, Any] = {
         "trial_id": f"{task_id}-s{seed:03d}", "task_id": task_id, "action": task.action, "region": task.region,
         "seed": seed, "policy": "state_machine", "language_backend": "rules-v1", "protocol_id": PROTOCOL.id,

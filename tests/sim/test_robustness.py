@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from carecontact.protocols import load_protocol
-from carecontact.recording.schema import REGIONS
+from carecontact.regions import STANDARD_REGIONS
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import build_scene
 
@@ -50,7 +50,7 @@ def hammered(region: str, count: int) -> list[float]:
     simulation = Simulation(build_scene(load_protocol(), target=region, skin=False))
     simulation.settle(COMFORT_ARM_DEG)
     start = simulation.integration_state()
-    rng = np.random.default_rng([REGIONS.index(region), 7])
+    rng = np.random.default_rng([STANDARD_REGIONS.index(region), 7])
     return [hammer(simulation, start, region, rng) for _ in range(count)]
 
 
@@ -61,6 +61,6 @@ def test_a_hammering_leaves_the_world_whole() -> None:
 @pytest.mark.slow
 def test_a_hundred_hammerings() -> None:
     """Half of them at least must press harder than 5 N, or the test would prove little."""
-    peaks = [p for region, count in zip(REGIONS, (34, 33, 33), strict=True) for p in hammered(region, count)]
+    peaks = [p for region, count in zip(STANDARD_REGIONS, (34, 33, 33), strict=True) for p in hammered(region, count)]
     assert len(peaks) == 100
     assert sum(p > 5.0 for p in peaks) >= 50

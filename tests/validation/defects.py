@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from carecontact.contract.protocol import Protocol
-from carecontact.recording.schema import REGIONS
+from carecontact.regions import STANDARD_REGIONS
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.subject import Subject
 from carecontact.world.human.tissue import anchor_joints
@@ -54,7 +54,7 @@ def undamped(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
 def overdamped(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     """Tissue alone: three times the declared damping."""
     scene = build_scene(protocol, target=target, skin=skin)
-    for region in REGIONS:
+    for region in STANDARD_REGIONS:
         scene.model.dof_damping[scene.model.jnt_dofadr[anchor_joints(scene.model, region)]] *= 3.0
     return scene
 
@@ -77,7 +77,7 @@ def slippery(scene: Scene) -> None:
 
 def half_stiff(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     scene = build_scene(protocol, target=target, skin=skin)
-    for region in REGIONS:
+    for region in STANDARD_REGIONS:
         joints = anchor_joints(scene.model, region)
         scene.model.jnt_stiffness[joints] *= 0.5
         scene.model.jnt_stiffnesspoly[joints] *= 0.5

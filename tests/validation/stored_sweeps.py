@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from carecontact.protocols import load_protocol
-from carecontact.recording.schema import REGION_SEGMENT, REGIONS, SEGMENTS, Header, Recording
+from carecontact.recording.schema import SEGMENTS, Header, Recording
+from carecontact.regions import REGIONS, STANDARD_REGIONS
 from carecontact.validation.probes import PROBES, Probe, sweep
 from carecontact.validation.subject import Subject
 from carecontact.validation.sweeps import Trial
@@ -44,14 +45,14 @@ NAMES = ("force", "normal", "joints", "height", "speed", "rotation")
 
 
 def _recording(header: Header, kept: dict[str, np.ndarray], stored: np.lib.npyio.NpzFile, probe: Probe) -> Recording:
-    column, count = SEGMENTS.index(REGION_SEGMENT[probe.region]), len(kept["speed"])
+    column, count = SEGMENTS.index(REGIONS[probe.region].segment), len(kept["speed"])
     force, normal = np.zeros((count, len(SEGMENTS), 3), np.float32), np.zeros((count, len(SEGMENTS)), np.float32)
     force[:, column], normal[:, column] = kept["force"], kept["normal"]
     joints = np.tile(stored["settled"], (count, 1))
     joints[:, stored["moving"]] = kept["joints"]
     pose = np.zeros((count, 7))
     pose[:, 2], pose[:, 3] = kept["height"], 1.0
-    region_pose = np.zeros((count, len(REGIONS), 7))
+    region_pose = np.zeros((count, len(STANDARD_REGIONS), 7))
     region_pose[..., 3] = 1.0
     return Recording(
         header=header,
@@ -59,14 +60,14 @@ def _recording(header: Header, kept: dict[str, np.ndarray], stored: np.lib.npyio
             "scorer/time_s": np.arange(count) * header.spec.protocol.physics.dt_s, FORCE: force, NORMAL: normal,
             JOINT: joints, RANGE: stored["range"], SETTLED: stored["settled"], POSE: pose, SPEED: kept["speed"],
             ROTATION: kept["rotation"], "scorer/region_pose_in_world": region_pose,
-            "scorer/region_size_m": np.full((len(REGIONS), 3), 0.1),
+            "scorer/region_size_m": np.full((len(STANDARD_REGIONS), 3), 0.1),
         },
     )  # fmt: skip
 
 
 def store(probe: Probe, trials: list[Trial]) -> None:
     first = trials[0].recording
-    column, low, high = SEGMENTS.index(REGION_SEGMENT[probe.region]), *first[RANGE].T
+    column, low, high = SEGMENTS.index(REGIONS[probe.region].segment), *first[RANGE].T
     nearest = np.min([np.minimum(t.recording[JOINT] - low, high - t.recording[JOINT]).min(axis=0) for t in trials], 0)
     moving = np.flatnonzero(nearest < NEAR_END_RAD) if probe.metric == "C2@1" else np.array([], int)
     kept: dict[str, np.ndarray] = {}

@@ -7,8 +7,6 @@ from carecontact.recording.reader import VerifiedRecording, read_header, read_re
 from carecontact.recording.schema import (
     ARRAYS,
     OPTIONAL_ARRAYS,
-    REGION_SEGMENT,
-    REGIONS,
     SCHEMA_VERSION,
     SEGMENTS,
     EndReason,
@@ -23,8 +21,6 @@ __all__ = [
     "ARRAYS",
     "MIGRATIONS",
     "OPTIONAL_ARRAYS",
-    "REGIONS",
-    "REGION_SEGMENT",
     "SCHEMA_VERSION",
     "SEGMENTS",
     "EndReason",

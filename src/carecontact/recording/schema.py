@@ -15,7 +15,6 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 
 from carecontact.contract.trial import TrialSpec
-from carecontact.regions import REGIONS as REGION_ROWS
 from carecontact.regions import STANDARD_REGIONS
 
 SCHEMA_VERSION = "carecontact-recording-2"
@@ -25,8 +24,6 @@ SEGMENTS = (
     *(f"{side}_{name}" for side in ("right", "left")
       for name in ("upper_arm", "forearm", "hand", "thigh", "shank", "foot")),
 )  # fmt: skip
-REGIONS = STANDARD_REGIONS
-REGION_SEGMENT = {name: REGION_ROWS[name].segment for name in REGIONS}
 
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
 
