@@ -12,15 +12,8 @@ from carecontact.errors import SceneError
 from carecontact.protocols import load_protocol
 from carecontact.regions import REGIONS, STANDARD_REGIONS, Tube
 from carecontact.world.human.body import Body
-from carecontact.world.human.shell import (
-    FINE_HALF_LENGTH_M,
-    FINE_HALF_ROUND_DEG,
-    SIDE_HALF_ROUND_DEG,
-    Shell,
-    belly_half_width,
-    belly_span,
-    trunk_shell,
-)
+from carecontact.world.human.shell import Shell, belly_half_width, belly_span, trunk_shell
+from carecontact.world.human.shell.limb import FINE_HALF_LENGTH_M, FINE_HALF_ROUND_DEG, SIDE_HALF_ROUND_DEG
 from carecontact.world.scene import region_shell
 
 TISSUE = load_protocol().person.tissue

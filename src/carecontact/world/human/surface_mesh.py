@@ -13,9 +13,6 @@ from carecontact.errors import SceneError
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-GROWTH = 0.4
-"""Metres of spacing gained per metre away from the fine patch."""
-
 
 def graded(low: float, high: float, spacing: Callable[[Array], Array]) -> Array:
     """Coordinates from ``low`` to ``high``, both included, nowhere further apart than ``spacing`` says.

@@ -1,0 +1,7 @@
+"""The meshed surface of a soft region, sampled from the body: round a limb, or over the belly."""
+
+from carecontact.world.human.shell.limb import limb_shell
+from carecontact.world.human.shell.shell import Shell
+from carecontact.world.human.shell.trunk import belly_half_width, belly_span, trunk_shell
+
+__all__ = ["Shell", "belly_half_width", "belly_span", "limb_shell", "trunk_shell"]
