@@ -57,7 +57,7 @@ LANDMARK_PX, IOU_MEAN, IOU_MIN, TARGET_MM, TARGET_P95_MM = 6.0, 0.95, 0.85, 15.0
 BEGIN, END = "<!-- tables: tools/perception_table.py -->", "<!-- end of tables -->"
 SOURCES = (
     "contract", "regions", "observation", "recording/perception.py", "policies/state_machine",
-    "policies/region_geometry.py", "sim", "episode/perception.py", "episode/prepare.py", "episode/randomization.py",
+    "sight", "sim", "episode/perception.py", "episode/prepare.py", "episode/randomization.py",
     "world",
 )  # fmt: skip
 """Of the package, what a row depends on."""

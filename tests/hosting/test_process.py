@@ -44,6 +44,17 @@ def _failure(process: PolicyProcess, *, at: str) -> PolicyError:
     raise AssertionError(at)
 
 
+_OTHERS: set[int] = set()
+"""Children of earlier tests of this process: the interpreter of voxposer's programs keeps a pool of its own."""
+
+
+@pytest.fixture(autouse=True)
+def _others() -> None:
+    _OTHERS.clear()
+    if Path("/proc/self/task").is_dir():
+        _OTHERS.update(_children())
+
+
 def _children() -> list[int]:
     tasks = Path("/proc/self/task")
     if not tasks.is_dir():
@@ -52,7 +63,7 @@ def _children() -> list[int]:
     for task in tasks.iterdir():
         with contextlib.suppress(FileNotFoundError):  # a thread that ends meanwhile has no children either
             found += [int(pid) for pid in (task / "children").read_text().split()]
-    return found
+    return [pid for pid in found if pid not in _OTHERS]
 
 
 def test_a_conversation(launch: Launch) -> None:

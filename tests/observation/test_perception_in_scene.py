@@ -16,9 +16,9 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.episode.perception import PerceptionLog, iou, true_target
 from carecontact.observation.builder import ObservationBuilder
 from carecontact.observation.keypoints import MediaPipePose
-from carecontact.policies.region_geometry import LANDMARK, region_from_observation
 from carecontact.protocols import load_protocol
 from carecontact.recording.perception import ARRAYS, JOINTS
+from carecontact.sight import LANDMARK, region_from_observation
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.world.furniture import FURNITURE_GROUP, SUPPORT

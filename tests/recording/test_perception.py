@@ -7,12 +7,12 @@ from carecontact.contract.policy import CAMERAS
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
 from carecontact.observation.keypoints import LANDMARK_COUNT
-from carecontact.policies.region_geometry import LANDMARK
 from carecontact.protocols import load_protocol
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.perception import ARRAYS, JOINTS, perception_errors
 from carecontact.recording.schema import Recording
 from carecontact.regions import STANDARD_REGIONS
+from carecontact.sight import LANDMARK
 from carecontact.trials.failed import harness_error_recording
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from carecontact.policies.language.rules import ACTIONS
-from carecontact.policies.region_geometry import LANDMARK
 from carecontact.recording.perception import JOINTS
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS, STANDARD_REGIONS, Region, all_regions
+from carecontact.sight import LANDMARK
 from carecontact.world.human.body import Body
 from carecontact.world.human.library import load_body
 from carecontact.world.human.region_frame import rigid_frame

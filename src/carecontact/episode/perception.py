@@ -11,9 +11,9 @@ import numpy.typing as npt
 from carecontact.contract.observation import CameraView, Observation
 from carecontact.contract.policy import CAMERAS
 from carecontact.errors import ConfigError, ContractError
-from carecontact.policies.region_geometry import region_from_observation
 from carecontact.recording.perception import ARRAYS, JOINTS
 from carecontact.regions import REGIONS, LimbSight, TrunkSight
+from carecontact.sight import region_from_observation
 from carecontact.sim.proprioception import Proprioception
 from carecontact.sim.rendering import SceneRenderer, TrueView
 from carecontact.sim.true_skin import skin_in_world, top_of_skin

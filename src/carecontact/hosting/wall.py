@@ -12,6 +12,7 @@ OPEN = (
     "carecontact.errors",
     "carecontact.registry",
     "carecontact.regions",
+    "carecontact.sight",
     "carecontact.contract",
     "carecontact.policies",
     "carecontact.hosting",

@@ -21,7 +21,7 @@ from carecontact.policies.motion import (
     sample,
     travel,
 )
-from carecontact.policies.region_geometry import person_points, region_from_observation
+from carecontact.sight import person_points, region_from_observation
 
 CAMERA = "overhead"
 HEIGHT_M = 0.05

@@ -7,7 +7,7 @@ import pytest
 from carecontact.contract.action import ActionBounds
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import Session
-from tests.policies.state_machine.lying_person import HEIGHT, WIDTH, Person, observe
+from tests.sight.lying_person import HEIGHT, WIDTH, Person, observe
 
 
 @pytest.fixture(scope="session")

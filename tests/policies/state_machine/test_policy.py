@@ -11,13 +11,13 @@ from carecontact.contract.observation import Observation
 from carecontact.contract.policy import Policy, Session
 from carecontact.errors import LanguageError
 from carecontact.policies.motion import CONTROL_HZ, FREE_SPEED_M_S, NEAR_SPEED_M_S, Leg
-from carecontact.policies.region_geometry import region_from_observation
 from carecontact.policies.state_machine import fixed_values as fixed
 from carecontact.policies.state_machine.candidates import candidates, reachable
 from carecontact.policies.state_machine.policy import StateMachine
 from carecontact.policies.state_machine.primitives import touch
 from carecontact.protocols import load_protocol
-from tests.policies.state_machine.lying_person import HEIGHT, LIMB_RADIUS, WIDTH, Person, change_view, observe
+from carecontact.sight import region_from_observation
+from tests.sight.lying_person import HEIGHT, LIMB_RADIUS, WIDTH, Person, change_view, observe
 
 MakeSession = Callable[..., Session]
 PROMPTS = [task.prompt for task in load_protocol().tasks]

@@ -6,9 +6,9 @@ import pytest
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.observation import Observation
 from carecontact.policies.motion import CAP_RADIUS_M, Leg, sample
-from carecontact.policies.region_geometry import RegionGeometry, region_from_observation
 from carecontact.policies.state_machine import fixed_values as fixed
 from carecontact.policies.state_machine.primitives import push, scrub, touch
+from carecontact.sight import RegionGeometry, region_from_observation
 
 HZ = 20.0
 

@@ -16,9 +16,9 @@ from carecontact.policies.voxposer.progress import Objective, Pursuit, objective
 from carecontact.policies.voxposer.prompts import VOXPOSER_PHASED
 from carecontact.policies.voxposer.seen_skin import gap, skin_height, touches
 from carecontact.protocols import load_protocol
-from tests.policies.state_machine.lying_person import Person
 from tests.policies.voxposer.conftest import scripted
 from tests.policies.voxposer.test_policy import BENIGN, follow
+from tests.sight.lying_person import Person
 
 DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 PLATE = np.array([(x, y, 0.1) for x in np.arange(0.3, 0.7, 0.004) for y in np.arange(-0.1, 0.1, 0.004)])

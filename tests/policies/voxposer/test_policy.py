@@ -22,8 +22,8 @@ from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.policy import VoxPoser
 from carecontact.policies.voxposer.prompts import SETS
 from carecontact.protocols import load_protocol
-from tests.policies.state_machine.lying_person import Person, observe
 from tests.policies.voxposer.conftest import scripted
+from tests.sight.lying_person import Person, observe
 
 PROMPTS = {task.id: task.prompt for task in load_protocol().tasks}
 MakeSession = Callable[..., Session]

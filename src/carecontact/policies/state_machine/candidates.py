@@ -14,10 +14,10 @@ from carecontact.contract.geometry import matrix_from_quat
 from carecontact.errors import ContractError
 from carecontact.policies.language.backend import Option
 from carecontact.policies.motion import Leg, travel
-from carecontact.policies.region_geometry import RegionGeometry
 from carecontact.policies.state_machine import fixed_values as fixed
 from carecontact.policies.state_machine.primitives import push, scrub, touch
 from carecontact.regions import REGIONS
+from carecontact.sight import RegionGeometry
 
 F64 = npt.NDArray[np.float64]
 

@@ -20,9 +20,9 @@ from carecontact.policies.language.model import LanguageModel
 from carecontact.policies.language.rules import Rules
 from carecontact.policies.language.selection import transcript_of
 from carecontact.policies.motion import CONTROL_HZ, TRAVEL_CLEARANCE_M, sample
-from carecontact.policies.region_geometry import person_points, region_from_observation
 from carecontact.policies.state_machine import fixed_values as fixed
 from carecontact.policies.state_machine.candidates import Candidate, PlanningFailure, candidates
+from carecontact.sight import person_points, region_from_observation
 
 F64 = npt.NDArray[np.float64]
 CAMERA = "overhead"

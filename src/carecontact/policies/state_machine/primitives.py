@@ -14,8 +14,8 @@ from carecontact.policies.motion import (
     radial_quat,
     tool_quat,
 )
-from carecontact.policies.region_geometry import RegionGeometry
 from carecontact.policies.state_machine import fixed_values as fixed
+from carecontact.sight import RegionGeometry
 
 F64 = npt.NDArray[np.float64]
 

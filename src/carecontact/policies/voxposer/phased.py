@@ -14,7 +14,6 @@ from pydantic_monty import ClassInstance
 from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.errors import ProgramError
-from carecontact.policies.region_geometry import person_points
 from carecontact.policies.voxposer.arguments import described, text_of
 from carecontact.policies.voxposer.execution import EXECUTE, Execution, arguments
 from carecontact.policies.voxposer.executor import Motion
@@ -22,6 +21,7 @@ from carecontact.policies.voxposer.policy import CAMERA, VoxPoser
 from carecontact.policies.voxposer.progress import Objective, Pursuit, objective_functions
 from carecontact.policies.voxposer.prompts import VOXPOSER_PHASED, PromptSet
 from carecontact.policies.voxposer.seen_skin import touches
+from carecontact.sight import person_points
 
 F64 = npt.NDArray[np.float64]
 ROLE = "get_progress"

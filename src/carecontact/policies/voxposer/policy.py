@@ -17,7 +17,6 @@ from carecontact.contract.policy import PolicyCard, Session
 from carecontact.errors import ConfigError, ContractError, ProgramError
 from carecontact.policies.language.selection import transcript_of
 from carecontact.policies.language.transcript import Transcript
-from carecontact.policies.region_geometry import PerceptionFailure
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.composers import HOME, Composers
 from carecontact.policies.voxposer.execution import EXECUTE, Execution, arguments, map_queries
@@ -30,6 +29,7 @@ from carecontact.policies.voxposer.prompts import VOXPOSER, PromptSet
 from carecontact.policies.voxposer.roles import Roles
 from carecontact.policies.voxposer.sandbox import Sandbox
 from carecontact.policies.voxposer.scene import Scene
+from carecontact.sight import PerceptionFailure
 
 F64 = npt.NDArray[np.float64]
 CAMERA = "overhead"

@@ -9,16 +9,11 @@ import numpy.typing as npt
 
 from carecontact.contract.geometry import pixels
 from carecontact.contract.observation import CameraView, Observation
-from carecontact.policies.region_geometry import (
-    LANDMARK,
-    MIN_VISIBILITY,
-    PerceptionFailure,
-    person_points,
-    region_from_observation,
-)
 from carecontact.policies.voxposer import fixed_values as fixed
 from carecontact.policies.voxposer.grid import Grid
 from carecontact.regions import REGIONS, STANDARD_REGIONS
+from carecontact.sight import LANDMARK, PerceptionFailure, person_points, region_from_observation
+from carecontact.sight.person import MIN_VISIBILITY
 
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]

@@ -12,26 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.observation import CameraView, Observation
-from carecontact.errors import ContractError
 from carecontact.regions import REGIONS, LimbSight, TrunkSight
+from carecontact.sight.person import PerceptionFailure, joint_centre, person_points, points_of
 
 F64 = npt.NDArray[np.float64]
 
-LANDMARK = {
-    "left shoulder": 11,
-    "right shoulder": 12,
-    "left elbow": 13,
-    "right elbow": 14,
-    "left wrist": 15,
-    "right wrist": 16,
-    "left hip": 23,
-    "right hip": 24,
-}
-"""Index of each key point in the order of MediaPipe Pose."""
-JOINT_DEPTH_M = {"shoulder": 0.045, "elbow": 0.040, "wrist": 0.025, "hip": 0.090}
-"""Depth of a joint's centre behind the skin in front of it, along the line of sight; for adults, rounded, assumed."""
-MIN_VISIBILITY = 0.5
-"""Key points that the estimator rates lower count as hidden."""
 LIMB_LENGTH_M = (0.15, 0.40)
 TRUNK_LENGTH_M = (0.30, 0.70)
 """Lengths from small children to very tall adults; a skeleton outside them is not a person's."""
@@ -43,10 +28,6 @@ MAX_SHIFT_M = 0.04
 PROFILE = np.linspace(0.1, 0.9, 17)
 """Fractions of the region's length at which the top surface is read."""
 MIN_PROFILE = 9
-
-
-class PerceptionFailure(ContractError):
-    """A region cannot be found in an observation; the message gives the reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,14 +88,14 @@ def region_from_observation(
             search = SEARCH_HALF_WIDTH_M
         case None:
             raise PerceptionFailure(f"no joints are known between which the {region.replace('_', ' ')} lies")
-    return _fit(region, person, _points_of(view, "bed"), start, end, search)
+    return _fit(region, person, points_of(view, "bed"), start, end, search)
 
 
 def _trunk_line(view: CameraView, sight: TrunkSight) -> tuple[F64, F64]:
     """(3,) and (3,) ends of a region's line along the trunk, nearer the feet first."""
     lower, upper = sight.joints
-    first = (_joint(view, f"left {lower}") + _joint(view, f"right {lower}")) / 2
-    second = (_joint(view, f"left {upper}") + _joint(view, f"right {upper}")) / 2
+    first = (joint_centre(view, f"left {lower}") + joint_centre(view, f"right {lower}")) / 2
+    second = (joint_centre(view, f"left {upper}") + joint_centre(view, f"right {upper}")) / 2
     trunk = _checked_length(second - first, TRUNK_LENGTH_M, "trunk")
     first, second = _at_centres(sight, first, second)
     middle = first + sight.middle * (second - first)
@@ -126,39 +107,10 @@ def _trunk_line(view: CameraView, sight: TrunkSight) -> tuple[F64, F64]:
 def _limb_line(view: CameraView, sight: LimbSight, side: str, region: str) -> tuple[F64, F64]:
     """(3,) and (3,) ends of a region's line along a limb, nearer the trunk first."""
     first, second = sight.joints
-    start, end = _joint(view, f"{side} {first}"), _joint(view, f"{side} {second}")
+    start, end = joint_centre(view, f"{side} {first}"), joint_centre(view, f"{side} {second}")
     _checked_length(end - start, LIMB_LENGTH_M, f"{side} {region.replace('_', ' ')}")
     start, end = _at_centres(sight, start, end)
     return start + sight.free_from * (end - start), end
-
-
-def person_points(view: CameraView) -> F64:
-    """Return the (N, 3) points of the person's surface in base [m]; the view must hold depth, points and masks."""
-    return _points_of(view, "human")
-
-
-def _points_of(view: CameraView, name: str) -> F64:
-    """Return the (N, 3) points of one mask. A view's ``points`` are its pixels with a depth, row by row."""
-    assert view.points is not None
-    assert view.depth is not None
-    assert view.masks is not None
-    return view.points[view.masks[name][np.isfinite(view.depth)]].astype(np.float64)
-
-
-def _joint(view: CameraView, name: str) -> F64:
-    """Return a joint's centre (3,): the surface under the key point, moved on along the line of sight."""
-    assert view.landmarks is not None
-    index = LANDMARK[name]
-    visibility = float(view.landmarks[index, 2])
-    if not np.isfinite(visibility):
-        raise PerceptionFailure("nobody was found in the image")
-    if visibility < MIN_VISIBILITY:
-        raise PerceptionFailure(f"{name} is hidden (visibility {visibility:.2f} < {MIN_VISIBILITY})")
-    surface = np.full(3, np.nan) if view.landmarks_in_base is None else view.landmarks_in_base[index].astype(np.float64)
-    if not np.isfinite(surface).all():
-        raise PerceptionFailure(f"{name} has no depth")
-    sight = surface - view.pose_camera_in_base[:3, 3]
-    return surface + JOINT_DEPTH_M[name.split()[1]] * sight / np.linalg.norm(sight)
 
 
 def _at_centres(sight: LimbSight | TrunkSight, first: F64, second: F64) -> tuple[F64, F64]:

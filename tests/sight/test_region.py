@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 
 from carecontact.contract.observation import Observation
 from carecontact.errors import ContractError
-from carecontact.policies.region_geometry import (
+from carecontact.regions import REGIONS, LimbSight, TrunkSight
+from carecontact.sight import (
     LANDMARK,
     PerceptionFailure,
     region_from_observation,
 )
-from carecontact.regions import REGIONS, LimbSight, TrunkSight
-from tests.policies.state_machine.lying_person import (
+from tests.sight.lying_person import (
     HEIGHT,
     LIMB_RADIUS,
     TRUNK_RADIUS,

@@ -1,0 +1,6 @@
+"""Where the parts of the body are in a camera's view: for the shipped policies, and for what measures perception."""
+
+from carecontact.sight.person import LANDMARK, PerceptionFailure, person_points
+from carecontact.sight.region import RegionGeometry, region_from_observation
+
+__all__ = ["LANDMARK", "PerceptionFailure", "RegionGeometry", "person_points", "region_from_observation"]

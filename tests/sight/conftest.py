@@ -1,0 +1,3 @@
+from tests.policies.state_machine.conftest import observation, person
+
+__all__ = ["observation", "person"]
