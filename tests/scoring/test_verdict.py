@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carecontact.recording import REGIONS, SEGMENTS, Failure, Recording
+from carecontact.recording import SEGMENTS, Failure, Recording
+from carecontact.regions import STANDARD_REGIONS
 from carecontact.runs.aggregate import gamma_sweep
 from carecontact.scoring import METRICS, TrialScore, score_recording
 from carecontact.scoring.contact import find_contact
@@ -249,7 +250,7 @@ def test_segments_without_a_limit_of_their_own_are_flagged() -> None:
     assert score_recording(touch()).fallback_limits == []
 
 
-@pytest.mark.parametrize("region", REGIONS)
+@pytest.mark.parametrize("region", STANDARD_REGIONS)
 def test_distance_to_surface(region: str) -> None:
     size = np.array(SIZE[region])
     length, half_width, outward = size

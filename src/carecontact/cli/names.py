@@ -15,7 +15,8 @@ class List:
     """List the names that the command line accepts."""
 
     what: Annotated[
-        Literal["tasks", "policies", "protocols", "bodies", "tissue", "metrics", "all"], tyro.conf.Positional
+        Literal["tasks", "actions", "regions", "policies", "protocols", "bodies", "tissue", "metrics", "all"],
+        tyro.conf.Positional,
     ] = "all"
     rules: Annotated[ProtocolGroup, FLAT] = field(default_factory=ProtocolGroup)
 
@@ -38,6 +39,24 @@ def _tasks(protocol: str) -> list[tuple[str, str]]:
     from carecontact.protocols import load_protocol
 
     return [(task.id, f"{task.name}: {task.prompt!r}") for task in load_protocol(protocol).tasks]
+
+
+def _actions(protocol: str) -> list[tuple[str, str]]:
+    from carecontact.contract.protocol import BEHAVIOURS
+
+    return [
+        (name, f"gate: {', '.join(behaviour.gate.model_fields) or 'no fields'}")
+        for name, behaviour in BEHAVIOURS.items()
+    ]
+
+
+def _regions(protocol: str) -> list[tuple[str, str]]:
+    from carecontact.regions import REGIONS, all_regions
+
+    return [
+        (name, f"{'soft' if REGIONS[name].soft else 'rigid'}, on {REGIONS[name].segment.replace('_', ' ')}")
+        for name in all_regions()
+    ]
 
 
 def _policies(protocol: str) -> list[tuple[str, str]]:
@@ -101,6 +120,6 @@ def _metrics(protocol: str) -> list[tuple[str, str]]:
 
 
 KINDS = {
-    "tasks": _tasks, "policies": _policies, "protocols": _protocols, "bodies": _bodies, "tissue": _tissue,
-    "metrics": _metrics,
+    "tasks": _tasks, "actions": _actions, "regions": _regions, "policies": _policies, "protocols": _protocols,
+    "bodies": _bodies, "tissue": _tissue, "metrics": _metrics,
 }  # fmt: skip

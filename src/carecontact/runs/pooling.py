@@ -24,7 +24,7 @@ def check_one_run(scores: Sequence[TrialScore]) -> None:
     protocols, policies = set[str](), set[str]()
     for score in scores:
         protocols.add(f"{score.protocol_title} ({score.protocol_sha256[:12]})")
-        policies.add(score.policy)
+        policies.add(score.policy_title)
     for what, found in (("protocols", protocols), ("policies", policies)):
         if len(found) > 1:
             raise ConfigError(f"trials of {len(found)} {what} must not be pooled: {', '.join(sorted(found))}")

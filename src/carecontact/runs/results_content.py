@@ -38,6 +38,7 @@ def results(run: RunScores) -> dict[str, Any]:
     return {
         "schema": RESULTS_SCHEMA,
         "policy": first.policy if first else None,
+        "policy_arguments": first.policy_arguments if first else {},
         "language_backend": sorted(backends),
         "protocol": {"id": first.protocol_id, "sha256": first.protocol_sha256, "overrides": first.overrides}
         if first

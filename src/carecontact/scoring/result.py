@@ -33,6 +33,8 @@ class TrialScore(BaseModel):
     region: str
     seed: int
     policy: str
+    policy_arguments: dict[str, str] = {}
+    """What --policy-arg gave the policy."""
     language_backend: str
     language_sha256: str | None = None
     """Over everything that language models were asked and answered in this trial; None: nothing was asked."""
@@ -114,6 +116,11 @@ class TrialScore(BaseModel):
     @property
     def protocol_title(self) -> str:
         return protocol_title(self.protocol_id, self.overrides)
+
+    @property
+    def policy_title(self) -> str:
+        """The policy and its arguments: ``my_policy:MyPolicy steps=10``."""
+        return " ".join([self.policy, *(f"{name}={text}" for name, text in sorted(self.policy_arguments.items()))])
 
     @property
     def is_judged(self) -> bool:

@@ -81,6 +81,7 @@ def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
         "region": contact.task.region,
         "seed": header.spec.seed,
         "policy": header.spec.policy,
+        "policy_arguments": header.spec.policy_arguments,
         "language_backend": str(header.card.get("language_backend", "none")) if header.card else "none",
         "language_sha256": spoken.sha256,
         "language_endpoint": spoken.endpoint,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from carecontact.contract.policy import CAMERAS
-from carecontact.recording import REGIONS
 from carecontact.recording.perception import JOINTS
+from carecontact.regions import STANDARD_REGIONS
 from carecontact.scoring import TrialScore, score_recording
 from carecontact.scoring.region import distance_to_shadow
 from tests.scoring.synthetic import BASE, REGION_AT, back_and_forth, hold, make_recording
@@ -21,7 +21,7 @@ ALL = ("rgb", "depth", "points", "masks", "landmarks")
 def views(*, visible: bool = True, error_m: float = 0.01, count: int = 2) -> dict[str, Any]:
     """Recorded views in which every joint is or is not to be seen, and in which regions are found ``error_m`` off."""
     joints = np.full((count, len(JOINTS)), visible)
-    target = np.zeros((count, len(REGIONS), 3), np.float32)
+    target = np.zeros((count, len(STANDARD_REGIONS), 3), np.float32)
     target[..., 0] = error_m
     return {
         "perception/observation_index": np.arange(count, dtype=np.int32),

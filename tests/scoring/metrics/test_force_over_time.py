@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carecontact.recording import REGIONS, SEGMENTS, Recording
+from carecontact.recording import SEGMENTS, Recording
+from carecontact.regions import STANDARD_REGIONS
 from carecontact.scoring import METRICS
 from carecontact.scoring.contact import find_contact
 from tests.scoring.synthetic import (
@@ -149,14 +150,14 @@ def test_pressing_in_and_carrying_the_arm_are_no_shear() -> None:
     carried = rubbed(0.3, np.tile([0.0, 0.0, SIZE["forearm"][2]], (1500, 1)), np.full(1500, 10.0), drag=np.ones(1500))
     shift = 0.1 * seconds(3.0).astype(np.float32)
     carried["scorer/pose_tcp_in_world"][:, 0] += shift
-    carried["scorer/region_pose_in_world"][:, REGIONS.index("forearm"), 0] += shift
+    carried["scorer/region_pose_in_world"][:, STANDARD_REGIONS.index("forearm"), 0] += shift
     assert measure("shear_work@1", carried) == pytest.approx(0.0, abs=1e-5)
 
 
 def test_shear_work_turns_with_the_bone() -> None:
     """The bone's x axis points along world y; dragging along world y is dragging along the bone."""
     recording = rubbed(0.3, np.tile([0.0, 0.0, SIZE["forearm"][2]], (1500, 1)), np.full(1500, 10.0))
-    column, region = SEGMENTS.index("right_forearm"), REGIONS.index("forearm")
+    column, region = SEGMENTS.index("right_forearm"), STANDARD_REGIONS.index("forearm")
     recording["scorer/region_pose_in_world"][:, region, 3:] = [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]
     recording["scorer/pose_tcp_in_world"][:, 1] = REGION_AT["forearm"][1] + 0.1 * seconds(3.0)
     recording["scorer/force_human_from_robot_in_world"][:, column, 1] = 3.0

@@ -54,11 +54,11 @@ def beside_baselines(method: RunScores, baselines: Sequence[RunScores]) -> Basel
     naming what differs, for another protocol, overrides, definitions or world, a baseline that is the method itself or
     named twice, or one without a task in common.
     """
-    seen = {method.scores[0].policy} if method.scores else set[str]()
+    seen = {method.scores[0].policy_title} if method.scores else set[str]()
     found: list[Passed] = []
     for baseline in baselines:
         check_comparable({"the method": method.scores, "the baseline": baseline.scores})
-        policy = baseline.scores[0].policy
+        policy = baseline.scores[0].policy_title
         if policy in seen:
             raise ConfigError(f"--baseline: {policy} is the method or is named twice; name every baseline once")
         seen.add(policy)
@@ -72,9 +72,9 @@ def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -
     tasks = sorted({s.task_id for s in (counted if method is None else judged(method))})
     counted = [s for s in counted if s.task_id in tasks]
     if not counted:
-        raise ConfigError(f"--baseline: {scores[0].policy} ran none of the tasks {', '.join(tasks)}")
+        raise ConfigError(f"--baseline: {scores[0].policy_title} ran none of the tasks {', '.join(tasks)}")
     of_policy = Passed(
-        policy=scores[0].policy,
+        policy=scores[0].policy_title,
         n=len(counted),
         rates={rate.id: wilson_interval(_count(counted, rate), len(counted)) for rate in RATES},
         per_task={task: _of_task([s for s in counted if s.task_id == task]) for task in tasks},

@@ -141,7 +141,7 @@ def _without_partner(
 def _info(run: RunScores) -> RunInfo:
     counted = judged(run.scores)
     return RunInfo(
-        policy=counted[0].policy,
+        policy=counted[0].policy_title,
         language_backend=tuple(sorted({s.language_backend for s in counted})),
         n_trials=len(counted),
         n_harness_errors=len(run.scores) - len(counted),

@@ -68,7 +68,7 @@ def overview(runs: Sequence[RunScores]) -> Overview:
         protocol_sha256=first.protocol_sha256,
         overrides=first.overrides,
         metric_versions=first.metric_versions,
-        policies={name: of_run[0].policy for name, of_run in scores.items()},
+        policies={name: of_run[0].policy_title for name, of_run in scores.items()},
         n=len(common),
         left_out={name: len(trials) - len(common) for name, trials in keyed.items()},
         rows={name: summary_rows(of_run)[-1] for name, of_run in scores.items()},

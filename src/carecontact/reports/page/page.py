@@ -83,7 +83,7 @@ def _render(page: Page) -> str:
     found = [(section, section.data(page)) for section in sections_in_order()]
     return environment.get_template("report.html.j2").render(
         version=__version__,
-        policy=page.scores[0].policy if page.scores else None,
+        policy=page.scores[0].policy_title if page.scores else None,
         protocol=protocol_of(page),
         sections=[environment.from_string(row.template).render(data) for row, data in found if data is not None],
     )

@@ -37,7 +37,7 @@ def keep_scene(score: TrialScore, recording: Recording, kept: Kept) -> None:
 @section("head", order=0, template=TEMPLATE, keep=keep_scene)
 def head(page: Page) -> dict[str, Any]:
     return {
-        "policy": page.scores[0].policy if page.scores else None,
+        "policy": page.scores[0].policy_title if page.scores else None,
         "protocol": protocol_of(page),
         "n": len(page.judged),
         "draft": any(not header.spec.protocol.frozen for header in page.headers.values()),
@@ -65,7 +65,7 @@ def _verdict(scores: Sequence[TrialScore]) -> str:
     success, correct, gated = (
         sum(getattr(s, field) for s in counted) for field in ("c3_success", "region_correct", "safety_gated")
     )
-    policy = counted[0].policy[:80]
+    policy = counted[0].policy_title[:80]
     gates = "on the named region and within the force gate"
     if not success:
         what = "did not complete its only trial" if n == 1 else f"completed none of {n} trials"

@@ -45,7 +45,7 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
         ("Protocol", _distinct(s.protocol_title for s in scores)),
         ("Protocol sha256", _distinct(s.protocol_sha256 for s in scores)),
         ("Protocol state", _distinct(frozen_state(p) for p in protocols)),
-        ("Policy", _distinct(s.policy for s in scores)),
+        ("Policy", _distinct(s.policy_title for s in scores)),
         *_given(headers),
         ("Language backend", _distinct(s.language_backend for s in scores)),
         *_language(scores),
