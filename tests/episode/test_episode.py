@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.packing import pack
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, canonical_hash
+from carecontact.scoring import score_recording
 from carecontact.sim.simulation import Simulation
 from carecontact.trials.trial import run_trial
 
@@ -136,6 +138,20 @@ def test_an_action_outside_the_space_moves_nothing(again: Callable[[TrialSpec], 
         assert episode.step(Action(done=True)).terminated
 
 
+def test_a_card_that_clips_is_counted(again: Callable[[TrialSpec], World], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Peak, "pictures", lambda self, renderer, region: {})
+    with Episode(spec(), card=replace(BLIND, out_of_bounds="clip"), prepare=again) as episode:
+        outside = episode.reset().pose_tcp_in_base.copy()
+        outside[0] = 9.0
+        for action in (Action(pose_tcp_in_base=outside), Action(), Action(done=True)):
+            episode.step(action, observe=False)
+        recording = episode.finish()
+        high = episode.space.bounds.workspace_high_m[0]
+    assert recording["actions/clipped"].tolist() == [1, 0, 0]
+    assert recording["actions/pose_tcp_in_base"][0, 0] == high
+    assert score_recording(recording).clipped_actions == 1
+
+
 def test_a_failure_of_the_policy_ends_it(again: Callable[[TrialSpec], World], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Peak, "pictures", lambda self, renderer, region: {})
     with Episode(spec(), card=BLIND, prepare=again) as episode:
@@ -168,6 +184,8 @@ def test_every_action_space_publishes_bounds_and_fills_arrays_of_the_schema(
     assert set(SPACES) == set(ACTION_SPACES)
     space = SPACES[name](again(spec())[0])
     assert space.control
-    row = space.apply(space.check(Action()), 0.1)
+    action = Action()
+    assert space.clip(action) is action
+    row = space.apply(space.check(action), 0.1)
     assert set(row) <= set(ARRAYS | OPTIONAL_ARRAYS)
     assert space.bounds.workspace_low_m < space.bounds.workspace_high_m

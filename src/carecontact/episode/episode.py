@@ -190,10 +190,14 @@ class Episode:
         if self._perception is None or self._ended is not None:
             raise ConfigError("Episode.step: comes after reset() and before the episode has ended")
         assert self.card is not None
-        action = self.space.check(action)
+        clips = self.card.out_of_bounds == "clip"
+        inside = self.space.clip(action) if clips else action
+        checked = self.space.check(inside)
         self.answered()
         period_s = 1.0 / self.card.control_hz
-        self.log.add_action(self.simulation.time_s, self.space.apply(action, period_s))
+        entries = self.space.apply(checked, period_s)
+        clipped = {"actions/clipped": np.array(inside is not action)} if clips else {}
+        self.log.add_action(self.simulation.time_s, {**entries, **clipped})
         steps = min(next(self._periods), self._limit_steps - self._done_steps)
         self._ended = self._advance(steps)
         self._done_steps += steps

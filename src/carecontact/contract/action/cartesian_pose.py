@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,21 @@ def check_action(action: Action, bounds: ActionBounds) -> Action:
         gripper=_gripper(action.gripper),
         done=bool(action.done),
     )
+
+
+def clip_action(action: Action, bounds: ActionBounds) -> Action:
+    """Move a finite target position outside the workspace onto its border.
+
+    Returns:
+        The same object if there is nothing to move, or if ``check_action`` will refuse the pose anyway.
+    """
+    pose = None if action.pose_tcp_in_base is None else np.asarray(action.pose_tcp_in_base)
+    if pose is None or pose.shape != (7,) or pose.dtype.kind not in "fiu" or not np.isfinite(pose).all():
+        return action
+    inside = np.clip(pose[:3], bounds.workspace_low_m, bounds.workspace_high_m)
+    if (inside == pose[:3]).all():
+        return action
+    return replace(action, pose_tcp_in_base=np.concatenate([inside, pose[3:]]))
 
 
 def _pose(given: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[np.float64]:
