@@ -77,6 +77,9 @@ def _pose(given: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[n
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
         raise ActionError(f"pose_tcp_in_base: expected a quaternion of norm 1, got {norm:.4g}")
     pose[3:] /= norm
+    # Again, because the first division may leave a norm that differs from 1 in the last digit. The second may too, so
+    # that a pose must be checked once only: the last bits depend on how often.
+    pose[3:] /= float(np.linalg.norm(pose[3:]))
     return pose
 
 
