@@ -45,9 +45,10 @@ def outside() -> Iterator[None]:
     """The package ``outside`` is installed, and gone again afterwards."""
     registries: tuple[Registry[Any], ...] = (BEHAVIOURS, REGIONS, METRICS)
     with pytest.MonkeyPatch.context() as patch:
+        for registry in registries:
+            list(registry)  # loads what else is installed, which stays afterwards
         patch.syspath_prepend(FOLDER)
         for registry in registries:
-            list(registry)
             patch.setattr(registry, "_rows", dict(registry._rows))
             patch.setattr(registry, "_package", dict(registry._package))
             patch.setattr(registry, "_external_loaded", False)
