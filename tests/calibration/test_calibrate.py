@@ -98,7 +98,7 @@ def test_verify_passes_here(made: Path, capsys: pytest.CaptureFixture[str]) -> N
     arguments = ["calibrate", str(made / "trials.csv"), "--verify", str(made / "out" / "certificate.json")]
     assert main(arguments) == 0
     out = capsys.readouterr().out
-    assert "the certificate holds here" in out
+    assert "certificate was reproduced" in out
     # On the same machine to the last digit that is written.
     assert "0.000%" in out
 
@@ -123,7 +123,7 @@ def test_verify_fails_where_forces_are_others(made: Path, capsys: pytest.Capture
     assert main(["calibrate", str(made / "trials.csv"), "--verify", str(path)]) == 1
     out = capsys.readouterr().out
     assert "FAIL" in out
-    assert "does not hold here" in out
+    assert "certificate was not reproduced" in out
 
 
 @pytest.mark.parametrize(

@@ -58,8 +58,8 @@ def verify(trials: Path, certificate: Certificate) -> list[Check]:
     hashes = model_hashes(replay, content.body, content.tissue)
     if hashes["body"] != content.hashes["body"]:
         raise ConfigError(
-            f"the certificate is of another {content.body}: sha256 {content.hashes['body'][:12]}..., here "
-            f"{hashes['body'][:12]}...; the shell of another body answers differently"
+            f"the certificate was made with another {content.body}: sha256 {content.hashes['body'][:12]}..., here "
+            f"{hashes['body'][:12]}...; verify with the body file that the certificate was made with"
         )
     return [*_check_replay(content, curves, groups, replay), *_show_versions(content, hashes)]
 

@@ -132,7 +132,9 @@ def check_frame() -> Finding:
         return Finding(
             name="frame", fine=False, detail=f"MuJoCo renders nothing with {backend}: {problem}", fix=apt_line(backend)
         )
-    return Finding(name="frame", fine=True, detail=f"MuJoCo {metadata.version('mujoco')} rendered one with {backend}")
+    return Finding(
+        name="frame", fine=True, detail=f"MuJoCo {metadata.version('mujoco')} rendered a frame with {backend}"
+    )
 
 
 def check_pose() -> Finding:
@@ -161,10 +163,13 @@ def check_assets() -> Finding:
             if baked and hashlib.sha256(baked.read_bytes()).hexdigest() == expected:
                 checked.append(name)
             else:
-                wrong.append(f"{name} is missing or is not what its provenance file says")
+                wrong.append(f"{name} is missing or does not match the sha256 in its provenance file")
     if wrong or not checked:
-        fix = f"{sys.executable} -m pip install --force-reinstall --no-deps carecontact"
-        return Finding(name="assets", fine=False, detail="; ".join(wrong) or "none are there", fix=fix)
+        fix = (
+            "git checkout -- src/carecontact/assets (in a clone), or "
+            f"{sys.executable} -m pip install --force-reinstall --no-deps CARECONTACT.whl"
+        )
+        return Finding(name="assets", fine=False, detail="; ".join(wrong) or "no asset is installed", fix=fix)
     return Finding(name="assets", fine=True, detail=", ".join(sorted(checked)))
 
 

@@ -74,5 +74,5 @@ def _remembered(folder: Path, run: RunScores) -> tuple[Baselines | None, dict[st
         return None, lost
     beside, path = beside_baselines(run, found), named_in(folder)
     names = ", ".join(baseline.policy for baseline in beside.baselines)
-    print(f"the report keeps the blind baselines that were named before: {names}; to leave them out, delete {path}")
+    print(f"the report keeps the blind baselines of the last report: {names}; to remove them, delete {path}")
     return beside, lost

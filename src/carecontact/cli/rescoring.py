@@ -57,7 +57,7 @@ def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:
     try:
         return f"table: {write_trial_table(folder, scores)}"
     except DependencyError as error:
-        stale = f"; the {TABLE_NAME} there is of an earlier scoring" if (folder / TABLE_NAME).exists() else ""
+        stale = f"; the existing {TABLE_NAME} comes from an earlier scoring" if (folder / TABLE_NAME).exists() else ""
         return f"no table: {error}{stale}"
 
 
@@ -106,7 +106,7 @@ def _print_left_out(run: RunScores) -> None:
         print(f"skipped {name}: {why}")
     if run.missing:
         planned = len(run.scores) + len(run.missing)
-        print(f"{len(run.scores)} of {planned} planned trials scored; not: {listed(run.missing)}")
+        print(f"{len(run.scores)} of {planned} planned trials scored; not scored: {listed(run.missing)}")
 
 
 def _results(folder: Path) -> object:
