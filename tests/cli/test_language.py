@@ -72,7 +72,7 @@ def test_rules_and_live(tmp_path: Path) -> None:
         ("state-machine", "live:m", "/", "--record /: expected a new or regular file"),
         ("state-machine", "rules-v1", "r", "--record needs --language live:MODEL"),
         ("state-machine", None, "r", "--record needs --language live:MODEL"),
-        ("state-machine", "live:m", "nowhere/r", "there is no folder nowhere"),
+        ("state-machine", "live:m", "nowhere/r", "the folder nowhere does not exist"),
     ],
 )
 def test_what_cannot_be_is_told(policy: str, language: str | None, record: str | None, told: str) -> None:

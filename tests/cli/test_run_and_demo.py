@@ -200,7 +200,7 @@ def test_differences_match_trials_by_id() -> None:
     before = {"trials": [{"trial_id": "b", "x": 1}]}
     after = {"trials": [{"trial_id": "a", "x": 5}, {"trial_id": "b", "x": 1}]}
     assert differences(None, after) == []
-    assert differences(before, before) == ["nothing differs from the results.json that was there"]
+    assert differences(before, before) == ["nothing differs from the earlier results.json"]
     lines = differences(before, after)
     assert lines[0].startswith("1 value(s) differ")
     assert lines[1].startswith("  trials.a: null -> ")

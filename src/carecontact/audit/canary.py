@@ -1,4 +1,4 @@
-"""Part (c): two worlds that differ only in what is hidden look the same until the tool touches."""
+"""Part (c): two worlds that differ only in hidden values give the same observations until the tool touches."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ def other_arm_angle(spec: TrialSpec) -> TrialSpec:
 
 
 def audit_canary(one: Watched, twin: Watched) -> Part:
-    """``one`` and ``twin``: the same press in two worlds, recorded by ``watched.press``, with their looks still in
-    memory."""
+    """``one`` and ``twin``: the same press in two worlds, recorded by ``watched.press``, with their observations still
+    in memory."""
     findings = [
         Finding(policy=trial.policy, place=place, told=f"could not be run in the {which} world: {trial.error}")
         for which, trial in (("first", one), ("other", twin))

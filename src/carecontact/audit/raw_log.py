@@ -39,7 +39,7 @@ class Meta:
 
 @dataclass(frozen=True, kw_only=True)
 class WorldState:
-    """The simulator's own state at a look (``state.StateReader``)."""
+    """The simulator's own state at an observation (``state.StateReader``)."""
 
     steps: int
     """Physics steps since t = 0."""

@@ -14,7 +14,7 @@ NAME, TITLE = "readings", "time, encoders and images recomputed from the recorde
 
 
 def audit_readings(logs: Path, trials: list[Watched]) -> Part:
-    """``logs``: folder of raw logs. ``trials``: all trials that were run, also those whose looks are in no log.
+    """``logs``: folder of raw logs. ``trials``: all trials that were run, also those whose observations are in no log.
 
     Raises CarecontactError if the process that draws again breaks.
     """

@@ -20,9 +20,9 @@ from carecontact.hosting.setup import PolicySetup
 from carecontact.sim.simulation import Settled, Simulation
 
 QUICK_TRIAL_S = 0.1
-"""Length of the policies' own trials in the quick form: one look, with the robot parked."""
+"""Length of the policies' own trials in the quick form: one observation, with the robot parked."""
 QUICK_ACTIONS_PER_LOOK = 3
-"""Of presses with images, in the quick form: a look every 0.15 s. All others look at every action."""
+"""Of presses with images, in the quick form: an observation every 0.15 s. All others observe at every action."""
 BLIND = PolicyCard(name="every policy", control_hz=CONTROL_HZ)
 
 
@@ -79,7 +79,7 @@ class RegionAudit:
         return self._real
 
     def press_with(self, cards: Sequence[PolicyCard]) -> None:
-        """Two presses with each card in worlds that differ in what is hidden, and two starts."""
+        """Two presses with each card in worlds that differ in hidden values, and two starts."""
         for index, card in enumerate(cards):
             self.on_event(f"running two presses on the {self._name} with the card of {card.name}")
             seldom, log = self.quick and bool(card.modalities), self._log / f"press-{self.number}-{index:02d}"
@@ -153,7 +153,7 @@ def _in_order(wanted: set[str], order: Sequence[str]) -> tuple[str, ...]:
 def _pair(
     spec: TrialSpec, card: PolicyCard, keyframe: Keyframe, *, actions_per_look: int, folder: Path, log: Path
 ) -> tuple[Watched, Watched]:
-    """The same press in two worlds that differ in what is hidden; the first one is logged."""
+    """The same press in two worlds that differ in hidden values; the first one is logged."""
     poses = keyframe.poses
     one = press(
         spec, card=card, poses=poses, prepare=keyframe.near, actions_per_look=actions_per_look, folder=folder, log=log

@@ -36,7 +36,7 @@ error."""
 
 
 def audit_schema(trials: list[Watched]) -> Part:
-    """``trials``: real trials of the audited policies, with their looks still in memory."""
+    """``trials``: real trials of the audited policies, with their observations still in memory."""
     findings: list[Finding] = []
     for trial in trials:
         if trial.error:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 TESTS = ("paired", "Holm", "worst rank", "unpaired")
 COLUMNS = ("", "A", "B", "A - B [95 %]", "pairs", *(f"p\n{test}" for test in TESTS), "verdict")
 WIDTH = 158
-"""Below it there is no table."""
+"""A narrower terminal gets no table."""
 
 
 def print_comparison(comparison: Comparison, a: Path, b: Path) -> None:

@@ -57,6 +57,6 @@ def _one(name: str, option: str | None, argument: str | None) -> str | None:
 
 def _check_record(record: Path) -> None:
     if not os.path.isdir(os.path.dirname(os.path.abspath(record))):
-        raise ConfigError(f"--record {record}: there is no folder {record.parent}")
+        raise ConfigError(f"--record {record}: the folder {record.parent} does not exist")
     if os.path.exists(record) and not os.path.isfile(record):
         raise ConfigError(f"--record {record}: expected a new or regular file, got a folder, pipe or device")

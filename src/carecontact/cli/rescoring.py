@@ -25,7 +25,7 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
     Where nothing could be scored, results.json stays as it is.
 
     Args:
-        compare: whether to print what differs from the results.json that was there.
+        compare: whether to print what differs from the earlier results.json.
         jobs: processes; default: as many as pay.
     """
     from carecontact.cli.changes import differences
@@ -69,7 +69,7 @@ def processes(recordings: int) -> int:
 
 
 def need_recordings(folder: Path) -> None:
-    """Raises ConfigError for a folder that is not there or holds no recordings."""
+    """Raises ConfigError for a folder that does not exist or holds no recordings."""
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; name the --out of a run")
     if not any(folder.glob("*.h5")):

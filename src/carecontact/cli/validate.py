@@ -84,8 +84,8 @@ class Validate:
 
 def _line(result: CheckResult) -> str:
     colour = "green" if result.passed else "red"
-    lines = [m for m in result.measures if m.limit is not None and m.decides]
-    told = result.error or f"{sum(bool(m.met) for m in lines)} of {len(lines)} limits met"
+    limits = [m for m in result.measures if m.limit is not None and m.decides]
+    told = result.error or f"{sum(bool(m.met) for m in limits)} of {len(limits)} limits met"
     return f"  [{colour}]{'pass' if result.passed else 'FAIL'}[/{colour}]  {result.title:<42} {told}"
 
 
