@@ -90,7 +90,7 @@ def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruc
 
 
 def scrambled(simulation: Simulation, rng: np.random.Generator, *, keep: Callable[[str], Any]) -> mujoco.MjData:
-    """A copy of the data with every number drawn anew but those that ``keep(field)`` indexes; True: all of it."""
+    """A copy of the data with new random numbers everywhere except where ``keep(field)`` indexes; True: all of it."""
     data = copy.copy(simulation.data)
     for name, array in _arrays(data).items():
         kept = keep(name)

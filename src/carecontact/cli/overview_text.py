@@ -85,7 +85,10 @@ def _print_ranking(ranking: Ranking) -> None:
     for sweep, (least, level) in ranking.least_by_sweep().items():
         table.add_row(sweep, "no ranking" if least is None else f"{least:.2f}", level)
     console(WIDTH).print(table)
-    print("Kendall tau of the ranking against the protocol's own gates: 1 is the same order, -1 the reverse order")
+    print(
+        "Kendall tau compares each ranking with that under the protocol's own gates: 1 is the same order, "
+        "-1 the reverse order"
+    )
 
 
 def print_baselines(found: Baselines, letter: str) -> None:

@@ -1,4 +1,4 @@
-"""From the options about a policy to its setup; checked before a run, since each trial would fail alike."""
+"""From the options about a policy to its setup; checked before a run, since every trial would fail in the same way."""
 
 from __future__ import annotations
 
