@@ -355,6 +355,17 @@ def test_the_values_of_variables_are_taken_out_of_what_the_policy_says(tmp_path:
     assert "sekret-4" not in str(caught.value)
 
 
+def test_a_variable_that_does_not_pass_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOKEN", "sekret-4")
+    (tmp_path / "under_test.py").write_text(PREAMBLE + "class P(Base):\n    key = os.environ['TOKEN']\n")
+    process = PolicyProcess(
+        PolicySetup.of("under_test:P", search_path=[str(tmp_path)]), first_deadline_s=20, deadline_s=20
+    )
+    with pytest.raises(PolicyError, match=r"KeyError: 'TOKEN'; TOKEN is set here, .* --policy-env TOKEN") as caught:
+        process.start()
+    assert "sekret-4" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
