@@ -148,7 +148,9 @@ class Episode:
     def reset(self) -> Observation:
         """The first observation. An episode can be reset once: the world has been consumed then."""
         if self.card is None or self._perception is not None:
-            raise ConfigError("Episode.reset: needs a card, and comes once; make a new Episode for another trial")
+            raise ConfigError(
+                "Episode.reset: set the card first, and call reset() once; make a new Episode for another trial"
+            )
         card, dt_s = self.card, self.protocol.physics.dt_s
         segmenter = person_segmenter(self.protocol, self._weights) if "masks" in card.modalities else None
         noise = sensor_noise(self.protocol, self.spec.seed, salt=self.spec.noise_salt)
@@ -188,7 +190,7 @@ class Episode:
             ConfigError: before ``reset``, or after the end.
         """
         if self._perception is None or self._ended is not None:
-            raise ConfigError("Episode.step: comes after reset() and before the episode has ended")
+            raise ConfigError("Episode.step: call it after reset() and before the episode has ended")
         assert self.card is not None
         action = self.space.check(action)
         self.answered()

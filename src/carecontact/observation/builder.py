@@ -48,7 +48,7 @@ ALLOWED = frozenset(
         "cameras",
     )
 )
-"""Written out rather than read off the dataclass, so that a new field needs a second, deliberate edit."""
+"""A literal list and not the fields of the dataclass, so that a new field needs a second, deliberate edit."""
 ALLOWED_IN_VIEW = frozenset(
     (
         "intrinsics",

@@ -28,11 +28,11 @@ ARRAYS: dict[str, tuple[str, tuple[int | Literal["R"], ...], str]] = {
     "perception/camera_index": ("i4", (), "of contract.policy.CAMERAS"),
     "perception/joint_visible": ("b1", (len(JOINTS),), "in the image, and nothing but its own limb before it"),
     "perception/landmark_error_px": ("f4", (len(JOINTS),), "[px] to the joint centre; NaN: hidden or nobody found"),
-    "perception/human_iou": ("f4", (), "of the human mask with the true one; NaN: masks were not asked for"),
+    "perception/human_iou": ("f4", (), "of the human mask with the true one; NaN: the policy did not request masks"),
     "perception/target_error_m": (
         "f4", ("R", 3),
         "[m] from the true place to the one that the state machine finds: along and across the limb's shadow on the "
-        "floor, up; NaN: not found, or not asked for",
+        "floor, up; NaN: not found, or not requested",
     ),
 }  # fmt: skip
 """Path -> dtype, shape after N with R for the number of the header's regions, meaning."""

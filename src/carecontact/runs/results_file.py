@@ -91,7 +91,7 @@ def _fault(stored: _Results) -> str | None:
     """What of a results file no scorer can have written; None where there is nothing."""
     twice = [trial_id for trial_id, k in Counter(s.trial_id for s in stored.trials).items() if k > 1]
     if twice:
-        return f"is damaged: {twice[0]} is in it twice"
+        return f"is damaged: it holds {twice[0]} twice"
     for score in stored.trials:
         if why := contradiction(score):
             return f"is damaged or changed by hand: {score.trial_id}: {why}"

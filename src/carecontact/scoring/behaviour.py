@@ -81,7 +81,7 @@ class Behaviour(ABC, Generic[G]):
 
     def progress(self, score: TrialScore) -> str:
         """The figures that the gate looks at, for a row of the report."""
-        return f"on {score.longest_on_s:.2f} s"
+        return f"touched for {score.longest_on_s:.2f} s"
 
 
 def behaviour_of(action: str) -> Behaviour[Any]:

@@ -20,7 +20,7 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """Who was touched and when; every metric starts from here. T physics steps, S segments."""
+    """Which segments were touched and when; every metric starts from here. T physics steps, S segments."""
 
     recording: Recording
     protocol: Protocol

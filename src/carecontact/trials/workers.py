@@ -137,7 +137,7 @@ class Workers:
             self.again.add(worker.spec.trial_id)
             return None
         else:
-            message = f"{message} while the policy was running, twice{evidence}"
+            message = f"{message} while the policy was running, in both attempts{evidence}"
             recording = killed_by_policy_recording(worker.spec, message=message)
         write_recording(recording, worker.partial)
         return recording

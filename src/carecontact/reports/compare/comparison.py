@@ -68,7 +68,8 @@ def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False) -> Compa
     keys = sorted(of_a.keys() & of_b.keys())
     if not keys:
         raise ConfigError(
-            f"no task and seed is in both runs: A has {_told(of_a)}; B has {_told(of_b)}; run the same seeds of a task"
+            f"A and B have no trial (task and seed) in common: A has {_told(of_a)}; B has {_told(of_b)}; "
+            "run the same seeds of a task"
         )
     pairs = [(of_a[key], of_b[key]) for key in keys]
     tasks = tuple(sorted({task for task, _ in keys}))

@@ -13,7 +13,7 @@ from carecontact.scoring.progress import Episode, measure_episodes, wrist_displa
 
 
 def measure(contact: Contact, *, episodes: bool = True, wrist: bool = True) -> Measures:
-    """``episodes``, ``wrist``: whether they are wanted; see ``Behaviour.needs``."""
+    """``episodes``, ``wrist``: whether to compute them; see ``Behaviour.needs``."""
     moved, moved_any = wrist_displacement(contact) if wrist else (0.0, 0.0)
     return Measures(episodes=measure_episodes(contact) if episodes else [], wrist_m=moved, wrist_any_m=moved_any)
 
