@@ -158,7 +158,7 @@ def test_other_arguments_or_variables_need_another_folder(bench: Bench) -> None:
     ):
         run("3")
     (bench.out / "manifest.json").unlink()
-    with pytest.raises(ConfigError, match=r"T1-s000.h5 was recorded with policy arguments steps=3 .*, this command has"):
+    with pytest.raises(ConfigError, match=r"T1-s000.h5 was recorded with .* steps=3 .*, this command has"):
         run("4", "TOKEN")
     assert bench.ran() == []
 

@@ -75,7 +75,7 @@ POLICIES.register(
     PolicyRow(
         target="carecontact.policies.voxposer.phased:VoxPoserPhased",
         description=(
-            "VoxPoser until the tool touches, then an explicit progress objective, as the paper proposes. "
+            "VoxPoser until the tool touches, then the paper's explicit progress objective. "
             "Default programs: written by hand."
         ),
         languages=("replay", "live"),
