@@ -101,7 +101,7 @@ def test_a_missing_recording_is_told_and_a_folder_for_results_is_one_line(
     assert "1 of 2 planned trials scored; not: T1-s001" in capsys.readouterr().out
     assert json.loads(Path("r/results.json").read_text())["missing"] == ["T1-s001"]
     assert main(["report", "r"]) == 0
-    assert "Unfinished, 1 of 2 planned trials are missing." in Path("r/report.html").read_text()
+    assert "Unfinished, 1 of 2 planned trials have no score." in Path("r/report.html").read_text()
     Path("r/results.json").unlink()
     Path("r/results.json").mkdir()
     assert main(["score", "r"]) == 2

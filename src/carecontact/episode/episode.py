@@ -51,7 +51,7 @@ class Step:
     observation: Observation | None
     """None where none was requested, and once the episode has ended."""
     terminated: bool
-    """The policy said that it is done, or the trial was cut because of a force or of diverging physics."""
+    """The policy said that it is done, or the benchmark stopped the trial because of a force or diverging physics."""
     truncated: bool
     """The time limit was reached."""
     reason: EndReason | None
@@ -251,7 +251,7 @@ class Episode:
         return self._pending
 
     def _advance(self, steps: int) -> Ended | None:
-        """Run ``steps`` physics steps; returns why the trial is cut, if it is."""
+        """Run ``steps`` physics steps; returns why the benchmark stops the trial, if it does."""
         simulation, physics = self.simulation, self.protocol.physics
         period = round(physics.target_period_s / physics.dt_s)
         while steps > 0:

@@ -1,4 +1,4 @@
-"""What a policy wanted to be kept of its steps: for people to look at, and for provenance; into no score."""
+"""A policy's notes on its steps: for inspection and provenance; they enter no metric."""
 
 from __future__ import annotations
 

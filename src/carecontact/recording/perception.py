@@ -1,6 +1,6 @@
 """How far perception was from the truth in a trial: optional arrays of a recording, for the scorer only.
 
-N rows, one a camera and observation in which the policy asked for landmarks or masks; R regions as in the schema.
+N rows, one per camera and observation in which the policy requested landmarks or masks; R regions as in the schema.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class PerceptionErrors:
 
 
 def perception_errors(recording: Recording) -> PerceptionErrors | None:
-    """None where no perception was asked for, or in recordings from before it was measured.
+    """None where no perception was requested, or in recordings from before it was measured.
 
     Raises RecordingError naming an array that is missing or has another dtype or shape.
     """

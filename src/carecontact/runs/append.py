@@ -20,7 +20,7 @@ from carecontact.stats import median
 
 Row = dict[str, Any]
 NEEDED = {"trial_id", "task_id", "region", "action", "ended", "recording_sha256", "metric_versions"}
-"""Keys of a trial in ``results.json`` that appending looks at."""
+"""Keys of a trial in ``results.json`` that appending reads."""
 
 
 @dataclass(frozen=True, kw_only=True)

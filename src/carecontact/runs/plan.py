@@ -37,7 +37,7 @@ def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
 def parse_seeds(text: str, *, protocol: Protocol) -> list[int]:
     """``3``, ``0-19``, ``0,4,7`` or ``all`` -> seeds in the protocol's order.
 
-    Raises ConfigError for what is no number and for seeds that the protocol does not have, naming those it has.
+    Raises ConfigError for what is not a number and for seeds that the protocol does not have, naming those it has.
     """
     order = protocol.randomization.seeds
     valid = f"{compact(order)}, as a list (0,4,7), a range (0-19), or all"

@@ -80,7 +80,7 @@ def read_results(path: Path | str) -> RunScores:
 
 
 def skipped_before(folder: Path) -> set[str]:
-    """Names of the recordings that the last scoring of a folder skipped; none where there is no result to ask."""
+    """Names of the recordings that the last scoring of a folder skipped; none where there is no result to read."""
     try:
         return set(read_results(folder / RESULTS_NAME).skipped)
     except (ConfigError, OSError):

@@ -1,4 +1,4 @@
-"""Definition ``contact-v1``: when a segment is touched, and which part of a trial the force scores look at."""
+"""Definition ``contact-v1``: when a segment is touched, and which part of a trial the force scores use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Summaries that say how many values they rest on."""
+"""Summaries that say how many values they are over."""
 
 from __future__ import annotations
 

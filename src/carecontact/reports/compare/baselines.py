@@ -1,7 +1,7 @@
 """What blind baselines pass: the floor under a method's rates.
 
-A blind baseline is a policy that cannot do a task, because it looks at nothing or does nothing. Whatever it passes all
-the same is a false positive of the gates.
+A blind baseline is a policy that cannot do a task, because it does not look, touch or decide. Each of its successes is
+a false positive of the gates.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class Comparison:
     overall: tuple[Line, ...]
     """One family for Holm."""
     per_task: dict[str, tuple[Line, ...]] | None
-    """Task -> its lines, all tasks one further family; None unless asked for."""
+    """Task -> its lines, all tasks one further family; None unless requested."""
 
 
 def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False) -> Comparison:

@@ -1,4 +1,4 @@
-"""Why trials failed: modes, causes with the figures they rest on, and where contact fell."""
+"""Why trials failed: modes, causes with their evidence, and where contact fell."""
 
 from __future__ import annotations
 
