@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from carecontact.contract.action import Action, ActionBounds, check_action
+from carecontact.contract.action import Action, ActionBounds, check_action, clip_action
 from carecontact.errors import ActionError
 
 LOW, HIGH = (0.0, -0.6, 0.1), (1.0, 0.5, 0.75)
@@ -146,3 +146,20 @@ def test_what_passes_is_inside_the_bounds(candidate: np.ndarray, stiffness: tupl
         assert not allowed
     else:
         assert allowed
+
+
+@given(arrays(np.float64, 3, elements=st.floats(-3, 3)))
+def test_clipping_moves_a_position_to_the_nearest_point_of_the_workspace(position: np.ndarray) -> None:
+    action = Action(pose_tcp_in_base=pose(*position), stiffness=(400.0, 20.0), done=True)
+    clipped = clip_action(action, BOUNDS)
+    assert check_action(clipped, BOUNDS).done
+    inside = bool(np.all(position >= LOW) and np.all(position <= HIGH))
+    assert (clipped is action) == inside
+    np.testing.assert_array_equal(clipped.pose_tcp_in_base[:3], np.clip(position, LOW, HIGH))
+    np.testing.assert_array_equal(clipped.pose_tcp_in_base[3:], action.pose_tcp_in_base[3:])
+
+
+@pytest.mark.parametrize("bad", [None, pose(9.0, np.nan, 0.3), np.zeros(6), np.array(["a"] * 7)])
+def test_clipping_leaves_alone_what_the_check_refuses(bad: Any) -> None:
+    action = Action(pose_tcp_in_base=bad)
+    assert clip_action(action, BOUNDS) is action

@@ -30,6 +30,7 @@ def test_a_card_may_ask_for_everything() -> None:
         ({"cameras": ("ceiling",)}, "cameras: expected .* out of overhead, bedside, exterior, wrist, got 'ceiling'"),
         ({"cameras": "wrist"}, "PolicyCard.cameras: expected a tuple of names .* got 'wrist'"),
         ({"cameras": None}, "PolicyCard.cameras: expected a tuple of names .* got None"),
+        ({"out_of_bounds": "clamp"}, "out_of_bounds: expected one of error, clip, got 'clamp'"),
         ({"control_hz": 0.99}, r"PolicyCard.control_hz: expected a number from 1 to 50 \[Hz\], got 0.99"),
         ({"control_hz": 50.01}, "got 50.01"),
         ({"control_hz": float("nan")}, "got nan"),
@@ -53,6 +54,12 @@ def test_a_wrong_card_names_field_and_valid_values(wrong: dict[str, Any], messag
 @pytest.mark.parametrize("rate", [1, 1.0, 50])
 def test_rates_at_the_bounds_are_valid(rate: float) -> None:
     assert PolicyCard(name="x", control_hz=rate).control_hz == rate
+
+
+def test_a_card_at_its_defaults_is_written_as_it_always_was() -> None:
+    added = {"arguments", "environment", "out_of_bounds"}
+    assert added.isdisjoint(PolicyCard(name="x").plain())
+    assert PolicyCard(name="x", out_of_bounds="clip").plain()["out_of_bounds"] == "clip"
 
 
 def test_a_session_says_nothing_about_the_trial() -> None:

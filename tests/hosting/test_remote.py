@@ -180,7 +180,7 @@ def speaking(converse: Callable[[ServerConnection], object], **options: object) 
     ("message", "kind", "says"),
     [
         (pack({"action_horizon": 10}), "garbage", "expected one 'card' message, got keys ['action_horizon']"),
-        ("hello", "garbage", "expected a binary 'card' message, got text 'hello'"),
+        ("hello", "garbage", "expected a binary message, got text 'hello'; send"),
         (bytes(MAX_REPLY_BYTES + 1), "oversize", "at most 4194304 bytes"),
         (None, "timeout", "no card message within"),
     ],

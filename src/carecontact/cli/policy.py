@@ -14,6 +14,7 @@ from carecontact.contract.policy_ref import PolicyRef
 from carecontact.errors import ConfigError, ContractError, PolicyError
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
+from carecontact.policies.registry import POLICIES
 from carecontact.recording.reason import reason
 
 CREDENTIALS = "CARECONTACT_POLICY_CREDENTIALS"
@@ -51,12 +52,13 @@ def policy_setup(policy: str, options: PolicyGroup) -> PolicySetup:
 
 
 def check_policy(setup: PolicySetup, *, deadline_s: float) -> None:
-    """Start the policy once, just as a trial does, unless it is a registered one that is given nothing.
+    """Start the policy once, just as a trial does, unless it is a shipped one that is given nothing.
 
     Raises UnknownNameError, or ConfigError saying in one line why a policy does not start or a server shows no card.
     """
     conversation = open_policy(setup, first_deadline_s=deadline_s, deadline_s=deadline_s)
-    if setup.ref.kind == "registered" and not (setup.arguments or setup.environment or setup.language):
+    shipped = setup.ref.kind == "registered" and POLICIES.package(setup.ref.text) is None
+    if shipped and not (setup.arguments or setup.environment or setup.language):
         return
     try:
         with conversation:

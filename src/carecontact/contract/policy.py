@@ -11,6 +11,7 @@ from carecontact.contract.observation import MODALITIES, Observation
 from carecontact.errors import ContractError
 
 CAMERAS = ("overhead", "bedside", "exterior", "wrist")
+OUT_OF_BOUNDS = ("error", "clip")
 MAX_NAME = 200
 """Characters of a card's name and language backend: they stand in headers, tables and file names."""
 MAX_ARGUMENTS, MAX_ARGUMENT = 64, 2000
@@ -31,6 +32,9 @@ class PolicyCard:
     language_backend: str = "none"
     """``none``, ``rules-v1``, ``replay:<hash>:<model>`` or ``live:<model>``; travels with every result. The model of
     completions that a person wrote is ``authored``."""
+    out_of_bounds: str = "error"
+    """What a target position outside the workspace does: ``error`` ends the trial as a failure of the policy's process;
+    ``clip`` moves the position onto the border of the workspace, and every score counts how often."""
     arguments: Mapping[str, str] = field(default_factory=dict[str, str], hash=False)
     """Arguments of --policy-arg: name -> text. The benchmark fills this field in; a policy leaves it empty."""
     environment: tuple[str, ...] = ()
@@ -46,6 +50,8 @@ class PolicyCard:
                 _wrong(name, f"1 to {MAX_NAME} printable characters", text)
         if self.action_space not in ACTION_SPACES:
             _wrong("action_space", f"one of {', '.join(ACTION_SPACES)}", self.action_space)
+        if self.out_of_bounds not in OUT_OF_BOUNDS:
+            _wrong("out_of_bounds", f"one of {', '.join(OUT_OF_BOUNDS)}", self.out_of_bounds)
         for kind, valid in (("modalities", MODALITIES), ("cameras", CAMERAS)):
             names = given[kind]
             expected = f"a tuple of names out of {', '.join(valid)}"
@@ -64,12 +70,14 @@ class PolicyCard:
     def plain(self) -> dict[str, object]:
         """The card as JSON has it, with lists for tuples.
 
-        Arguments and variables are left out where there are none, so that such a card is written as it always was.
+        Fields that cards did not always have are left out at their defaults, so that such a card is written as it
+        always was.
         """
         entries = {field.name: getattr(self, field.name) for field in fields(self)}
         entries |= {name: list(entries[name]) for name in ("modalities", "cameras", "environment")}
         entries["arguments"] = dict(self.arguments)
-        return {name: value for name, value in entries.items() if value or name not in ("arguments", "environment")}
+        later: dict[str, object] = {"arguments": {}, "environment": [], "out_of_bounds": "error"}
+        return {name: value for name, value in entries.items() if name not in later or value != later[name]}
 
 
 def check_arguments(given: object) -> None:

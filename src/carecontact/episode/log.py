@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from carecontact.contract.observation import Observation
 from carecontact.errors import PolicyError
-from carecontact.recording.schema import empty_arrays
+from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, empty_arrays
 
 F64 = npt.NDArray[np.float64]
 Arrays = dict[str, npt.NDArray[Any]]
@@ -147,7 +147,9 @@ class TrialLog:
         if self._actions:
             out["actions/time_s"] = np.array([a[0] for a in self._actions], "<f8")
             out["actions/observation_index"] = np.array([a[1] for a in self._actions], "<i4")
-            out |= {path: np.array([a[2][path] for a in self._actions], "<f8") for path in self._actions[0][2]}
+            for path in self._actions[0][2]:
+                dtype, _ = ARRAYS.get(path) or OPTIONAL_ARRAYS[path]
+                out[path] = np.array([a[2][path] for a in self._actions], f"<{dtype}")
         if self._states:
             out["state/time_s"] = np.array([s[0] for s in self._states], "<f8")
             out["state/integration"] = np.array([s[1] for s in self._states], "<f8")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import select
 import signal
 import subprocess
@@ -38,6 +39,7 @@ SECRET_CHARS = 6
 ENVIRONMENT_PREFIXES = ("OMP_", "OPENBLAS_", "OPENAI_")
 """Nothing else but what --policy-env names reaches the policy: no variable of the harness can carry a seed or label."""
 
+_MISSING_KEY = re.compile(r"KeyError: '([A-Za-z_][A-Za-z0-9_]*)'")
 _BOOTSTRAP = """
 import json, sys
 options = json.load(sys.stdin)
@@ -159,6 +161,14 @@ class PolicyProcess(PolicyConversation):
             with suppress(ValueError):
                 return f" (killed by {signal.Signals(-code).name})"
         return f" (exit code {code})"
+
+    def _hint(self, message: str) -> str:
+        """A policy that misses a variable cannot know that the caller has it."""
+        missing = _MISSING_KEY.search(message)
+        passes = {*_environment(), *self._setup.environment}
+        if missing is None or missing[1] not in os.environ or missing[1] in passes:
+            return ""
+        return f"; {missing[1]} is set here, but reaches the policy only with --policy-env {missing[1]}"
 
     def _kill(self) -> None:
         """Nothing that the policy started outlives it."""

@@ -59,6 +59,7 @@ ARRAYS: dict[str, tuple[str, str]] = {
 OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "actions/joint": ("f8", "(M, 7) joint positions [rad] or velocities, as the card's action space has them"),
     "actions/axis_stiffness": ("f8", "(M, 6) in force, per axis of the target: x y z [N/m], about x y z [N m/rad]"),
+    "actions/clipped": ("u1", "(M,) 1 where a target outside the workspace was moved onto its border"),
     "actions/damping_ratio": ("f8", "(M,) in force"),
     "actions/wrench_in_tcp": ("f8", "(M, 6) feedforward in force: force [N], torque [N m]"),
     "policy/believed_pose_camera_in_base": ("f8", "(A, V, 7) as the policy was shown it, with its calibration error"),

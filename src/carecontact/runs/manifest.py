@@ -155,6 +155,10 @@ def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity:
     started_with, wanted = (_policy_text(i.arguments, i.environment) for i in (held, identity))
     if started_with != wanted:
         raise ConfigError(f"{out} was started with {started_with}, this command has {wanted}: use another --out")
+    replaced = [n for n in identity.arguments if held.argument_files.get(n) != identity.argument_files.get(n)]
+    if replaced:
+        content = f"the content of {identity.arguments[replaced[0]]} (policy argument {replaced[0]})"
+        raise ConfigError(f"{out}: {content} changed since this folder was started: use another --out")
     if held.language != identity.language:
         spoken = [name or "the policy's own" for name in (held.language, identity.language)]
         raise ConfigError(

@@ -56,6 +56,8 @@ class TrialScore(BaseModel):
     ended: str
     duration_s: float
     failure_message: str | None
+    clipped_actions: int = 0
+    """Targets outside the workspace that were moved onto its border, because the policy's card requests that."""
 
     anatomy: Anatomy
     valid_contact: bool

@@ -95,7 +95,13 @@ def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
         "ended": header.ended,
         "duration_s": float(contact.time_s[-1]) if len(contact.time_s) else 0.0,
         "failure_message": header.failure.message if header.failure else None,
+        "clipped_actions": _clipped_actions(contact),
     }
+
+
+def _clipped_actions(contact: Contact) -> int:
+    clipped = contact.recording.arrays.get("actions/clipped")
+    return 0 if clipped is None else int(clipped.sum())
 
 
 def _world(contact: Contact) -> dict[str, str]:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 
+import msgpack
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
@@ -92,14 +93,28 @@ def test_an_answer_that_is_no_action(meet: Meet, answer: object, says: str) -> N
     assert caught.value.kind == "action"
 
 
+def test_a_card_that_clips_lets_positions_through_and_nothing_else(meet: Meet) -> None:
+    class Clips(Answers):
+        card = PolicyCard(name="clips", out_of_bounds="clip")
+
+    outside = POSE + [9, 0, 0, 0, 0, 0, 0]
+    one = meet(Clips(Action(pose_tcp_in_base=outside)))
+    (action,) = one.act(synthetic_observation(), deadline_s=20).actions
+    np.testing.assert_array_equal(action.pose_tcp_in_base, outside)
+    twisted = meet(Clips(Action(pose_tcp_in_base=outside * [1, 1, 1, 2, 2, 2, 2])))
+    with pytest.raises(PolicyError, match=r"actions\[0\]\.pose_tcp_in_base: expected a quaternion of norm 1"):
+        twisted.act(synthetic_observation(), deadline_s=20)
+
+
 @pytest.mark.parametrize(
     ("reply", "kind", "says"),
     [
         (b"\xc1 not msgpack", "garbage", "expected msgpack"),
         (b"", "garbage", "expected msgpack, got 0 bytes"),
-        ("text", "garbage", "expected a binary 'actions' message, got text 'text'"),
+        ("text", "garbage", "expected a binary message, got text 'text'; send .*msgpack"),
         (pack({"type": "ready"}), "garbage", r"expected one 'actions' message, got keys \['type'\], type 'ready'"),
-        (pack([1, 2]), "garbage", r"got \[1, 2\]"),
+        (pack([1, 2]), "garbage", r"got \[1, 2\]; send .*pose_tcp_in_base"),
+        (msgpack.packb({b"actions": 1}), "garbage", "got b.actions.; pack text and not bytes as keys"),
         (pack({"type": "actions", "actions": [], "score": 1}), "garbage", "'score'"),
         (bytes(MAX_REPLY_BYTES + 1), "oversize", "at most 4194304 bytes"),
         (pack({"type": "actions", "actions": [{"torque": 1}]}), "action", "unknown key torque; valid: pose_tcp"),
@@ -135,7 +150,7 @@ def test_a_request_that_the_server_does_not_know(
     meet: Meet, monkeypatch: pytest.MonkeyPatch, message: object, says: str
 ) -> None:
     one = meet(Answers(Action()))
-    monkeypatch.setattr(client, "pack", lambda _: pack(message))
+    monkeypatch.setattr(client, "act_message", lambda _: pack(message))
     with pytest.raises(PolicyError, match=says):
         one.act(synthetic_observation(), deadline_s=20)
 

@@ -150,9 +150,9 @@ def test_modalities_of_one_camera_agree(changes: dict[str, object], says: str) -
         ([], "expected 1 to 2000 actions, got 0"),
         ([Action()] * (MAX_CHUNK + 1), "got 2001"),
         ([Action(), 3], r"act\[1\]: expected a Action, got int 3"),
-        (Action(pose_tcp_in_base=[[0, 1], [2]]), "pose_tcp_in_base: expected an array of 7 numbers"),
+        (Action(pose_tcp_in_base=[[0, 1], [2]]), "pose_tcp_in_base: expected a list or array of 7 numbers"),
         (Action(pose_tcp_in_base=np.zeros(7, bool)), "got an array bool"),
-        (Action(pose_tcp_in_base="up"), "expected an array of 7 numbers"),
+        (Action(pose_tcp_in_base="up"), "expected a list or array of 7 numbers"),
         (Action(stiffness=400.0), "stiffness: expected"),
         (Action(stiffness=(400.0, "soft")), r"stiffness\[1\]: expected a number"),
         (Action(stiffness=(True, 1.0)), r"stiffness\[0\]: expected a number"),
@@ -163,6 +163,14 @@ def test_modalities_of_one_camera_agree(changes: dict[str, object], says: str) -
 def test_a_wrong_answer_is_named(answer: object, says: str) -> None:
     with pytest.raises(ActionError, match=says):
         codec.encode_actions(answer)
+
+
+def test_a_pose_may_be_a_plain_list_of_numbers() -> None:
+    (action,) = codec.decode_actions([{"pose_tcp_in_base": [0.4, 0, 0.4, 0, 1, 0, 0]}])
+    np.testing.assert_array_equal(action.pose_tcp_in_base, [0.4, 0, 0.4, 0, 1, 0, 0])
+    for wrong in ([0.4, None], ["a"], [True] * 7, "up", {}):
+        with pytest.raises(ActionError, match=r"actions\[0\].pose_tcp_in_base: expected a list or array of 7"):
+            codec.decode_actions([{"pose_tcp_in_base": wrong}])
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -43,6 +43,21 @@ def check_action(action: Action, bounds: ActionBounds) -> Action:
     )
 
 
+def clip_action(action: Action, bounds: ActionBounds) -> Action:
+    """Move a finite target position outside the workspace onto its border.
+
+    Returns:
+        The same object if there is nothing to move, or if ``check_action`` will refuse the pose anyway.
+    """
+    pose = None if action.pose_tcp_in_base is None else np.asarray(action.pose_tcp_in_base)
+    if pose is None or pose.shape != (7,) or pose.dtype.kind not in "fiu" or not np.isfinite(pose).all():
+        return action
+    inside = np.clip(pose[:3], bounds.workspace_low_m, bounds.workspace_high_m)
+    if (inside == pose[:3]).all():
+        return action
+    return replace(action, pose_tcp_in_base=np.concatenate([inside, pose[3:]]))
+
+
 def _pose(given: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[np.float64]:
     pose = np.asarray(given)
     if pose.shape != (7,) or pose.dtype.kind not in "fiu":
@@ -63,6 +78,9 @@ def _pose(given: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[n
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
         raise ActionError(f"pose_tcp_in_base: expected a quaternion of norm 1, got {norm:.4g}")
     pose[3:] /= norm
+    # Again, because the first division may leave a norm that differs from 1 in the last digit. The second may too, so
+    # that a pose must be checked once only: the last bits depend on how often.
+    pose[3:] /= float(np.linalg.norm(pose[3:]))
     return pose
 
 

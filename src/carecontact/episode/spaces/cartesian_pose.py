@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.action import Action, ActionBounds, check_action
+from carecontact.contract.action import Action, ActionBounds, check_action, clip_action
 from carecontact.contract.protocol import Protocol
 from carecontact.episode.spaces.space import SPACES, ActionSpace
 from carecontact.sim.simulation import Simulation
@@ -29,6 +29,9 @@ class CartesianPose(ActionSpace):
 
     def check(self, action: Action) -> Action:
         return check_action(action, self.bounds)
+
+    def clip(self, action: Action) -> Action:
+        return clip_action(action, self.bounds)
 
     def apply(self, action: Action, period_s: float) -> Mapping[str, npt.NDArray[np.float64]]:
         if action.stiffness is not None and action.stiffness != self._stiffness:

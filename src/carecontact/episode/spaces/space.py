@@ -33,6 +33,11 @@ class ActionSpace(ABC):
         """The action in normal form. Raises ActionError naming the field, what was expected and what was got."""
 
     @abstractmethod
+    def clip(self, action: Action) -> Action:
+        """The action moved into the space's bounds, for a card whose ``out_of_bounds`` is ``clip``; the same object if
+        nothing has to be moved."""
+
+    @abstractmethod
     def apply(self, action: Action, period_s: float) -> Mapping[str, npt.NDArray[np.float64]]:
         """Make a checked action the controller's command for one period of the policy's control rate.
 

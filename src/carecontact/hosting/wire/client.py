@@ -14,13 +14,20 @@ from dataclasses import dataclass
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from carecontact.contract.action import Action, ActionBounds, check_action
+from carecontact.contract.action import Action, ActionBounds, check_action, clip_action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.errors import ActionError, ContractError, PolicyError
 from carecontact.hosting.wire import codec
-from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, is_map, pack, unpack
+from carecontact.hosting.wire.messages import CLOSE, act_message, reset_message
+from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, is_map, unpack
 
+EXAMPLES = {
+    "card": '{"type": "card", "card": {"name": "my-policy", "modalities": ["rgb"], "cameras": ["overhead"]}}',
+    "ready": '{"type": "ready"}',
+    "actions": '{"type": "actions", "actions": [{"pose_tcp_in_base": [x, y, z, qw, qx, qy, qz]}]}',
+}
+"""What a policy's server may send in place of what was refused; docs/wire.md describes every message."""
 NOTE_KEY = re.compile(r"[a-z][a-z0-9_]{0,63}")
 MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA = 1009, 1002, 1007
 """Close codes of RFC 6455, section 7.4.1."""
@@ -29,7 +36,7 @@ MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA = 1009, 1002, 1007
 @dataclass(frozen=True, kw_only=True)
 class ActReply:
     actions: list[Action]
-    """1 to MAX_CHUNK, each through ``check_action``."""
+    """1 to MAX_CHUNK as they came; each passes ``check_action``, after ``clip_action`` if the card requests that."""
     sent: bytes
     """The message that carried the observation: everything the policy was shown at this step."""
     sent_sha256: bytes
@@ -41,13 +48,16 @@ class ActReply:
 class PolicyClient:
     """Speaks the native wire. Every failure is a PolicyError whose kind says what the policy did."""
 
+    _bounds: ActionBounds | None = None
+    _clips = False
+    """Whether the card requests that targets outside the workspace are clipped."""
+
     def __init__(self, *, port: int, deadline_s: float, host: str = "127.0.0.1", credentials: str = "") -> None:
         """Connect and read nothing yet. ``credentials``: ``USER:PASSWORD`` for HTTP basic authorization, or nothing.
 
         Raises PolicyError ``start`` if nothing listens there, ``handshake`` or ``timeout``.
         """
         self._stack = ExitStack()
-        self._bounds: ActionBounds | None = None
         place, until = f"[{host}]:{port}" if ":" in host else f"{host}:{port}", time.monotonic() + deadline_s
         key = base64.b64encode(credentials.encode()).decode()
         try:
@@ -81,10 +91,13 @@ class PolicyClient:
             ) from None
 
     def card(self, *, deadline_s: float) -> PolicyCard:
-        return codec.decode_card(self._receive("card", "card", deadline_s=deadline_s)["card"])
+        """Receive the card, which also says whether targets outside the workspace are clipped."""
+        card = codec.decode_card(self._receive("card", "card", deadline_s=deadline_s)["card"])
+        self._clips = card.out_of_bounds == "clip"
+        return card
 
     def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
-        message = pack({"type": "reset", "instruction": instruction, "session": codec.encode_session(session)})
+        message = reset_message(instruction, session)
         self._bounds = session.action_bounds
         self._expect_silence()
         started = time.monotonic()
@@ -95,7 +108,7 @@ class PolicyClient:
         """Raises ObservationError if the observation breaks the contract, which is the harness's fault."""
         if self._bounds is None:
             raise ContractError("PolicyClient.act: expected reset before it, got none")
-        message = pack({"type": "act", "observation": codec.encode_observation(observation)})
+        message = act_message(observation)
         self._expect_silence()
         started = time.monotonic()
         self._send(message, deadline_s=deadline_s)
@@ -103,7 +116,8 @@ class PolicyClient:
         notes = _notes(entries)
         try:
             actions = codec.decode_actions(entries["actions"])
-            actions = [_checked(action, self._bounds, place=f"actions[{i}]") for i, action in enumerate(actions)]
+            for i, action in enumerate(actions):
+                _check(action, self._bounds, clips=self._clips, place=f"actions[{i}]")
         except ActionError as error:
             raise PolicyError("action", str(error), notes=notes) from None
         return ActReply(actions=actions, sent=message, sent_sha256=hashlib.sha256(message).digest(), notes=notes)
@@ -111,7 +125,7 @@ class PolicyClient:
     def say_goodbye(self, *, deadline_s: float) -> None:
         """Ask the policy to end; a policy that is gone already has."""
         with suppress(PolicyError):
-            self._send(pack({"type": "close"}), deadline_s=deadline_s)
+            self._send(CLOSE, deadline_s=deadline_s)
 
     def disconnect(self) -> None:
         self._stack.close()
@@ -157,11 +171,11 @@ class PolicyClient:
         except Exception as error:
             raise _closed(error) from None
         if isinstance(frame, str):
-            raise PolicyError("garbage", f"expected a binary {kind!r} message, got text {frame!r:.200}")
+            raise PolicyError("garbage", f"expected a binary message, got text {frame!r:.200}; {_instead(kind)}")
         try:
             message = unpack(frame, max_bytes=MAX_REPLY_BYTES)
         except ContractError as error:
-            raise PolicyError("garbage", f"{kind} {error}") from None
+            raise PolicyError("garbage", f"{kind} {error}; {_instead(kind)}") from None
         entries = message if is_map(message) else {}
         if entries.get("type") == "error":
             said, reason = entries.get("kind"), entries.get("message")
@@ -172,8 +186,12 @@ class PolicyClient:
         keys = set(entries) - ({"notes"} if kind == "actions" else set[str]())
         if keys != {"type"} | ({field} if field else set()) or entries["type"] != kind:
             got = f"keys {sorted(entries)}, type {entries.get('type')!r}" if entries else f"{message!r:.200}"
-            raise PolicyError("garbage", f"expected one {kind!r} message, got {got:.300}")
+            raise PolicyError("garbage", f"expected one {kind!r} message, got {got:.300}; {_instead(kind)}")
         return entries
+
+
+def _instead(kind: str) -> str:
+    return f"send {EXAMPLES[kind]} as one binary message of msgpack (docs/wire.md)"
 
 
 def _notes(entries: dict[str, object]) -> dict[str, object]:
@@ -184,9 +202,9 @@ def _notes(entries: dict[str, object]) -> dict[str, object]:
     return notes
 
 
-def _checked(action: Action, bounds: ActionBounds, *, place: str) -> Action:
+def _check(action: Action, bounds: ActionBounds, *, clips: bool, place: str) -> None:
     try:
-        return check_action(action, bounds)
+        check_action(clip_action(action, bounds) if clips else action, bounds)
     except ActionError as error:
         raise ActionError(f"{place}.{error}") from None
 

@@ -35,6 +35,7 @@ CAMERA_ARRAYS: dict[str, tuple[str, Shape]] = {
     "landmarks_in_base": ("<f4", (33, 3)),
 }
 """Field -> dtype and shape; equal letters within a camera are equal sizes."""
+POSE = "a list or array of 7 numbers (x y z [m], quaternion w x y z) or None"
 _MASK: tuple[str, Shape] = ("|b1", ("H", "W"))
 
 
@@ -110,9 +111,9 @@ def _pose(value: object, place: str) -> npt.NDArray[np.float64]:
     try:
         array = np.asarray(value)
     except ValueError:
-        _wrong(ActionError, place, "an array of 7 numbers or None", value)
+        _wrong(ActionError, place, POSE, value)
     if array.dtype.kind not in "fiu":
-        _wrong(ActionError, place, "an array of 7 numbers or None", array)
+        _wrong(ActionError, place, POSE, array)
     return array.astype(np.float64)
 
 
@@ -128,8 +129,8 @@ def decode_actions(plain: object) -> list[Action]:
 def _decode_action(plain: object, place: str) -> Action:
     entries = _known(plain, Action, place, ActionError)
     pose, stiffness, gripper, done = (entries[k] for k in ("pose_tcp_in_base", "stiffness", "gripper", "done"))
-    if pose is not None and (not is_array(pose) or pose.dtype.kind not in "fiu"):
-        _wrong(ActionError, f"{place}.pose_tcp_in_base", "an array of 7 numbers or None", pose)
+    if pose is not None:
+        pose = _numeric_array(pose, f"{place}.pose_tcp_in_base")
     pair: tuple[float, float] | None = None
     if stiffness is not None:
         if not is_list(stiffness) or len(stiffness) != 2:
@@ -141,9 +142,16 @@ def _decode_action(plain: object, place: str) -> Action:
     if type(done) is not bool:
         _wrong(ActionError, f"{place}.done", "True or False", done)
     opening = None if gripper is None else _number(gripper, f"{place}.gripper", ActionError)
-    return Action(
-        pose_tcp_in_base=cast(npt.NDArray[np.float64] | None, pose), stiffness=pair, gripper=opening, done=done
-    )
+    return Action(pose_tcp_in_base=pose, stiffness=pair, gripper=opening, done=done)
+
+
+def _numeric_array(value: object, place: str) -> npt.NDArray[np.float64]:
+    """An array of the wire, or a plain list of numbers, as clients of other languages send it."""
+    if is_list(value) and not any(isinstance(v, bool) or not isinstance(v, int | float) for v in value):
+        return np.array(value, np.float64)
+    if not is_array(value) or value.dtype.kind not in "fiu":
+        _wrong(ActionError, place, POSE, value)
+    return value
 
 
 def encode_card(card: object) -> Plain:
@@ -160,7 +168,7 @@ def decode_card(plain: object) -> PolicyCard:
     """Raises PolicyError ``handshake`` naming the field, what was expected and what was got."""
     try:
         entries = _known({"arguments": {}, **plain} if is_map(plain) else plain, PolicyCard, "card", ContractError)
-        for name in ("name", "action_space", "language_backend"):
+        for name in ("name", "action_space", "language_backend", "out_of_bounds"):
             if not isinstance(entries[name], str):
                 _wrong(ContractError, f"card.{name}", "text", entries[name])
         for name in ("modalities", "cameras", "environment"):

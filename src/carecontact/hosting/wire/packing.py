@@ -109,7 +109,10 @@ def _map_without_repeats(pairs: list[tuple[object, object]]) -> dict[object, obj
     out: dict[object, object] = {}
     for key, value in pairs:
         if not isinstance(key, str):
-            raise ContractError(f"message: expected text as map keys, got {key!r:.80}")
+            hint = (
+                "; pack text and not bytes as keys, and send numbers as plain lists" if isinstance(key, bytes) else ""
+            )
+            raise ContractError(f"message: expected text as map keys, got {key!r:.80}{hint}")
         if key in out:
             raise ContractError(f"message: expected each key of a map once, got {key!r:.80} again")
         out[key] = value

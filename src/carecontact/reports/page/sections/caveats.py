@@ -40,6 +40,7 @@ def cannot_say(page: Page) -> list[Caveat]:
         *_variation(headers),
         *_protocol(headers),
         *_extrapolation(page.scores),
+        *_clipped(page.scores),
         *_baselines(page),
         *_incomplete(page),
         ("Simulation", "These are forces on a simulated person. They say nothing about comfort, pain or injury."),
@@ -156,6 +157,18 @@ def _extrapolation(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
             "forces there follow an extrapolated curve."
         )
     return [("Extrapolated tissue", text)]
+
+
+def _clipped(scores: Sequence[TrialScore]) -> list[Caveat]:
+    trials = [s for s in scores if s.clipped_actions]
+    if not trials:
+        return []
+    text = (
+        f"In {len(trials)} of {len(scores)} trials the benchmark moved targets outside the workspace onto its border "
+        f"({sum(s.clipped_actions for s in trials)} actions in all), as the policy's card requests. "
+        "The robot did not do there what the policy commanded."
+    )
+    return [("Clipped actions", text)]
 
 
 def _task_counts(scores: Sequence[TrialScore]) -> str:
