@@ -27,7 +27,7 @@ from carecontact.regions import REGIONS
 from carecontact.registry import Registry
 from carecontact.reports.page.page import write_report
 from carecontact.runs import score_run
-from carecontact.scoring import score_recording
+from carecontact.scoring import METRICS, score_recording
 from carecontact.sim.simulation import Simulation
 from carecontact.trials.request import TrialRequest, setup_of
 from carecontact.validation.moves import move_to
@@ -43,11 +43,12 @@ HAND = "right_hand"
 @pytest.fixture(scope="module")
 def outside() -> Iterator[None]:
     """The package ``outside`` is installed, and gone again afterwards."""
-    registries: tuple[Registry[Any], ...] = (BEHAVIOURS, REGIONS)
+    registries: tuple[Registry[Any], ...] = (BEHAVIOURS, REGIONS, METRICS)
     with pytest.MonkeyPatch.context() as patch:
+        for registry in registries:
+            list(registry)  # loads what else is installed, which stays afterwards
         patch.syspath_prepend(FOLDER)
         for registry in registries:
-            list(registry)
             patch.setattr(registry, "_rows", dict(registry._rows))
             patch.setattr(registry, "_package", dict(registry._package))
             patch.setattr(registry, "_external_loaded", False)

@@ -12,7 +12,7 @@ from carecontact.audit.keyframe import Keyframe
 from carecontact.audit.watched import Watched, press
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
-from carecontact.hosting.wire import client
+from carecontact.hosting.wire import messages
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Samples, Simulation
 

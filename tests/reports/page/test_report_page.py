@@ -73,7 +73,14 @@ def test_page_of_seven_trials(run_of_7: Run, tmp_path: Path) -> None:
     assert "state_machine passed 2 of 7 trials" in page.text
     assert len(page.all("svg", class_="trace")) == 6
     assert "T7 Scrub abdomen, seed 0." in page.text
-    for words in ("4 of 7", "3 of 7", "2 of 7", "wrist 31 mm", "stroke 30 mm, extent 10 mm, 1 reversal", "for 3.90 s"):
+    for words in (
+        "4 of 7",
+        "3 of 7",
+        "2 of 7",
+        "wrist moved 31 mm",
+        "stroke 30 mm, extent 10 mm, 1 reversal",
+        "pressed for 3.90 s",
+    ):
         assert words in page.text
     for words in (
         "process failure · process",
