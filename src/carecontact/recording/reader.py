@@ -31,7 +31,7 @@ def read_recording(path: Path | str) -> Recording:
 
     Raises RecordingError naming the file and the fault: absent, not HDF5, truncated, damaged, foreign, too large,
     a schema that no migration starts from, a required array missing or of the wrong dtype or shape, or a checksum that
-    differs.
+    differs. Raises ConfigError for an installed action or region that its protocol names and that cannot be loaded.
     """
     return read_verified(path).recording
 

@@ -114,7 +114,7 @@ class Region:
                 return ()
 
 
-REGIONS: Registry[Region] = Registry("region", scan="carecontact.regions")
+REGIONS: Registry[Region] = Registry("region", row=Region, scan="carecontact.regions")
 """Name -> row. Other packages add rows through the entry-point group ``carecontact.regions``. Policies may read it: a
 module that registers a region must import nothing of carecontact but ``carecontact.regions``."""
 

@@ -93,8 +93,8 @@ def behaviour_of(action: str) -> Behaviour[Any]:
 
 
 def actions_that_move() -> frozenset[str]:
-    """The registered actions that are meant to move a limb."""
-    return frozenset(action for action in BEHAVIOURS if behaviour_of(action).moves_the_person)
+    """The registered actions that are meant to move a limb; one that cannot be loaded has no trials to pool."""
+    return frozenset(action for action in BEHAVIOURS.usable() if behaviour_of(action).moves_the_person)
 
 
 def sweeps_of(actions: Iterable[str]) -> dict[str, tuple[str, Sweep]]:

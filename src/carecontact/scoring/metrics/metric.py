@@ -108,7 +108,7 @@ class Metric:
         return None if found is None else float(found)  # pyright: ignore[reportArgumentType]
 
 
-METRICS: Registry[Metric] = Registry("metric", scan="carecontact.scoring.metrics")
+METRICS: Registry[Metric] = Registry("metric", row=Metric, scan="carecontact.scoring.metrics")
 
 Function = TypeVar("Function", bound="Callable[[Contact], Measured]")
 
@@ -139,6 +139,7 @@ def metric(
                 id=id_, title=title, unit=unit, better=better, measure=measure, field=field, pool=pool,
                 median=median, digits=digits, headline=headline, matters=matters, order=order,
             ),
+            origin=measure,
         )  # fmt: skip
         return measure
 
