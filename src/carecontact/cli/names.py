@@ -23,7 +23,9 @@ class List:
     """List the names that the command line accepts."""
 
     what: Annotated[
-        Literal["tasks", "actions", "regions", "policies", "protocols", "bodies", "tissue", "metrics", "all"],
+        Literal[
+            "tasks", "actions", "regions", "segments", "policies", "protocols", "bodies", "tissue", "metrics", "all"
+        ],
         tyro.conf.Positional,
     ] = "all"
     rules: Annotated[ProtocolGroup, FLAT] = field(default_factory=ProtocolGroup)
@@ -63,6 +65,15 @@ def _regions(protocol: str) -> list[tuple[str, str]]:
 
     found = dict(_rows(REGIONS, meaning))
     return [(name, found[name]) for name in all_regions()]
+
+
+def _segments(protocol: str) -> list[tuple[str, str]]:
+    from carecontact.regions import JOINTS, SEGMENTS
+    from carecontact.regions.anatomy import LIMB_PARTS
+
+    rows = [(name, "For segment and neighbourhood of a region.") for name in SEGMENTS]
+    rows += [(name, "For closed_by of a region's shape.") for name in LIMB_PARTS]
+    return [*rows, *((name, "For joints of a region's sight.") for name in JOINTS)]
 
 
 def _policies(protocol: str) -> list[tuple[str, str]]:
@@ -140,6 +151,6 @@ def _rows(registry: Registry[T], meaning: Callable[[T], str]) -> list[tuple[str,
 
 
 KINDS = {
-    "tasks": _tasks, "actions": _actions, "regions": _regions, "policies": _policies, "protocols": _protocols,
-    "bodies": _bodies, "tissue": _tissue, "metrics": _metrics,
+    "tasks": _tasks, "actions": _actions, "regions": _regions, "segments": _segments, "policies": _policies,
+    "protocols": _protocols, "bodies": _bodies, "tissue": _tissue, "metrics": _metrics,
 }  # fmt: skip
