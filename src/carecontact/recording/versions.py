@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from importlib import metadata
 
 from carecontact import __version__
@@ -22,7 +23,12 @@ def supplier_versions(protocol: Protocol) -> dict[str, str]:
     """Of the other packages that supply actions and regions of the protocol's tasks."""
     suppliers = {BEHAVIOURS.package(task.action) for task in protocol.tasks}
     suppliers |= {REGIONS.package(task.region) for task in protocol.tasks}
-    return {name: metadata.version(name) for name in sorted(filter(None, suppliers))}
+    return versions_of(suppliers)
+
+
+def versions_of(packages: Iterable[str | None]) -> dict[str, str]:
+    """Installed package -> its version, sorted; None stands for no package."""
+    return {name: metadata.version(name) for name in sorted({name for name in packages if name is not None})}
 
 
 def package_versions(segmenter: str = "mediapipe") -> dict[str, str]:
