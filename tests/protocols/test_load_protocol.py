@@ -114,3 +114,18 @@ def test_a_file_does_not_claim_overrides(tmp_path: Path) -> None:
     path = written(tmp_path, f'{TEXT}\n[overrides]\n"person.body" = "man-old-light"\n')
     with pytest.raises(ConfigError, match="overrides are written by a command"):
         load_protocol(path)
+
+
+@pytest.mark.parametrize(
+    ("segments", "where", "why"),
+    [
+        ('["right_hnad"]', r"forearm\.0", "no segment named 'right_hnad'; valid: pelvis, abdomen, .*, left_foot"),
+        ("[]", "forearm", "at least 1 item"),
+    ],
+)
+def test_a_neighbourhood_of_a_segment_that_no_body_has_is_refused(
+    segments: str, where: str, why: str, tmp_path: Path
+) -> None:
+    text = f'base = "{DEFAULT_PROTOCOL}"\nid = "mine"\ndescription = "x"\ncontact.neighbourhood.forearm = {segments}\n'
+    with pytest.raises(ConfigError, match=rf"mine\.toml: (?s:.*)contact\.neighbourhood\.{where}: .*{why}"):
+        load_protocol(written(tmp_path, text))

@@ -88,11 +88,11 @@ class Run:
         return 1 if _print_failures(summary, out=self.out) or scores.skipped else 0
 
     def _protocol(self) -> Protocol:
-        """Raises ConfigError for a protocol that cannot run, and UnknownNameError."""
+        """Raises ConfigError for a protocol that cannot run or be scored, and UnknownNameError."""
         from carecontact.cli.vision import with_vision
         from carecontact.protocols import load_protocol
         from carecontact.runs.freeze import check_frozen
-        from carecontact.runs.preflight import check_protocol
+        from carecontact.runs.preflight import check_protocol, check_rows
 
         name = self.rules.protocol
         loaded = check_frozen(name, load_protocol(name), unfrozen=self.unfrozen)
@@ -100,6 +100,7 @@ class Run:
         changed = self.rules.changed(loaded, **self.physics.changes(), stiffness=stiffness)
         rules = with_vision(changed, self.vision)
         check_protocol(rules)
+        check_rows(rules)
         return rules
 
 
