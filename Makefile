@@ -3,34 +3,34 @@ BIN := .venv/bin
 .DEFAULT_GOAL := help
 .PHONY: help env demo test lint test-slow test-grounded-sam bench clean
 
-help: ## this list
+help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
 
-env: ## the Python environment in .venv and nothing else
+env: ## create the Python environment in .venv, and nothing else
 	@sh tools/bootstrap.sh
 
-demo: env ## the seven tasks once, and an HTML report in runs/demo
+demo: env ## run the seven tasks once and write an HTML report into runs/demo
 	@$(BIN)/carecontact demo
 
-test: env lint ## style, types, import walls and the fast tests
+test: env lint ## check style, types, import rules and run the fast tests
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
-lint: env ## style, types and import walls only
+lint: env ## check style, types and import rules only
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/lint-imports
 
-test-slow: env ## the long simulations
+test-slow: env ## run the long simulations
 	$(BIN)/python -m pytest -m slow
 
-test-grounded-sam: env ## the segmenter on tiny random models, in .venv-torch (5 GB)
+test-grounded-sam: env ## test the segmenter on tiny random models, in .venv-torch (5 GB)
 	UV_PROJECT_ENVIRONMENT=.venv-torch .venv-uv/bin/uv sync --frozen --quiet --extra grounded-sam --python $(BIN)/python
 	.venv-torch/bin/python -m pytest -m torch tests/observation/test_grounded_sam.py
 
-bench: env ## speed of physics, trials and command line, as JSON
+bench: env ## measure the speed of physics, trials and command line, as JSON
 	@$(BIN)/python benchmarks/speed.py
 
-clean: ## what the other targets made, runs/demo included
+clean: ## remove what the other targets made, runs/demo included
 	rm -rf .venv .venv-uv .venv-torch runs/demo .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	find src tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

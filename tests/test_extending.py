@@ -26,7 +26,7 @@ from carecontact.recording.versions import trial_versions
 from carecontact.regions import REGIONS
 from carecontact.reports.page.page import write_report
 from carecontact.runs import score_run
-from carecontact.scoring import score_recording
+from carecontact.scoring import METRICS, score_recording
 from carecontact.sim.simulation import Simulation
 from carecontact.trials.request import TrialRequest, setup_of
 from carecontact.validation.moves import move_to
@@ -45,7 +45,7 @@ def outside() -> Iterator[None]:
     """The package ``outside`` is installed, and gone again afterwards."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(FOLDER)
-        look_again(patch, BEHAVIOURS, REGIONS)
+        look_again(patch, BEHAVIOURS, REGIONS, METRICS)
         yield
 
 

@@ -97,7 +97,7 @@ def test_the_comparison_tests_it(place: tuple[Path, dict[str, str]]) -> None:
     told = printed["compare a b --out both"]
     assert any(line.startswith("mean_force@1 [N] ") for line in told.splitlines())
     assert "mean_force@1 Mean force of the touch: " in told
-    assert "at most 0.05, over 7 lines" in told, "three rates, C1, C4, C5 and this one"
+    assert "corrected over 7 rows" in told, "three rates, C1, C4, C5 and this one"
     lines = json.loads((folder / "both" / "comparison.json").read_text())["overall"]
     (line,) = [line for line in lines if line["outcome"]["id"] == "mean_force@1"]
     assert line["difference"]["estimate"] < -2.0

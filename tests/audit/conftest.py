@@ -12,7 +12,7 @@ from carecontact.audit.keyframe import Keyframe
 from carecontact.audit.watched import Watched, press
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
-from carecontact.hosting.wire import client
+from carecontact.hosting.wire import messages
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Samples, Simulation
 
@@ -22,14 +22,14 @@ BLIND = PolicyCard(name="blind")
 
 def send_a_privileged_key(monkeypatch: pytest.MonkeyPatch) -> None:
     """With every observation from now on."""
-    honest = client.pack
+    honest = messages.pack
 
     def leaky(message: dict[str, Any]) -> bytes:
         if message["type"] == "act":
             message["observation"]["contact_force"] = 3.5
         return honest(message)
 
-    monkeypatch.setattr(client, "pack", leaky)
+    monkeypatch.setattr(messages, "pack", leaky)
 
 
 @pytest.fixture(scope="session")

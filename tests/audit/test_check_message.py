@@ -35,16 +35,21 @@ def test_a_message_with_all_that_was_asked_for_is_fine() -> None:
     [
         ({**message(), "seed": 3}, ALL, "message", "got ['observation', 'seed', 'type']"),
         ([1], ALL, "message", "got list"),
-        (message(contact_force=1.0), ALL, "observation.contact_force", "no policy may see this"),
+        (message(contact_force=1.0), ALL, "observation.contact_force", "privileged"),
         (message(contact_force=1.0), ALL, "observation", "unknown key contact_force"),
         (message(joint_position=np.zeros(8)), ALL, "observation", "expected float64 (7)"),
         (message(), None, "card", "showed no card"),
-        (message(), PolicyCard(name="blind"), "observation.cameras", "asks for none, sent were ['overhead']"),
+        (
+            message(),
+            PolicyCard(name="blind"),
+            "observation.cameras",
+            "requests none, but the message holds ['overhead']",
+        ),
         (
             message(),
             PolicyCard(name="rgb", modalities=("rgb",)),
             "observation.cameras.overhead.landmarks",
-            "was sent unasked",
+            "does not request it",
         ),
     ],
 )

@@ -75,7 +75,7 @@ def test_a_trial_without_free_motion_starts_at_its_first_force(tmp_path: Path) -
 
 
 def test_a_trial_that_is_all_noise_is_refused() -> None:
-    with pytest.raises(ConfigError, match="not clear of preload"):
+    with pytest.raises(ConfigError, match="preload"):
         make_curve(trial(noise=0.8))
 
 

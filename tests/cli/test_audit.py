@@ -43,7 +43,7 @@ def test_a_leak_ends_with_status_1_and_its_name(
     assert said["passed"] is False
     named = {part["part"]: {f["place"] for f in part["findings"]} for part in said["parts"]}
     assert named["schema"] == named["canary"] == {"observation.contact_force"}
-    assert "zero-action: observation.contact_force: failed" in printed
+    assert "zero-action: observation.contact_force: the trial failed" in printed
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["run", "--policy", "broken:Broken", "--out", "r"], "no weights here"),
         (["run", "--policy", "a b:C", "--out", "r"], "expected module:Class"),
         (["run", "--policy", "hover", "--out", "r", "--tasks", "T9"], "valid: T1, T2, T3, T4, T5, T6, T7"),
-        (["run", "--policy", "hover", "--out", "r", "--seeds", "44"], "its seeds: 0-19"),
+        (["run", "--policy", "hover", "--out", "r", "--seeds", "44"], "valid: 0-19"),
         (
             ["run", "--policy", "hover", "--out", "r", "--protocol", "p"],
             "no protocol named 'p'; valid: bathing-moved-v1, bathing-v1",
@@ -51,7 +51,7 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["run", "--polixy", "hover", "--out", "r"], "--policy STR; Unrecognized options: --polixy hover"),
         (["validate", "--body", "man-adult", "--body", "woman-old-light"], "--body is given twice"),
         (["look", "--task", "T9"], "--task: 'T9' is not a task of bathing-v1; valid: T1, T2, T3, T4, T5, T6, T7"),
-        (["look", "--task", "T1", "--seed", "20"], "--seed: 20 is not in bathing-v1; its seeds: 0-19"),
+        (["look", "--task", "T1", "--seed", "20"], "--seed: 20 is not a seed of bathing-v1; valid: 0-19"),
         (["look", "--task", "T1", "--out", "r"], "a picture ends in .png, .jpg, .pdf"),
         (["look", "--task", "T1", "--body", "nobody"], "no body named 'nobody'"),
         (["look", "--task", "T1", "--set", "physics.dt_s=0.004", "--set", "physics.dt_m=1"], "physics.dt_m"),

@@ -41,7 +41,7 @@ def test_compares_results_and_writes_nothing(runs: Path, capsys: pytest.CaptureF
     told = capsys.readouterr().out
     assert sorted(runs.rglob("*")) == before
     assert "A: a (rules-v1), a: 3 trials\n" in told
-    assert "B: b (rules-v1), b: 4 trials; 1 without a partner (in the other: 1 not in the run): T1-s002" in told
+    assert "B: b (rules-v1), b: 4 trials; 1 without a partner in the other run (1 not in the run): T1-s002" in told
     assert "3 trials paired, 2 tasks, 2 seeds" in told
     row = next(line for line in told.splitlines() if line.startswith("Success [%]"))
     assert row.split()[2:4] == ["100.0", "[43.9,"]
@@ -62,7 +62,7 @@ def test_out_and_results_alone(runs: Path, capsys: pytest.CaptureFixture[str]) -
     told = capsys.readouterr().out
     assert f"comparison: {Path('both/here/comparison.json')}" in told
     assert "T1, 2 pairs" in told
-    assert "over 7 lines and, apart, over the 13 lines of the tasks" in told
+    assert "over 7 rows and separately over the 13 rows of the tasks" in told
     written = Path("both/here/comparison.json").read_bytes()
     data = json.loads(written)
     assert (data["a"]["policy"], data["b"]["policy"], data["pairing"]["n"]) == ("a", "b", 3)
@@ -89,9 +89,9 @@ def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -
 
     assert "nowhere: no such folder; name the --out of a run" in refused("a", "nowhere")
     assert "a is given twice; name different runs" in refused("a", f"../{runs.name}/a")
-    assert "1 run is nothing to compare; name two or more, or one and --baseline RUN..." in refused("a")
-    assert "--per-task compares two runs" in refused("a", "--null", "b", "--per-task")
-    assert "--baseline: a is the method or is named twice" in refused("a", "--null", "copy")
+    assert "expected two or more runs, or one run and --baseline RUN..., got 1" in refused("a")
+    assert "--per-task needs exactly two runs, got 1" in refused("a", "--null", "b", "--per-task")
+    assert "--baseline: a is also the policy of the compared run" in refused("a", "--null", "copy")
     Path("empty").mkdir()
     assert "empty: holds neither recordings (*.h5) nor results.json" in refused("a", "empty")
     assert "--out a/T1-s000.h5: this is a file" in refused("a", "b", "--out", "a/T1-s000.h5")
@@ -105,7 +105,7 @@ def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -
     assert "schema: Input should be 'carecontact-results-1'" in refused("a", "wrong.json")
     Path("other").mkdir()
     write_scores("other", RunScores(scores=[make_score("T1", 0, protocol_sha256="1" * 64)]))
-    assert "only runs of one protocol" in refused("a", "other")
+    assert "only runs of the same protocol" in refused("a", "other")
 
 
 def test_scores_that_no_trial_has_are_na(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -148,7 +148,7 @@ def third(runs: Path) -> Path:
 def test_three_runs_are_ranked(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", "a", "b", "c", "--out", "all"]) == 0
     told = capsys.readouterr().out
-    assert "B: b, b: 1 trial that not all runs have left out" in told
+    assert "B: b, b: 1 trial left out" in told
     assert "3 trials that all runs have" in told
     assert "C 33.3 [6.1, 79.2]" in " ".join(told.split())
     assert "A - C, success [points]" in told
@@ -165,7 +165,7 @@ def test_three_runs_are_ranked(third: Path, capsys: pytest.CaptureFixture[str]) 
 def test_blind_baselines_stand_under_one_run_and_under_two(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", "a", "--baseline", "c", "--out", "all"]) == 0
     told = capsys.readouterr().out
-    assert "blind baselines under a:" in told
+    assert "blind baselines beside a:" in told
     row = next(line for line in told.splitlines() if line.startswith("c "))
     assert row.split()[-2:] == ["0/2", "1/1"]
     found = json.loads(Path("all/overview.json").read_bytes())["baselines"]["A"]["baselines"][0]
@@ -176,7 +176,7 @@ def test_blind_baselines_stand_under_one_run_and_under_two(third: Path, capsys: 
     assert main(["compare", "a", "b", "--baseline", "c"]) == 0
     told = capsys.readouterr().out
     assert "3 trials paired" in told
-    assert "blind baselines under B (b)" in told
+    assert "blind baselines beside B (b)" in told
 
 
 def test_a_report_shows_the_baselines(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -189,7 +189,7 @@ def test_a_report_shows_the_baselines(third: Path, capsys: pytest.CaptureFixture
     assert "No blind baselines" in text
     capsys.readouterr()
     assert main(["report", "a"]) == 0
-    assert "named before: c;" in capsys.readouterr().out
+    assert "of the last report: c;" in capsys.readouterr().out
     assert Path("a/report.html").read_bytes() == first
 
 
@@ -213,7 +213,7 @@ def test_baselines_of_a_report_move_with_it_and_are_missed_when_gone(
     assert main(["report", "study/a", "--baseline", "nowhere"]) == 2
     capsys.readouterr()
     assert main(["report", "study/a"]) == 0
-    assert "named before: b;" in capsys.readouterr().out, "a baseline that is refused replaces none"
+    assert "of the last report: b;" in capsys.readouterr().out, "a baseline that is refused replaces none"
     Path("study/a/baselines.json").write_text("{")
     assert main(["report", "study/a"]) == 0
     assert "baselines.json is damaged (" in capsys.readouterr().out
@@ -223,7 +223,7 @@ def test_baselines_that_an_earlier_release_remembered(third: Path, capsys: pytes
     earlier = Path("a/null_arms.json")
     earlier.write_text(json.dumps({"schema": "carecontact-null-arms-1", "runs": ["../c"]}))
     assert main(["report", "a"]) == 0
-    assert "named before: c;" in capsys.readouterr().out
+    assert "of the last report: c;" in capsys.readouterr().out
     assert "<h2>Blind baselines</h2>" in Path("a/report.html").read_text()
     assert main(["report", "a", "--baseline", "b"]) == 0
     assert not earlier.exists()
@@ -273,6 +273,6 @@ def test_an_unfinished_run_says_so(runs: Path, capsys: pytest.CaptureFixture[str
         path.unlink()
     assert main(["compare", "a", "b", "--out", "both"]) == 0
     told = capsys.readouterr().out
-    assert "A: a (rules-v1), a: 3 trials, unfinished: 2 planned without a score" in told
-    assert "B: b (rules-v1), b: 4 trials, unfinished: 1 planned without a score; 1 without a partner" in told
+    assert "A: a (rules-v1), a: 3 trials, unfinished: 2 planned trials have no score" in told
+    assert "B: b (rules-v1), b: 4 trials, unfinished: 1 planned trial has no score; 1 without a partner" in told
     assert json.loads(Path("both/comparison.json").read_text())["a"]["n_missing"] == 2

@@ -55,8 +55,8 @@ def test_rules_and_live(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("policy", "language", "record", "told"),
     [
-        ("hover", "rules-v1", None, "policy hover uses no language backend that can be chosen"),
-        ("state-machine", "oracle:x", None, "takes rules-v1, replay, live"),
+        ("hover", "rules-v1", None, "policy hover has no language backend to choose"),
+        ("state-machine", "oracle:x", None, "takes rules-v1 or replay:FILE.jsonl or live:MODEL"),
         ("my_module:Mine", "oracle", None, "expected rules-v1, replay:FILE.jsonl or live:MODEL"),
         ("state-machine", "live:", None, "expected a model after it"),
         ("state-machine", "live:x y;rm", None, "language 'live:x y;rm': expected as MODEL 1 to 128 letters"),
@@ -70,9 +70,9 @@ def test_rules_and_live(tmp_path: Path) -> None:
         ("state-machine", "replay:" + "a" * 5000, None, "File name too long"),
         ("state-machine", "live:m", "/dev/zero", "--record /dev/zero: expected a new or regular file"),
         ("state-machine", "live:m", "/", "--record /: expected a new or regular file"),
-        ("state-machine", "rules-v1", "r", "only the answers of --language live:MODEL"),
-        ("state-machine", None, "r", "only the answers of --language live:MODEL"),
-        ("state-machine", "live:m", "nowhere/r", "there is no folder nowhere"),
+        ("state-machine", "rules-v1", "r", "--record needs --language live:MODEL"),
+        ("state-machine", None, "r", "--record needs --language live:MODEL"),
+        ("state-machine", "live:m", "nowhere/r", "the folder nowhere does not exist"),
     ],
 )
 def test_what_cannot_be_is_told(policy: str, language: str | None, record: str | None, told: str) -> None:

@@ -54,7 +54,7 @@ def test_they_stand_in_the_recording_the_manifest_and_the_request(
     assert main([*RUN, *given]) == 0
     assert len(Path("ran.txt").read_text().splitlines()) == 1, "the same command does only what is missing"
     assert main([*RUN, "--policy-arg", "checkpoint=c.pt", "--policy-env", "TOKEN"]) == 2
-    assert "wanted policy arguments checkpoint=c.pt and policy variables TOKEN: use another --out" in (
+    assert "this command has policy arguments checkpoint=c.pt and policy variables TOKEN: use another --out" in (
         capsys.readouterr().err
     )
 
@@ -76,8 +76,11 @@ def test_they_stand_in_the_recording_the_manifest_and_the_request(
         (["--policy-arg", "a b=1"], "--policy-arg 'a b=1': expected NAME=VALUE"),
         (["--policy-arg", "a=1", "--policy-arg", "a=2"], "--policy-arg: a is given twice"),
         (["--policy-arg", "a=\x1b[2J"], "--policy-arg: arguments: expected at most 64 names with printable texts"),
-        (["--policy-env", "NOT_SET_HERE"], "--policy-env NOT_SET_HERE: this variable is not set here"),
-        (["--policy-env", "PYTHONPATH"], "--policy-env PYTHONPATH: variables that begin with CARECONTACT_ or PYTHON"),
+        (["--policy-env", "NOT_SET_HERE"], "--policy-env NOT_SET_HERE: this variable is not set"),
+        (
+            ["--policy-env", "PYTHONPATH"],
+            "--policy-env PYTHONPATH: carecontact never passes variables that begin with CARECONTACT_ or PYTHON",
+        ),
     ],
 )
 def test_a_wrong_option_is_one_line_before_any_trial(
@@ -95,7 +98,7 @@ def test_an_argument_of_the_audit_is_for_one_policy(
 ) -> None:
     for policies in ([], ["--policy", "hover", "zero-action"]):
         assert main(["audit", *policies, "--policy-arg", "steps=3"]) == 2
-        assert "are for one policy; name it with --policy" in capsys.readouterr().err
+        assert "name exactly one with --policy" in capsys.readouterr().err
     assert main(["audit", "--policy", "mine:Mine", "--policy-arg", "stops=3"]) == 2
     assert "it has no argument 'stops'" in capsys.readouterr().err
 

@@ -80,7 +80,7 @@ def test_score_says_what_differs_and_names_what_it_skips(
     assert main(["score", "r"]) == 1
     told = capsys.readouterr().out
     assert "skipped T1-s001.h5" in told
-    assert "1 of 2 planned trials scored; not: T1-s001" in told
+    assert "1 of 2 planned trials scored; not scored: T1-s001" in told
 
     before = Path("r/results.json").read_bytes()
     Path("r/T1-s000.h5").write_bytes(b"broken")
@@ -98,10 +98,10 @@ def test_a_missing_recording_is_told_and_a_folder_for_results_is_one_line(
     assert "Unfinished" not in Path("r/report.html").read_text()
     Path("r/T1-s001.h5").unlink()
     assert main(["score", "r"]) == 0
-    assert "1 of 2 planned trials scored; not: T1-s001" in capsys.readouterr().out
+    assert "1 of 2 planned trials scored; not scored: T1-s001" in capsys.readouterr().out
     assert json.loads(Path("r/results.json").read_text())["missing"] == ["T1-s001"]
     assert main(["report", "r"]) == 0
-    assert "Unfinished, 1 of 2 planned trials are missing." in Path("r/report.html").read_text()
+    assert "Unfinished, 1 of 2 planned trials have no score." in Path("r/report.html").read_text()
     Path("r/results.json").unlink()
     Path("r/results.json").mkdir()
     assert main(["score", "r"]) == 2
@@ -123,7 +123,7 @@ def test_an_edited_protocol_is_not_shown_as_the_shipped_one(
     assert "Give p.toml an id of its own" in told
     assert not Path("b").exists()
     main([*command, "b", "--unfrozen"])
-    assert "1 trial(s) of bathing-v1 with drift from its lock (protocol sha256" in capsys.readouterr().out
+    assert "1 trial(s) of bathing-v1 with differences from its lock (protocol sha256" in capsys.readouterr().out
     Path("p.toml").write_text(
         shipped.replace('"bathing-v1"', '"mine"').replace('body = "man-adult"', 'body = "nobody"')
     )
@@ -146,7 +146,7 @@ def test_demo_without_contact_fails_and_replaces_only_its_own_files(
     told = capsys.readouterr().out
     assert "demo: T2-s000 ended as process_failure: NoGrip: nothing there" in told
     assert "demo: T3-s000 ended as harness_error: the trial's process died of signal 9" in told
-    assert all(f"demo: no {action} succeeded" in told for action in ("touch", "push", "scrub"))
+    assert all(f"demo: no {action} task succeeded" in told for action in ("touch", "push", "scrub"))
     assert "demo failed in" in told
     assert (folder / "T1-s000.h5").read_bytes() != b"old"
     assert (folder / "manifest.json").read_bytes() == first
@@ -156,7 +156,7 @@ def test_demo_without_contact_fails_and_replaces_only_its_own_files(
     scores = score_run(folder).scores
     won = [s.model_copy(update={"c3_success": s.task_id in ("T1", "T2", "T7")}) for s in scores]
     assert missing_successes(won) == []
-    assert missing_successes([s for s in won if s.task_id != "T2"]) == ["no push succeeded"]
+    assert missing_successes([s for s in won if s.task_id != "T2"]) == ["no push task succeeded"]
 
 
 @pytest.mark.parametrize("made_by", ["run of the same trials", "run of others", "hand", "demo and a trial more"])
@@ -178,7 +178,9 @@ def test_demo_leaves_what_is_no_demo_alone(
     assert {path.name: path.read_bytes() for path in Path("r").iterdir()} == before
 
 
-@pytest.mark.parametrize(("command", "told"), [("demo", "starts anew"), ("run", "goes on from here"), ("score", "")])
+@pytest.mark.parametrize(
+    ("command", "told"), [("demo", "until the next demo there replaces them"), ("run", "to continue"), ("score", "")]
+)
 def test_what_an_interrupt_leaves_is_told_truly(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str, told: str
 ) -> None:
@@ -198,7 +200,7 @@ def test_differences_match_trials_by_id() -> None:
     before = {"trials": [{"trial_id": "b", "x": 1}]}
     after = {"trials": [{"trial_id": "a", "x": 5}, {"trial_id": "b", "x": 1}]}
     assert differences(None, after) == []
-    assert differences(before, before) == ["nothing differs from the results.json that was there"]
+    assert differences(before, before) == ["nothing differs from the earlier results.json"]
     lines = differences(before, after)
     assert lines[0].startswith("1 value(s) differ")
     assert lines[1].startswith("  trials.a: null -> ")
@@ -249,7 +251,7 @@ def test_a_sweeps_run_says_what_it_varies(
     assert "bathing-v1 with" in capsys.readouterr().err
     assert main([*command[:-1], "own"]) == 0
     assert main(["compare", "r", "own"]) == 2
-    assert "only runs of one protocol, same overrides" in capsys.readouterr().err
+    assert "only runs of the same protocol" in capsys.readouterr().err
 
 
 def test_a_stiffness_that_the_protocol_does_not_allow_is_one_line(

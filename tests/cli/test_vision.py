@@ -27,7 +27,7 @@ LOOK = ["look", "--task", "T1"]
     [
         (["--weights", "w"], "--weights w: only --segmenter grounded-sam takes weights"),
         (["--segmenter", "mediapipe", "--weights", "w"], "--weights w: only --segmenter grounded-sam takes weights"),
-        (["--segmenter", "grounded-sam"], "--segmenter grounded-sam: give its --weights DIR"),
+        (["--segmenter", "grounded-sam"], "--segmenter grounded-sam: also give --weights DIR"),
         (["--segmenter", "grounded-sam", "--weights", "w"], "--weights w: no such folder; expected one with grounding"),
     ],
 )

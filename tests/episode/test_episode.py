@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,8 +19,7 @@ from carecontact.episode.prepare import World, settled_world
 from carecontact.episode.spaces import SPACES
 from carecontact.errors import ActionError, ConfigError, PolicyError
 from carecontact.hosting.setup import PolicySetup
-from carecontact.hosting.wire import codec
-from carecontact.hosting.wire.packing import pack
+from carecontact.hosting.wire.messages import observation_sha256
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, canonical_hash
 from carecontact.scoring import score_recording
@@ -46,6 +44,8 @@ class Wave:
         self.looks += 1
         poses = np.tile(observation.pose_tcp_in_base, (8, 1))
         poses[:, 2] -= 0.02 * np.sin(np.linspace(0, np.pi, 8))
+        # Norms that differ from 1 in the last digits: how often they are divided out decides the last bits.
+        poses[:, 3:] += np.random.default_rng(self.looks).normal(scale=1e-3, size=(8, 4))
         wave = [Action(pose_tcp_in_base=p, stiffness=(300.0, 20.0)) for p in poses]
         return wave if self.looks < 3 else [Action(done=True)]
 """
@@ -70,14 +70,9 @@ def again() -> Callable[[TrialSpec], World]:
     return prepare
 
 
-def sent(observation: Observation) -> bytes:
-    """Digest of the message in which the native wire would send it."""
-    return hashlib.sha256(pack({"type": "act", "observation": codec.encode_observation(observation)})).digest()
-
-
 def by_loop(spec: TrialSpec, policy, prepare: Callable[[TrialSpec], World]) -> Recording:
     """All that it takes to run a policy object in this process."""
-    with Episode(spec, card=policy.card, prepare=prepare, digest=sent) as episode:
+    with Episode(spec, card=policy.card, prepare=prepare, digest=observation_sha256) as episode:
         policy.reset(episode.instruction)
         observation: Observation | None = episode.reset()
         while observation is not None:
@@ -150,6 +145,20 @@ def test_a_card_that_clips_is_counted(again: Callable[[TrialSpec], World], monke
     assert recording["actions/clipped"].tolist() == [1, 0, 0]
     assert recording["actions/pose_tcp_in_base"][0, 0] == high
     assert score_recording(recording).clipped_actions == 1
+
+
+def test_mistakes_of_a_loop_are_named(again: Callable[[TrialSpec], World]) -> None:
+    with pytest.raises(ConfigError, match="no task 'T99' in bathing-v1; valid: T1, T2"):
+        Episode(spec().model_copy(update={"task_id": "T99"}), card=BLIND, prepare=again)
+    with Episode(spec(), card=BLIND, prepare=again) as episode:
+        episode.reset()
+        for wrong in ([Action()], None, np.zeros(7)):
+            with pytest.raises(ActionError, match="expected one Action, got"):
+                episode.step(wrong)
+        with pytest.raises(ConfigError, match="cannot change after reset"):
+            episode.card = replace(BLIND, control_hz=10)
+    with pytest.raises(ConfigError, match="inside its with"):
+        episode.step(Action())
 
 
 def test_a_failure_of_the_policy_ends_it(again: Callable[[TrialSpec], World], monkeypatch: pytest.MonkeyPatch) -> None:

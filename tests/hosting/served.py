@@ -23,7 +23,7 @@ def served(source: str, folder: Path, *, at_once: int = 2) -> Iterator[tuple[int
     assert server.stdout is not None
     try:
         line = server.stdout.readline()
-        assert line.startswith("under_test:P: serving at 127.0.0.1 port "), line + server.stdout.read()
+        assert line.startswith("under_test:P: serving on 127.0.0.1, port "), line + server.stdout.read()
         yield int(line.split()[-1]), server
     finally:
         server.terminate()

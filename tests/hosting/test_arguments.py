@@ -93,6 +93,15 @@ def test_a_factory_may_take_any_name() -> None:
     assert bind(factory, {"n": "2", "other": "3"}) == {"n": 2, "other": "3"}
 
 
+@pytest.mark.parametrize("annotation", ["list[int]", "tuple[float, ...]", "dict[str, int]", "list", "bytes"])
+def test_a_container_is_refused_and_does_not_become_a_text(annotation: str) -> None:
+    def made(sizes) -> None: ...
+
+    made.__annotations__["sizes"] = annotation
+    with pytest.raises(ArgumentError, match=r"argument 'sizes' is a .* let the constructor take a str and split it"):
+        bind(made, {"sizes": "[1, 2]"})
+
+
 def test_a_class_without_a_constructor_takes_nothing() -> None:
     class Plain: ...
 

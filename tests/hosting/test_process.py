@@ -90,7 +90,7 @@ def test_a_conversation(launch: Launch) -> None:
     reply = process.act(observation)
     first, last = reply.actions
     np.testing.assert_allclose(first.pose_tcp_in_base[:3], [view.rgb.mean() / 1000, -0.2, 0.4])
-    assert np.linalg.norm(first.pose_tcp_in_base[3:]) == pytest.approx(1.0, abs=1e-15)
+    assert np.linalg.norm(first.pose_tcp_in_base[3:]) == pytest.approx(1.005), "as the policy sent it"
     assert (last.stiffness, last.done) == ((200.0, 10.0), True)
     sent = pack({"type": "act", "observation": codec.encode_observation(observation)})
     assert (reply.sent_sha256, reply.sent) == (hashlib.sha256(sent).digest(), sent)
@@ -130,7 +130,7 @@ def test_a_failing_act(launch: Launch, act: str, kind: str, says: str) -> None:
     assert error.kind == kind
     assert error.args[0].startswith("policy 'under_test:P' failed at act: ")
     assert re.search(says, str(error)), str(error)
-    with pytest.raises(RuntimeError, match="nothing comes after a failure"):
+    with pytest.raises(RuntimeError, match=r"nothing after a failure or close\(\)"):
         process.act(synthetic_observation())
 
 
@@ -143,7 +143,7 @@ def test_a_failing_act(launch: Launch, act: str, kind: str, says: str) -> None:
         ("class Q(Base): pass", "start", "start", "has no 'P'; it has Base, Q"),
         ("class P:\n    card = Base.card", "start", "start", "no method reset or act"),
         ("def broken(:", "start", "start", "SyntaxError"),
-        ("os._exit(0)", "start", "start", r"ended before it listened \(exit code 0\)"),
+        ("os._exit(0)", "start", "start", r"ended before it was ready \(exit code 0\)"),
         ("class P(Base):\n    card = None", "start", "handshake", "expected a PolicyCard, got NoneType"),
         (
             "class P(Base):\n    def reset(self, instruction): raise KeyError(instruction)",
@@ -352,6 +352,17 @@ def test_the_values_of_variables_are_taken_out_of_what_the_policy_says(tmp_path:
     process.start()
     with pytest.raises(PolicyError, match=r"raised \[secret removed\](.|\n)*printed \[secret removed\]") as caught:
         process.reset("touch", SESSION)
+    assert "sekret-4" not in str(caught.value)
+
+
+def test_a_variable_that_does_not_pass_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOKEN", "sekret-4")
+    (tmp_path / "under_test.py").write_text(PREAMBLE + "class P(Base):\n    key = os.environ['TOKEN']\n")
+    process = PolicyProcess(
+        PolicySetup.of("under_test:P", search_path=[str(tmp_path)]), first_deadline_s=20, deadline_s=20
+    )
+    with pytest.raises(PolicyError, match=r"KeyError: 'TOKEN'; TOKEN is set here, .* --policy-env TOKEN") as caught:
+        process.start()
     assert "sekret-4" not in str(caught.value)
 
 

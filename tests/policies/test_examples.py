@@ -1,12 +1,18 @@
 from __future__ import annotations
 
+import importlib
 import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from carecontact.contract.trial import TrialSpec
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
+from carecontact.protocols import load_protocol
+from carecontact.recording import canonical_hash
+from carecontact.trials.trial import run_trial
 from tests.policies.synthetic import SESSION, synthetic_observation
 
 ROOT = Path(__file__).parents[2]
@@ -16,6 +22,15 @@ EXAMPLES = ROOT / "examples"
 def test_the_readme_shows_the_example() -> None:
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert blocks == [(EXAMPLES / "my_policy.py").read_text()]
+
+
+def test_the_own_loop_makes_the_recording_of_a_trial(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    loop, my_policy = (importlib.import_module(name) for name in ("own_loop", "my_policy"))
+    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="my_policy:MyPolicy")
+    mine = loop.run(spec, my_policy.MyPolicy())
+    trial = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(EXAMPLES)]))
+    assert canonical_hash(mine) == canonical_hash(trial)
 
 
 def test_my_policy_raises_the_tool_and_ends() -> None:

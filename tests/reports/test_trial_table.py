@@ -66,4 +66,4 @@ def test_without_pyarrow_it_says_what_to_install(tmp_path: Path, monkeypatch: py
     assert list(tmp_path.iterdir()) == []
     assert write_table(tmp_path, []) == "no table: results.parquet needs pyarrow: pip install 'carecontact[tables]'"
     (tmp_path / TABLE_NAME).write_bytes(b"old")
-    assert write_table(tmp_path, []).endswith("; the results.parquet there is of an earlier scoring")
+    assert write_table(tmp_path, []).endswith("; the existing results.parquet comes from an earlier scoring")

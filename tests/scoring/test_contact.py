@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from carecontact.scoring.contact import episodes, find_contact, hysteresis, longest_run, runs, steps
 from carecontact.scoring.filters import low_pass
-from tests.scoring.synthetic import DT, hold, make_recording, seconds
+from tests.scoring.synthetic import DT, hold, make_recording, seconds, touch
 
 
 @given(arrays(np.float64, st.tuples(st.integers(0, 60), st.integers(1, 3)), elements=st.floats(0, 1)))
@@ -120,3 +120,19 @@ def test_contact_fades_at_the_lower_threshold() -> None:
     contact = find_contact(make_recording(normal={"right_forearm": fading}))
     assert abs(longest_run(contact.on[:, contact.target]) * DT - 1.5) < 0.04
     assert not find_contact(make_recording(normal={"right_forearm": hold(3.0, 1.0, 2.5, 0.35)})).on.any()
+
+
+def test_nothing_that_metrics_share_can_be_written_to() -> None:
+    recording = touch(seed=0)
+    contact = find_contact(recording)
+    shared = {
+        name: value
+        for name, value in (*vars(contact).items(), *contact.recording.arrays.items())
+        if isinstance(value, np.ndarray)
+    }
+    assert len(shared) > 20
+    for name, array in shared.items():
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+        assert not array.flags.writeable, name
+    assert recording["scorer/normal_force"].flags.writeable, "the caller's own arrays stay as they are"

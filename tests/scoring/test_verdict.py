@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -145,7 +146,9 @@ def test_a_cut_trial_is_gated_at_no_discount_though_its_knock_was_too_short_to_c
     knock = {"right_forearm": hold(3.0, 1.0, 2.0, 5.0), "head": hold(3.0, 2.998, 3.0, 121.0)}
     recording = make_recording("T1", normal=knock, ended="safety_truncation")
     contact = find_contact(recording)
-    contact.on[:, SEGMENTS.index("head")] = False  # as with steps of 0.5 ms, of which the filter passes less
+    on = contact.on.copy()
+    on[:, SEGMENTS.index("head")] = False  # as with steps of 0.5 ms, of which the filter passes less
+    contact = replace(contact, on=on)
     verdict = reach_verdict(contact, judge(contact))
     assert verdict.region_correct
     assert not verdict.over_limit

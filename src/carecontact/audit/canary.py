@@ -1,4 +1,4 @@
-"""Part (c): two worlds that differ only in what is hidden look the same until the tool touches."""
+"""Part (c): two worlds that differ only in hidden values give the same observations until the tool touches."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.episode.randomization import comfort_arm_deg
 from carecontact.hosting.wire.packing import unpack
 
-NAME, TITLE = "canary", "worlds with other hidden values until contact"
+NAME, TITLE = "canary", "same observations until contact in worlds with different hidden values"
 OTHER_SEED = 48_611
 """Added to the seed; no protocol uses such seeds."""
 OTHER_ANGLES = 8
@@ -63,8 +63,8 @@ def other_arm_angle(spec: TrialSpec) -> TrialSpec:
 
 
 def audit_canary(one: Watched, twin: Watched) -> Part:
-    """``one`` and ``twin``: the same press in two worlds, recorded by ``watched.press``, with their looks still in
-    memory."""
+    """``one`` and ``twin``: the same press in two worlds, recorded by ``watched.press``, with their observations still
+    in memory."""
     findings = [
         Finding(policy=trial.policy, place=place, told=f"could not be run in the {which} world: {trial.error}")
         for which, trial in (("first", one), ("other", twin))
@@ -90,19 +90,23 @@ def audit_canary(one: Watched, twin: Watched) -> Part:
             findings += [
                 Finding(
                     policy=one.policy, place=place.removeprefix("message."),
-                    told=f"{at}: {what} between worlds that differ only in what is hidden",
+                    told=f"{at}: {what}, although the two worlds differ only in hidden values",
                 )
-                for place, what in told or [("message", "other bytes for the same values")]
+                for place, what in told or [("message", "the same values are packed in other bytes")]
             ]  # fmt: skip
         if len(steps[1]) and int(steps[1][0]) != first:
             told = f"first contact at step {first} in one world and {int(steps[1][0])} in the other"
-            findings.append(Finding(policy=one.policy, place="trial", told=f"{told}: they did not begin alike"))
+            findings.append(
+                Finding(
+                    policy=one.policy, place="trial", told=f"{told}: the two worlds already differed before contact"
+                )
+            )
         after = [force[first:] for force in forces]
         length = min(map(len, after))
         counts["scorer samples that differ after contact"] = int(
             (after[0][:length] != after[1][:length]).any((1, 2)).sum()
         )
         if not counts["scorer samples that differ after contact"]:
-            told = "is the same in both worlds after contact: the canary could not have shown anything"
-            findings.append(Finding(policy=one.policy, place=CONTROL, told=told))
+            told = "is the same in both worlds after contact: the other hidden values had no effect"
+            findings.append(Finding(policy=one.policy, place=CONTROL, told=f"{told}, so this part proves nothing"))
     return Part(name=NAME, title=TITLE, counts=counts, findings=tuple(findings))

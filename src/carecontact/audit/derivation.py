@@ -9,7 +9,7 @@ from carecontact.audit.fresh_process import said_by
 from carecontact.audit.rederive import BOOTSTRAP
 from carecontact.audit.watched import Watched
 
-NAME, TITLE = "re-derivation", "made again without a simulator"
+NAME, TITLE = "re-derivation", "observations recomputed without a simulator"
 
 
 def audit_derivation(logs: Path, pressed: list[Watched]) -> Part:
@@ -24,7 +24,7 @@ def audit_derivation(logs: Path, pressed: list[Watched]) -> Part:
         for place, told in look["differences"]
     ]
     if said["simulators"]:
-        told = f"a simulator was within reach: {', '.join(said['simulators'])}"
+        told = f"the process that recomputes observations could import a simulator: {', '.join(said['simulators'])}"
         findings.append(Finding(policy="", place="re-derivation", told=told))
     return Part(
         name=NAME, title=TITLE,

@@ -12,7 +12,7 @@ def differences(expected: Any, got: Any, place: str) -> list[tuple[str, str]]:
     """(place, what differs) for every leaf of maps and lists: arrays, numbers, text. Empty where both are equal to the
     last bit."""
     if isinstance(expected, dict) and isinstance(got, dict):
-        out = [(f"{place}.{key}", "is there and should not be") for key in sorted(got.keys() - expected.keys())]
+        out = [(f"{place}.{key}", "is present, but must not be") for key in sorted(got.keys() - expected.keys())]
         out += [(f"{place}.{key}", "is missing") for key in sorted(expected.keys() - got.keys())]
         for key in sorted(expected.keys() & got.keys()):
             out += differences(expected[key], got[key], f"{place}.{key}")

@@ -20,7 +20,7 @@ from carecontact.observation.keypoints import MediaPipePose
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 
-NAME, TITLE = "frozen frames", "world scrambled behind held images"
+NAME, TITLE = "frozen frames", "hidden state of the world scrambled while the images stay the same"
 ROUNDS = 2
 POSES = (
     "xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat",
@@ -68,7 +68,9 @@ def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruc
                     for a, b in zip(_arrays(simulation.data).values(), _arrays(data).values(), strict=True)
                 )
                 after = build(other, data)
-                findings += _named(card.name, differences(before, after, "observation"), "frames and encoders held")
+                findings += _named(
+                    card.name, differences(before, after, "observation"), "images and encoders stayed the same"
+                )
         # The images themselves: everything but what is drawn is scrambled.
         visible = scrambled(simulation, np.random.default_rng(2), keep=lambda name: True if name in POSES else None)
         shown = sorted({(c, i) for card in cards for c in card.cameras for m in card.modalities
@@ -79,7 +81,7 @@ def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruc
                 getattr(source, image)(data, camera) for source, data in ((renderer, simulation.data), (other, visible))
             ]
             told = differences(pair[0], pair[1], f"observation.cameras.{camera}.{image}")
-            findings += _named("every policy", told, "the same scene drawn")
+            findings += _named("every policy", told, "the drawn scene stayed the same")
     keypoints.close()
     counts = {"cards": len(cards), "fields of the world scrambled": min(fields, changed)}
     if shown:
@@ -88,7 +90,7 @@ def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruc
 
 
 def scrambled(simulation: Simulation, rng: np.random.Generator, *, keep: Callable[[str], Any]) -> mujoco.MjData:
-    """A copy of the data with every number drawn anew but those that ``keep(field)`` indexes; True: all of it."""
+    """A copy of the data with new random numbers everywhere except where ``keep(field)`` indexes; True: all of it."""
     data = copy.copy(simulation.data)
     for name, array in _arrays(data).items():
         kept = keep(name)
@@ -165,4 +167,7 @@ class _Frames:
 
 
 def _named(policy: str, told: list[tuple[str, str]], held: str) -> list[Finding]:
-    return [Finding(policy=policy, place=place, told=f"{held}, the rest scrambled: {what}") for place, what in told]
+    return [
+        Finding(policy=policy, place=place, told=f"{what}, although only hidden state was scrambled ({held})")
+        for place, what in told
+    ]

@@ -42,7 +42,7 @@ def audit_start(one: Watched, other: Watched) -> Part:
             told = differences(unpack(first), unpack(second), "message")
             findings += [
                 Finding(policy=one.policy, place=place.removeprefix("message."), told=f"at t = 0: {how}, {ONLY} {what}")
-                for place, how in told or [("message", "other bytes for the same values")]
+                for place, how in told or [("message", "the same values are packed in other bytes")]
             ]
     return Part(
         name=NAME, title=TITLE, counts={"starts with the arm at another angle": int(starts)}, findings=tuple(findings)
@@ -66,7 +66,7 @@ def _told_differently(one: Watched, other: Watched, what: str) -> list[Finding]:
     ]
     ids = {t.recording.header.spec.trial_id for t in (one, other) if t.recording is not None}
     return findings + [
-        Finding(policy=one.policy, place=place, told=f"holds the trial's id {trial_id}")
+        Finding(policy=one.policy, place=place, told=f"contains the trial's id {trial_id}; no policy may receive it")
         for trial in (one, other)
         for place, value in _leaves(trial.told, "")
         for trial_id in sorted(ids)

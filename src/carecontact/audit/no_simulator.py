@@ -30,7 +30,7 @@ def refuse_simulators() -> None:
 def within_reach() -> list[str]:
     """Modules of CLOSED that are loaded or could be loaded.
 
-    Where ``refuse_simulators`` was called this asks that same hook: it shows a hook that was forgotten or came too
+    Where ``refuse_simulators`` was called this queries that same hook: it shows a hook that was forgotten or came too
     late, not one that fails. The tests look from outside, at the interpreter's log of imports.
     """
     loaded = {name for name in sys.modules if _closed(name)}

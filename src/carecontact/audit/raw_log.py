@@ -1,4 +1,4 @@
-"""Logs what an audited trial showed its policy, and what that was made of, for a process that knows no simulator.
+"""Logs what an audited trial showed its policy, and what that was made of, for a process without a simulator.
 
 A trial is a folder: ``trial.json``, ``spec.json`` and a ``look-NNNN.npz`` for each observation. An ordinary trial
 writes none of it. ``spec.json`` and ``LoggedLook.state`` are for the process that draws again; the one that re-derives
@@ -39,7 +39,7 @@ class Meta:
 
 @dataclass(frozen=True, kw_only=True)
 class WorldState:
-    """The simulator's own state at a look (``state.StateReader``)."""
+    """The simulator's own state at an observation (``state.StateReader``)."""
 
     steps: int
     """Physics steps since t = 0."""

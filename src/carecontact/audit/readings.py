@@ -10,11 +10,11 @@ from carecontact.audit.redraw import BOOTSTRAP
 from carecontact.audit.watched import Watched
 from carecontact.sim.rendering import choose_backend
 
-NAME, TITLE = "readings", "time, encoders and pictures made again from the state"
+NAME, TITLE = "readings", "time, encoders and images recomputed from the recorded state"
 
 
 def audit_readings(logs: Path, trials: list[Watched]) -> Part:
-    """``logs``: folder of raw logs. ``trials``: all trials that were run, also those whose looks are in no log.
+    """``logs``: folder of raw logs. ``trials``: all trials that were run, also those whose observations are in no log.
 
     Raises CarecontactError if the process that draws again breaks.
     """
@@ -46,6 +46,6 @@ def _off_the_grid(trial: Watched) -> list[Finding]:
             found.append(Finding(policy=trial.policy, place="observation.sim_time_s", told=told))
     grid = [steps * dt_s for steps in trial.look_steps]
     if recorded[: len(grid)] != grid:
-        told = "is not the time of the steps before each look"
+        told = f"is not the number of physics steps before each observation times {dt_s!r} s"
         found.append(Finding(policy=trial.policy, place="policy/observation_time_s", told=told))
     return found

@@ -40,7 +40,7 @@ def main(folder: str) -> None:
 
 
 def rederive_trial(folder: Path, keypoints: KeypointEstimator) -> list[dict[str, Any]]:
-    """One row a look: trial, policy, time, bytes sent, and ``differences`` as (place, what differs)."""
+    """One row per observation: trial, policy, time, bytes sent, and ``differences`` as (place, what differs)."""
     meta = read_meta(folder)
     return [
         {
@@ -67,7 +67,7 @@ def _changed(look: LoggedLook, meta: Meta, keypoints: KeypointEstimator) -> list
         )
         again = pack({"type": "act", "observation": codec.encode_observation(observation)})
     except CarecontactError as error:
-        return [("observation", f"could not be made again: {error}")]
+        return [("observation", f"could not be recomputed: {error}")]
     if again == look.sent:
         return []
     told = differences(unpack(again), unpack(look.sent), "message")
@@ -92,5 +92,5 @@ def _misplaced(raw: RawReadings, meta: Meta) -> list[tuple[str, str]]:
     for place, logged, known in rows:
         away = float(np.abs(logged - known).max())
         if not away <= SAME * max(1.0, float(np.abs(known).max())):
-            out.append((f"observation.{place}", f"is {away:.3g} off what calibration and encoders give"))
+            out.append((f"observation.{place}", f"deviates by {away:.3g} from what calibration and encoders give"))
     return out

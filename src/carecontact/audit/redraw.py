@@ -1,4 +1,4 @@
-"""The process of part (f): makes time, encoders, poses and pictures of every look again from the recorded state."""
+"""The process of part (f): recomputes time, encoders, poses and images of every observation from the recorded state."""
 
 from __future__ import annotations
 

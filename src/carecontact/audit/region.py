@@ -20,9 +20,9 @@ from carecontact.hosting.setup import PolicySetup
 from carecontact.sim.simulation import Settled, Simulation
 
 QUICK_TRIAL_S = 0.1
-"""Length of the policies' own trials in the quick form: one look, with the robot parked."""
+"""Length of the policies' own trials in the quick form: one observation, with the robot parked."""
 QUICK_ACTIONS_PER_LOOK = 3
-"""Of presses with images, in the quick form: a look every 0.15 s. All others look at every action."""
+"""Of presses with images, in the quick form: an observation every 0.15 s. All others observe at every action."""
 BLIND = PolicyCard(name="every policy", control_hz=CONTROL_HZ)
 
 
@@ -60,7 +60,7 @@ class RegionAudit:
 
     @contextmanager
     def logs(self) -> Iterator[None]:
-        """Keep the folder of raw logs for as long as they are needed: they take hundreds of megabytes a region."""
+        """Keep the folder of raw logs for as long as they are needed: they take hundreds of megabytes per region."""
         self._log.mkdir()
         yield
         shutil.rmtree(self._log)
@@ -68,7 +68,7 @@ class RegionAudit:
     def try_policies(self, policies: Sequence[PolicySetup]) -> list[Watched]:
         """One trial of every policy, whose messages are checked against its card."""
         for index, policy in enumerate(policies):
-            self.on_event(f"a trial of {policy.ref}")
+            self.on_event(f"running a trial of {policy.ref}")
             trial = watch(
                 _shortened(self.spec, policy, quick=self.quick), policy=policy.ref.text, prepare=self.keyframe.parked,
                 log=self._log / f"real-{index:02d}", setup=policy,
@@ -79,9 +79,9 @@ class RegionAudit:
         return self._real
 
     def press_with(self, cards: Sequence[PolicyCard]) -> None:
-        """Two presses with each card in worlds that differ in what is hidden, and two starts."""
+        """Two presses with each card in worlds that differ in hidden values, and two starts."""
         for index, card in enumerate(cards):
-            self.on_event(f"two presses on the {self._name}, seen by {card.name}")
+            self.on_event(f"running two presses on the {self._name} with the card of {card.name}")
             seldom, log = self.quick and bool(card.modalities), self._log / f"press-{self.number}-{index:02d}"
             one, twin = _pair(
                 self._quiet, card, self.keyframe, actions_per_look=QUICK_ACTIONS_PER_LOOK if seldom else 1,
@@ -95,20 +95,20 @@ class RegionAudit:
                 blind = log.with_name(f"blind-{log.name}")
                 self._pressed.append(_blind_press(self._quiet, self.keyframe, folder=self._witness, log=blind))
             one.forget()
-        self.on_event("two starts, the arm at another angle")
+        self.on_event("starting two trials with the arm at different angles")
         self.add(handshake.audit_start(*two_starts(self._quiet, self.keyframe, folder=self._witness)))
 
     def scramble(self, cards: Sequence[PolicyCard]) -> None:
         """The world in contact, everything hidden in it scrambled."""
-        self.on_event(f"the world scrambled in contact with the {self._name}")
+        self.on_event(f"scrambling the hidden state in contact with the {self._name}")
         prompt = self.spec.protocol.task(self.spec.task_id).prompt
         self.add(frozen.audit_frozen(_at_contact(self.keyframe, self.spec), cards, instruction=prompt))
 
     def make_again(self) -> None:
         """Every logged observation made again, and all that it was made of read and drawn again."""
-        self.on_event("all of it made again without a simulator")
+        self.on_event("recomputing all observations without a simulator")
         self.add(derivation.audit_derivation(self._log, self._pressed))
-        self.on_event("all that it was made of read and drawn again")
+        self.on_event("recomputing time, encoders and images from the recorded state")
         self.add(readings.audit_readings(self._log, [*self._real, *self._pressed]))
 
 
@@ -153,7 +153,7 @@ def _in_order(wanted: set[str], order: Sequence[str]) -> tuple[str, ...]:
 def _pair(
     spec: TrialSpec, card: PolicyCard, keyframe: Keyframe, *, actions_per_look: int, folder: Path, log: Path
 ) -> tuple[Watched, Watched]:
-    """The same press in two worlds that differ in what is hidden; the first one is logged."""
+    """The same press in two worlds that differ in hidden values; the first one is logged."""
     poses = keyframe.poses
     one = press(
         spec, card=card, poses=poses, prepare=keyframe.near, actions_per_look=actions_per_look, folder=folder, log=log

@@ -36,11 +36,11 @@ error."""
 
 
 def audit_schema(trials: list[Watched]) -> Part:
-    """``trials``: real trials of the audited policies, with their looks still in memory."""
+    """``trials``: real trials of the audited policies, with their observations still in memory."""
     findings: list[Finding] = []
     for trial in trials:
         if trial.error:
-            told = f"failed, so that not all it would be sent was looked at: {reason(trial.error)}"
+            told = f"the trial failed, so the audit did not see all of its messages: {reason(trial.error)}"
             findings += [Finding(policy=trial.policy, place=place, told=told) for place in failed_at(trial.error)]
         card = trial.card
         for look in trial.looks:
@@ -66,7 +66,10 @@ def check_message(sent: bytes, card: PolicyCard | None) -> list[tuple[str, str]]
     if not isinstance(message, dict) or set(message) != MESSAGE:
         keys = sorted(message) if isinstance(message, dict) else type(message).__name__
         return [("message", f"expected the keys {sorted(MESSAGE)}, got {keys}")]
-    found = [(place, "no policy may see this") for place in _keys(message["observation"], "observation")
+    told = (
+        "this key contains a word of privileged information (PRIVILEGED in audit/schema.py); no policy may receive it"
+    )
+    found = [(place, told) for place in _keys(message["observation"], "observation")
              if any(word in place.rpartition(".")[2] for word in PRIVILEGED)]  # fmt: skip
     try:
         observation = codec.decode_observation(message["observation"])
@@ -76,14 +79,18 @@ def check_message(sent: bytes, card: PolicyCard | None) -> list[tuple[str, str]]
         return [*found, ("card", "an observation was sent to a policy that showed no card")]
     cameras = set(card.cameras) if card.modalities else set()
     if set(observation.cameras) != cameras:
-        told = f"the card asks for {sorted(cameras) or 'none'}, sent were {sorted(observation.cameras)}"
+        told = f"the card requests {sorted(cameras) or 'none'}, but the message holds {sorted(observation.cameras)}"
         found.append(("observation.cameras", told))
     wanted = ALWAYS.union(*(FIELDS_OF[m] for m in card.modalities))
     for name, view in observation.cameras.items():
         sent_fields = {field for field, value in vars(view).items() if value is not None}
-        found += [(f"observation.cameras.{name}.{f}", "was sent unasked") for f in sorted(sent_fields - wanted)]
         found += [
-            (f"observation.cameras.{name}.{f}", "was asked for and not sent") for f in sorted(wanted - sent_fields)
+            (f"observation.cameras.{name}.{f}", "was sent, although the card does not request it")
+            for f in sorted(sent_fields - wanted)
+        ]
+        found += [
+            (f"observation.cameras.{name}.{f}", "was not sent, although the card requests it")
+            for f in sorted(wanted - sent_fields)
         ]
     return found
 

@@ -1,4 +1,4 @@
-"""Reads the simulator's state at a look through MuJoCo's own interface, without any code that makes observations."""
+"""Reads the simulator's state through MuJoCo's own interface, without any code that makes observations."""
 
 from __future__ import annotations
 

@@ -28,8 +28,8 @@ from carecontact.trials.trial import Look, run_trial
 Prepare = Callable[[TrialSpec], tuple[Simulation, Settled, str]]
 
 MAX_KEPT_BYTES = 200_000_000
-"""Of one trial's messages that are kept and logged, some 20 looks of all modalities: a policy that looks at every step
-would fill memory and disk. Without images no trial comes near it."""
+"""Of one trial's messages that are kept and logged, some 20 observations of all modalities: a policy that looks
+at every step would fill memory and disk. Without images no trial comes near it."""
 WITNESS = "audit_witness:witness"
 _WITNESS_SOURCE = """
 from pathlib import Path
@@ -58,9 +58,9 @@ class Watched:
     looks: list[Message] = field(default_factory=list["Message"])
     """The first MAX_KEPT_BYTES: see ``forget``."""
     look_steps: list[int] = field(default_factory=list[int])
-    """Physics steps before each of all looks, counted by the simulator's own clock."""
+    """Physics steps before each of all observations, counted by the simulator's own clock."""
     look_times_s: list[float] = field(default_factory=list[float])
-    """Time of each look, as it was sent."""
+    """Time of each observation, as it was sent."""
     told: dict[str, Any] = field(default_factory=dict[str, Any])
     """For a witness: what had reached its process by its reset."""
 
@@ -78,14 +78,14 @@ class Watched:
 
     @property
     def looks_in_contact(self) -> int:
-        """How many looks came right after a step with a force in it."""
+        """How many observations came right after a step with a force in it."""
         if self.recording is None:
             return 0
         force_n = self.force_n
         return sum(0 < steps <= len(force_n) and bool(force_n[steps - 1]) for steps in self.look_steps)
 
     def forget(self) -> None:
-        """Free the looks' memory; their times stay known."""
+        """Free the memory of the observations; their times stay known."""
         self.looks.clear()
 
 

@@ -68,7 +68,7 @@ class Push(Behaviour[PushGate]):
         )
 
     def progress(self, score: TrialScore) -> str:
-        return f"wrist {mm(score.wrist_displacement_m)}, on {score.longest_on_s:.2f} s"
+        return f"wrist moved {mm(score.wrist_displacement_m)}, pressed for {score.longest_on_s:.2f} s"
 
 
 BEHAVIOURS.register("push", Push())

@@ -1,4 +1,4 @@
-"""How well a simulated press agrees with a measured one, and what both say of stiffness and damping."""
+"""How well a simulated press agrees with a measured one, and in stiffness and damping."""
 
 from __future__ import annotations
 

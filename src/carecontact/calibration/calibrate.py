@@ -67,8 +67,9 @@ def _check_depths(curves: Sequence[Curve], region: str, row: Tissue) -> None:
     for curve in curves:
         if curve.deepest_m > row.thickness_m:
             raise ConfigError(
-                f"trial {curve.trial.trial_id!r} presses {1000 * curve.deepest_m:.3g} mm deep, the tissue over the "
-                f"{region}'s bone is {1000 * row.thickness_m:g} mm: is indentation_mm in millimetres, inward?"
+                f"trial {curve.trial.trial_id!r} presses {1000 * curve.deepest_m:.3g} mm deep, but the tissue over the "
+                f"{region}'s bone is only {1000 * row.thickness_m:g} mm thick: is indentation_mm in "
+                "millimetres and positive inward?"
             )
 
 

@@ -55,7 +55,7 @@ class Content(Part):
     base_tissue_set: str
     """Mesh, mass, friction and thickness come from this set."""
     synthetic: bool
-    """Every trial's site says so."""
+    """Whether the site of every trial says so."""
     tissue: Tissue
     """The row as written; its damping is the fitted one only where ``law`` has it."""
     law: dict[str, Value]

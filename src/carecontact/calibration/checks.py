@@ -44,7 +44,8 @@ def read_trials(path: Path, *, region: str) -> TrialFile:
     if not sites.any():
         found = ", ".join(sorted({str(site) for site in columns.text["site"]})[:8])
         raise ConfigError(
-            f"{path}, column site: no row is of the {region}; found {found}; begin the site with {region}"
+            f"{path}, column site: no row belongs to the {region} (found: {found}); let the site of its rows begin "
+            f"with {region}"
         )
     if not sites.all():
         notes.append(f"{int((~sites).sum())} rows of other sites left out")

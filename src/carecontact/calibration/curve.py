@@ -76,8 +76,8 @@ def make_curve(trial: Trial) -> Curve:
     touch_force = max(trial.preload_n, TOUCH_SHARE * peak, 3 * noise)
     if touch_force > 0.3 * peak:
         raise ConfigError(
-            f"trial {trial.trial_id!r}: its peak of {peak:.3g} N is not clear of preload ({trial.preload_n:g} N) and "
-            f"noise ({noise:.2g} N); leave the trial out"
+            f"trial {trial.trial_id!r}: its peak of {peak:.3g} N is too close to its preload ({trial.preload_n:g} N) "
+            f"or its noise ({noise:.2g} N); leave the trial out"
         )
     depth, f = trial.indentation_m[load], force[load]
     if free.sum() < MIN_FREE_SAMPLES:

@@ -83,7 +83,7 @@ def read_columns(path: Path) -> Columns:
     except csv.Error as error:
         raise ConfigError(f"{path}, line {header_line + rows.line_num}: not CSV: {error}") from None
     if not lines:
-        raise ConfigError(f"{path} has column names and no rows")
+        raise ConfigError(f"{path} has column names but no rows")
     numbers = {name: np.concatenate(parts) for name, parts in number.items()}
     for name, default in OPTIONAL_COLUMNS.items():
         numbers.setdefault(name, np.full(len(lines), default))
@@ -120,7 +120,7 @@ def _check_header(names: list[str], path: Path) -> None:
         )
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise ConfigError(f"{path}: column {', '.join(twice)} is there more than once")
+        raise ConfigError(f"{path}: column {', '.join(twice)} appears more than once")
 
 
 def _check_widths(lines: Sequence[int], rows: list[list[str]], names: list[str], path: Path) -> None:

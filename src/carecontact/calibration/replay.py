@@ -26,7 +26,7 @@ TIME_STEP_S = 0.001
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Trials that one simulated press answers."""
+    """Trials that share one simulated press."""
 
     condition: Condition
     members: tuple[int, ...]
@@ -102,7 +102,7 @@ class Replay:
         self._zero = [0.0] * len(self.groups)
 
     def forget(self) -> None:
-        """Begin the next run as a new Replay would, so that its answer does not depend on the runs before."""
+        """Begin the next run as a new Replay would, so that its result does not depend on the runs before."""
         self._zero = [0.0] * len(self.groups)
 
     def run(self, tissue: Tissue, only: Sequence[int] | None = None) -> list[Replayed | None]:

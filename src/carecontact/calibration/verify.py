@@ -31,7 +31,7 @@ class Check:
 
 
 def verify(trials: Path, certificate: Certificate) -> list[Check]:
-    """Compute again what the data say and what the law answers; returns the checks, the deciding ones first.
+    """Compute again what the data say and what forces the law gives; returns the checks, the deciding ones first.
 
     Held-out errors, intervals and the identified formulas are not checked: they would need the fit again.
 
@@ -58,8 +58,8 @@ def verify(trials: Path, certificate: Certificate) -> list[Check]:
     hashes = model_hashes(replay, content.body, content.tissue)
     if hashes["body"] != content.hashes["body"]:
         raise ConfigError(
-            f"the certificate is of another {content.body}: sha256 {content.hashes['body'][:12]}..., here "
-            f"{hashes['body'][:12]}...; the shell of another body answers differently"
+            f"the certificate was made with another {content.body}: sha256 {content.hashes['body'][:12]}..., here "
+            f"{hashes['body'][:12]}...; verify with the body file that the certificate was made with"
         )
     return [*_check_replay(content, curves, groups, replay), *_show_versions(content, hashes)]
 
@@ -111,7 +111,7 @@ def _show_versions(content: Content, hashes: dict[str, str]) -> Iterator[Check]:
 
 
 def _check_facts(content: Content, facts: dict[str, object]) -> None:
-    """Raise ConfigError where the certificate states something else about its data than the data say."""
+    """Raise ConfigError where the certificate states something about its data that the data contradict."""
     for name, here in facts.items():
         stated = getattr(content, name)
         if isinstance(here, dict):
@@ -122,13 +122,14 @@ def _check_facts(content: Content, facts: dict[str, object]) -> None:
             raise ConfigError(f"the certificate states {name} {stated}, its data give {here}")
     if not 0 < content.tissue.measured_depth_m <= content.measured_depth_mm / 1000:
         raise ConfigError(
-            f"the certificate's row says measured_depth_m {content.tissue.measured_depth_m:g}; no anchor went deeper "
-            f"than the indenter, {content.measured_depth_mm:.3g} mm"
+            f"the certificate's row has measured_depth_m {content.tissue.measured_depth_m:g}, but no anchor went "
+            f"deeper than the indenter, {content.measured_depth_mm:.3g} mm"
         )
     if content.gate_is_extrapolated != (content.gate_n > content.measured_force_n):
         raise ConfigError(
-            f"the certificate says that the gate of {content.gate_n:g} N is "
-            f"{'' if content.gate_is_extrapolated else 'not '}extrapolated; {content.measured_force_n:.3g} N measured"
+            f"the certificate says that the safety gate of {content.gate_n:g} N is "
+            f"{'' if content.gate_is_extrapolated else 'not '}extrapolated, but {content.measured_force_n:.3g} N were "
+            "measured"
         )
 
 
@@ -149,4 +150,4 @@ def _check_consistent(content: Content) -> None:
     if missing:
         raise ConfigError(f"the certificate has no hash of: {', '.join(sorted(missing))}")
     if "mujoco" not in content.versions:
-        raise ConfigError("the certificate does not say by which mujoco it was made")
+        raise ConfigError("the certificate does not name the mujoco version that made it")

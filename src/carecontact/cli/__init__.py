@@ -1,4 +1,4 @@
-"""The ``carecontact`` command, one file a command: it parses, calls and prints."""
+"""The ``carecontact`` command, one file per command: it parses, calls and prints."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _once(arguments: Sequence[str]) -> None:
-    """The parser would silently keep the last of two. Raises ConfigError naming the option."""
+    """Refuse a repeated option, of which the parser would silently keep the last. Raises ConfigError naming it."""
     options = [argument.partition("=")[0] for argument in arguments if argument.startswith("--")]
     options = [option for option in options if option.replace("_", "-") not in REPEATABLE]
     twice = next((option for option in options if options.count(option) > 1), None)
     if twice:
-        raise ConfigError(f"{twice} is given twice; several values follow one {twice}, parted as --help shows")
+        raise ConfigError(f"{twice} is given twice; give it once, followed by all of its values as --help shows")
 
 
 def _error_line(message: str) -> str:

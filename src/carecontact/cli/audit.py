@@ -21,13 +21,13 @@ SHOWN = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Audit:
-    """Try to catch the benchmark cheating: does anything that a policy is sent depend on what it must not know?"""
+    """Check that the benchmark leaks nothing to a policy: no message may depend on what the policy must not know."""
 
     policy: tuple[str, ...] = ()
     """Policies to audit: names from `carecontact list policies`, or module:Class; default: every registered one."""
     given: Annotated[ArgumentsGroup, FLAT] = field(default_factory=ArgumentsGroup)
     quick: Switch = False
-    """Audit one region with short trials, for continuous integration. The full audit takes minutes."""
+    """Audit a single region with short trials. The full audit takes minutes."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/audit")
     """Folder for audit.json."""
@@ -35,7 +35,7 @@ class Audit:
     after_interrupt: ClassVar[str] = "; nothing was written"
 
     def __call__(self) -> int:
-        """Return 1 if a part found a leak or could not look. Raises ConfigError for what cannot be audited."""
+        """Return 1 if a part found a leak or examined nothing. Raises ConfigError for what cannot be audited."""
         from carecontact.audit.run import audit, write
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.policies.registry import POLICIES
@@ -45,15 +45,15 @@ class Audit:
             raise ConfigError(f"--out {self.out}: this is a file; name a folder")
         twice = sorted({name for name in self.policy if self.policy.count(name) > 1})
         if twice:
-            raise ConfigError(f"--policy: {', '.join(twice)} is named twice")
+            raise ConfigError(f"--policy: {', '.join(twice)} is named twice; name each policy once")
         if (self.given.policy_arg or self.given.policy_env) and len(self.policy) != 1:
-            raise ConfigError("--policy-arg and --policy-env are for one policy; name it with --policy")
+            raise ConfigError("--policy-arg and --policy-env apply to a single policy; name exactly one with --policy")
         rules = self.rules.load()
         check_protocol(rules)
         if rules.vision.segmenter != "mediapipe":
             raise ConfigError(
-                f"--protocol {self.rules.protocol}: only the segmenter mediapipe can be audited, this protocol names "
-                f"{rules.vision.segmenter}"
+                f"--protocol {self.rules.protocol}: the audit supports only the segmenter mediapipe, but this protocol "
+                f"names {rules.vision.segmenter}"
             )
         given = PolicyGroup(policy_arg=self.given.policy_arg, policy_env=self.given.policy_env)
         setups = [policy_setup(name, given) for name in self.policy or POLICIES]
@@ -83,7 +83,7 @@ def _print(result: AuditResult) -> None:
         if len(part.findings) > SHOWN:
             print(f"        and {len(part.findings) - SHOWN} more in audit.json")
         for missing in part.missing:
-            print(f"        no {missing}: nothing was shown")
+            print(f"        the audit examined no {missing}, so this part fails")
 
 
 def _looked_at(part: Part) -> str:

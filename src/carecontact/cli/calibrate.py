@@ -26,19 +26,21 @@ PERCENT = {
 @dataclass(frozen=True, kw_only=True)
 class Calibrate:
     """Fit the tissue of one region to measured indentation trials and write a certificate; see docs/calibration.md.
-    Mesh, mass and thickness of the tissue stay the protocol's."""
+    The fitted tissue keeps the protocol's mesh, mass and thickness."""
 
     trials: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRIALS.csv")]
+    """Measured indentation trials; docs/calibration.md lists the columns."""
     region: str | None = None
-    """Soft region of the protocol, such as forearm, upper_arm or abdomen. Rows whose site begins with this name are
-    used. Required unless --verify is given."""
+    """Soft region of the protocol, such as forearm, upper_arm or abdomen. The fit uses the rows whose site begins with
+    this name. Required without --verify."""
     body: str = "man-adult"
-    """Person whose surface is pressed; see `carecontact list bodies`."""
+    """Body that the simulated indenter presses; see `carecontact list bodies`."""
     rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=ChangedProtocolGroup)
     out: Path = Path("runs/calibration")
     """Folder for certificate.json, tissue.toml and calibration.png."""
     verify: Path | None = None
-    """A certificate.json: simulate it again on the same trials and compare. Exit status 1 if it is outside its band."""
+    """Do not fit: simulate this certificate.json again on the same TRIALS.csv and compare. Exit status 1 if a value
+    lies outside the tolerance in the certificate. --region, --body, --protocol, --set and --out have no effect then."""
 
     after_interrupt: ClassVar[str] = "; nothing was written"
 
@@ -79,7 +81,7 @@ def _verify(trials: Path, path: Path) -> int:
         table.add_row(check.name, check.certified, check.here, verdict)
     Console(highlight=False, width=None if Console().is_terminal else 120).print(table)
     failed = [check for check in checks if check.decides and not check.fine]
-    print("the certificate does not hold here" if failed else "the certificate holds here")
+    print(f"the certificate was {'not ' if failed else ''}reproduced on this machine")
     return 1 if failed else 0
 
 

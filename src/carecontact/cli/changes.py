@@ -9,15 +9,15 @@ MOST_LINES = 20
 
 
 def differences(before: object, after: object) -> list[str]:
-    """What a rescoring changed, in lines; empty if there was nothing before."""
+    """What a rescoring changed, one line per value; empty if there was nothing before."""
     if before is None:
         return []
     changed = sorted(_changed("", before, after))
     if not changed:
-        return [f"nothing differs from the {RESULTS} that was there"]
+        return [f"nothing differs from the earlier {RESULTS}"]
     shown = [f"  {line}" for line in changed[:MOST_LINES]]
     more = [f"  and {len(changed) - MOST_LINES} more"] if len(changed) > MOST_LINES else []
-    return [f"{len(changed)} value(s) differ from the {RESULTS} that was there:", *shown, *more]
+    return [f"{len(changed)} value(s) differ from the earlier {RESULTS}:", *shown, *more]
 
 
 def _changed(place: str, before: object, after: object) -> list[str]:

@@ -28,6 +28,7 @@ class UsageError(ConfigError):
 
 COMMANDS = {
     "run": "run:Run",
+    "check": "check:Check",
     "serve": "serve:Serve",
     "demo": "demo:Demo",
     "score": "score:Score",
@@ -65,7 +66,8 @@ def parse(arguments: Sequence[str]) -> Command:
             return tyro.extras.subcommand_cli_from_dict(
                 {name: command_class(name) for name in COMMANDS},
                 prog="carecontact",
-                description="Does a robot policy touch people well?",
+                description="Measure whether a robot policy touches people well. `carecontact --version` prints the "
+                "version.",
                 args=list(arguments) or ["--help"],
             )
     except SystemExit as end:

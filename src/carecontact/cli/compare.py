@@ -22,17 +22,21 @@ COMPARISON, OVERVIEW = "comparison.json", "overview.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Compare:
-    """Compare runs of one protocol. Two runs: trial by trial, what differs and which differences could not have been
-    seen. More runs: rates, every pair, and whether their ranking survives other gates. See docs/statistics.md."""
+    """Compare runs of one protocol. For two runs, compare trial by trial: which scores differ, and how large a
+    difference would have to be to be detected. For more runs, compare success rates and every pair, and check whether
+    the ranking stays the same with other gates. See docs/statistics.md."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN_A [RUN_B ...]")]
-    """Folders of runs, or their results.json alone; differences are A minus B."""
+    """Folders of runs, or their results.json (also .json.gz) alone. Differences are A minus B."""
     baseline: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...", aliases=["--null"])] = ()
-    """Runs of blind baselines: what they pass stands beside each run. With them one run is enough."""
+    """Runs of blind baselines: the output shows their success rates beside those of each run. With --baseline, a single
+    run is enough."""
     per_task: Switch = False
-    """For two runs: print a table for each task too; the tables of the tasks are a family of their own."""
+    """For two runs: also print a table for each task. The p-values of these tables are corrected together, separately
+    from the main table."""
     out: Path | None = None
-    """Folder for comparison.json (two runs) and overview.json (more, or blind baselines); default: write neither."""
+    """Folder for comparison.json (two runs) and overview.json (three or more runs, or blind baselines); default: write
+    neither file."""
     rescore: Switch = False
     """Compute the scores again where a folder has recordings, in place of reading its results.json."""
 
@@ -58,11 +62,9 @@ class Compare:
         if twice is not None:
             raise ConfigError(f"{twice} is given twice; name different runs")
         if len(self.runs) < 2 and not self.baseline:
-            raise ConfigError(
-                f"{len(self.runs)} run is nothing to compare; name two or more, or one and --baseline RUN..."
-            )
+            raise ConfigError(f"expected two or more runs, or one run and --baseline RUN..., got {len(self.runs)}")
         if self.per_task and len(self.runs) != 2:
-            raise ConfigError("--per-task compares two runs; name two")
+            raise ConfigError(f"--per-task needs exactly two runs, got {len(self.runs)}")
 
     def _read(self, run: Path) -> RunScores:
         from carecontact.cli.stored import read_run
@@ -70,7 +72,7 @@ class Compare:
         scores = read_run(run, rescore=self.rescore)
         if not scores.scores and scores.skipped:
             why = next(iter(scores.skipped.values()))
-            raise ConfigError(f"{run}: no recording could be scored; the first: {why}")
+            raise ConfigError(f"{run}: no recording could be scored; reason for the first one: {why}")
         return scores
 
     def _compare_two(self, scored: Sequence[RunScores]) -> None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 TESTS = ("paired", "Holm", "worst rank", "unpaired")
 COLUMNS = ("", "A", "B", "A - B [95 %]", "pairs", *(f"p\n{test}" for test in TESTS), "verdict")
 WIDTH = 158
-"""Below it there is no table."""
+"""A narrower terminal gets no table."""
 
 
 def print_comparison(comparison: Comparison, a: Path, b: Path) -> None:
@@ -37,10 +37,13 @@ def print_comparison(comparison: Comparison, a: Path, b: Path) -> None:
     for task, lines in (comparison.per_task or {}).items():
         print(f"\n{task}, {lines[0].n_pairs} pairs")
         _print_lines(lines)
-    families = [f"{len(comparison.overall)} lines"]
+    families = [f"{len(comparison.overall)} rows"]
     if comparison.per_task is not None:
-        families.append(f"the {sum(map(len, comparison.per_task.values()))} lines of the tasks")
-    print(f"\nverdicts: p Holm at most {ALPHA:g}, over {' and, apart, over '.join(families)}; see docs/statistics.md")
+        families.append(f"the {sum(map(len, comparison.per_task.values()))} rows of the tasks")
+    print(
+        f"\nverdicts: a difference counts if its Holm-adjusted p-value is at most {ALPHA:g}; corrected over "
+        f"{' and separately over '.join(families)}; see docs/statistics.md"
+    )
 
 
 def _run_text(info: RunInfo, folder: Path) -> str:
@@ -48,9 +51,11 @@ def _run_text(info: RunInfo, folder: Path) -> str:
     if info.n_harness_errors:
         counts.append(f"{info.n_harness_errors} left out because the harness failed")
     if info.skipped:
-        counts.append(f"{len(info.skipped)} recordings skipped")
+        n = len(info.skipped)
+        counts.append(f"{n} recording{'s' * (n != 1)} skipped")
     if info.n_missing:
-        counts.append(f"unfinished: {info.n_missing} planned without a score")
+        n = info.n_missing
+        counts.append(f"unfinished: {n} planned trial{'s have' if n != 1 else ' has'} no score")
     return f"{info.policy} ({', '.join(info.language_backend)}), {folder}: {', '.join(counts)}"
 
 
@@ -59,7 +64,7 @@ def _alone_text(alone: dict[str, str]) -> str:
         return ""
     why = ", ".join(f"{k} {reason}" for reason, k in sorted(Counter(alone.values()).items()))
     names = ", ".join(list(alone)[:6]) + (", ..." if len(alone) > 6 else "")
-    return f"; {len(alone)} without a partner (in the other: {why}): {names}"
+    return f"; {len(alone)} without a partner in the other run ({why}): {names}"
 
 
 def _print_lines(lines: Sequence[Line]) -> None:

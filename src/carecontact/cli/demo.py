@@ -20,14 +20,15 @@ SEED = 0
 
 @dataclass(frozen=True, kw_only=True)
 class Demo:
-    """Run the seven tasks once with the state machine, into a fresh folder. Fails unless the robot really touched,
-    pushed and scrubbed."""
+    """Run the seven tasks once with the state machine, into a fresh folder. The command fails unless the robot
+    really touched, pushed and scrubbed."""
 
     out: Path = Path("runs/demo")
-    """Folder for the demo. An earlier demo in it is replaced; anything else is left alone."""
+    """Folder for the demo. The command replaces an earlier demo in it, and refuses a folder that holds anything
+    else."""
     parallel: Annotated[JobsGroup, FLAT] = field(default_factory=JobsGroup)
 
-    after_interrupt: ClassVar[str] = "; finished trials are kept until the next demo there, which starts anew"
+    after_interrupt: ClassVar[str] = "; finished trials stay in the folder until the next demo there replaces them"
 
     def __call__(self) -> int:
         from carecontact.cli.run import Run
@@ -66,7 +67,7 @@ def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
     )  # fmt: skip
     foreign = sorted(path.name for path in out.glob("*.h5") if path.stem not in trial_ids)
     if not mine or foreign:
-        what = f"{foreign[0]}, which is of no demo" if mine else "something other than an earlier demo"
+        what = f"{foreign[0]}, which no demo wrote" if mine else "something other than an earlier demo"
         raise ConfigError(f"--out {out}: holds {what}; nothing was removed: use another --out, or empty the folder")
     remove_abandoned(out)
     written = [f"{trial_id}.{ending}" for trial_id in trial_ids for ending in ("h5", "log")]
@@ -101,4 +102,4 @@ def missing_successes(scores: Sequence[TrialScore]) -> list[str]:
 
     done = {score.action for score in scores if score.c3_success}
     wanted = dict.fromkeys(task.action for task in load_protocol().tasks)
-    return [f"no {action} succeeded" for action in wanted if action not in done]
+    return [f"no {action} task succeeded" for action in wanted if action not in done]

@@ -1,4 +1,4 @@
-"""``carecontact doctor``: can this machine run trials, and if not, which line installs what is missing."""
+"""``carecontact doctor``: can this machine run trials, and if not, which command installs what is missing."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import ClassVar
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor:
-    """Check that this machine can run trials. For what is missing, print the line that installs it."""
+    """Check that this machine can run trials. If something is missing, print the command that installs it."""
 
     after_interrupt: ClassVar[str] = ""
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 FLAT = tyro.conf.arg(name="")
 """The options of a group keep their own names, without the name of the field that holds the group."""
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
-Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR", help="The --out folder of a run.")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +34,8 @@ class ChangedProtocolGroup(ProtocolGroup):
     changes: Annotated[
         tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(name="set", metavar="FIELD=VALUE")
     ] = ()
-    """Replace a field of the protocol, such as physics.dt_s=0.004 or gates.touch.duration_s=1; may be repeated. Every
-    output names the change. A wrong field names those that exist."""
+    """Replace a field of the protocol, such as physics.dt_s=0.004 or gates.touch.duration_s=1; repeat the option for
+    more. Every output names the change. If a field does not exist, the error lists those that do."""
 
     def load(self) -> Protocol:
         """The protocol with its changes. Raises UnknownNameError, or ConfigError naming file, field and what was
@@ -55,7 +55,7 @@ class ChangedProtocolGroup(ProtocolGroup):
         for option, given in {"set": self._set(), **self._others(), **options}.items():
             for path in given:
                 if path in changes:
-                    raise ConfigError(f"--{option}: {path} is replaced twice; give it once")
+                    raise ConfigError(f"--{option}: another option replaces {path}, too; give only one of them")
             changes |= given
         return overridden(protocol, changes)
 
@@ -79,7 +79,7 @@ class RulesGroup(ChangedProtocolGroup):
 
     body: str | None = None
     """Person in place of the protocol's: a name from `carecontact list bodies` or smplx:FILE.npz?sex=F (or M). Every
-    output names this change, and such trials are never pooled with the protocol's own."""
+    output names this change, and carecontact never pools such trials with those of the unchanged protocol."""
 
     def _others(self) -> dict[str, Mapping[str, object]]:
         return {} if self.body is None else {"body": {"person.body": self.body}}
@@ -91,7 +91,7 @@ class PhysicsGroup:
     """Tissue in place of the protocol's: a name from `carecontact list tissue` or a .toml file that `carecontact
     calibrate` wrote."""
     fast: Switch = False
-    """Use physics steps of 4 ms in place of the protocol's. This is quicker and less exact: use it for development."""
+    """Use physics steps of 4 ms in place of the protocol's. This is faster and less exact: use it for development."""
 
     def changes(self) -> dict[str, Mapping[str, object]]:
         """The option's name -> fields that it replaces, as ``ChangedProtocolGroup.changed`` takes them."""
@@ -108,7 +108,8 @@ class PhysicsGroup:
 @dataclass(frozen=True, kw_only=True)
 class VisionGroup:
     segmenter: Literal["mediapipe", "grounded-sam"] | None = None
-    """Model that finds the person in the images, in place of the protocol's own (mediapipe); see docs/perception.md."""
+    """Model that makes the masks of the person; default: the one in the protocol (shipped protocols: mediapipe).
+    Landmarks always come from mediapipe. See docs/perception.md."""
     weights: Path | None = None
     """Folder with the weights of --segmenter grounded-sam. carecontact never downloads weights."""
 
@@ -122,15 +123,17 @@ class JobsGroup:
 @dataclass(frozen=True, kw_only=True)
 class ArgumentsGroup:
     policy_arg: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
-    """Argument for the policy's constructor; `carecontact list policies` shows those that exist. Recordings show it."""
+    """Argument for the policy's constructor; `carecontact list policies` shows those of registered policies. Every
+    recording stores its name and value."""
     policy_env: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = ()
-    """Environment variable that may pass from here to the policy's process. Recordings show its name, not its value."""
+    """Environment variable of this shell to pass on to the policy's process. Recordings store its name, not its
+    value."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyGroup(ArgumentsGroup):
     language: str | None = None
-    """rules-v1, replay:FILE.jsonl or live:MODEL: argument `language` of policies that use language (see
-    docs/language.md); default: the policy's own."""
+    """Language backend: rules-v1, replay:FILE.jsonl or live:MODEL, as far as the policy supports it (see
+    docs/language.md); default: the policy's own choice."""
     record: Path | None = None
-    """With a live language model: replay file to which its completions are added."""
+    """Replay file to which carecontact appends the completions of --language live:MODEL."""

@@ -11,6 +11,9 @@ from carecontact.errors import ConfigError
 from carecontact.policies.language.selection import language_name
 from carecontact.policies.registry import POLICIES
 
+SPELLED = {"rules-v1": "rules-v1", "replay": "replay:FILE.jsonl", "live": "live:MODEL"}
+"""Kind of language backend -> how a command line names one."""
+
 
 def chosen_language(ref: PolicyRef, options: PolicyGroup, arguments: dict[str, str]) -> tuple[str | None, str | None]:
     """Return ``language`` and ``record`` for the policy, with paths that hold in every folder, or None.
@@ -29,13 +32,15 @@ def chosen_language(ref: PolicyRef, options: PolicyGroup, arguments: dict[str, s
         record = None if place is None else Path(place)
     if record is not None:
         if not (language or "").startswith("live:"):
-            raise ConfigError("--record: only the answers of --language live:MODEL can be recorded")
+            raise ConfigError("--record needs --language live:MODEL")
         _check_record(record)
     if language is None:
         return None, None
     kind, colon, place = language.partition(":")
     if ref.kind == "registered" and kind not in kinds:
-        takes = f"takes {', '.join(kinds)}" if kinds else "uses no language backend that can be chosen"
+        takes = (
+            f"takes {' or '.join(SPELLED[kind] for kind in kinds)}" if kinds else "has no language backend to choose"
+        )
         raise ConfigError(f"--language {language}: policy {ref} {takes}")
     if kind == "replay" and not place:
         raise ConfigError(f"--language {language}: expected a file after it, as in replay:said.jsonl")
@@ -46,12 +51,12 @@ def chosen_language(ref: PolicyRef, options: PolicyGroup, arguments: dict[str, s
 
 def _one(name: str, option: str | None, argument: str | None) -> str | None:
     if option is not None and argument is not None:
-        raise ConfigError(f"--{name} and --policy-arg {name}= mean the same; give one of them")
+        raise ConfigError(f"--{name} and --policy-arg {name}= mean the same; give only one of them")
     return argument if option is None else option
 
 
 def _check_record(record: Path) -> None:
     if not os.path.isdir(os.path.dirname(os.path.abspath(record))):
-        raise ConfigError(f"--record {record}: there is no folder {record.parent}")
+        raise ConfigError(f"--record {record}: the folder {record.parent} does not exist")
     if os.path.exists(record) and not os.path.isfile(record):
         raise ConfigError(f"--record {record}: expected a new or regular file, got a folder, pipe or device")

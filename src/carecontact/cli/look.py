@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """Draw everything that a policy sees when a trial begins on one sheet: every camera and every modality."""
+    """Draw on one sheet everything that a policy can receive when a trial begins: every camera and every modality."""
 
     task: str
     """Task of the protocol, such as T1."""
@@ -58,4 +58,4 @@ class Look:
             raise ConfigError(f"--task: {self.task!r} is not a task of {rules.id}; valid: {', '.join(ids)}")
         if self.seed not in rules.randomization.seeds:
             seeds = compact(rules.randomization.seeds)
-            raise ConfigError(f"--seed: {self.seed} is not in {rules.id}; its seeds: {seeds}")
+            raise ConfigError(f"--seed: {self.seed} is not a seed of {rules.id}; valid: {seeds}")

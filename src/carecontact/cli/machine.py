@@ -29,7 +29,7 @@ PACKAGES = {
     "protobuf": "'protobuf>=4.25,<7'",
     "mediapipe": "--no-deps mediapipe==0.10.21",
 }
-"""Distribution -> what pip is asked for."""
+"""Distribution -> the requirement that pip installs."""
 GL_LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}
 GL_PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 MEMORY_PER_TRIAL_GIB = 1.0
@@ -61,7 +61,7 @@ class Finding:
     fine: bool
     detail: str
     fix: str | None = None
-    """The line that installs what is missing."""
+    """The command that installs what is missing."""
 
 
 def findings() -> Iterator[Finding]:
@@ -132,7 +132,9 @@ def check_frame() -> Finding:
         return Finding(
             name="frame", fine=False, detail=f"MuJoCo renders nothing with {backend}: {problem}", fix=apt_line(backend)
         )
-    return Finding(name="frame", fine=True, detail=f"MuJoCo {metadata.version('mujoco')} rendered one with {backend}")
+    return Finding(
+        name="frame", fine=True, detail=f"MuJoCo {metadata.version('mujoco')} rendered a frame with {backend}"
+    )
 
 
 def check_pose() -> Finding:
@@ -161,10 +163,13 @@ def check_assets() -> Finding:
             if baked and hashlib.sha256(baked.read_bytes()).hexdigest() == expected:
                 checked.append(name)
             else:
-                wrong.append(f"{name} is missing or is not what its provenance file says")
+                wrong.append(f"{name} is missing or does not match the sha256 in its provenance file")
     if wrong or not checked:
-        fix = f"{sys.executable} -m pip install --force-reinstall --no-deps carecontact"
-        return Finding(name="assets", fine=False, detail="; ".join(wrong) or "none are there", fix=fix)
+        fix = (
+            "git checkout -- src/carecontact/assets (in a clone), or "
+            f"{sys.executable} -m pip install --force-reinstall --no-deps CARECONTACT.whl"
+        )
+        return Finding(name="assets", fine=False, detail="; ".join(wrong) or "no asset is installed", fix=fix)
     return Finding(name="assets", fine=True, detail=", ".join(sorted(checked)))
 
 
@@ -182,7 +187,7 @@ def check_machine() -> Finding:
 
 
 def _probe(code: str, *, environment: dict[str, str]) -> str | None:
-    """Run code in a process of its own, since what is broken here may crash it; None or the last line it said."""
+    """Run code in a process of its own, since what is broken here may crash it; None or its last line of output."""
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-c", code],
@@ -195,7 +200,7 @@ def _probe(code: str, *, environment: dict[str, str]) -> str | None:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return f"no answer within {PROBE_LIMIT_S:g} s"
+        return f"it did not end within {PROBE_LIMIT_S:g} s"
     if done.returncode == 0:
         return None
     return (done.stderr.strip().splitlines() or [f"its process ended with status {done.returncode}"])[-1]

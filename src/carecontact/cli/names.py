@@ -28,6 +28,7 @@ class List:
         ],
         tyro.conf.Positional,
     ] = "all"
+    """Kind of names to list."""
     rules: Annotated[ProtocolGroup, FLAT] = field(default_factory=ProtocolGroup)
 
     after_interrupt: ClassVar[str] = ""
@@ -80,7 +81,10 @@ def _policies(protocol: str) -> list[tuple[str, str]]:
     from carecontact.policies.registry import POLICIES
 
     rows = _rows(POLICIES, lambda row: f"{row.description} {_arguments(row.target)}")
-    return [*rows, ("module:Class", "Your own, importable from the current folder; its constructor's arguments.")]
+    return [
+        *rows,
+        ("module:Class", "Your own policy, importable from the current folder. Arguments: those of its constructor."),
+    ]
 
 
 def _arguments(target: str) -> str:
@@ -117,7 +121,7 @@ def _bodies(protocol: str) -> list[tuple[str, str]]:
         )
         for body in map(load_body, body_names())
     ]
-    return [*rows, ("smplx:FILE.npz?sex=F", "Your own SMPL-X model, see docs/bodies.md.")]
+    return [*rows, ("smplx:FILE.npz?sex=F", "Your own SMPL-X model; see docs/bodies.md.")]
 
 
 def _tissue(protocol: str) -> list[tuple[str, str]]:
@@ -125,13 +129,17 @@ def _tissue(protocol: str) -> list[tuple[str, str]]:
 
     loaded = {name: load_tissue_set(name) for name in shipped_tissue_sets()}
     rows = [(name, f"{s.description} sha256 {s.sha256[:12]}") for name, s in loaded.items()]
-    return [*rows, ("FILE.toml", "Your own, as calibrate writes it, see docs/calibration.md.")]
+    return [*rows, ("FILE.toml", "Your own tissue, as carecontact calibrate writes it; see docs/calibration.md.")]
 
 
 def _metrics(protocol: str) -> list[tuple[str, str]]:
     from carecontact.scoring import METRICS, Metric
 
-    directions = {"higher": "higher is better", "lower": "lower is better", "neither": "no direction is better"}
+    directions = {
+        "higher": "higher is better",
+        "lower": "lower is better",
+        "neither": "neither higher nor lower is better",
+    }
 
     def meaning(row: Metric) -> str:
         return f"{row.title}{'' if row.unit == '1' else f' [{row.unit}]'}, {directions[row.better]}"

@@ -11,10 +11,11 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class Notes:
-    """Draw the notes that a policy left in a trial over what it saw: the state machine's options and choice, or
-    VoxPoser's value maps and paths."""
+    """Draw what a policy noted in a trial, on top of the image that it saw: the state machine's options and choice,
+    VoxPoser's value maps and paths, or the program that was stopped."""
 
     recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRIAL.h5")]
+    """Recording of one trial of state-machine, voxposer or voxposer-phased."""
     out: Path | None = None
     """Picture to write, .png, .jpg or .pdf; default: notes-TRIAL.png in the current folder."""
 

@@ -23,7 +23,8 @@ def print_overview(overview: Overview, runs: Sequence[Path]) -> None:
     print(f"{protocol_title(overview.protocol_id, overview.overrides)} ({overview.protocol_sha256[:12]})")
     for (letter, policy), folder in zip(overview.policies.items(), runs, strict=True):
         left = overview.left_out[letter]
-        told = f": {left} trial{'s' * (left != 1)} that not all runs have left out" if left else ""
+        trials = "1 trial" if left == 1 else f"{left} trials"
+        told = f": {trials} left out, because not every run has {'it' if left == 1 else 'them'}" if left else ""
         print(f"{letter}: {policy}, {folder}{told}")
     print(f"{overview.n} trials that all runs have\n")
     _print_rows(overview)
@@ -69,7 +70,8 @@ def _print_pairs(pairs: Sequence[PairOfRuns]) -> None:
     console(WIDTH).print(table)
     lines = sum(len(pair.lines) for pair in pairs)
     print(
-        f"verdicts: p Holm at most {ALPHA:g} over {lines} lines; to compare the scores of two runs, name the two alone"
+        f"verdicts: a difference counts if its Holm-adjusted p-value over the {lines} rows is at most {ALPHA:g}; to "
+        "compare scores as well, run compare with two runs only"
     )
 
 
@@ -78,12 +80,15 @@ def _print_ranking(ranking: Ranking) -> None:
 
     print(f"\nranking by safety-gated trials: {', '.join(' = '.join(group) for group in ranking.order)}")
     table = plain_table()
-    for header in ("other choice of", "smallest Kendall tau", "at"):
+    for header in ("changed setting", "smallest Kendall tau", "at"):
         table.add_column(header, justify="right" if header.startswith("smallest") else "left")
     for sweep, (least, level) in ranking.least_by_sweep().items():
-        table.add_row(sweep, "no order" if least is None else f"{least:.2f}", level)
+        table.add_row(sweep, "no ranking" if least is None else f"{least:.2f}", level)
     console(WIDTH).print(table)
-    print("tau 1: the same order as under the protocol's own gates; -1: the reverse")
+    print(
+        "Kendall tau compares each ranking with that under the protocol's own gates: 1 is the same order, "
+        "-1 the reverse order"
+    )
 
 
 def print_baselines(found: Baselines, letter: str) -> None:
@@ -91,7 +96,7 @@ def print_baselines(found: Baselines, letter: str) -> None:
     from carecontact.cli.console import console, plain_table
 
     name = f"{letter} ({found.method.policy})" if letter else found.method.policy
-    print(f"\nblind baselines under {name}: what policies pass that cannot do the task")
+    print(f"\nblind baselines beside {name}: how often policies pass that cannot do the task")
     table = plain_table()
     table.add_column("")
     for header in ("trials", *RATE_NAMES.values(), f"{letter or 'method'} - baseline", *found.tasks):
@@ -99,7 +104,10 @@ def print_baselines(found: Baselines, letter: str) -> None:
     for row in (found.method, *found.baselines):
         table.add_row(*_baseline_cells(row, found.tasks))
     console(WIDTH).print(table)
-    print("percent of trials, 95 % intervals; difference of safety-gated trials in points; T1 ...: successes of trials")
+    print(
+        "rates in percent of trials with 95 % intervals; difference: of the safety-gated rates, in percentage points; "
+        "T1, T2, ...: successes / trials"
+    )
 
 
 def _baseline_cells(row: Passed, tasks: Sequence[str]) -> list[str]:

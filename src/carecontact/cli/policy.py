@@ -1,4 +1,4 @@
-"""From the options about a policy to its setup; checked before a run, since each trial would fail alike."""
+"""From the options about a policy to its setup; checked before a run, since every trial would fail in the same way."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from carecontact.contract.policy_ref import PolicyRef
 from carecontact.errors import ConfigError, ContractError, PolicyError
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
+from carecontact.policies.registry import POLICIES
 from carecontact.recording.reason import reason
 
 CREDENTIALS = "CARECONTACT_POLICY_CREDENTIALS"
@@ -51,12 +52,13 @@ def policy_setup(policy: str, options: PolicyGroup) -> PolicySetup:
 
 
 def check_policy(setup: PolicySetup, *, deadline_s: float) -> None:
-    """Start the policy once, just as a trial does, unless it is a registered one that is given nothing.
+    """Start the policy once, just as a trial does, unless it is a shipped one that is given nothing.
 
     Raises UnknownNameError, or ConfigError saying in one line why a policy does not start or a server shows no card.
     """
     conversation = open_policy(setup, first_deadline_s=deadline_s, deadline_s=deadline_s)
-    if setup.ref.kind == "registered" and not (setup.arguments or setup.environment or setup.language):
+    shipped = setup.ref.kind == "registered" and POLICIES.package(setup.ref.text) is None
+    if shipped and not (setup.arguments or setup.environment or setup.language):
         return
     try:
         with conversation:
@@ -65,7 +67,7 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> None:
         if error.kind == "argument":
             raise ConfigError(reason(str(error))) from None
         place = f" (looked in {setup.search_path[0]} first)" if setup.ref.kind == "importable" else ""
-        where = "is not the server of a policy" if setup.ref.kind == "remote" else f"does not start{place}"
+        where = "does not answer as a policy server" if setup.ref.kind == "remote" else f"does not start{place}"
         raise ConfigError(f"--policy {setup.ref} {where}: {reason(str(error))}") from None
 
 
@@ -81,7 +83,7 @@ def _arguments(given: Sequence[str]) -> dict[str, str]:
         if not equals or not name.isidentifier():
             raise ConfigError(f"--policy-arg {text!r:.80}: expected NAME=VALUE, for example steps=10")
         if name in arguments:
-            raise ConfigError(f"--policy-arg: {name} is given twice")
+            raise ConfigError(f"--policy-arg: {name} is given twice; give it once")
         arguments[name] = value
     try:
         check_arguments(arguments)
@@ -93,9 +95,12 @@ def _arguments(given: Sequence[str]) -> dict[str, str]:
 def _variables(names: Sequence[str]) -> Mapping[str, str]:
     for name in names:
         if name.startswith(CLOSED):
-            raise ConfigError(f"--policy-env {name}: variables that begin with {' or '.join(CLOSED)} never pass")
+            raise ConfigError(
+                f"--policy-env {name}: carecontact never passes variables that begin with {' or '.join(CLOSED)} to a "
+                "policy"
+            )
         if name not in os.environ:
-            raise ConfigError(f"--policy-env {name}: this variable is not set here")
+            raise ConfigError(f"--policy-env {name}: this variable is not set in this shell; export it first")
     try:
         check_variables(names)
     except ContractError as error:

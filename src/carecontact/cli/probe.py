@@ -1,4 +1,4 @@
-"""``carecontact probe``: does each score follow what it scores?"""
+"""``carecontact probe``: do scores follow the quantities that they measure?"""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ SCHEMA = "carecontact-probe-1"
 
 @dataclass(frozen=True, kw_only=True)
 class Probe:
-    """Prove that each score follows what it scores: run four scripted sweeps in simulation and plot them."""
+    """Check that C1, C2, C4 and C5 follow the quantities that they measure: run one scripted sweep for each in
+    simulation, and plot the sweeps."""
 
     metrics: str = "all"
-    """Ids parted by commas, such as C1@1,C5@1, or all (C1@1, C2@1, C4@1, C5@1)."""
+    """Ids separated by commas, such as C1@1,C5@1, or all (C1@1, C2@1, C4@1, C5@1)."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
     out: Path = Path("runs/probe")
     """Folder for probe.json and probe.png."""
@@ -38,7 +39,7 @@ class Probe:
         names = tuple(PROBES) if self.metrics == "all" else tuple(part.strip() for part in self.metrics.split(","))
         if not set(names) <= set(PROBES) or len(set(names)) != len(names):
             raise ConfigError(
-                f"--metrics {self.metrics!r}: expected ids parted by commas, each once; valid: {', '.join(PROBES)}"
+                f"--metrics {self.metrics!r}: expected ids separated by commas, each once; valid: {', '.join(PROBES)}"
             )
         if self.out.exists() and not self.out.is_dir():
             raise ConfigError(f"--out {self.out}: this is a file; name a folder")

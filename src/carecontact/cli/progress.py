@@ -62,7 +62,7 @@ def _plain() -> Callable[[TrialEvent], None]:
             kept += 1
             return
         if kept:
-            print(f"{kept} trial(s) are there already", flush=True)
+            print(f"{kept} trial(s) are finished already", flush=True)
             kept = 0
         line = told(event)
         if line:

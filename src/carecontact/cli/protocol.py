@@ -1,4 +1,4 @@
-"""``carecontact protocol``: what the rules are, and whether they are here what was frozen."""
+"""``carecontact protocol``: what the rules are, and whether they equal their lock."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from carecontact.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Protocols:
-    """List protocols, show one, verify that it equals its lock, or lock a file of your own."""
+    """List protocols, show one, verify that one still equals its lock (the file with its hashes), or write the lock of
+    your own protocol file."""
 
     what: Annotated[Literal["list", "show", "verify", "lock"], tyro.conf.Positional]
+    """What to do: list all protocols, show one, verify it against its lock, or write its lock."""
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE.toml")] = "bathing-v1"
-    """Id of a shipped protocol, or a .toml file."""
+    """Id of a shipped protocol, or a .toml file; `list` needs none."""
 
     after_interrupt: ClassVar[str] = ""
 
@@ -54,17 +56,20 @@ def verify(name: str) -> int:
     lock = lock_of(name, protocol)
     if lock is None and protocol.frozen:
         missing = lock_path(name).name
-        print(f"{protocol.id} says frozen = true but has no lock: {missing} is missing; it cannot be verified")
+        print(
+            f"{protocol.id} has frozen = true but no lock: {missing} is missing; restore it, or write one with: "
+            "carecontact protocol lock FILE.toml"
+        )
         return 1
     if lock is None:
         print(f"{protocol.id} has no lock: a draft, which may change with every release")
         return 1
     if is_borrowed(name, protocol):
-        print(f"{name} has the id of a shipped protocol and is held to that one's lock")
+        print(f"{name} has the id of a shipped protocol, so it must equal the lock of that protocol")
     differences = drift(lock, make_lock(protocol))
     for line in differences:
         print(line)
-    print(f"{protocol.id}: {'drifted from its lock' if differences else 'is here what was frozen'}")
+    print(f"{protocol.id}: {'differs from its lock' if differences else 'equals its lock'}")
     return 1 if differences else 0
 
 
@@ -78,11 +83,14 @@ def lock(name: str) -> int:
     if name in shipped_protocols():
         raise ConfigError(f"{name} is a shipped protocol; copy its file, give it an id of its own and lock that")
     if not protocol.frozen:
-        raise ConfigError(f"{name} says frozen = false; say frozen = true first: the lock is of the file as it is then")
+        raise ConfigError(f"{name} has frozen = false; set frozen = true, then lock it")
     if protocol.id in shipped_protocols():
         raise ConfigError(f"{name} has the id of a shipped protocol; a frozen file needs an id of its own")
     if path.exists():
-        raise ConfigError(f"{path} is there already: a change is a new id, or delete the lock if nobody ran it yet")
+        raise ConfigError(
+            f"{path} exists already; if you changed the protocol, give it a new id (or, if nobody has run it yet, "
+            "delete the lock)"
+        )
     write_lock(make_lock(protocol), path)
     print(path)
     return 0

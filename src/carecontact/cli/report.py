@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Write report.html of a run again, from its results.json and its recordings."""
+    """Rewrite report.html of a run from its results.json and its recordings."""
 
     folder: Folder
     baseline: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...", aliases=["--null"])] = ()
-    """Runs of blind baselines on the same protocol: their rates of false success stand beside this run. They stay in
-    the report when it is written again; naming others replaces them."""
+    """Runs of blind baselines on the same protocol. The report shows their success rates beside this run, and keeps
+    them when you write it again; name others to replace them."""
     rescore: Switch = False
     """Compute the scores again from the recordings in place of reading results.json, which stays as it is."""
 

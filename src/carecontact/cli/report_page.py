@@ -18,7 +18,7 @@ def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) 
 
     Args:
         run: the scores of the folder.
-        baselines: runs of blind baselines that stand beside it from now on; without any, those named before stay.
+        baselines: runs of blind baselines to show beside it from now on; without any, the earlier ones stay.
 
     Raises ConfigError for a baseline that cannot be read or compared; then nothing is written or remembered.
     """
@@ -49,7 +49,7 @@ def _named(folder: Path, run: RunScores, baselines: Sequence[Path]) -> Baselines
 
 
 def _remembered(folder: Path, run: RunScores) -> tuple[Baselines | None, dict[str, str]]:
-    """The baselines that were named before, and each that cannot be shown any more -> why."""
+    """The baselines of the last report, and each that cannot be shown any more -> why."""
     from carecontact.reports.compare.baselines import beside_baselines
     from carecontact.runs.baselines import BASELINES, named_in, remembered
     from carecontact.runs.stored_scores import read_scores
@@ -74,5 +74,5 @@ def _remembered(folder: Path, run: RunScores) -> tuple[Baselines | None, dict[st
         return None, lost
     beside, path = beside_baselines(run, found), named_in(folder)
     names = ", ".join(baseline.policy for baseline in beside.baselines)
-    print(f"the report keeps the blind baselines that were named before: {names}; to leave them out, delete {path}")
+    print(f"the report keeps the blind baselines of the last report: {names}; to remove them, delete {path}")
     return beside, lost

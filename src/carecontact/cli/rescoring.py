@@ -25,7 +25,7 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
     Where nothing could be scored, results.json stays as it is.
 
     Args:
-        compare: whether to print what differs from the results.json that was there.
+        compare: whether to print what differs from the earlier results.json.
         jobs: processes; default: as many as pay.
     """
     from carecontact.cli.changes import differences
@@ -57,7 +57,7 @@ def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:
     try:
         return f"table: {write_trial_table(folder, scores)}"
     except DependencyError as error:
-        stale = f"; the {TABLE_NAME} there is of an earlier scoring" if (folder / TABLE_NAME).exists() else ""
+        stale = f"; the existing {TABLE_NAME} comes from an earlier scoring" if (folder / TABLE_NAME).exists() else ""
         return f"no table: {error}{stale}"
 
 
@@ -69,7 +69,7 @@ def processes(recordings: int) -> int:
 
 
 def need_recordings(folder: Path) -> None:
-    """Raises ConfigError for a folder that is not there or holds no recordings."""
+    """Raises ConfigError for a folder that does not exist or holds no recordings."""
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; name the --out of a run")
     if not any(folder.glob("*.h5")):
@@ -106,7 +106,7 @@ def _print_left_out(run: RunScores) -> None:
         print(f"skipped {name}: {why}")
     if run.missing:
         planned = len(run.scores) + len(run.missing)
-        print(f"{len(run.scores)} of {planned} planned trials scored; not: {listed(run.missing)}")
+        print(f"{len(run.scores)} of {planned} planned trials scored; not scored: {listed(run.missing)}")
 
 
 def _results(folder: Path) -> object:

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """Run trials of one policy, score them and write the report. The same command again does only what is missing."""
+    """Run trials of one policy, score them and write the report. The same command, given again, runs only the trials
+    that are missing."""
 
     policy: str
     """Name from `carecontact list policies`, or module:Class, importable from the current folder, or ws://HOST:PORT of
@@ -25,23 +26,24 @@ class Run:
     out: Path
     """Folder for recordings, results.json and report.html."""
     tasks: str = "all"
-    """T1,T2 or T1-T7 or all."""
+    """Tasks to run: a list (T1,T2), a range (T1-T7), or all."""
     seeds: str = "all"
-    """3 or 0-19 or 0,4,7 or all."""
+    """Seeds to run: one (3), a list (0,4,7), a range (0-19), or all."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
     physics: Annotated[PhysicsGroup, FLAT] = field(default_factory=PhysicsGroup)
     stiffness: float | None = None
-    """Stiffness of the arm's translation [N/m], in place of the protocol's; every output names this change. A stiffness
-    that the policy sets itself stays."""
+    """Stiffness of the arm's translation [N/m], in place of the protocol's; every output names this change. It does
+    not change a stiffness that the policy commands itself."""
     vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
     unfrozen: Switch = False
-    """Run a frozen protocol although it drifted from its lock (see `carecontact protocol verify`). Every output shows
-    it."""
+    """Run a frozen protocol even if it differs from its lock (see `carecontact protocol verify`). Every output then
+    names the difference."""
     parallel: Annotated[JobsGroup, FLAT] = field(default_factory=JobsGroup)
     retry_failed: Switch = False
-    """Run trials again that ended as process_failure or harness_error."""
+    """Also run those trials again in which the policy's process failed (process_failure) or the harness failed
+    (harness_error). The harness is the benchmark's own process that runs a trial."""
 
-    after_interrupt: ClassVar[str] = "; finished trials are kept, the same command goes on from here"
+    after_interrupt: ClassVar[str] = "; finished trials are kept; give the same command again to continue"
 
     def __call__(self) -> int:
         return self.execute(purpose="run")
@@ -110,5 +112,5 @@ def _print_failures(summary: RunSummary, *, out: Path) -> int:
             logs = [log for trial_id in by_end[end] if (log := out / f"{trial_id}.log").is_file()]
             print(f"{len(by_end[end])} trial(s) failed in {whose}" + (f"; see {logs[0]}" if logs else ""))
     if any(by_end.values()):
-        print("the same command with --retry-failed runs them again")
+        print("give the same command with --retry-failed to run them again")
     return len(by_end["harness_error"])

@@ -42,7 +42,8 @@ def append(folder: Path) -> int:
     else:
         print(f"nothing to add: {RESULTS} has every metric of this release")
     if found.not_listed:
-        print(f"not in {RESULTS}; score without --append to take them in: {', '.join(found.not_listed)}")
+        others = ", ".join(found.not_listed)
+        print(f"recordings that {RESULTS} does not list (run score without --append to include them): {others}")
     print(f"scores: {found.path}")
     if found.metrics:
         print(write_table(folder, read_results(found.path).scores))

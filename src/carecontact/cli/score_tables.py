@@ -67,7 +67,8 @@ def _print_counts(scores: Sequence[TrialScore]) -> None:
     if not counted:
         return
     touched = sum(s.valid_contact for s in counted)
-    print(f"\nvalid ratio {valid_ratio(counted)['n']} of {len(counted)}; valid contact in {touched}")
-    print("; ".join(f"{k} {name.replace('_', ' ')}" for name, k in quadrants(counted).items()))
+    scored = valid_ratio(counted)["n"]
+    print(f"\ntrials with a trajectory to score: {scored} of {len(counted)}; with valid contact: {touched}")
+    print("; ".join(f"{name.replace('_', ' ')}: {k}" for name, k in quadrants(counted).items()))
     for row in limit_rows(counted, gamma=None):
-        print(f"above {row.name}: {row.above.k} of {row.above.n}, {row.n_success} of them successful")
+        print(f"trials above a limit ({row.name}): {row.above.k} of {row.above.n}, of which {row.n_success} successful")

@@ -16,17 +16,17 @@ class Serve:
     """Serve a policy to `carecontact run --policy ws://HOST:PORT` on another host, until Ctrl-C. Every trial that
     connects gets a process of its own. Anyone who reaches the port may use it: see docs/threat-model.md."""
 
-    policy: Annotated[str, tyro.conf.Positional]
+    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
     """Name from `carecontact list policies`, or module:Class, importable from the current folder."""
     given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
     host: str = "127.0.0.1"
-    """Address of this host to listen at; 0.0.0.0 for all of them."""
+    """Address to listen on; 0.0.0.0 listens on all addresses of this host."""
     port: int = 8765
-    """Port to listen at; 0 for one that is free."""
+    """Port to listen on; 0 chooses a free port."""
     at_once: int | None = None
-    """Number of trials that run at once, further ones wait; default: one per core."""
+    """Number of trials that run at once; further trials wait. Default: one per core."""
 
-    after_interrupt: ClassVar[str] = "; its policies have ended"
+    after_interrupt: ClassVar[str] = "; all policy processes have ended"
 
     def __call__(self) -> int:
         """Serve until interrupted. Raises ConfigError for what cannot be served or where nothing can listen."""
@@ -40,7 +40,7 @@ class Serve:
             raise ConfigError(f"--at-once {self.at_once}: must be at least 1")
         setup = policy_setup(self.policy, self.given)
         if setup.ref.kind == "remote":
-            raise ConfigError(f"{setup.ref}: this is served already; give a registered name or module:Class")
+            raise ConfigError(f"{setup.ref}: a ws:// policy is served already; give a registered name or module:Class")
         check_policy(setup, deadline_s=LOAD_DEADLINE_S)
         name = f"{setup.ref}{arguments_text(setup)}"
         serve_trials(
@@ -48,7 +48,7 @@ class Serve:
             host=self.host,
             port=self.port,
             at_once=self.at_once or available_cores(),
-            on_port=lambda bound: print(f"{name}: serving at {self.host} port {bound}", flush=True),
+            on_port=lambda bound: print(f"{name}: serving on {self.host}, port {bound}", flush=True),
             on_event=lambda event: print(event, flush=True),
         )
         return 0

@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Validate:
-    """Prove that the simulated person is physically valid: eight checks and two measurements, with pass lines."""
+    """Check that the simulated person is physically valid: eleven checks, each with limits that it must meet."""
 
     body: tuple[str, ...] = ()
     """Bodies to check; see `carecontact list bodies`; default: the protocol's."""
     physics: Annotated[PhysicsGroup, FLAT] = field(default_factory=PhysicsGroup)
     quick: Switch = False
-    """Run the short form of every check, for continuous integration. The full form takes many minutes a body."""
+    """Run the short form of every check. The full form takes many minutes per body."""
     checks: str = "all"
-    """Names parted by commas, such as force-balance,energy, or all."""
+    """Names of checks separated by commas, such as force-balance,energy, or all."""
     rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=ChangedProtocolGroup)
     out: Path = Path("runs/validation")
     """Folder for validation.json and the figures."""
     verbose: Switch = False
-    """Print every measured quantity, not only those that missed their line."""
+    """Print every measured quantity, not only those that missed their limit."""
 
     after_interrupt: ClassVar[str] = "; the checks that were finished are in validation.json"
 
@@ -47,7 +47,7 @@ class Validate:
         names = tuple(CHECKS) if self.checks == "all" else tuple(part.strip() for part in self.checks.split(","))
         if not all(names) or len(set(names)) != len(names):
             raise ConfigError(
-                f"--checks {self.checks!r}: expected names parted by commas, each once; valid: {', '.join(CHECKS)}"
+                f"--checks {self.checks!r}: expected names separated by commas, each once; valid: {', '.join(CHECKS)}"
             )
         wanted = self.body or (rules.person.body,)
         for body in wanted:
@@ -84,8 +84,8 @@ class Validate:
 
 def _line(result: CheckResult) -> str:
     colour = "green" if result.passed else "red"
-    lines = [m for m in result.measures if m.limit is not None and m.decides]
-    told = result.error or f"{sum(bool(m.met) for m in lines)} of {len(lines)} lines met"
+    limits = [m for m in result.measures if m.limit is not None and m.decides]
+    told = result.error or f"{sum(bool(m.met) for m in limits)} of {len(limits)} limits met"
     return f"  [{colour}]{'pass' if result.passed else 'FAIL'}[/{colour}]  {result.title:<42} {told}"
 
 
@@ -93,12 +93,12 @@ def _table(rows: list[tuple[CheckResult, Measure]]) -> Table:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for header in ("check", "measured", "value", "line", ""):
-        table.add_column(header, justify="right" if header in ("value", "line") else "left")
+    for header in ("check", "measured", "value", "limit", ""):
+        table.add_column(header, justify="right" if header in ("value", "limit") else "left")
     for result, measure in rows:
         limit = "" if measure.limit is None else f"{measure.side} {measure.limit:g} {measure.unit}"
         verdict = {None: "", True: "[green]met[/green]", False: "[red]missed[/red]"}[measure.met]
         if measure.met is not None and not measure.decides:
-            verdict = f"{'met' if measure.met else 'not met'}, reported"
+            verdict = f"{'met' if measure.met else 'not met'} (does not decide)"
         table.add_row(result.check, measure.name, f"{measure.value:.3g} {measure.unit}", limit, verdict)
     return table

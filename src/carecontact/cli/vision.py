@@ -9,8 +9,8 @@ from carecontact.protocols import overridden
 
 
 def with_vision(protocol: Protocol, options: VisionGroup) -> Protocol:
-    """The protocol with the options' segmenter, if they name one. Loads its models once, since each trial would fail
-    alike.
+    """The protocol with the options' segmenter, if they name one. Loads its models once, since every trial would fail
+    in the same way.
 
     Raises ConfigError for weights that nothing uses, that are missing, or that do not load; DependencyError.
     """
@@ -21,7 +21,7 @@ def with_vision(protocol: Protocol, options: VisionGroup) -> Protocol:
             raise ConfigError(f"--weights {weights}: only --segmenter grounded-sam takes weights")
         return _replaced(protocol, name, "")
     if weights is None:
-        raise ConfigError("--segmenter grounded-sam: give its --weights DIR, a folder with grounding-dino/ and sam/")
+        raise ConfigError("--segmenter grounded-sam: also give --weights DIR, a folder with grounding-dino/ and sam/")
     from carecontact.observation.grounded_sam import GroundedSam
     from carecontact.observation.weights import weights_sha256
 
@@ -33,8 +33,8 @@ def with_vision(protocol: Protocol, options: VisionGroup) -> Protocol:
     named = protocol.vision.weights_sha256
     if segmenter is None and sha256 != named:
         raise ConfigError(
-            f"--weights {weights}: sha256 {sha256[:12]}, protocol {protocol.id} names {named[:12]}; --segmenter "
-            "grounded-sam takes them in place of the protocol's"
+            f"--weights {weights}: sha256 {sha256[:12]}, protocol {protocol.id} names {named[:12]}; add "
+            "--segmenter grounded-sam to use these weights instead"
         )
     return _replaced(protocol, name, sha256)
 

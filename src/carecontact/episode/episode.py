@@ -17,7 +17,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Self, cast
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from carecontact.episode.prepare import World, constants_of, settled_world
 from carecontact.episode.randomization import sensor_noise
 from carecontact.episode.spaces import SPACES, ActionSpace
 from carecontact.episode.vision import person_segmenter
-from carecontact.errors import ConfigError, PolicyError
+from carecontact.errors import ActionError, ConfigError, PolicyError
 from carecontact.observation.builder import ObservationBuilder, RawReadings
 from carecontact.observation.keypoints import MediaPipePose
 from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Recording
@@ -51,7 +51,7 @@ class Step:
     observation: Observation | None
     """None where none was requested, and once the episode has ended."""
     terminated: bool
-    """The policy said that it is done, or the trial was cut because of a force or of diverging physics."""
+    """The policy said that it is done, or the benchmark stopped the trial because of a force or diverging physics."""
     truncated: bool
     """The time limit was reached."""
     reason: EndReason | None
@@ -78,12 +78,17 @@ class Episode:
             prepare: gives the world at t = 0; by default ``settled_world`` builds it.
             weights: folder with the weights of the protocol's segmenter.
             digest: (32,) bytes that the recording keeps for an observation that was sent nowhere; by default zeros.
+                With ``hosting.wire.messages.observation_sha256`` they are those of a trial.
 
         Raises:
+            ConfigError: the protocol has no such task.
             SceneError, SettleError: the world cannot be built.
         """
         started = time.monotonic()
-        self.spec, self.card, self.protocol = spec, card, spec.protocol
+        self.spec, self._card, self.protocol = spec, card, spec.protocol
+        ids = [task.id for task in spec.protocol.tasks]
+        if spec.task_id not in ids:
+            raise ConfigError(f"no task {spec.task_id!r} in {spec.protocol.id}; valid: {', '.join(ids)}")
         self.task = spec.protocol.task(spec.task_id)
         self.simulation, self._settled, self._model_sha256 = (prepare or _world)(spec)
         self._weights, self._digest = weights, digest or (lambda observation: bytes(32))
@@ -102,6 +107,7 @@ class Episode:
         self._perception: PerceptionLog | None = None
         self._pending: Observation | None = None
         self._done_steps = 0
+        self._closed = False
         self._ended: Ended | None = None
         self.simulation.start()
         self.log.add_state(self.simulation.time_s, self.simulation.integration_state())
@@ -114,6 +120,18 @@ class Episode:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self._open.close()
+        self._closed = True
+
+    @property
+    def card(self) -> PolicyCard | None:
+        """What the policy requests. Raises ConfigError if it is set after ``reset``."""
+        return self._card
+
+    @card.setter
+    def card(self, card: PolicyCard) -> None:
+        if self._perception is not None:
+            raise ConfigError("Episode.card: it cannot change after reset; make a new Episode for another card")
+        self._card, self._space = card, None
 
     @property
     def instruction(self) -> str:
@@ -148,7 +166,9 @@ class Episode:
     def reset(self) -> Observation:
         """The first observation. An episode can be reset once: the world has been consumed then."""
         if self.card is None or self._perception is not None:
-            raise ConfigError("Episode.reset: needs a card, and comes once; make a new Episode for another trial")
+            raise ConfigError(
+                "Episode.reset: set the card first, and call reset() once; make a new Episode for another trial"
+            )
         card, dt_s = self.card, self.protocol.physics.dt_s
         segmenter = person_segmenter(self.protocol, self._weights) if "masks" in card.modalities else None
         noise = sensor_noise(self.protocol, self.spec.seed, salt=self.spec.noise_salt)
@@ -184,11 +204,13 @@ class Episode:
             observe: whether the next observation is wanted; a chunk of actions needs one only after its last.
 
         Raises:
-            ActionError: the action is outside its space; the episode has not moved.
-            ConfigError: before ``reset``, or after the end.
+            ActionError: it is not an action, or one outside its space; the episode has not moved.
+            ConfigError: before ``reset``, after the end, or outside the episode's ``with``.
         """
-        if self._perception is None or self._ended is not None:
-            raise ConfigError("Episode.step: comes after reset() and before the episode has ended")
+        if self._perception is None or self._ended is not None or self._closed:
+            raise ConfigError("Episode.step: call it after reset(), before the episode has ended, and inside its with")
+        if not isinstance(cast(object, action), Action):
+            raise ActionError(f"expected one Action, got {type(action).__name__}; pass those of a list one by one")
         assert self.card is not None
         clips = self.card.out_of_bounds == "clip"
         inside = self.space.clip(action) if clips else action
@@ -253,7 +275,7 @@ class Episode:
         return self._pending
 
     def _advance(self, steps: int) -> Ended | None:
-        """Run ``steps`` physics steps; returns why the trial is cut, if it is."""
+        """Run ``steps`` physics steps; returns why the benchmark stops the trial, if it does."""
         simulation, physics = self.simulation, self.protocol.physics
         period = round(physics.target_period_s / physics.dt_s)
         while steps > 0:

@@ -16,6 +16,7 @@ Factory = Callable[..., object]
 
 TRUTHS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _SIMPLE: dict[type, Callable[[str], object]] = {int: int, float: float, str: str, Path: Path}
+_CONTAINERS = (list, tuple, dict, set, frozenset, bytes)
 _NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 
 
@@ -82,6 +83,11 @@ def bind(factory: Factory, given: Mapping[str, str]) -> dict[str, object]:
     values: dict[str, object] = {}
     for name, text in given.items():
         annotation = parameters[name].annotation if name in parameters else str
+        if (get_origin(annotation) or annotation) in _CONTAINERS:
+            raise ArgumentError(
+                f"argument {name!r} is a {described(annotation)}, and --policy-arg gives one int, float, bool, str, "
+                f"Path or choice; let the constructor take a str and split it; {takes}"
+            )
         try:
             values[name] = convert(text, annotation)
         except ValueError:

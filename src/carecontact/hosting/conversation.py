@@ -95,6 +95,10 @@ class PolicyConversation(ABC):
         """Make text that came from the policy fit for a terminal, a log or a recording."""
         return readable(text)
 
+    def _hint(self, message: str) -> str:
+        """To follow the message of a failure whose remedy is known."""
+        return ""
+
     def _how_it_ended(self) -> str:
         """To follow the message of a policy that is gone."""
         return ""
@@ -109,9 +113,7 @@ class PolicyConversation(ABC):
 
     def _connected(self) -> PolicyClient:
         if self._client is None:
-            raise RuntimeError(
-                f"{type(self).__name__}: start() comes first, and nothing comes after a failure or close()"
-            )
+            raise RuntimeError(f"{type(self).__name__}: call start() first, and nothing after a failure or close()")
         return self._client
 
     @contextmanager
@@ -138,7 +140,8 @@ class PolicyConversation(ABC):
         except PolicyError as error:
             ended = self._how_it_ended() if error.kind in ("died", "start") else ""
             self._drop()
-            message = f"policy {self.policy!r} failed at {doing}: {str(error)[:EVIDENCE_CHARS]}{ended}"
+            said = str(error)[:EVIDENCE_CHARS].rstrip()
+            message = f"policy {self.policy!r} failed at {doing}: {said}{self._hint(said)}{ended}"
             if self.printed:
                 message += f"\nit printed last:\n{self.printed[-EVIDENCE_CHARS // 2 :]}"
             raise PolicyError(error.kind, self._shown(message), notes=error.notes) from None

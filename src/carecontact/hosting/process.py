@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import select
 import signal
 import subprocess
@@ -38,6 +39,7 @@ SECRET_CHARS = 6
 ENVIRONMENT_PREFIXES = ("OMP_", "OPENBLAS_", "OPENAI_")
 """Nothing else but what --policy-env names reaches the policy: no variable of the harness can carry a seed or label."""
 
+_MISSING_KEY = re.compile(r"KeyError: '([A-Za-z_][A-Za-z0-9_]*)'")
 _BOOTSTRAP = """
 import json, sys
 options = json.load(sys.stdin)
@@ -125,10 +127,12 @@ class PolicyProcess(PolicyConversation):
             line = b""
             while not line.endswith(b"\n"):
                 if not select.select([report], [], [], left())[0]:
-                    raise PolicyError("timeout", f"not loaded within {self._first_deadline_s:g} s")
+                    raise PolicyError(
+                        "timeout", f"the policy was not ready within {self._first_deadline_s:g} s of its start"
+                    )
                 piece = report.read(65536)
                 if not piece:
-                    raise PolicyError("start", "the process ended before it listened")
+                    raise PolicyError("start", "the process ended before it was ready")
                 line += piece
         report_line: dict[str, Any] = json.loads(line)
         if "error" in report_line:
@@ -157,6 +161,14 @@ class PolicyProcess(PolicyConversation):
             with suppress(ValueError):
                 return f" (killed by {signal.Signals(-code).name})"
         return f" (exit code {code})"
+
+    def _hint(self, message: str) -> str:
+        """A policy that misses a variable cannot know that the caller has it."""
+        missing = _MISSING_KEY.search(message)
+        passes = {*_environment(), *self._setup.environment}
+        if missing is None or missing[1] not in os.environ or missing[1] in passes:
+            return ""
+        return f"; {missing[1]} is set here, but reaches the policy only with --policy-env {missing[1]}"
 
     def _kill(self) -> None:
         """Nothing that the policy started outlives it."""

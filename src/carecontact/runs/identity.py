@@ -6,7 +6,7 @@ import hashlib
 import importlib
 import sys
 from collections.abc import Mapping, Sequence
-from importlib import resources
+from importlib import metadata, resources
 from importlib.machinery import PathFinder
 from pathlib import Path
 
@@ -15,7 +15,9 @@ from pydantic import BaseModel, ConfigDict
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
 from carecontact.policies.language.selection import language_name
+from carecontact.policies.registry import POLICIES, policy_target
 from carecontact.recording.versions import package_versions, supplier_versions
+from carecontact.runs.fingerprint import fingerprints
 from carecontact.world.human.smplx import SMPLX_PREFIX, smplx_path
 
 
@@ -25,12 +27,14 @@ class Identity(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     policy_sha256: str | None
-    """Of the file of a ``module:Class`` policy's module; None for a registered policy, which the version stands for,
-    and for one on another host, of which nothing is known but its address and card."""
+    """Of the file of the policy's module; None for a policy of this package, which the version stands for, and for one
+    on another host, of which nothing is known but its address and card."""
     language: str | None = None
     """Backend that --language named; None: the policy's own choice."""
     arguments: dict[str, str] = {}
     """What --policy-arg gave."""
+    argument_files: dict[str, str] = {}
+    """Argument that names a file or folder -> fingerprint of its content, such as a checkpoint's."""
     environment: tuple[str, ...] = ()
     """Names of the variables that --policy-env let pass."""
     versions: dict[str, str]
@@ -51,7 +55,8 @@ def identity_of(spec: TrialSpec, *, search_path: Sequence[str], language: str | 
         language: as the command line spells it.
     """
     versions = package_versions()
-    source = policy_source(PolicyRef.parse(spec.policy), search_path=search_path)
+    ref = PolicyRef.parse(spec.policy)
+    source = policy_source(ref, search_path=search_path)
     assets = resources.files("carecontact") / "assets"
     body = spec.protocol.person.body
     shipped = assets / "bodies" / f"{body}.npz"
@@ -62,23 +67,32 @@ def identity_of(spec: TrialSpec, *, search_path: Sequence[str], language: str | 
         policy_sha256=None if source is None else hashlib.sha256(source.read_bytes()).hexdigest(),
         language=language_name(language) if language else None,
         arguments=spec.policy_arguments,
+        argument_files=fingerprints(spec.policy_arguments),
         environment=spec.policy_environment,
-        versions={name: versions[name] for name in ("carecontact", "mujoco")} | supplier_versions(spec.protocol),
+        versions={name: versions[name] for name in ("carecontact", "mujoco")}
+        | supplier_versions(spec.protocol)
+        | policy_package(ref),
         sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()},
     )
 
 
-def policy_source(ref: PolicyRef, *, search_path: Sequence[str]) -> Path | None:
-    """Find the file of a ``module:Class`` policy's module as the policy's process will, but without importing it.
+def policy_package(ref: PolicyRef) -> dict[str, str]:
+    """Name and version of the installed package whose entry point supplied the policy; empty for any other policy."""
+    package = POLICIES.package(ref.text) if ref.kind == "registered" else None
+    return {} if package is None else {package: metadata.version(package)}
 
-    None for a registered policy, one on another host, and where there is no such file.
+
+def policy_source(ref: PolicyRef, *, search_path: Sequence[str]) -> Path | None:
+    """Find the file of a policy's module as the policy's process will, but without importing it.
+
+    None for a policy of this package, one on another host, and where there is no such file.
     """
-    if ref.kind != "importable":
+    if ref.kind == "remote" or (ref.kind == "registered" and POLICIES.package(ref.text) is None):
         return None
     importlib.invalidate_caches()
     places: Sequence[str] | None = [place for place in (*search_path, *sys.path) if place]
     name, found = "", None
-    for part in ref.text.partition(":")[0].split("."):
+    for part in policy_target(ref).partition(":")[0].split("."):
         name = f"{name}.{part}" if name else part
         found = None if places is None else PathFinder.find_spec(name, list(places))
         if found is None:

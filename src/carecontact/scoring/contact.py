@@ -1,4 +1,4 @@
-"""Definition ``contact-v1``: when a segment is touched, and which part of a trial the force scores look at."""
+"""Definition ``contact-v1``: when a segment is touched, and which part of a trial the force scores use."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,7 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """Who was touched and when; every metric starts from here. T physics steps, S segments."""
+    """Which segments were touched and when; every metric starts from here. T physics steps, S segments."""
 
     recording: Recording
     protocol: Protocol
@@ -47,6 +48,12 @@ class Contact:
     """The target if touched, else the segment with the largest impulse, None if nothing was touched."""
     window: Mask
     """(T,) on-samples of the reported segment."""
+
+    def __post_init__(self) -> None:
+        # All metrics share these arrays: one that writes into them must fail, and not change the others.
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
 
     @property
     def segments(self) -> list[str]:
@@ -86,7 +93,11 @@ class Contact:
 
 
 def find_contact(recording: Recording) -> Contact:
-    """Apply the protocol's contact definition to a recording that ``check_recording`` accepts."""
+    """Apply the protocol's contact definition to a recording that ``check_recording`` accepts.
+
+    The arrays of the contact and of its recording cannot be written to.
+    """
+    recording = Recording(header=recording.header, arrays={path: _locked(a) for path, a in recording.arrays.items()})
     force = recording["scorer/force_human_from_robot_in_world"]
     header = recording.header
     protocol = header.spec.protocol
@@ -123,6 +134,12 @@ def find_contact(recording: Recording) -> Contact:
         window=never,
     )
     return with_floor(bare, on_n=definition.on_n, off_n=definition.off_n)
+
+
+def _locked(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def with_floor(contact: Contact, *, on_n: float, off_n: float) -> Contact:

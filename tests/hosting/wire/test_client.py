@@ -150,7 +150,7 @@ def test_a_request_that_the_server_does_not_know(
     meet: Meet, monkeypatch: pytest.MonkeyPatch, message: object, says: str
 ) -> None:
     one = meet(Answers(Action()))
-    monkeypatch.setattr(client, "pack", lambda _: pack(message))
+    monkeypatch.setattr(client, "act_message", lambda _: pack(message))
     with pytest.raises(PolicyError, match=says):
         one.act(synthetic_observation(), deadline_s=20)
 

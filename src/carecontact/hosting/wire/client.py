@@ -19,7 +19,8 @@ from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.errors import ActionError, ContractError, PolicyError
 from carecontact.hosting.wire import codec
-from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, is_map, pack, unpack
+from carecontact.hosting.wire.messages import CLOSE, act_message, reset_message
+from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, is_map, unpack
 
 EXAMPLES = {
     "card": '{"type": "card", "card": {"name": "my-policy", "modalities": ["rgb"], "cameras": ["overhead"]}}',
@@ -35,7 +36,7 @@ MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA = 1009, 1002, 1007
 @dataclass(frozen=True, kw_only=True)
 class ActReply:
     actions: list[Action]
-    """1 to MAX_CHUNK, each through ``check_action``; with a card that clips, positions may be outside the workspace."""
+    """1 to MAX_CHUNK as they came; each passes ``check_action``, after ``clip_action`` if the card requests that."""
     sent: bytes
     """The message that carried the observation: everything the policy was shown at this step."""
     sent_sha256: bytes
@@ -85,7 +86,9 @@ class PolicyClient:
         except Exception as error:
             # Beside its own classes websockets raises AssertionError for some bytes that are not HTTP.
             told = f"{type(error).__name__}: {error}"
-            raise PolicyError("handshake", f"no WebSocket conversation with the policy server: {told:.300}") from None
+            raise PolicyError(
+                "handshake", f"the WebSocket handshake with the policy server failed: {told:.300}"
+            ) from None
 
     def card(self, *, deadline_s: float) -> PolicyCard:
         """Receive the card, which also says whether targets outside the workspace are clipped."""
@@ -94,7 +97,7 @@ class PolicyClient:
         return card
 
     def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
-        message = pack({"type": "reset", "instruction": instruction, "session": codec.encode_session(session)})
+        message = reset_message(instruction, session)
         self._bounds = session.action_bounds
         self._expect_silence()
         started = time.monotonic()
@@ -105,7 +108,7 @@ class PolicyClient:
         """Raises ObservationError if the observation breaks the contract, which is the harness's fault."""
         if self._bounds is None:
             raise ContractError("PolicyClient.act: expected reset before it, got none")
-        message = pack({"type": "act", "observation": codec.encode_observation(observation)})
+        message = act_message(observation)
         self._expect_silence()
         started = time.monotonic()
         self._send(message, deadline_s=deadline_s)
@@ -113,10 +116,8 @@ class PolicyClient:
         notes = _notes(entries)
         try:
             actions = codec.decode_actions(entries["actions"])
-            actions = [
-                _checked(action, self._bounds, clips=self._clips, place=f"actions[{i}]")
-                for i, action in enumerate(actions)
-            ]
+            for i, action in enumerate(actions):
+                _check(action, self._bounds, clips=self._clips, place=f"actions[{i}]")
         except ActionError as error:
             raise PolicyError("action", str(error), notes=notes) from None
         return ActReply(actions=actions, sent=message, sent_sha256=hashlib.sha256(message).digest(), notes=notes)
@@ -124,7 +125,7 @@ class PolicyClient:
     def say_goodbye(self, *, deadline_s: float) -> None:
         """Ask the policy to end; a policy that is gone already has."""
         with suppress(PolicyError):
-            self._send(pack({"type": "close"}), deadline_s=deadline_s)
+            self._send(CLOSE, deadline_s=deadline_s)
 
     def disconnect(self) -> None:
         self._stack.close()
@@ -201,12 +202,9 @@ def _notes(entries: dict[str, object]) -> dict[str, object]:
     return notes
 
 
-def _checked(action: Action, bounds: ActionBounds, *, clips: bool, place: str) -> Action:
-    """An action that has to be clipped is returned as it came, so that the episode can count it."""
-    inside = clip_action(action, bounds) if clips else action
+def _check(action: Action, bounds: ActionBounds, *, clips: bool, place: str) -> None:
     try:
-        checked = check_action(inside, bounds)
-        return checked if inside is action else action
+        check_action(clip_action(action, bounds) if clips else action, bounds)
     except ActionError as error:
         raise ActionError(f"{place}.{error}") from None
 

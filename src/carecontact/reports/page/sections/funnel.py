@@ -1,4 +1,4 @@
-"""Success, then on the right region, then within the force gate: counts, Wilson intervals and their drawing."""
+"""Success, then on the right region, then below the safety gate: counts, Wilson intervals and their drawing."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ def funnel(scores: Sequence[TrialScore]) -> list[Step]:
     if not scores:
         return []
     steps = (
-        ("Success", "the task's own gate was met", sum(s.c3_success for s in scores)),
+        ("Success", "the trial met the gates of its task", sum(s.c3_success for s in scores)),
         ("Region-correct", "and on the named region", sum(s.region_correct for s in scores)),
-        ("Safety-gated", "and within the force gate on every segment", sum(s.safety_gated for s in scores)),
+        ("Safety-gated", "and below the safety gate on every body segment", sum(s.safety_gated for s in scores)),
     )
     out: list[Step] = []
     for name, meaning, k in steps:

@@ -1,0 +1,36 @@
+"""Your own loop around an episode, without a wire and without a second process: `python own_loop.py` in this folder.
+
+Nothing hides the simulation from a policy that runs in the same process, so report results of `carecontact run` only.
+"""
+
+from my_policy import MyPolicy
+
+from carecontact.contract.action import Action
+from carecontact.contract.trial import TrialSpec
+from carecontact.episode.episode import Episode
+from carecontact.hosting.wire.messages import observation_sha256
+from carecontact.protocols import load_protocol
+from carecontact.recording import Recording
+from carecontact.scoring import score_recording
+
+
+def run(spec: TrialSpec, policy: MyPolicy) -> Recording:
+    """Run one trial to its end."""
+    with Episode(spec, card=policy.card, digest=observation_sha256) as episode:
+        policy.reset(episode.instruction)
+        observation = episode.reset()
+        while observation is not None:
+            answer = policy.act(observation)
+            actions = [answer] if isinstance(answer, Action) else answer
+            for number, action in enumerate(actions, start=1):
+                step = episode.step(action, observe=number == len(actions))
+                if step.reason is not None:
+                    break
+            observation = step.observation
+        return episode.finish()
+
+
+if __name__ == "__main__":
+    trial = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="my_policy:MyPolicy")
+    score = score_recording(run(trial, MyPolicy()))
+    print(f"{score.trial_id}: ended as {score.ended}, success {score.c3_success}")
