@@ -28,10 +28,10 @@ FILES = {
     "faulty_action": ("from carecontact.behaviours import Behaviour\nclass Tap(Behaviour): pass\nTAP = Tap\n"),
 }
 POINTS = {
-    "behaviours": {"tap": "faulty_action:TAP", "knock": "faulty_syntax:KNOCK"},
-    "regions": {"shin": "faulty_region:SHIN", "right_hand": "faulty_hand:HAND", "nose": "faulty_import:NOSE"},
-    "metrics": {"taps@1": "faulty_action:taps"},
-    "policies": {"tapper": "faulty_import:TAPPER"},
+    "behaviours": {"poor_tap": "faulty_action:TAP", "poor_knock": "faulty_syntax:KNOCK"},
+    "regions": {"poor_shin": "faulty_region:SHIN", "poor_hand": "faulty_hand:HAND", "poor_nose": "faulty_import:NOSE"},
+    "metrics": {"poor@1": "faulty_action:taps"},
+    "policies": {"poor": "faulty_import:TAPPER"},
 }
 PACKAGE = "of package faulty 0.3"
 
@@ -56,14 +56,14 @@ def test_lists_that_do_not_use_it_are_as_without_it(what: str, capsys: pytest.Ca
 @pytest.mark.parametrize(
     ("what", "shipped", "lines"),
     [
-        ("actions", "touch", ["'tap' {} (faulty_action:TAP)", "'knock' {} (faulty_syntax:KNOCK) cannot be loaded: Sy"]),
+        ("actions", "touch", ["'poor_tap' {} (faulty_action:TAP)", "'poor_knock' {} (faulty_syntax:KNOCK) cannot be"]),
         (
             "regions",
             "forearm",
-            ["'right_hand' {} (faulty_hand:HAND) is a str; expected a Region", "'nose' {} "],
+            ["'poor_hand' {} (faulty_hand:HAND) is a str; expected a Region", "'poor_nose' {} "],
         ),
-        ("metrics", "C1@1", ["'taps@1' {} (faulty_action:taps) cannot be loaded: "]),
-        ("policies", "hover", ["'tapper' {} (faulty_import:TAPPER) cannot be loaded: ModuleNotFoundError: No module"]),
+        ("metrics", "C1@1", ["'poor@1' {} (faulty_action:taps) cannot be loaded: "]),
+        ("policies", "hover", ["'poor' {} (faulty_import:TAPPER) cannot be loaded: ModuleNotFoundError: No module"]),
     ],
 )
 def test_a_list_gives_the_fault_in_the_row_of_its_name(
@@ -83,9 +83,9 @@ def test_policies_that_follow_words_do_without_its_regions() -> None:
 def test_a_protocol_that_names_it_is_refused_in_one_line(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     task = "[[tasks]]\nid = 'T1'\nname = 'x'\naction = 'touch'\nregion = '{}'\nprompt = 'x'\n"
-    file.write_text("base = 'bathing-v1'\nid = 'mine'\ndescription = 'x'\n" + task.format("shin"))
+    file.write_text("base = 'bathing-v1'\nid = 'mine'\ndescription = 'x'\n" + task.format("poor_shin"))
     with pytest.raises(
-        ConfigError, match=rf"^region 'shin' {PACKAGE} \(faulty_region:SHIN\) cannot be loaded: [^\n]*$"
+        ConfigError, match=rf"^region 'poor_shin' {PACKAGE} \(faulty_region:SHIN\) cannot be loaded: [^\n]*$"
     ):
         load_protocol(str(file))
 
@@ -94,7 +94,7 @@ def test_scores_name_it_and_not_the_data(tmp_path: Path) -> None:
     """Every score holds every metric."""
     write_recording(touch(), tmp_path / "T1-s000.h5")
     assert read_recording(tmp_path / "T1-s000.h5").header.spec.task_id == "T1"
-    with pytest.raises(ConfigError, match=rf"^metric 'taps@1' {PACKAGE} .* cannot be loaded: "):
+    with pytest.raises(ConfigError, match=rf"^metric 'poor@1' {PACKAGE} .* cannot be loaded: "):
         score_run(tmp_path)
 
 

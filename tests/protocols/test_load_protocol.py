@@ -68,7 +68,7 @@ def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
         (with_field("dt_s", '"fast"'), r"  physics\.dt_s: .*valid number.*\(got fast\)"),
         (with_field("dt_s", "-0.002"), r"  physics\.dt_s: .*greater than 0.*\(got -0\.002\)"),
         (with_field("force_n", "nan"), r"  gates\.push\.force_n: "),
-        (with_field("action", '"hit"'), r"  tasks\.0\.action: .*'hit'.*push, scrub, touch.*\(got hit\)"),
+        (with_field("action", '"hit"'), r"  tasks\.0\.action: .*'hit'.*push, scrub.*touch.*\(got hit\)"),
         (without_field("wrist_displacement_m"), r"  gates\.push\.wrist_displacement_m: Field required$"),
         (with_field("gamma", "35"), r"  limits\.gamma: .*less than or equal to 1 .*\(got 35\)"),
         (TEXT + "\nhello = 1\n", r".*limits\.f_pain_n: no segment 'hello'; valid: pelvis, .*, forearm, "),
