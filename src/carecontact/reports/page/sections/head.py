@@ -67,12 +67,18 @@ def _verdict(scores: Sequence[TrialScore]) -> str:
     )
     policy = counted[0].policy_title[:80]
     gates = "on the named region and within the force gate"
+    crashed = sum(s.is_crash for s in counted)
+    if crashed == n:
+        return (
+            f"{policy} crashed in {'its only trial' if n == 1 else f'all {n} trials'}; nothing else can be said of it."
+        )
+    also = f"; it crashed in {crashed}" if crashed else ""
     if not success:
         what = "did not complete its only trial" if n == 1 else f"completed none of {n} trials"
-        return f"{policy} {what}; it touched the person in {sum(s.valid_contact for s in counted)} of {n}."
+        return f"{policy} {what}; it touched the person in {sum(s.valid_contact for s in counted)} of {n}{also}."
     if gated == n:
         return f"{policy} completed {'its only trial' if n == 1 else f'all {n} trials'} {gates}."
     lost = [f"{success - correct} lay off the named region"] * (success > correct)
     lost += [f"{correct - gated} pressed too hard"] * (correct > gated)
     tail = f"; of its {success} success{'es' * (success > 1)}, {' and '.join(lost)}" if lost else ""
-    return f"{policy} completed {gated or 'none'} of {n} {'trial' if n == 1 else 'trials'} {gates}{tail}."
+    return f"{policy} completed {gated or 'none'} of {n} {'trial' if n == 1 else 'trials'} {gates}{tail}{also}."
