@@ -91,7 +91,7 @@ def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -
     assert "a is given twice; name different runs" in refused("a", f"../{runs.name}/a")
     assert "expected two or more runs, or one run and --baseline RUN..., got 1" in refused("a")
     assert "--per-task needs exactly two runs, got 1" in refused("a", "--null", "b", "--per-task")
-    assert "--baseline: a is the method or is named twice" in refused("a", "--null", "copy")
+    assert "--baseline: a is also the policy of the compared run" in refused("a", "--null", "copy")
     Path("empty").mkdir()
     assert "empty: holds neither recordings (*.h5) nor results.json" in refused("a", "empty")
     assert "--out a/T1-s000.h5: this is a file" in refused("a", "b", "--out", "a/T1-s000.h5")
@@ -105,7 +105,7 @@ def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -
     assert "schema: Input should be 'carecontact-results-1'" in refused("a", "wrong.json")
     Path("other").mkdir()
     write_scores("other", RunScores(scores=[make_score("T1", 0, protocol_sha256="1" * 64)]))
-    assert "only runs of one protocol" in refused("a", "other")
+    assert "only runs of the same protocol" in refused("a", "other")
 
 
 def test_scores_that_no_trial_has_are_na(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ from carecontact.cli import main
 from carecontact.recording import Recording, write_recording
 from tests.scoring.synthetic import touch
 
-CHANGED = "not what was frozen as bathing-v1 (sha256 "
+CHANGED = "not the frozen bathing-v1 (sha256 "
 
 
 def eased(recording: Recording) -> Recording:
@@ -31,7 +31,7 @@ def test_score_report_and_compare_name_eased_rules(
         assert main(["score", name]) == 0
         assert (f"protocol: bathing-v1, {CHANGED}" in capsys.readouterr().out) == (name != "good")
         assert main(["report", name]) == 0
-        assert ("bathing-v1 (not what was frozen)" in (Path(name) / "report.html").read_text()) == (name != "good")
+        assert ("bathing-v1 (not the frozen protocol)" in (Path(name) / "report.html").read_text()) == (name != "good")
     capsys.readouterr()
     assert main(["compare", "a", "b"]) == 0
     assert f"protocol: {CHANGED}" in capsys.readouterr().out

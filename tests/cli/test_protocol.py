@@ -93,7 +93,7 @@ def test_lock_verify_and_drift(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "protocol sha256: locked" in capsys.readouterr().out
     run = ["run", "--policy", "zero-action", "--protocol", str(path), "--out", str(tmp_path / "run")]
     assert main(run) == 2
-    assert "mine-v1 drifted from its lock" in capsys.readouterr().err
+    assert "mine-v1 differs from its lock" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
 

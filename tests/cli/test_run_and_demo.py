@@ -143,7 +143,7 @@ def test_a_missing_recording_is_told_and_a_folder_for_results_is_one_line(
     assert main(["score", "r", "--allow-missing"]) == 0
     assert json.loads(Path("r/results.json").read_text())["missing"] == ["T1-s001"]
     assert main(["report", "r"]) == 0
-    assert "Unfinished, 1 of 2 planned trials are missing." in Path("r/report.html").read_text()
+    assert "Unfinished, 1 of 2 planned trials have no score." in Path("r/report.html").read_text()
     Path("r/results.json").unlink()
     Path("r/results.json").mkdir()
     assert main(["score", "r"]) == 2
@@ -165,7 +165,7 @@ def test_an_edited_protocol_is_not_shown_as_the_shipped_one(
     assert "Give p.toml an id of its own" in told
     assert not Path("b").exists()
     main([*command, "b", "--unfrozen"])
-    assert "1 trial(s) of bathing-v1 with drift from its lock (protocol sha256" in capsys.readouterr().out
+    assert "1 trial(s) of bathing-v1 with differences from its lock (protocol sha256" in capsys.readouterr().out
     Path("p.toml").write_text(
         shipped.replace('"bathing-v1"', '"mine"').replace('body = "man-adult"', 'body = "nobody"')
     )
@@ -293,7 +293,7 @@ def test_a_sweeps_run_says_what_it_varies(
     assert "bathing-v1 with" in capsys.readouterr().err
     assert main([*command[:-1], "own"]) == 0
     assert main(["compare", "r", "own"]) == 2
-    assert "only runs of one protocol, same overrides" in capsys.readouterr().err
+    assert "only runs of the same protocol" in capsys.readouterr().err
 
 
 def test_a_stiffness_that_the_protocol_does_not_allow_is_one_line(

@@ -69,7 +69,7 @@ def test_a_server_that_is_not_there_is_told_before_anything_runs(
         (["ws://host:80"], "ws://host:80: a ws:// policy is served already"),
         (["hover", "--port", "70000"], "--port 70000: expected 0 to 65535"),
         (["hover", "--at-once", "0"], "--at-once 0: must be at least 1"),
-        (["hover", "--host", "192.0.2.1"], "cannot listen at 192.0.2.1 port 8765: "),
+        (["hover", "--host", "192.0.2.1"], "cannot listen on 192.0.2.1, port 8765: "),
         (["hover", "--language", "rules-v1"], "policy hover has no language backend"),
         (["hover", "--policy-arg", "steps=3"], "policy 'hover' failed at start: it has no argument 'steps'"),
         (["not_there:P"], "--policy not_there:P does not start"),

@@ -37,7 +37,7 @@ def test_an_address_shows_no_credentials(text: str, shown: str, place: tuple[str
         ("ws://host:0", "expected ws://HOST:PORT"),
         ("ws://host:99999", "Port out of range"),
         ("ws://user:secret@host:80/path", "policy 'ws://host:80/path': expected"),
-        ("wss://user:secret@host:80", "policy 'wss://host:80': expected ws://HOST:PORT.*; for an encrypted line"),
+        ("wss://user:secret@host:80", "policy 'wss://host:80': expected ws://HOST:PORT.*; for an encrypted connection"),
         ("http://host:80", "expected ws://HOST:PORT"),
         ("ws://secret@host:80", "expected USER:PASSWORD before the @"),
     ],

@@ -130,7 +130,7 @@ def test_a_failing_act(launch: Launch, act: str, kind: str, says: str) -> None:
     assert error.kind == kind
     assert error.args[0].startswith("policy 'under_test:P' failed at act: ")
     assert re.search(says, str(error)), str(error)
-    with pytest.raises(RuntimeError, match="nothing comes after a failure"):
+    with pytest.raises(RuntimeError, match=r"nothing after a failure or close\(\)"):
         process.act(synthetic_observation())
 
 
@@ -143,7 +143,7 @@ def test_a_failing_act(launch: Launch, act: str, kind: str, says: str) -> None:
         ("class Q(Base): pass", "start", "start", "has no 'P'; it has Base, Q"),
         ("class P:\n    card = Base.card", "start", "start", "no method reset or act"),
         ("def broken(:", "start", "start", "SyntaxError"),
-        ("os._exit(0)", "start", "start", r"ended before it listened \(exit code 0\)"),
+        ("os._exit(0)", "start", "start", r"ended before it was ready \(exit code 0\)"),
         ("class P(Base):\n    card = None", "start", "handshake", "expected a PolicyCard, got NoneType"),
         (
             "class P(Base):\n    def reset(self, instruction): raise KeyError(instruction)",

@@ -79,7 +79,7 @@ def test_two_trials_at_once_have_a_policy_each(server: tuple[int, subprocess.Pop
             policy.reset("touch", SESSION)
         stiffness = [policy.act(synthetic_observation()).actions[0].stiffness for policy in (one, one, other)]
     assert stiffness == [(101.0, 20.0), (102.0, 20.0), (101.0, 20.0)]
-    with pytest.raises(RuntimeError, match="nothing comes after a failure or close"):
+    with pytest.raises(RuntimeError, match="nothing after a failure or close"):
         one.act(synthetic_observation())
 
 
@@ -154,7 +154,7 @@ def listening(answer: bytes) -> Iterator[int]:
     ("answer", "kind", "says"),
     [
         (b"", "timeout", "no answer to the WebSocket handshake within"),
-        (b"SSH-2.0-OpenSSH_9\r\n", "handshake", "no WebSocket conversation with the policy server"),
+        (b"SSH-2.0-OpenSSH_9\r\n", "handshake", "the WebSocket handshake with the policy server failed"),
         (b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n", "handshake", "HTTP 404"),
     ],
 )

@@ -37,5 +37,5 @@ def test_a_wall_raised_too_late_says_so(monkeypatch: pytest.MonkeyPatch) -> None
     import sys
 
     monkeypatch.setitem(sys.modules, "carecontact.scoring", sys)
-    with pytest.raises(RuntimeError, match="loaded before the wall stood"):
+    with pytest.raises(RuntimeError, match="loaded before the import restrictions"):
         raise_wall()

@@ -120,7 +120,7 @@ def test_the_more_exact_path_counts_in_any_order() -> None:
         ({"physics.dt_s": "nan"}, r"physics\.dt_s: .*finite"),
         ({"physics.dt_s": "0.003"}, r"physics\.target_period_s: expected a whole number of dt_s"),
         ({"tasks.T1.action": "hit"}, r"tasks\.0\.action: .*'hit'.*push, scrub, touch"),
-        ({"vision.segmenter": "grounded-sam"}, r"vision\.weights_sha256: expected one"),
+        ({"vision.segmenter": "grounded-sam"}, r"vision\.weights_sha256: expected the sha256"),
     ],
 )
 def test_a_wrong_path_or_value_names_what_is_valid(changes: dict[str, str], message: str) -> None:

@@ -171,7 +171,7 @@ def test_foreign_files(tmp_path: Path) -> None:
             read_recording(path)
     with h5py.File(path, "w") as file:
         file["x"] = [1.0]
-    with pytest.raises(RecordingError, match="no carecontact recording"):
+    with pytest.raises(RecordingError, match="not a carecontact recording"):
         read_recording(path)
 
 

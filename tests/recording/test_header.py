@@ -120,7 +120,7 @@ def test_an_absent_and_a_foreign_file(tmp_path: Path) -> None:
         read_header(path)
     with h5py.File(path, "w") as content:
         content["x"] = [1.0]
-    with pytest.raises(RecordingError, match="no carecontact recording"):
+    with pytest.raises(RecordingError, match="not a carecontact recording"):
         read_header(path)
 
 

@@ -137,7 +137,7 @@ def test_another_recording_under_the_same_name_is_refused(folder: Path, new_metr
     path = folder / "results.json"
     before = path.read_bytes()
     write_recording(push(force=9.0), folder / "T2-s000.h5")
-    with pytest.raises(ConfigError, match=r"T2-s000\.h5: is not the recording that was scored"):
+    with pytest.raises(ConfigError, match=r"T2-s000\.h5: differs from the recording that was scored"):
         append_metrics(folder)
     (folder / "T2-s000.h5").write_bytes(b"damaged")
     with pytest.raises(RecordingError, match=r"T2-s000\.h5"):
@@ -151,7 +151,7 @@ def test_another_recording_under_the_same_name_is_refused(folder: Path, new_metr
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (None, "no result to append to"),
+        (None, "nothing to append to"),
         ("{", "cannot be read"),
         ("[1]", "schema None"),
         ('{"schema": "carecontact-results-0"}', "schema 'carecontact-results-0'"),

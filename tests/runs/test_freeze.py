@@ -80,11 +80,11 @@ def test_what_is_locked_runs_and_what_drifted_is_refused_or_says_so(locked: tupl
     gates = protocol.gates.model_copy(update={"region_share": 0.7})
     drifted = protocol.model_copy(update={"gates": gates})
     with pytest.raises(
-        ConfigError, match=r"mine-v1 drifted .*protocol sha256.*gates.region_share: locked 0.8, here 0.7.*--unfrozen"
+        ConfigError, match=r"mine-v1 differs .*protocol sha256.*gates.region_share: locked 0.8, here 0.7.*--unfrozen"
     ):
         check_frozen(path, drifted, unfrozen=False)
     accepted = check_frozen(path, drifted, unfrozen=True)
-    assert "drift from its lock (protocol sha256" in accepted.title
+    assert "differences from its lock (protocol sha256" in accepted.title
     assert accepted.sha256 != drifted.sha256
 
 
@@ -131,7 +131,7 @@ def test_a_shipped_protocol_does_not_run_where_something_else_is_installed(
 ) -> None:
     here = make_lock(shipped, worlds=False)
     monkeypatch.setattr(freeze, "make_lock", lambda protocol, worlds: here.model_copy(update=change(here)))
-    with pytest.raises(ConfigError, match=f"{shipped.id} drifted from its lock .*{re.escape(told)}.*--unfrozen"):
+    with pytest.raises(ConfigError, match=f"{shipped.id} differs from its lock .*{re.escape(told)}.*--unfrozen"):
         check_frozen(shipped.id, shipped, unfrozen=False)
     assert check_frozen(shipped.id, shipped, unfrozen=True).overrides.keys() == {"lock"}
 

@@ -57,7 +57,7 @@ def test_a_recording_whose_ending_is_in_capitals_is_named(folder: Path) -> None:
     run = score_run(folder)
     assert [s.trial_id for s in run.scores] == ["T1-s000", "T2-s000", "T3-s000"]
     assert list(run.skipped) == ["T1-s001.H5"]
-    assert run.skipped["T1-s001.H5"].endswith("T1-s001.H5: not looked into: a recording's name ends in .h5")
+    assert run.skipped["T1-s001.H5"].endswith("T1-s001.H5: ignored, because the name of a recording must end in .h5")
 
 
 def test_results(folder: Path) -> None:
@@ -110,7 +110,7 @@ def test_results_that_count_twice_or_mix_are_refused(folder: Path) -> None:
     path = write_scores(folder, score_run(folder))
     data = json.loads(path.read_text())
     path.write_text(json.dumps(data | {"trials": [*data["trials"], data["trials"][0]]}))
-    with pytest.raises(ConfigError, match="T1-s000 is in it twice"):
+    with pytest.raises(ConfigError, match="it holds T1-s000 twice"):
         read_results(path)
     path.write_text(json.dumps(data | {"trials": [*data["trials"][1:], data["trials"][0] | {"policy": "other"}]}))
     with pytest.raises(ConfigError, match="2 policies"):
@@ -202,7 +202,7 @@ def test_worlds_are_not_pooled(tmp_path: Path, changes: dict[str, Any], told: st
     write_recording(as_trial(touch(), seed=1, sha256=HASHES), tmp_path / "T1-s001.h5")
     assert len(score_run(tmp_path).scores) == 2
     write_recording(as_trial(touch(), seed=1, **{"sha256": HASHES, **changes}), tmp_path / "T1-s001.h5")
-    with pytest.raises(ConfigError, match=f"T1-s000.h5 and T1-s001.h5 are of different worlds .*: {told}"):
+    with pytest.raises(ConfigError, match=f"T1-s000.h5 and T1-s001.h5 were simulated in different worlds .*: {told}"):
         score_run(tmp_path)
 
 
@@ -214,7 +214,7 @@ def test_models_are_compared_region_by_region(tmp_path: Path) -> None:
     assert len(score_run(tmp_path).scores) == 2
     write_recording(as_trial(scrub(), task_id="T3", seed=1, sha256=other), tmp_path / "T3-s001.h5")
     with pytest.raises(
-        ConfigError, match=r"T1-s000.h5 and T3-s001.h5 are of different worlds .*: model 0{12} and f{12}"
+        ConfigError, match=r"T1-s000.h5 and T3-s001.h5 were simulated in different worlds .*: model 0{12} and f{12}"
     ):
         score_run(tmp_path)
 

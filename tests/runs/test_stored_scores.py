@@ -74,10 +74,10 @@ def misname(folder: Path) -> None:
     [
         (add, "T2-s000.h5 was added"),
         (change, "T1-s000.h5 was changed"),
-        (remove, "T1-s001.h5 is gone"),
+        (remove, "T1-s001.h5 is missing"),
         (cut, "T1-s000.h5 cannot be read"),
         (fix, "T4-s000.h5 was skipped and can be scored now"),
-        (drop, "T4-s000.h5 is gone"),
+        (drop, "T4-s000.h5 is missing"),
         (misname, "T1-s002.H5 was added"),
     ],
 )

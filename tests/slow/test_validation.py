@@ -54,7 +54,7 @@ def test_one_region_softer_than_declared_fails_the_energy_check() -> None:
     """The upper arm has no reference of its own in `paper-mapping`."""
     result = validate(load_protocol(), make_scene=soft_upper_arm, checks=["energy"]).results[0]
     assert {m.name for m in result.missed} == {
-        f"upper_arm loop at {speed} mm/s: peak force off that of the declared law" for speed in (5, 20)
+        f"upper_arm loop at {speed} mm/s: deviation of the peak force from the declared law" for speed in (5, 20)
     }
 
 

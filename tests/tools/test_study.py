@@ -255,7 +255,7 @@ def test_what_does_not_belong_is_named_and_left_out() -> None:
                 "a": run("state-machine"),
                 "b": run("voxposer", lambda t, s: {"world": {"mujoco": "9.9"}}, changes={STIFFNESS: "200"}),
             },
-            "a and b are of different worlds: mujoco",
+            "a and b were simulated in different worlds: mujoco",
         ),
     ],
 )

@@ -151,12 +151,14 @@ def test_other_arguments_or_variables_need_another_folder(bench: Bench) -> None:
     assert (identity["arguments"], identity["environment"]) == ({"steps": "3"}, ["TOKEN"])
     spec = bench.recording("T1-s000").header.spec
     assert (spec.policy_arguments, spec.policy_environment) == ({"steps": "3"}, ("TOKEN",))
-    with pytest.raises(ConfigError, match=r"was started with policy arguments steps=3 .*, wanted .* steps=4"):
+    with pytest.raises(ConfigError, match=r"was started with policy arguments steps=3 .*, this command has .* steps=4"):
         run("4", "TOKEN")
-    with pytest.raises(ConfigError, match=r"variables TOKEN, wanted policy arguments steps=3: use another --out"):
+    with pytest.raises(
+        ConfigError, match=r"variables TOKEN, this command has policy arguments steps=3: use another --out"
+    ):
         run("3")
     (bench.out / "manifest.json").unlink()
-    with pytest.raises(ConfigError, match=r"T1-s000.h5 was recorded with policy arguments steps=3 .*, wanted"):
+    with pytest.raises(ConfigError, match=r"T1-s000.h5 was recorded with .* steps=3 .*, this command has"):
         run("4", "TOKEN")
     assert bench.ran() == []
 
@@ -179,7 +181,7 @@ def test_leftovers_of_a_killed_supervisor_go_and_a_living_one_is_not_disturbed(b
     left.mkdir()
     with (left / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(ConfigError, match="another command is running trials"):
+        with pytest.raises(ConfigError, match="another command is writing trials"):
             bench.run(specs(2))
     assert left.exists()
     assert not (bench.out / "T1-s001.h5").exists()
@@ -218,7 +220,7 @@ def test_a_policy_whose_trial_dies_with_it_twice_has_failed(bench: Bench) -> Non
         failure = recording.header.failure
         assert failure is not None
         assert failure.kind == "killed"
-        assert re.search(f"{told} while the policy was running, twice", failure.message)
+        assert re.search(f"{told} while the policy was running, in both attempts", failure.message)
         score = score_recording(recording)
         assert (score.is_judged, score.failure_mode, score.attribution) == (True, "process_failure", "process")
 

@@ -46,5 +46,7 @@ def test_a_lasting_step_is_no_dropout() -> None:
 
 def test_skin_more_slippery_than_declared_is_found(subject: Subject) -> None:
     result = smoothness.run(ActsInContactOnly(subject, slippery), quick=True)
-    assert [m.name for m in result.missed] == ["scrubbing at 5 N: sliding friction off the declared one"]
+    assert [m.name for m in result.missed] == [
+        "scrubbing at 5 N: deviation of the sliding friction from the declared one"
+    ]
     assert result.missed[0].value == pytest.approx(10.0, abs=1.0)

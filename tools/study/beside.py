@@ -49,4 +49,4 @@ def _agreement(line: Line, in_paper: float) -> Agreement:
     assert line.verdict is not None
     if line.verdict.word in ("A higher", "B higher"):
         return "as in the paper" if (in_paper > 0) == (line.verdict.word == "A higher") else "against the paper"
-    return "not seen here" if line.verdict.word == "no difference seen" else "open"
+    return "not seen here" if line.verdict.word == "no difference detected" else "open"

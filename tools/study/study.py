@@ -105,7 +105,7 @@ def _one_world(runs: Mapping[str, RunScores]) -> dict[str, str]:
                 other, there = first.setdefault(what, (name, value))
                 if there != value:
                     raise ConfigError(
-                        f"{other} and {name} are of different worlds: {what} {there[:12]} and {value[:12]}; run both "
-                        "with one release and one robot"
+                        f"{other} and {name} were simulated in different worlds: {what} {there[:12]} and {value[:12]}; "
+                        "run both with the same release and robot"
                     )
     return {what: value for what, (_, value) in sorted(first.items())}

@@ -28,6 +28,7 @@ class UsageError(ConfigError):
 
 COMMANDS = {
     "run": "run:Run",
+    "check": "check:Check",
     "serve": "serve:Serve",
     "demo": "demo:Demo",
     "score": "score:Score",

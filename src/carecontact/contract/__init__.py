@@ -1,1 +1,1 @@
-"""Pure data that every layer shares: what a policy sees, what it answers, what a trial is."""
+"""Data classes that every layer shares: observation, action, policy card, trial and protocol."""

@@ -1,4 +1,4 @@
-"""The robot that every trial has: the one home of its names, limits and tool."""
+"""The robot of every trial: the single definition of its names, limits and tool."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ class Embodiment:
     """Constants of a robot, as the compiled model, the policies and the recordings know them."""
 
     id: str
-    """Stands in every recording and in every protocol's lock."""
+    """Its name in every recording and in the lock of every protocol."""
     joints: tuple[str, ...]
     """Names in the compiled model, from the base to the tool."""
     joint_low_rad: tuple[float, ...]
@@ -49,5 +49,5 @@ PANDA = Embodiment(
     parked_joint_rad=(0.5324, -0.3907, 0.3589, -1.8387, 0.1348, 1.4716, 1.1415),
 )
 """Franka Emika Panda; joint limits as in the franka description package, from which the arm's meshes come too. The
-hand is closed for good: a cap covers the fingertips. The cap is an ellipsoid, because an ellipsoid makes one contact
+hand is permanently closed: a cap covers the fingertips. The cap is an ellipsoid, because an ellipsoid makes one contact
 with each triangle of a shell; a capsule made up to five, some of them millimetres too deep."""

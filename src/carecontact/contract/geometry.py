@@ -1,4 +1,4 @@
-"""Rotations used at the border, wxyz throughout."""
+"""Rotations and projections at the interface between policy and benchmark; quaternions are wxyz."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class PolicyCard:
     name: str
     action_space: str = "cartesian_pose"
     modalities: tuple[str, ...] = ()
-    """Of MODALITIES, for every camera named, at every ``act`` call."""
+    """Names from MODALITIES. At every ``act`` call, the policy receives each of them for each of its cameras."""
     cameras: tuple[str, ...] = ("overhead",)
     control_hz: float = 10.0
     """Rate at which the actions of a chunk are executed: 1-50 Hz."""
@@ -36,7 +36,7 @@ class PolicyCard:
     """What a target position outside the workspace does: ``error`` ends the trial as a failure of the policy's process;
     ``clip`` moves the position onto the border of the workspace, and every score counts how often."""
     arguments: Mapping[str, str] = field(default_factory=dict[str, str], hash=False)
-    """What --policy-arg gave: name -> text. The policy's process adds it, so a policy need not fill it in."""
+    """Arguments of --policy-arg: name -> text. The benchmark fills this field in; a policy leaves it empty."""
     environment: tuple[str, ...] = ()
     """Names of the caller's variables that --policy-env let pass; never their values. Added like ``arguments``."""
 
@@ -117,18 +117,20 @@ class Session:
     joint_high_rad: tuple[float, ...]
     """(7,)"""
     camera_sizes_px: dict[str, tuple[int, int]]
-    """Camera -> (width, height); every camera of the scene, asked for or not."""
+    """Camera -> (width, height) [px], for every camera of the scene, whether the card requests it or not."""
     time_limit_s: float
 
 
 @runtime_checkable
 class Policy(Protocol):
-    """Runs in a process of its own. Nothing about the trial but the instruction ever reaches it.
+    """The interface of a policy; the benchmark runs it in a process of its own.
 
-    Optional methods: ``configure(session: Session) -> None`` is given the session before every ``reset``, for example
-    to plan inside the workspace bounds. ``take_notes() -> dict[str, object]`` is asked after every ``act`` and once
-    when the policy fails: plain values and numeric arrays that go into the recording for people to look at, and into
-    no score. Notes that depend on the clock make a recording that no other equals.
+    Apart from its observations and the session, a policy learns nothing about the trial but the instruction.
+
+    Optional methods: ``configure(session: Session) -> None`` receives the session before every ``reset``, for example
+    to plan inside the workspace bounds. ``take_notes() -> dict[str, object]`` is called after every ``act`` and once
+    when the policy fails. It returns plain values and numeric arrays, which the recording keeps for inspection; they
+    enter no success rate and no metric. Do not note times of the clock: the recording would not be reproducible.
     """
 
     card: PolicyCard

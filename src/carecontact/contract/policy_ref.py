@@ -50,7 +50,7 @@ class PolicyRef:
         expected = f"expected {REMOTE}, for example ws://192.0.2.7:8765"
         shown = f"{scheme}://{text.rpartition('@')[2].removeprefix(f'{scheme}://')}"
         if scheme != "ws":
-            tunnel = "; for an encrypted line use a tunnel such as ssh -L" if scheme == "wss" else ""
+            tunnel = "; for an encrypted connection, use a tunnel such as ssh -L" if scheme == "wss" else ""
             raise ConfigError(f"policy {shown!r}: {expected}{tunnel}")
         try:
             parts = urlsplit(text)

@@ -23,12 +23,13 @@ class TrialSpec(BaseModel):
     policy: str
     """Text of its ``PolicyRef``: a registered name, ``module:Class`` or ``ws://HOST:PORT``."""
     policy_arguments: dict[str, str] = {}
-    """What --policy-arg gave: name -> text. A language backend that --language named stands in the policy's card."""
+    """Arguments of --policy-arg: name -> text. A language backend that --language named stands in the policy's card."""
     policy_environment: tuple[str, ...] = ()
     """Names of the variables that --policy-env let pass."""
     noise_salt: str = ""
-    """Drawn by a run whose protocol names sensor noise and never shown to the policy: noise that protocol and seed
-    alone decide would tell the seed to whoever tries the published ones against a single reading."""
+    """Drawn once per run whose protocol has sensor noise, and never shown to the policy: if protocol and seed alone
+    determined the noise, a policy could find the seed by comparing a single reading with the noise of every published
+    seed."""
 
     @model_serializer(mode="wrap")
     def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""How an episode ends, and the forces at which it is cut."""
+"""How an episode ends, and the forces at which the benchmark stops it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ForceCut:
 
 
 def cut_by_solver(warnings: list[str]) -> Ended | None:
-    """None without warnings. What a period that diverged left in the sensors is no measurement."""
+    """None without warnings. What a period that diverged left in the sensors is not a measurement."""
     if not warnings:
         return None
     failure = Failure(kind="solver", message=f"MuJoCo warning {', '.join(warnings)}")

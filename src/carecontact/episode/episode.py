@@ -51,7 +51,7 @@ class Step:
     observation: Observation | None
     """None where none was requested, and once the episode has ended."""
     terminated: bool
-    """The policy said that it is done, or the trial was cut because of a force or of diverging physics."""
+    """The policy said that it is done, or the benchmark stopped the trial because of a force or diverging physics."""
     truncated: bool
     """The time limit was reached."""
     reason: EndReason | None
@@ -166,7 +166,9 @@ class Episode:
     def reset(self) -> Observation:
         """The first observation. An episode can be reset once: the world has been consumed then."""
         if self.card is None or self._perception is not None:
-            raise ConfigError("Episode.reset: needs a card, and comes once; make a new Episode for another trial")
+            raise ConfigError(
+                "Episode.reset: set the card first, and call reset() once; make a new Episode for another trial"
+            )
         card, dt_s = self.card, self.protocol.physics.dt_s
         segmenter = person_segmenter(self.protocol, self._weights) if "masks" in card.modalities else None
         noise = sensor_noise(self.protocol, self.spec.seed, salt=self.spec.noise_salt)
@@ -206,7 +208,7 @@ class Episode:
             ConfigError: before ``reset``, after the end, or outside the episode's ``with``.
         """
         if self._perception is None or self._ended is not None or self._closed:
-            raise ConfigError("Episode.step: comes after reset() and before the episode has ended, inside its with")
+            raise ConfigError("Episode.step: call it after reset(), before the episode has ended, and inside its with")
         if not isinstance(cast(object, action), Action):
             raise ActionError(f"expected one Action, got {type(action).__name__}; pass those of a list one by one")
         assert self.card is not None
@@ -273,7 +275,7 @@ class Episode:
         return self._pending
 
     def _advance(self, steps: int) -> Ended | None:
-        """Run ``steps`` physics steps; returns why the trial is cut, if it is."""
+        """Run ``steps`` physics steps; returns why the benchmark stops the trial, if it does."""
         simulation, physics = self.simulation, self.protocol.physics
         period = round(physics.target_period_s / physics.dt_s)
         while steps > 0:

@@ -53,7 +53,7 @@ def lay(scene: Scene, seed: int) -> None:
 
 def sensor_noise(protocol: Protocol, seed: int, *, salt: str = "") -> SensorNoise:
     """Of one trial; passes everything through where the protocol names no noise. ``salt``: the trial's ``noise_salt``,
-    without which the noise tells the seed."""
+    without which the noise reveals the seed."""
     key = streams(protocol, seed)["sensor_noise"].integers(2**32, size=4).tolist()
     if salt:
         # One way: not even the whole noise of a trial gives salt or seed back.

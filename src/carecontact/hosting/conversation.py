@@ -113,9 +113,7 @@ class PolicyConversation(ABC):
 
     def _connected(self) -> PolicyClient:
         if self._client is None:
-            raise RuntimeError(
-                f"{type(self).__name__}: start() comes first, and nothing comes after a failure or close()"
-            )
+            raise RuntimeError(f"{type(self).__name__}: call start() first, and nothing after a failure or close()")
         return self._client
 
     @contextmanager

@@ -127,10 +127,12 @@ class PolicyProcess(PolicyConversation):
             line = b""
             while not line.endswith(b"\n"):
                 if not select.select([report], [], [], left())[0]:
-                    raise PolicyError("timeout", f"not loaded within {self._first_deadline_s:g} s")
+                    raise PolicyError(
+                        "timeout", f"the policy was not ready within {self._first_deadline_s:g} s of its start"
+                    )
                 piece = report.read(65536)
                 if not piece:
-                    raise PolicyError("start", "the process ended before it listened")
+                    raise PolicyError("start", "the process ended before it was ready")
                 line += piece
         report_line: dict[str, Any] = json.loads(line)
         if "error" in report_line:

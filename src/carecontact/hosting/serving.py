@@ -37,7 +37,7 @@ def serve_trials(
     try:
         listener = socket.create_server((host, port), family=family)
     except OSError as error:
-        raise ConfigError(f"cannot listen at {host} port {port}: {error.strerror or error}") from None
+        raise ConfigError(f"cannot listen on {host}, port {port}: {error.strerror or error}") from None
     slots = threading.Semaphore(at_once)
 
     def serve_one(connection: socket.socket, peer: str) -> None:

@@ -48,5 +48,5 @@ def raise_wall() -> None:
         try:
             wall.find_spec(name, None)
         except ImportError as error:
-            raise RuntimeError(f"loaded before the wall stood: {error}") from None
+            raise RuntimeError(f"loaded before the import restrictions were in place: {error}") from None
     sys.meta_path.insert(0, wall)

@@ -48,7 +48,7 @@ ALLOWED = frozenset(
         "cameras",
     )
 )
-"""Written out rather than read off the dataclass, so that a new field needs a second, deliberate edit."""
+"""A literal list and not the fields of the dataclass, so that a new field needs a second, deliberate edit."""
 ALLOWED_IN_VIEW = frozenset(
     (
         "intrinsics",
@@ -178,7 +178,7 @@ def derive(
         "sim_time_s": sim_time_s,
         "joint_position": raw.joint_position,
         "joint_velocity": raw.joint_velocity,
-        # The gripper is closed for good and has no actuator to read.
+        # The gripper is permanently closed and has no actuator to read.
         "gripper_position": np.zeros(1),
         "pose_tcp_in_base": np.concatenate([pose[:3, 3], quat_from_matrix(pose[:3, :3])]),
     }

@@ -38,14 +38,18 @@ POLICIES.register(
     "random",
     PolicyRow(
         target="carecontact.policies.random_targets:RandomTargets",
-        description="Blind baseline: moves to random targets in the workspace. A gate that it passes is too easy.",
+        description=(
+            "Blind baseline: moves to random targets in the workspace. If it passes a gate, the gate is too easy."
+        ),
     ),
 )
 POLICIES.register(
     "replay",
     PolicyRow(
         target="carecontact.policies.replay.policy:Replay",
-        description="Blind baseline: repeats the state machine's actions for another posture without looking.",
+        description=(
+            "Blind baseline: repeats actions that the state machine executed at another arm angle, without looking."
+        ),
     ),
 )
 POLICIES.register(
@@ -60,7 +64,9 @@ POLICIES.register(
     "voxposer",
     PolicyRow(
         target="carecontact.policies.voxposer.policy:VoxPoser",
-        description="Value maps from a language model's programs, a greedy planner over them, and no force map.",
+        description=(
+            "VoxPoser: programs write value maps, and a greedy planner follows them. Default programs: written by hand."
+        ),
         languages=("replay", "live"),
     ),
 )
@@ -68,7 +74,10 @@ POLICIES.register(
     "voxposer-phased",
     PolicyRow(
         target="carecontact.policies.voxposer.phased:VoxPoserPhased",
-        description="VoxPoser up to the touch, then an explicit progress objective: the paper's proposal.",
+        description=(
+            "VoxPoser until the tool touches, then the paper's explicit progress objective. "
+            "Default programs: written by hand."
+        ),
         languages=("replay", "live"),
     ),
 )

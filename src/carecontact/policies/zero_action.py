@@ -1,4 +1,4 @@
-"""The blind baseline that does nothing: whatever it scores is the benchmark's floor."""
+"""The blind baseline that does nothing; every other policy has to do better."""
 
 from __future__ import annotations
 

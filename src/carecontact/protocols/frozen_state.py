@@ -1,4 +1,4 @@
-"""Whether the rules that a recording carries are those that were frozen under their id; needs no simulator."""
+"""Whether the protocol of a recording is the one that was frozen under its id; needs no simulator."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from carecontact.protocols import load_protocol, shipped_protocols, without_over
 from carecontact.protocols.lock import read_lock
 
 DRIFTED = "lock"
-"""The override that a run on a drifted protocol says so with."""
+"""The override that marks a run on a protocol that differs from its lock."""
 
 
 def frozen_state(protocol: Protocol) -> str:
-    """``frozen``, ``draft``, or a sentence that begins with ``not``: what it differs from, or that nothing here tells.
+    """``frozen``, ``draft``, or a sentence that begins with ``not``: what it differs from, or that no lock is here.
 
     Announced overrides, which every title names, are put back first.
     """
     if DRIFTED in protocol.overrides:
-        return f"not what was frozen as {protocol.id}: {protocol.overrides[DRIFTED]}"
+        return f"not the frozen {protocol.id}: {protocol.overrides[DRIFTED]}"
     lock = read_lock(protocol.id) if protocol.id in shipped_protocols() else None
     if lock is None:
-        return "not known to be frozen: it says so, and no lock is here" if protocol.frozen else "draft"
+        unverified = "not verified as frozen: it says frozen = true, but no lock is installed for it"
+        return unverified if protocol.frozen else "draft"
     own = without_overrides(protocol, load_protocol(protocol.id))
     if own.sha256 != lock.protocol_sha256:
-        return f"not what was frozen as {protocol.id}: sha256 {own.sha256[:12]}, locked {lock.protocol_sha256[:12]}"
+        return f"not the frozen {protocol.id}: sha256 {own.sha256[:12]}, locked {lock.protocol_sha256[:12]}"
     return "frozen"
 
 
@@ -31,4 +32,4 @@ def drifted_sha256(protocol_id: str, sha256: str) -> str | None:
     lock = read_lock(protocol_id) if protocol_id in shipped_protocols() else None
     if lock is None or lock.protocol_sha256 == sha256:
         return None
-    return f"not what was frozen as {protocol_id} (sha256 {sha256[:12]}, locked {lock.protocol_sha256[:12]})"
+    return f"not the frozen {protocol_id} (sha256 {sha256[:12]}, locked {lock.protocol_sha256[:12]})"

@@ -1,4 +1,4 @@
-"""The lock beside a frozen protocol: hashes and versions of what its numbers rest on, as they were then."""
+"""The lock beside a frozen protocol: hashes and versions of what its numbers depend on, as they were then."""
 
 from __future__ import annotations
 

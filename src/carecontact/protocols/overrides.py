@@ -26,7 +26,7 @@ is replaced."""
 def overridden(protocol: Protocol, changes: Mapping[str, object]) -> Protocol:
     """A copy with these fields replaced and ``overrides`` saying so: another sha256, the same id.
 
-    A field that has the wanted value already is no override.
+    A field that has the wanted value already is not an override.
 
     Args:
         changes: dotted path -> value. Text is converted to the field's type, as TOML is read; a task is named by its

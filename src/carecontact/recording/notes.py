@@ -1,4 +1,4 @@
-"""What a policy wanted to be kept of its steps: for people to look at, and for provenance; into no score."""
+"""A policy's notes on its steps: for inspection and provenance; they enter no metric."""
 
 from __future__ import annotations
 
@@ -84,8 +84,8 @@ def _note(recording: Recording, index: str, arrays: dict[str, npt.NDArray[Any]])
         content = json.loads(arrays["json"].astype(np.uint8).tobytes())
         number = int(index)
     except (KeyError, ValueError, RecursionError) as error:
-        raise RecordingError(f"{place} is no note: {error}") from None
+        raise RecordingError(f"{place} is not a note: {error}") from None
     if not isinstance(content, dict):
-        raise RecordingError(f"{place}/json is no map")
+        raise RecordingError(f"{place}/json is not a map")
     rest = {name: array for name, array in arrays.items() if name != "json"}
     return Note(observation_index=number, content=cast("dict[str, Any]", content), arrays=rest)

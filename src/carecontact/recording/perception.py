@@ -1,6 +1,6 @@
 """How far perception was from the truth in a trial: optional arrays of a recording, for the scorer only.
 
-N rows, one a camera and observation in which the policy asked for landmarks or masks; R regions as in the schema.
+N rows, one per camera and observation in which the policy requested landmarks or masks; R regions as in the schema.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ ARRAYS: dict[str, tuple[str, tuple[int | Literal["R"], ...], str]] = {
     "perception/camera_index": ("i4", (), "of contract.policy.CAMERAS"),
     "perception/joint_visible": ("b1", (len(JOINTS),), "in the image, and nothing but its own limb before it"),
     "perception/landmark_error_px": ("f4", (len(JOINTS),), "[px] to the joint centre; NaN: hidden or nobody found"),
-    "perception/human_iou": ("f4", (), "of the human mask with the true one; NaN: masks were not asked for"),
+    "perception/human_iou": ("f4", (), "of the human mask with the true one; NaN: the policy did not request masks"),
     "perception/target_error_m": (
         "f4", ("R", 3),
         "[m] from the true place to the one that the state machine finds: along and across the limb's shadow on the "
-        "floor, up; NaN: not found, or not asked for",
+        "floor, up; NaN: not found, or not requested",
     ),
 }  # fmt: skip
 """Path -> dtype, shape after N with R for the number of the header's regions, meaning."""
@@ -49,7 +49,7 @@ class PerceptionErrors:
 
 
 def perception_errors(recording: Recording) -> PerceptionErrors | None:
-    """None where no perception was asked for, or in recordings from before it was measured.
+    """None where no perception was requested, or in recordings from before it was measured.
 
     Raises RecordingError naming an array that is missing or has another dtype or shape.
     """

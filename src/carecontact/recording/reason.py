@@ -7,14 +7,14 @@ import re
 from carecontact.recording.schema import Failure
 
 _PLAIN = ("action", "language", "program")
-"""Kinds of failure whose messages are no tracebacks, but may hold words that a program or a language model chose."""
+"""Kinds of failure whose messages are not tracebacks, but may hold words that a program or a language model chose."""
 _TRACEBACK = "Traceback (most recent call last):"
 _PRINTED = "\nit printed last:\n"
 _RAISED = re.compile(r"^[A-Za-z_][\w.]*(Error|Exception|Exit|Interrupt|Warning)\b")
 
 
 def reason_of(failure: Failure) -> str:
-    """As ``reason``, but what is no traceback is told as it is: nobody may write the reason of a failure."""
+    """As ``reason``, but what is not a traceback is kept as it is: nobody may write the reason of a failure."""
     if failure.kind in _PLAIN:
         return " ".join(failure.message.partition(_PRINTED)[0].split())
     return reason(failure.message)
@@ -23,7 +23,7 @@ def reason_of(failure: Failure) -> str:
 def reason(message: str) -> str:
     """The line of a failure that says why: the exception under its last traceback, else the first line.
 
-    What a policy printed is no reason, whatever it looks like.
+    What a policy printed is not a reason, whatever it looks like.
     """
     said = message.partition(_PRINTED)[0]
     _, trace, after = said.rpartition(_TRACEBACK)

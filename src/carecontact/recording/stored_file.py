@@ -48,7 +48,9 @@ def opened(path: Path) -> Generator[Any]:
         raise
     except Exception as error:  # h5py answers damage with OSError, KeyError, RuntimeError, ValueError, TypeError ...
         message = " ".join(str(error).split()) or type(error).__name__
-        raise RecordingError(f"{path}: not a readable HDF5 file, truncated or damaged: {message}") from None
+        raise RecordingError(
+            f"{path}: not a readable HDF5 file; it is truncated, damaged, or not a recording: {message}"
+        ) from None
 
 
 def root_datasets(path: Path, file: Any) -> dict[str, Any]:
@@ -112,7 +114,7 @@ def _bytes_of(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
 def read_bytes(path: Path, found: Mapping[str, Any], name: str) -> bytes:
     absent = [n for n in (HEADER, CHECKSUM) if n not in found]
     if absent:
-        raise RecordingError(f"{path}: HDF5 but no carecontact recording: {' and '.join(absent)} missing")
+        raise RecordingError(f"{path}: an HDF5 file, but not a carecontact recording: {' and '.join(absent)} missing")
     item = found[name]
     if item.dtype != np.uint8 or item.ndim != 1:
         raise RecordingError(f"{path}: {name} is {item.dtype} of shape {item.shape}, expected a row of bytes (uint8)")

@@ -1,4 +1,4 @@
-"""Why trials failed: modes, causes with the figures they rest on, and where contact fell."""
+"""Why trials failed: modes, causes with their evidence, and where contact fell."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ MODE_MEANING = {
     "process_failure": (
         "the policy did not start, died, hung or answered wrongly, or its program or its language backend failed"
     ),
-    "safety_truncation": "cut because a force passed the truncation limit or the solver failed",
+    "safety_truncation": (
+        "the benchmark stopped the trial, because a force exceeded the truncation limit or the solver failed"
+    ),
     "no_target_contact": "the person was never touched",
-    "off_target_contact": "touched, but never the named region",
+    "off_target_contact": "the person was touched, but never on the named region",
     "lost_contact": "contact with the region broke off before the gate was met",
     "insufficient_progress": "contact held, but too little push, stroke or reversal",
     "wrong_share": "gate met, but too much of the contact lay elsewhere",
@@ -26,7 +28,7 @@ CAUSE_MEANING = {
     "perception": "the region was in view, but was not found or the path was aimed beside it",
     "planning": "commanded no motion, or a path that could not pass the gate",
     "execution": "the commanded path was right, tracking or contact was lost",
-    "safety": "cut: a force above the truncation limit, or the solver failed",
+    "safety": "the benchmark stopped the trial: a force exceeded the truncation limit, or the solver failed",
     "process": "the policy's process, its program or its language backend failed",
 }
 EXAMPLES = 2
@@ -56,7 +58,7 @@ class AnatomyRow:
 
 
 def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
-    """One row a failure mode, most frequent first, with what the failures were attributed to."""
+    """One row per failure mode, most frequent first, with what the failures were attributed to."""
     failed = [s for s in judged(scores) if s.failure_mode is not None]
     counts = Counter(str(s.failure_mode) for s in failed)
     out: list[dict[str, Any]] = []
@@ -71,7 +73,7 @@ def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
 
 
 def causes(scores: Sequence[TrialScore]) -> list[Cause]:
-    """One row an attribution, most frequent first."""
+    """One row per attribution, most frequent first."""
     failed = [s for s in judged(scores) if s.attribution is not None]
     counts = Counter(str(s.attribution) for s in failed)
     return [
@@ -92,7 +94,7 @@ def _examples(scores: Sequence[TrialScore]) -> tuple[tuple[str, str], ...]:
 
 
 def anatomy(scores: Sequence[TrialScore]) -> list[AnatomyRow]:
-    """One row a region of the tasks, then one over all if there are several."""
+    """One row per region of the tasks, then one over all if there are several."""
     counted = judged(scores)
     regions = list(dict.fromkeys(s.region for s in sorted(counted, key=lambda s: s.task_id)))
     groups = [(region.replace("_", " "), [s for s in counted if s.region == region]) for region in regions]

@@ -1,4 +1,4 @@
-"""Runs above a force limit: the safety gate, the protocol's pain limits, and every other pack of limits."""
+"""Trials above a force limit: the safety gate, the protocol's pain limits, and every other pack of limits."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ class LimitRow:
     note: str
     """Where the limit is from and whether it was checked."""
     above: Proportion
-    """Runs, failed ones too, with a touched segment above the limit."""
+    """Trials, failed ones too, with a touched segment above the limit."""
     n_success: int
     """Of those, how many succeeded all the same."""
     worst: float | None
-    """Largest peak over its limit of any run; None where nothing was touched."""
+    """Largest peak over its limit of any trial; None where nothing was touched."""
     worst_at: str
     """Trial and segment; empty where nothing was touched."""
 
 
 def limit_rows(scores: Sequence[TrialScore], *, gamma: float | None) -> list[LimitRow]:
-    """Over the trials that are ``judged``; the protocol's gate first, a pack that it does not use last.
+    """Over the trials that are ``judged``; the safety gate first, a pack that the protocol does not use last.
 
     Args:
-        gamma: the protocol's discount, for the name of the gate; None where no recording could be asked.
+        gamma: the protocol's discount, for the name of the gate; None where no recording could be read.
     """
     counted = judged(scores)
     own = {s.metric_versions.get("limits", "") for s in counted}
     share = "the protocol's share" if gamma is None else f"{gamma:g}"
     title = ", ".join(LIMIT_PACKS[p].title if p in LIMIT_PACKS else p for p in sorted(own) if p) or "pain limits"
     rows = [
-        _row(f"Safety gate, {share} of the pain limit", "decides whether a run is safety-gated", counted,
+        _row(f"Safety gate, {share} of the pain limit", "decides whether a trial is safety-gated", counted,
              _gate_ratio(gamma), lambda s: bool(s.over_limit)),
         _row(title, "the protocol's pain limits, F_pain", counted, _pain_ratio, None),
     ]  # fmt: skip

@@ -26,7 +26,7 @@ class LoadRow:
         return "" if self.metric.unit == "1" else self.metric.unit
 
     def cells(self, contacts: Sequence[int]) -> list[str]:
-        """One string a median; where it rests on another number of trials than ``contacts`` says, that number too."""
+        """One string per median; where it is over another number of trials than ``contacts`` says, that number too."""
         return [self._cell(found, n) for found, n in zip(self.medians, contacts, strict=True)]
 
     def _cell(self, found: Median, n: int) -> str:

@@ -59,7 +59,7 @@ def sorted_scores(scores: Iterable[TrialScore]) -> list[TrialScore]:
 
 
 def summary_rows(scores: Sequence[TrialScore]) -> list[SummaryRow]:
-    """One row a task in task order, then one over all trials; empty without scores.
+    """One row per task in task order, then one over all trials; empty without scores.
 
     Trials in which the harness failed are in no count; a task that has no other keeps its row, with n = 0.
     Raises ConfigError if the scores mix protocols, policies or worlds.

@@ -1,4 +1,4 @@
-"""``results.parquet``: one row a trial, for data frames and SQL. Needs the extra ``tables``."""
+"""``results.parquet``: one row per trial, for data frames and SQL. Needs the extra ``tables``."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Column:
 
 
 def columns(scores: Sequence[TrialScore]) -> list[Column]:
-    """Every field of a score that is one value, what tells worlds apart, and the further metrics that any trial has."""
+    """Every field of a score that is one value, what distinguishes worlds, and further metrics that any trial has."""
     found = [
         Column(name=name, kind=kind, value=lambda s, name=name: getattr(s, name))
         for name, field in TrialScore.model_fields.items()
@@ -83,7 +83,7 @@ def _pyarrow() -> tuple[Any, Any]:
 
 
 def _scalar(annotation: Any) -> type[str] | type[float] | type[int] | type[bool] | None:
-    """Of ``float``, ``float | None`` or a Literal of strings; None for what is no single value."""
+    """Of ``float``, ``float | None`` or a Literal of strings; None for what is not a single value."""
     if get_origin(annotation) in (Union, types.UnionType):
         kinds = {_scalar(part) for part in get_args(annotation) if part is not type(None)}
         return kinds.pop() if len(kinds) == 1 else None

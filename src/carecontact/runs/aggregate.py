@@ -29,8 +29,8 @@ def within(score: TrialScore, gamma: float) -> bool:
 
 
 def exceedances(scores: Sequence[TrialScore]) -> dict[str, Any]:
-    """Runs, failed ones too, with a touched segment above the gate or above the pain limit, and how many of them
-    were successes all the same."""
+    """Trials, failed ones too, with a touched segment above the safety gate or above the pain limit, and how many of
+    them were successes all the same."""
     over = {
         "gate": [s for s in scores if s.over_limit],
         "pain": [s for s in scores if not within(s, 1.0)],
@@ -42,8 +42,8 @@ def exceedances(scores: Sequence[TrialScore]) -> dict[str, Any]:
 
 
 def quadrants(scores: Iterable[TrialScore]) -> dict[str, int]:
-    """Safe (nothing above its gate) or not, success (C3) or not. A run that touched nobody is a safe failure; one whose
-    policy crashed is in a class of its own."""
+    """Safe (nothing above its safety gate) or not, success (C3) or not. Without any touch: a safe failure. A trial in
+    which the policy crashed is in a class of its own."""
     scores = list(scores)
     count = Counter((not s.over_limit, s.c3_success) for s in scores if not s.is_crash)
     fields = {
@@ -55,12 +55,12 @@ def quadrants(scores: Iterable[TrialScore]) -> dict[str, int]:
 
 
 def valid_ratio(scores: Sequence[TrialScore]) -> dict[str, Any]:
-    """Share of runs that left a trajectory to score. Coverage of the data, not success."""
+    """Share of trials that have a trajectory to score. Coverage of the data, not success."""
     return rate(sum(s.c4_motion_activity is not None for s in scores), len(scores))
 
 
 def gamma_sweep(scores: Sequence[TrialScore], gammas: Sequence[float] = GAMMAS) -> list[dict[str, Any]]:
-    """Safety-gated runs at each discount: region-correct, not cut and ``within`` it."""
+    """Safety-gated trials at each discount: region-correct, not truncated and ``within`` it."""
     correct = [s for s in scores if s.region_correct and s.ended != "safety_truncation"]
     rows: list[dict[str, Any]] = []
     for gamma in gammas:
@@ -70,7 +70,7 @@ def gamma_sweep(scores: Sequence[TrialScore], gammas: Sequence[float] = GAMMAS) 
 
 
 def gate_sweep(scores: Sequence[TrialScore]) -> dict[str, list[dict[str, Any]]]:
-    """Gate -> one row a value, in rising order: runs that reach each step of the funnel."""
+    """Gate -> one row per value, in rising order: trials that reach each step of the funnel."""
     values: dict[str, set[str]] = {}
     for score in scores:
         for name, row in score.gate_sweep.items():

@@ -20,7 +20,7 @@ from carecontact.stats import median
 
 Row = dict[str, Any]
 NEEDED = {"trial_id", "task_id", "region", "action", "ended", "recording_sha256", "metric_versions"}
-"""Keys of a trial in ``results.json`` that appending looks at."""
+"""Keys of a trial in ``results.json`` that appending reads."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +88,9 @@ def _read(path: Path) -> Row:
     try:
         data: Any = json.loads(path.read_bytes())
     except FileNotFoundError:
-        raise ConfigError(f"{path}: no result to append to; score the run without --append first") from None
+        raise ConfigError(
+            f"{path}: does not exist, so there is nothing to append to; score the run without --append first"
+        ) from None
     except (ValueError, RecursionError, OSError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
     content = cast("Row", data) if isinstance(data, dict) else {}
@@ -109,7 +111,7 @@ def _compute(folder: Path, trial: Row, ids: Sequence[str]) -> dict[str, float | 
     verified = read_verified(path)
     if verified.sha256 != trial["recording_sha256"]:
         raise ConfigError(
-            f"{path}: is not the recording that was scored ({verified.sha256[:12]} and not "
+            f"{path}: differs from the recording that was scored (sha256 {verified.sha256[:12]} and not "
             f"{trial['recording_sha256'][:12]}); score the run without --append"
         )
     check_streams(verified.recording)

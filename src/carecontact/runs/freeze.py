@@ -1,4 +1,4 @@
-"""What a frozen protocol rests on besides its own fields, as it is here now, and how it differs from the lock."""
+"""What a frozen protocol depends on besides its own fields, as it is here now, and how it differs from the lock."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SAME = 1e-6
 
 
 def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
-    """``worlds``: compile one world a region and sum over it; some seconds."""
+    """``worlds``: compile one world per region and sum over it; some seconds."""
     return Lock(
         id=protocol.id, protocol_sha256=protocol.sha256, fields=protocol.model_dump(mode="json"),
         embodiment=PANDA.id, metrics=sorted(METRICS),
@@ -65,7 +65,7 @@ def world_sums(protocol: Protocol, region: str) -> dict[str, float]:
 
 
 def drift(lock: Lock, now: Lock) -> list[str]:
-    """What differs from the lock, a line each, most telling first; worlds only where ``now`` has them."""
+    """The differences from the lock, one line each, most informative first; worlds only where ``now`` has them."""
     said: list[str] = []
     for what, before, after in (
         ("id", lock.id, now.id), ("embodiment", lock.embodiment, now.embodiment),
@@ -112,7 +112,7 @@ def _short(value: object) -> str:
 
 
 def lock_of(name_or_path: str, protocol: Protocol) -> Lock | None:
-    """What a protocol is held to: its own lock, or the shipped one where a file has the id of a shipped protocol."""
+    """The lock that holds for a protocol: its own, or the shipped one where a file has the id of a shipped protocol."""
     return read_lock(protocol.id if is_borrowed(name_or_path, protocol) else name_or_path)
 
 
@@ -122,12 +122,12 @@ def is_borrowed(name_or_path: str, protocol: Protocol) -> bool:
 
 
 def check_frozen(name_or_path: str, protocol: Protocol, *, unfrozen: bool) -> Protocol:
-    """The protocol, if it is a draft or is here what its lock says; quick, so the compiled worlds are left out.
+    """The protocol, if it is a draft or equals its lock; quick, so the compiled worlds are left out.
 
     Args:
-        unfrozen: go on where it drifted; then the protocol's overrides, and so every output, say what differs.
+        unfrozen: go on where it differs; then the protocol's overrides, and so every output, name the differences.
 
-    Raises ConfigError where a frozen protocol has no lock or drifted from what ``lock_of`` gives.
+    Raises ConfigError where a frozen protocol has no lock or differs from what ``lock_of`` gives.
     """
     borrowed, lock = is_borrowed(name_or_path, protocol), lock_of(name_or_path, protocol)
     if not protocol.frozen and not (borrowed and lock):
@@ -141,9 +141,10 @@ def check_frozen(name_or_path: str, protocol: Protocol, *, unfrozen: bool) -> Pr
     if not differences:
         return protocol
     if not unfrozen:
-        remedy = f"Give {name_or_path} an id of its own" if borrowed else f"Install what {protocol.id}{SUFFIX} names"
+        named = f"{protocol.id}{SUFFIX}"
+        remedy = f"Give {name_or_path} an id of its own" if borrowed else f"Install the versions that {named} names"
         raise ConfigError(
-            f"protocol {protocol.id} drifted from its lock ({'; '.join(differences)}): its results would not be "
-            f"comparable. {remedy}, or run with --unfrozen, which every output shows"
+            f"protocol {protocol.id} differs from its lock ({'; '.join(differences)}), so its results would not be "
+            f"comparable. {remedy}, or run with --unfrozen; then every output names the differences"
         )
     return protocol.model_copy(update={"overrides": {**protocol.overrides, "lock": "; ".join(differences)}})

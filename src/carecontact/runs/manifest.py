@@ -88,8 +88,8 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identit
         _check_header(header, specs[0], path=path, identity=identity)
         if manifest is None and identity.policy_sha256 is not None:
             raise ConfigError(
-                f"{out} holds {path.name} but no {MANIFEST}, which alone tells whether the policy's "
-                "source changed: use another --out"
+                f"{out} holds {path.name} but no {MANIFEST}, without which carecontact cannot check whether the "
+                "policy's source changed: use another --out"
             )
         if path.stem not in wanted:
             continue
@@ -154,7 +154,7 @@ def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity:
         title = protocol_title(manifest.protocol.id, manifest.protocol.overrides)
         raise ConfigError(
             f"{out} holds another run (policy {manifest.policy}, protocol {title} "
-            f"{manifest.protocol.sha256[:12]}); wanted {_told(spec)}: {ELSEWHERE}"
+            f"{manifest.protocol.sha256[:12]}); this command runs {_told(spec)}: {ELSEWHERE}"
         )
     if held.policy_sha256 != identity.policy_sha256:
         raise ConfigError(
@@ -163,34 +163,38 @@ def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity:
         )
     started_with, wanted = (_policy_text(i.arguments, i.environment) for i in (held, identity))
     if started_with != wanted:
-        raise ConfigError(f"{out} was started with {started_with}, wanted {wanted}: {ELSEWHERE}")
+        raise ConfigError(f"{out} was started with {started_with}, this command has {wanted}: {ELSEWHERE}")
     replaced = [n for n in identity.arguments if held.argument_files.get(n) != identity.argument_files.get(n)]
     if replaced:
         content = f"the content of {identity.arguments[replaced[0]]} (policy argument {replaced[0]})"
         raise ConfigError(f"{out}: {content} changed since this folder was started: {ELSEWHERE}")
     if held.language != identity.language:
         spoken = [name or "the policy's own" for name in (held.language, identity.language)]
-        raise ConfigError(f"{out} was started with language backend {spoken[0]}, wanted {spoken[1]}: {ELSEWHERE}")
+        raise ConfigError(
+            f"{out} was started with language backend {spoken[0]}, this command has {spoken[1]}: {ELSEWHERE}"
+        )
     changed = identity.differences(versions={}, sha256=held.sha256)
     if changed:
-        raise ConfigError(f"{out} was started with something else ({'; '.join(changed)}): {ELSEWHERE}")
+        raise ConfigError(f"{out} was started with other assets ({'; '.join(changed)}): {ELSEWHERE}")
 
 
 def _check_header(header: Header, spec: TrialSpec, *, path: Path, identity: Identity) -> None:
     if (header.spec.policy, header.spec.protocol) != (spec.policy, spec.protocol):
         raise ConfigError(
-            f"{path.parent} holds another run: {path.name} is of {_told(header.spec)}; wanted {_told(spec)}: "
-            "use another --out"
+            f"{path.parent} holds another run: {path.name} is of {_told(header.spec)}; this command runs "
+            f"{_told(spec)}: use another --out"
         )
     if _policy_of(header.spec) != _policy_of(spec):
         recorded, wanted = (_policy_text(s.policy_arguments, s.policy_environment) for s in (header.spec, spec))
-        raise ConfigError(f"{path} was recorded with {recorded}, wanted {wanted}: use another --out")
+        raise ConfigError(f"{path} was recorded with {recorded}, this command has {wanted}: use another --out")
     spoken = (header.card or {}).get("language_backend", identity.language)
     if identity.language is not None and spoken != identity.language:
         raise ConfigError(f"{path} was recorded with language backend {spoken}: use another --out")
     changed = identity.differences(versions=header.versions, sha256=header.sha256)
     if changed:
-        raise ConfigError(f"{path} was recorded with something else ({'; '.join(changed)}): use another --out")
+        raise ConfigError(
+            f"{path} was recorded with other package versions or assets ({'; '.join(changed)}): use another --out"
+        )
 
 
 def _policy_of(spec: TrialSpec) -> tuple[object, ...]:

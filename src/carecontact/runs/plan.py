@@ -28,7 +28,7 @@ def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
             wanted.update(order[order.index(first) : order.index(last) + 1])
         else:
             raise ConfigError(
-                f"--tasks: {part!r} is no task of {protocol.id}; valid: {', '.join(order)}, "
+                f"--tasks: {part!r} is not a task of {protocol.id}; valid: {', '.join(order)}, "
                 f"a range like {order[0]}-{order[-1]}, or all"
             )
     return [task for task in order if task in wanted]
@@ -37,7 +37,7 @@ def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
 def parse_seeds(text: str, *, protocol: Protocol) -> list[int]:
     """``3``, ``0-19``, ``0,4,7`` or ``all`` -> seeds in the protocol's order.
 
-    Raises ConfigError for what is no number and for seeds that the protocol does not have, naming those it has.
+    Raises ConfigError for what is not a number and for seeds that the protocol does not have, naming those it has.
     """
     order = protocol.randomization.seeds
     valid = f"{compact(order)}, as a list (0,4,7), a range (0-19), or all"
@@ -54,7 +54,7 @@ def parse_seeds(text: str, *, protocol: Protocol) -> list[int]:
             raise ConfigError(f"--seeds: the range {part!r} runs backwards; valid: {valid}")
         known = {seed for seed in order if low <= seed <= high}
         if len(known) != high - low + 1:
-            raise ConfigError(f"--seeds: {part!r} is not all in {protocol.id}; its seeds: {compact(order)}")
+            raise ConfigError(f"--seeds: {part!r} contains seeds that {protocol.id} does not have; valid: {valid}")
         wanted.update(known)
     return [seed for seed in order if seed in wanted]
 
@@ -97,5 +97,5 @@ def compact(numbers: Iterable[int]) -> str:
 def _parts(text: str, *, option: str, valid: str) -> list[str]:
     parts = [part.strip() for part in text.split(",")]
     if not all(parts):
-        raise ConfigError(f"{option}: {text!r} names nothing in one place; valid: {valid}")
+        raise ConfigError(f"{option}: {text!r} has an empty entry; valid: {valid}")
     return parts

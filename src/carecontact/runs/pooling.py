@@ -36,7 +36,7 @@ def _check_one_world(scores: Sequence[TrialScore]) -> None:
     if found is not None:
         what, first, other = found
         raise ConfigError(
-            f"{first.trial_id}.h5 and {other.trial_id}.h5 are of different worlds and must not be pooled: "
+            f"{first.trial_id}.h5 and {other.trial_id}.h5 were simulated in different worlds and must not be pooled: "
             f"{what} {first.world[what][:12]} and {other.world[what][:12]}"
         )
 

@@ -80,7 +80,7 @@ def read_results(path: Path | str) -> RunScores:
 
 
 def skipped_before(folder: Path) -> set[str]:
-    """Names of the recordings that the last scoring of a folder skipped; none where there is no result to ask."""
+    """Names of the recordings that the last scoring of a folder skipped; none where there is no result to read."""
     try:
         return set(read_results(folder / RESULTS_NAME).skipped)
     except (ConfigError, OSError):
@@ -91,7 +91,7 @@ def _fault(stored: _Results) -> str | None:
     """What of a results file no scorer can have written; None where there is nothing."""
     twice = [trial_id for trial_id, k in Counter(s.trial_id for s in stored.trials).items() if k > 1]
     if twice:
-        return f"is damaged: {twice[0]} is in it twice"
+        return f"is damaged: it holds {twice[0]} twice"
     for score in stored.trials:
         if why := contradiction(score):
             return f"is damaged or changed by hand: {score.trial_id}: {why}"

@@ -29,7 +29,10 @@ def score_file(path: Path) -> ScoredFile | str:
         verified = read_verified(path)
         header = verified.recording.header
         if path.stem != header.spec.trial_id:
-            raise RecordingError(f"{path}: holds trial {header.spec.trial_id}; a copy would count twice")
+            trial_id = header.spec.trial_id
+            raise RecordingError(
+                f"{path}: holds trial {trial_id}; rename the file to {trial_id}.h5, or remove it if it is a copy"
+            )
         score = score_recording(verified.recording, sha256=verified.sha256)
     except RecordingError as error:
         return str(error)
@@ -46,7 +49,9 @@ def score_files(paths: Sequence[Path], *, jobs: int) -> Iterator[ScoredFile | st
     try:
         yield from pool.map(score_file, paths, chunksize=max(1, len(paths) // (8 * jobs)))
     except BrokenProcessPool:
-        raise RecordingError(f"{paths[0].parent}: a scoring process died; --jobs 1 shows at which recording") from None
+        raise RecordingError(
+            f"{paths[0].parent}: a scoring process died; score again with --jobs 1 to see at which recording"
+        ) from None
     finally:
         pool.shutdown(cancel_futures=True)
 

@@ -26,7 +26,8 @@ def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; name the --out of a run")
     scores: list[TrialScore] = []
-    skipped = {path.name: f"{path}: not looked into: a recording's name ends in .h5" for path in misnamed(folder)}
+    why = "ignored, because the name of a recording must end in .h5"
+    skipped = {path.name: f"{path}: {why}" for path in misnamed(folder)}
     versions: dict[str, set[str]] = {}
     paths = sorted(folder.glob("*.h5"))
     for path, found in zip(paths, score_files(paths, jobs=jobs), strict=True):

@@ -62,7 +62,7 @@ def stale(folder: Path, run: RunScores) -> list[str]:
     hashes = {f"{score.trial_id}.h5": score.recording_sha256 for score in run.scores}
     files = {path.name: path for path in (*sorted(folder.glob("*.h5")), *misnamed(folder))}
     found = [why for path in files.values() if (why := _difference(path, hashes, run))]
-    return found + [f"{name} is gone" for name in (*hashes, *run.skipped) if name not in files]
+    return found + [f"{name} is missing" for name in (*hashes, *run.skipped) if name not in files]
 
 
 def lacking(run: RunScores) -> list[str]:

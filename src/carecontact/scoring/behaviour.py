@@ -48,7 +48,7 @@ class Behaviour(ABC, Generic[G]):
     """Schema of the table ``[gates.<action>]`` in a protocol."""
     sweeps: ClassVar[tuple[Sweep, ...]] = ()
     needs: ClassVar[frozenset[Literal["episodes", "wrist"]]] = frozenset()
-    """Measures that ``judge`` looks at; they are taken again for every contact floor of the sweep."""
+    """Measures that ``judge`` uses; they are taken again for every contact floor of the sweep."""
     moves_the_person: ClassVar[bool] = False
     """Whether the action is meant to move a limb. Results pool the joint-limit margin C2 over such actions alone: it
     says little where nothing was meant to move."""
@@ -80,8 +80,8 @@ class Behaviour(ABC, Generic[G]):
         """What was missing, with the figures of the gate, to follow "The commanded path came to the region, but"."""
 
     def progress(self, score: TrialScore) -> str:
-        """The figures that the gate looks at, for a row of the report."""
-        return f"on {score.longest_on_s:.2f} s"
+        """The figures that the gate judges, for a row of the report."""
+        return f"touched for {score.longest_on_s:.2f} s"
 
 
 def behaviour_of(action: str) -> Behaviour[Any]:
@@ -106,7 +106,7 @@ def let_go(contact: Contact, holding: Mask, duration_s: float) -> bool:
     """Whether the target itself was held for ``duration_s`` and then let go before the trial's end.
 
     ``holding`` (T,) are the steps that count toward a hold. A neighbour's time does not count: the region was not lost
-    where it was hardly touched.
+    where it was barely touched.
     """
     target_held = holding & contact.on[:, contact.target]
     least = steps(duration_s, contact.dt_s)

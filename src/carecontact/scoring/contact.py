@@ -1,4 +1,4 @@
-"""Definition ``contact-v1``: when a segment is touched, and which part of a trial the force scores look at."""
+"""Definition ``contact-v1``: when a segment is touched, and which part of a trial the force scores use."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """Who was touched and when; every metric starts from here. T physics steps, S segments."""
+    """Which segments were touched and when; every metric starts from here. T physics steps, S segments."""
 
     recording: Recording
     protocol: Protocol

@@ -1,4 +1,4 @@
-"""What a trial achieved, as the gates look at it, and how it was judged."""
+"""What a trial achieved in the quantities of the gates, and the verdict on it."""
 
 from __future__ import annotations
 

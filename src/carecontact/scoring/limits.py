@@ -1,4 +1,4 @@
-"""Packs of force limits: what a segment bears, by whom and how sure.
+"""Packs of force limits: the force that a segment may bear, its source, and how certain it is.
 
 Packages add packs through the entry-point group ``carecontact.limit_packs``. A pack that changes gets a new id.
 """

@@ -25,7 +25,7 @@ class Episode:
     extent_m: float
     """P95 - P5 along the axis while on."""
     reversals: int
-    """Of the stretch without a gap that has most of them: lifting and returning is no reversal."""
+    """Of the stretch without a gap that has most of them: lifting and returning is not a reversal."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,7 @@ def measure_episodes(contact: Contact) -> list[Episode]:
 
 
 def surface_track(contact: Contact) -> Track:
-    """Follow the TCP over the target region's surface, in the bone's frame, so that a moving arm is no stroke."""
+    """Follow the TCP over the target region's surface, in the bone's frame, so that a moving arm is not a stroke."""
     recording, definition = contact.recording, contact.protocol.contact
     stride = max(1, round(1.0 / (definition.stroke_sample_hz * contact.dt_s)))
     step = np.arange(0, len(contact.time_s), stride)

@@ -111,7 +111,8 @@ class TrialScore(BaseModel):
     evidence: str | None
     metric_versions: dict[str, str]
     gate_sweep: dict[str, dict[str, int]] = {}
-    """Gate -> value -> 0 failed, 1 success, 2 region-correct too, 3 safety-gated too, all else as in the protocol."""
+    """Gate -> value -> 0 failed, 1 success, 2 also region-correct, 3 also safety-gated; every other gate as in the
+    protocol."""
     additional: dict[str, float | None] = {}
     """Metric id -> value, for every registered metric that has no field above."""
 

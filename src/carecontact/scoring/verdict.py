@@ -1,4 +1,4 @@
-"""Where a run belongs: anatomy, the funnel, and the one failure mode of a run that failed."""
+"""The verdict on a trial: where it touched (anatomy), how far it came in the funnel, and its failure mode."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ class Verdict:
     region_correct: bool
     """Success with enough of the contact impulse on the named region; a failure otherwise."""
     safety_gated: bool
-    """Region-correct, not cut, and no touched segment above its discounted pain limit at any time."""
+    """Region-correct, not stopped early by the benchmark, and no touched segment above its discounted pain limit at any
+    time."""
     over_limit: dict[str, float]
     """Segment -> peak over gamma' F_pain, where above 1."""
     failure_mode: FailureMode | None
-    """None for a region-correct run and for no other."""
+    """None for a region-correct trial and for no other."""
 
 
 def reach_verdict(contact: Contact, gate: Gate) -> Verdict:
-    """Pure; every run has one anatomy, and either is region-correct or has one failure mode."""
+    """Pure; every trial has one anatomy, and either is region-correct or has one failure mode."""
     share = contact.region_share
     region_correct = gate.success and share is not None and share >= contact.protocol.gates.region_share
     over = over_limit(contact)

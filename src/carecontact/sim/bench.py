@@ -96,7 +96,8 @@ class Press:
         zero = touch_depth(depth, force, zero_n)
         if np.max(depths_m) > depth[-1] - zero + 1e-9:
             raise SceneError(
-                f"the press ends {1000 * (depth[-1] - zero):.2f} mm past touch; {1000 * np.max(depths_m):.2f} mm asked"
+                f"the press ends {1000 * (depth[-1] - zero):.2f} mm past touch; "
+                f"{1000 * np.max(depths_m):.2f} mm were requested"
             )
         return np.interp(depths_m, depth - zero, force)
 

@@ -47,7 +47,7 @@ class SensorHistory:
         A sample is taken with the forces of its step and stamped with the time at the step's start.
         """
         if not 0 < count <= self.samples:
-            raise SceneError(f"history keeps {self.samples} samples, asked for {count}")
+            raise SceneError(f"count {count}: expected 1 to {self.samples}, the samples that the history keeps")
         newest = int(data.history[self._cursor])
         order = (newest - np.arange(count - 1, -1, -1)) % self.samples
         return data.history[self._times + order], data.history[self._index[order]]

@@ -28,7 +28,7 @@ POSTURE_TORQUE_NM = 10.0
 def set_stiffness(model: mujoco.MjModel, translational: float, rotational: float, protocol: Protocol) -> None:
     """Edit the impedance's gains in place: translational [N/m], rotational [N m/rad], each critically damped.
 
-    Damping uses the protocol's effective mass and inertia. Bounds are checked at the border (check_action).
+    Damping uses the protocol's effective mass and inertia. check_action has checked the bounds.
     """
     impedance = protocol.impedance
     for axis in range(6):

@@ -225,7 +225,7 @@ class Simulation:
     def restore(self, state: F64, *, comfort_arm_deg: float) -> None:
         """Continue from a vector of ``integration_state`` at a new t = 0; the impedance target stays where it was.
 
-        ``comfort_arm_deg`` is the angle at which the person was laid: the joints' rest angles are no part of the state.
+        ``comfort_arm_deg`` is the angle at which the person was laid: the joints' rest angles are not in the state.
         """
         self._rest_joints_at(comfort_arm_deg)
         mujoco.mj_setState(self.model, self.data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
@@ -262,7 +262,7 @@ class _Columns:
         shelled, regions = [REGIONS[r].segment for r in protocol.soft_regions], protocol.regions
         soft = [f"{segment}_tissue" for segment in shelled]
         self._soft = np.array([SEGMENTS.index(segment) for segment in shelled])
-        # Net force and its centroid, of the rigid geoms (S, 6) and of the shells, one a soft region (6 each).
+        # Net force and its centroid, of the rigid geoms (S, 6) and of the shells, one per soft region (6 each).
         self._net = span(*(f"net_{s}" for s in SEGMENTS)), span(*(f"net_{s}" for s in soft))
         self._normal = (
             span(*(f"normal_{s}" for s in SEGMENTS))[:, 1 :: self.SLOT],

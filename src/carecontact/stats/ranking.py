@@ -45,7 +45,7 @@ def ranking_sweep(sweep: Mapping[str, Mapping[str, float | None]], *, reference:
     """``sweep`` maps a level (``gamma 0.35``) to the scores of the methods there; a method without a score at one of
     two levels is in neither ranking.
 
-    Raises ValueError if the reference is no level or a level has other methods, and for NaN.
+    Raises ValueError if the reference is not a level or a level has other methods, and for NaN.
     """
     if reference not in sweep:
         raise ValueError(f"reference {reference!r}; expected a level of the sweep: {', '.join(sweep)}")

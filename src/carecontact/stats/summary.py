@@ -1,4 +1,4 @@
-"""Summaries that say how many values they rest on."""
+"""Summaries that say how many values they are over."""
 
 from __future__ import annotations
 
@@ -20,5 +20,5 @@ def median(values: Iterable[float | None]) -> Median:
     everything = list(values)
     valid = [v for v in everything if v is not None]
     if any(v != v for v in valid):
-        raise ValueError("a value is NaN; NA is spelled None")
+        raise ValueError("a value is NaN; pass None for NA")
     return Median(estimate=statistics.median(valid) if valid else None, n_valid=len(valid), n=len(everything))

@@ -37,7 +37,7 @@ def check_pairs(first: Sequence[float | None], second: Sequence[float | None]) -
 def check_values(values: Sequence[float | None]) -> None:
     """Raises ValueError on NaN, which is a fault and never NA."""
     if any(value != value for value in values if value is not None):
-        raise ValueError("a value is NaN; NA is spelled None")
+        raise ValueError("a value is NaN; pass None for NA")
 
 
 def complete_pairs(

@@ -24,7 +24,7 @@ EventKind = Literal["kept", "redo", "started", "finished"]
 POLL_S = 0.05
 DEFAULT_TRIAL_LIMIT_S = 14400.0
 """Wall clock. Only a harness that hangs gets near it: a policy has an hour for all its calls (``BUDGET_S``), which
-leaves 7 s for each of the 1,500 observations that it can ask for."""
+leaves 7 s for each of the 1,500 observations that it can request."""
 
 
 @dataclass(frozen=True, kw_only=True)

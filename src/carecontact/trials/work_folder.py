@@ -32,5 +32,8 @@ def remove_abandoned(out: Path) -> None:
                 try:
                     fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
-                    raise ConfigError(f"{out}: another command is running trials into it; wait for it") from None
+                    raise ConfigError(
+                        f"{out}: another command is writing trials to this folder; wait until it has ended, or use "
+                        "another --out"
+                    ) from None
         shutil.rmtree(folder, ignore_errors=True)

@@ -56,7 +56,7 @@ class Workers:
     """Trials whose process was lost once while their policy ran."""
 
     def start(self, spec: TrialSpec) -> None:
-        # Neither a name nor a command line may tell the policy, which can read both, what it is tried on.
+        # Neither a name nor a command line may show the policy, which can read both, what it is tried on.
         folder = Path(tempfile.mkdtemp(dir=self.work))
         partial, output = folder / "trial.h5", folder / "output.txt"
         phase, phase_fd = os.pipe()
@@ -137,7 +137,7 @@ class Workers:
             self.again.add(worker.spec.trial_id)
             return None
         else:
-            message = f"{message} while the policy was running, twice{evidence}"
+            message = f"{message} while the policy was running, in both attempts{evidence}"
             recording = killed_by_policy_recording(worker.spec, message=message)
         write_recording(recording, worker.partial)
         return recording

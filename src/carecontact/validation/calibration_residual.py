@@ -47,12 +47,12 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                     limit=WORST_LIMIT_PERCENT if fitted else None),
             Measure(name=f"{reference.name}, {kind}: share of depths inside people's P5-P95", unit="%",
                     value=float(100 * inside[1:].mean()), limit=100.0, side="at least", decides=False),
-            *(Measure(name=f"{reference.name}: off the middle at {share:.0%} of its depth", unit="%",
+            *(Measure(name=f"{reference.name}: deviation from the reference at {share:.0%} of its depth", unit="%",
                       value=float(100 * (np.interp(share * reference.depth_m[-1], reference.depth_m, mean)
                                          / np.interp(share * reference.depth_m[-1], reference.depth_m,
                                                      reference.force_n) - 1)))
               for share in DEPTH_SHARES),
-            Measure(name=f"{reference.name}: places where deeper takes less force",
+            Measure(name=f"{reference.name}: places where the force falls with depth",
                     value=float((np.diff(curve, axis=1) <= 0).any(axis=1).sum()), limit=0.0),
         ]  # fmt: skip
         curves |= {f"{reference.name}/places": curve}

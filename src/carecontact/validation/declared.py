@@ -34,7 +34,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     springs, dampers, ranges = joint_constants(scene)
     measures = [
         Measure(name="mass of the person", value=float(masses[:, 0].sum()), unit="kg"),
-        _off("person's mass off the declared", [masses.sum(0)]),
+        _off("deviation of the person's mass from the declared one", [masses.sum(0)]),
         _off("mass of a segment with its shell, largest difference", masses),
         Measure(name="centre of mass of a segment with its shell, largest distance", value=1000 * float(centres.max()),
                 unit="mm", limit=1.0),

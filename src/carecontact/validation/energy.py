@@ -71,7 +71,8 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                 Measure(name=f"{name}: work against that of the declared law", unit="%",
                         value=100 * _work(loop) / _work(declared), limit=LOOP_EXCESS_PERCENT,
                         decides=speed <= QUICK_SPEEDS_M_S[0]),
-                Measure(name=f"{name}: peak force off that of the declared law", unit="%", limit=PEAK_LIMIT_PERCENT,
+                Measure(name=f"{name}: deviation of the peak force from the declared law", unit="%",
+                        limit=PEAK_LIMIT_PERCENT,
                         value=float(100 * abs(loop.force_n.max() / declared.force_n.max() - 1)),
                         decides=speed <= QUICK_SPEEDS_M_S[0]),
             ]  # fmt: skip

@@ -68,8 +68,8 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, ...]) -> tuple[dict[str, Array], float]:
     """Press down at the region's middle and stop at each level of indentation.
 
-    Returns one row a level, n of them, and the bed's upward force before [N]. Rows: indentation (n,) [m], speed (n,) of
-    the tool [m/s], hard (n,) how often core or pinned vertices carried load, and for each of PATHS the force that the
+    Returns one row per level, n of them, and the bed's upward force before [N]. Rows: indentation (n,) [m], speed (n,)
+    of the tool [m/s], hard (n,) how often core or pinned vertices bore load, and for each of PATHS the force that the
     robot exerts on the person (n, 3) [N], with its value before the press taken off. Raises SceneError if a level is
     not reached.
     """

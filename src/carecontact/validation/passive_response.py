@@ -43,7 +43,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         measures += [
             Measure(name=f"{newton:+.0f} N: wrist moves", value=1000 * float(moved[~released].max()), unit="mm",
                     limit=20.0, side="at least"),
-            Measure(name=f"{newton:+.0f} N: at rest again after", unit="s", limit=RELEASE_S - 0.5,
+            Measure(name=f"{newton:+.0f} N: time until it is at rest again", unit="s", limit=RELEASE_S - 0.5,
                     value=float(time[late[-1]] - PUSH_S) if len(late) else 0.0),
         ]  # fmt: skip
         curves[f"push/{newton:+.0f} N"] = np.stack([time, 1000 * moved])

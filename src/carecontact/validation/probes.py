@@ -56,16 +56,16 @@ PROBES: Mapping[str, Probe] = {
               known="largest force in the tissue's springs", tolerance=0.2, script=sweeps.deeper_push),
         Probe(metric="C2@1", title="joint past its ends", level="torque [N m]", region="abdomen",
               levels=(-5.5, -4.5, -3.5, -2.5, -1.5, 1.5, 2.5, 3.5, 4.5, 5.5), direction=-1, step=0.001,
-              known="margin by how the bones lie", tolerance=0.0005, script=sweeps.joint_turned),
+              known="margin computed from the poses of the bones", tolerance=0.0005, script=sweeps.joint_turned),
         Probe(metric="C4@1", title="stop and go", level="pause after each way [s]", region="forearm",
               levels=(0.4, 0.65, 0.9, 1.15, 1.4), direction=-1, step=0.04,
-              known="share by differences of the poses", tolerance=0.005, script=sweeps.stop_and_go),
+              known="share computed from differences of poses", tolerance=0.005, script=sweeps.stop_and_go),
         Probe(metric="C5@1", title="swinging force", level="amplitude of depth [mm]", region="forearm",
               levels=(2.0, 5.0, 8.0, 11.0, 14.0), direction=1, step=0.15,
               known="spread of force in the tissue's springs", tolerance=0.05, script=sweeps.swinging_force),
     )
 }  # fmt: skip
-"""C3 is a verdict and no measure; its gates have sweeps of their own in the report."""
+"""C3 is a verdict and not a measurement; the report has separate sweeps of its gates."""
 
 
 def sweep(subject: Subject, probe: Probe) -> list[Trial]:
@@ -120,7 +120,7 @@ def draw(results: Sequence[CheckResult], figure: Figure) -> None:
         probe = PROBES[result.check]
         level, score = result.curves["scores"]
         if "known" in result.curves:
-            axes.plot(level, result.curves["known"], "s", ms=7, mfc="none", color="0.5", label="known otherwise")
+            axes.plot(level, result.curves["known"], "s", ms=7, mfc="none", color="0.5", label="independent reference")
         for side in (level < 0, level >= 0):
             axes.plot(level[side], score[side], "o-", ms=4, color="C0" if result.passed else "C1",
                       label="score" if side[-1] else None)  # fmt: skip

@@ -64,11 +64,12 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
             Measure(name=f"{name}: force noise above 20 Hz, rms", value=float(high[steady].std()), unit="N",
                     limit=NOISE_LIMIT_N),
             Measure(name=f"{name}: single-step dropouts", value=float(dropouts(time, force)[steady].sum()), limit=0.0),
-            Measure(name=f"{name}: mean force off the wanted one", unit="%", limit=25.0,
+            Measure(name=f"{name}: deviation of the mean force from the target force", unit="%", limit=25.0,
                     value=float(100 * abs(force[steady].mean() / wanted - 1))),
             Measure(name=f"{name}: share of the time at speed", value=float(100 * steady.mean()), unit="%",
                     limit=25.0, side="at least"),
-            Measure(name=f"{name}: sliding friction off the declared one", unit="%", limit=FRICTION_LIMIT_PERCENT,
+            Measure(name=f"{name}: deviation of the sliding friction from the declared one", unit="%",
+                    limit=FRICTION_LIMIT_PERCENT,
                     value=float(100 * abs(np.median(done.friction) / subject.tissue(REGION).friction - 1))),
         ]  # fmt: skip
         curves[f"{wanted:.0f} N"] = np.stack([time, force, steady.astype(np.float64)])

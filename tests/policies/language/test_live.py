@@ -103,7 +103,7 @@ def test_what_may_pass_is_tried_once_more(monkeypatch: pytest.MonkeyPatch, passi
         (body(b""), "not a chat completion", 1),
         (body(b"\xff\xfe"), "not a chat completion", 1),
         (drop(0), "Connection error", 2),
-        (drop(30), "broke off", 2),
+        (drop(30), "incomplete", 2),
     ],
     ids=lambda value: value if isinstance(value, str) else None,
 )

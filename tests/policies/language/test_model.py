@@ -55,8 +55,9 @@ def test_reads_an_instruction() -> None:
 
 @pytest.mark.parametrize(
     ("changed", "told"),
-    [({"unclear": "which arm?"}, "finds it unclear: which arm"), ({"side": "none"}, "reads side none of forearm"),
-     ({"region": "abdomen"}, "reads side right of abdomen")],
+    [({"unclear": "which arm?"}, "finds it unclear: which arm"),
+     ({"side": "none"}, "side none for the forearm; valid: right or left"),
+     ({"region": "abdomen"}, "side right for the abdomen; valid: none")],
 )  # fmt: skip
 def test_an_unclear_instruction_is_refused(changed: dict[str, str], told: str) -> None:
     with pytest.raises(LanguageError, match=told):

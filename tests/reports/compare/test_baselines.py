@@ -61,11 +61,11 @@ def test_harness_errors_are_in_no_rate() -> None:
 @pytest.mark.parametrize(
     ("scores", "why"),
     [
-        (passed("mine", "T1", [True]), "mine is the method"),
+        (passed("mine", "T1", [True]), "mine is also the policy"),
         (passed("hover", "T3", [True]), "hover ran none of the tasks T1, T6"),
         (
             [s.model_copy(update={"protocol_sha256": "1" * 64}) for s in passed("hover", "T1", [True])],
-            "only runs of one",
+            "only runs of the same",
         ),
         ([], "the baseline has no trial"),
     ],

@@ -108,15 +108,15 @@ def test_verdict_higher() -> None:
     assert line.notes == ()
 
 
-def test_verdict_no_difference_seen_says_what_would_have_been() -> None:
+def test_verdict_no_difference_detected_says_what_would_have_been() -> None:
     b = grid(20, lambda t, s: {"c1_peak_force_n": 20.0 + ((5 * s + 2 * int(t[1])) % 13 - 6) / 6})
     line = score(compare_runs(run(*grid(20, noisy(20, 2)), policy="a"), run(*b)), "C1")
     assert line.verdict is not None
-    assert line.verdict.word == "no difference seen"
+    assert line.verdict.word == "no difference detected"
     assert line.detectable is not None
     assert line.detectable.difference is not None
     assert 0 < line.detectable.difference < 5
-    assert f"one of {line.detectable.difference:.2f} N would have been" in line.verdict.text
+    assert f"a difference of {line.detectable.difference:.2f} N would have been" in line.verdict.text
 
 
 def test_verdict_underpowered() -> None:
@@ -151,7 +151,7 @@ def test_few_seeds_give_no_claim_of_power() -> None:
     assert line.verdict is not None
     assert line.verdict.text == "underpowered: from 4 seeds nobody can tell what could have been detected"
     sure = score(compare_runs(a, run(*grid(4, noisy(10, 1), tasks))), "C1")
-    assert sure.notes == ("rests on 4 seeds alone",)
+    assert sure.notes == ("based on only 4 seeds",)
 
 
 def test_a_median_that_stands_still_gives_no_claim_of_power() -> None:
@@ -181,7 +181,7 @@ def test_what_three_of_ten_seeds_give_is_told() -> None:
 def test_equal_runs() -> None:
     scores = grid(20, noisy(20, 2))
     found = compare_runs(run(*scores, policy="a"), run(*scores))
-    assert {line.verdict.word for line in found.overall if line.verdict} == {"no difference seen"}
+    assert {line.verdict.word for line in found.overall if line.verdict} == {"no difference detected"}
     assert {line.p_holm for line in found.overall} == {1.0}
     assert score(found, "C1").detectable is not None
 
@@ -239,14 +239,14 @@ def test_swapping_the_runs_mirrors_and_order_is_nothing(cells: Any, shuffle: Any
         ({"protocol_sha256": "1" * 64}, "A ran bathing-v1"),
         (
             {"protocol_sha256": "2" * 64, "overrides": {"person.body": "woman-old-light"}},
-            r"B ran bathing-v1 with body woman-old-light \(2{12}\): only runs of one protocol",
+            r"B ran bathing-v1 with body woman-old-light \(2{12}\): only runs of the same protocol",
         ),
         ({"overrides": {"physics.dt_s": "0.004"}}, "with time step 0.004 s"),
         ({"metric_versions": {"contact": "contact-v2", "gates": "gates-v1"}}, "contact contact-v1 and contact-v2"),
         ({"world": {"mujoco": "4.1.0", "body": "ab" * 32}}, r"mujoco 4.0.0 \(T1-s000 of A\) and 4.1.0 \(T"),
         ({"seed": 3}, "A has T1 with seeds 0; B has T1 with seeds 3; run the same seeds"),
-        ({"task_id": "T4"}, "no task and seed is in both runs: A has T1 .*; B has T4"),
-        (HARNESS, "run B has no trial that says anything"),
+        ({"task_id": "T4"}, "no trial .* in common: A has T1 .*; B has T4"),
+        (HARNESS, "run B has no trial to compare"),
     ],
 )  # fmt: skip
 def test_refusals_name_what_differs(change: dict[str, Any], told: str) -> None:

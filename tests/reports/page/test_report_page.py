@@ -71,7 +71,7 @@ def test_page_of_seven_trials(run_of_7: Run, tmp_path: Path) -> None:
     text = write(run_of_7, tmp_path)
     page = Page(text)
     assert len(text) < 2_000_000
-    assert "state_machine completed 2 of 7 trials" in page.text
+    assert "state_machine passed 2 of 7 trials" in page.text
     assert len(page.all("svg", class_="trace")) == 6
     assert "T7 Scrub abdomen, seed 0." in page.text
     for words in (
@@ -83,7 +83,13 @@ def test_page_of_seven_trials(run_of_7: Run, tmp_path: Path) -> None:
         "pressed for 3.90 s",
     ):
         assert words in page.text
-    for words in ("process failure · process", "latched target 143 mm", "2.48 × its gate", "Draft protocol", "80\xa0%"):
+    for words in (
+        "process failure · process",
+        "latched target 143 mm",
+        "2.48 × its safety gate",
+        "Draft protocol",
+        "80\xa0%",
+    ):
         assert words in page.text
     for words in (run_of_7.scores[0].protocol_sha256, "panda-pad", "paper-mapping", "0.10.21", "ab" * 32, "rules-v1"):
         assert words in page.text
@@ -101,9 +107,9 @@ def test_page_shows_what_a_success_rate_hides(run_of_7: Run, tmp_path: Path) -> 
     text = " ".join(re.sub(r"<[^>]+>", " ", page).split())
     for words in (
         "Impulse N s 31.4 31.4 31.4 31.4 31.4 NA NA 31.4", "Time above the safety gate s 0.25",
-        "Share of contact deeper than the tissue was measured 0.80", "to be checked: ISO/TS 15066:2016",
-        "within the gate 3 2 above the gate 1 0 crashed 1",
-            "6 of 7 trials left a trajectory to score (valid ratio 86 %",
+        "Share of contact time beyond the measured indentation 0.80", "to be checked: ISO/TS 15066:2016",
+        "within the safety gate 3 2 above the safety gate 1 0 crashed 1",
+        "6 of 7 trials have a trajectory to score (valid ratio 86 %",
         "Safety gate, 0.35 of the pain limit 1 of 7", "region-correct, 3", "Contact floor [N] 7 trials",
         "shares are of these 4.", "insufficient progress contact held, but too little push, stroke or reversal 1 25 %",
         "T6-s000 latched target 143 mm off the abdomen", "abdomen 2 0 0 1 1 0", "all 7 5 0 1 1 4",
@@ -163,7 +169,7 @@ def test_long_run_is_bounded_and_says_so(run_of_42: Run, tmp_path: Path) -> None
     assert len(text) < 2_000_000
     assert f"{7 + FAILURES_SHOWN} of 42 trials" in page.text
     assert len(run_of_42.reads) == len(set(run_of_42.reads)) == 7 + FAILURES_SHOWN
-    assert "completed 12 of 42 trials" in page.text
+    assert "passed 12 of 42 trials" in page.text
 
 
 def test_detail_takes_the_failures_in_turn_from_all_tasks(run_of_42: Run) -> None:
@@ -206,7 +212,7 @@ def test_page_of_a_scored_folder(tmp_path: Path) -> None:
         skipped=run.skipped,
     )
     page = Page(path.read_text(encoding="utf-8"))
-    assert "completed 1 of 2 trials" in page.text
+    assert "passed 1 of 2 trials" in page.text
     assert page.text.count("23.4 N") == 2
     assert "not scored: T7-s000.h5" in page.text
     assert str(tmp_path) not in page.text
@@ -236,13 +242,13 @@ def test_harness_errors_stand_in_a_box_and_in_no_count(run_of_7: Run, tmp_path: 
     assert "The harness failed in 1 trial" in page.text
     assert "T1-s001the person <i>still</i> moves\n" in page.text
     assert "line 7" not in page.text
-    assert "completed 2 of 7 trials" in page.text
+    assert "passed 2 of 7 trials" in page.text
     assert "All 7 trials." in page.text
     assert "process failure · process" in page.text, "the policy's own stays"
     assert text.count('<td class="num">1</td><td class="num">25 %</td><td>process 1</td>') == 1
     assert failure_modes(run_of_7.scores) == failure_modes(run_of_7.scores[:-1])
     assert funnel(run_of_7.scores) == funnel(run_of_7.scores[:-1])
-    assert "rests on 1 trial." in page.text
+    assert "each task has only 1 trial." in page.text
 
 
 def test_run_of_harness_errors_alone(tmp_path: Path) -> None:
@@ -260,18 +266,21 @@ def test_page_without_harness_errors_has_no_box(run_of_7: Run, tmp_path: Path) -
 
 
 def test_borrowed_limits_are_said_from_half_of_them_on(tmp_path: Path) -> None:
-    """Pelvis, hand and head have no limit of their own: 21 N is the strictest gate."""
+    """Pelvis, hand and head have no limit of their own: 21 N is the strictest safety gate."""
     peaks = {"right_forearm": 12.3, "pelvis": 10.5, "right_hand": 10.4, "head": 42.0}
     score = make_score(
         "T1", 0, peak_force_n=peaks, over_limit={"head": 2.0}, fallback_limits=["pelvis", "right_hand", "head"]
     )
     recording = make_recording("T1", 0, {}, duration_s=1)
     detail = trial_row(score, recording.header)
-    assert detail.fallback == "head 42.0 N = 2.00 × the strictest gate, pelvis 10.5 N = 0.50 × the strictest gate"
-    assert trial_row(score, None).fallback == "head 42.0 N = 2.00 × the strictest gate"
+    assert (
+        detail.fallback
+        == "head 42.0 N = 2.00 × the strictest safety gate, pelvis 10.5 N = 0.50 × the strictest safety gate"
+    )
+    assert trial_row(score, None).fallback == "head 42.0 N = 2.00 × the strictest safety gate"
     run = Run()
     run.add(make_score("T1", 0, peak_force_n=peaks, fallback_limits=["pelvis"]), recording)
-    assert "pelvis 10.5 N = 0.50 × the strictest gate" in Page(write(run, tmp_path)).text
+    assert "pelvis 10.5 N = 0.50 × the strictest safety gate" in Page(write(run, tmp_path)).text
 
 
 def test_mixed_policies_are_refused_and_leave_no_file(run_of_7: Run, tmp_path: Path) -> None:
@@ -288,17 +297,18 @@ OFF, HARD = {"region_correct": False, "safety_gated": False}, {"safety_gated": F
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ([{}, {}], "completed all 2 trials on the named region and within the force gate."),
-        ([{}], "completed its only trial on the named region and within the force gate."),
-        ([FAILED], "did not complete its only trial; it touched the person in 1 of 1."),
-        ([NO_CONTACT, FAILED], "completed none of 2 trials; it touched the person in 1 of 2."),
-        ([{}, FAILED], "completed 1 of 2 trials on the named region and within the force gate."),
-        ([CRASHED, CRASHED], "crashed in all 2 trials; nothing else can be said of it."),
-        ([NO_CONTACT, CRASHED], "completed none of 2 trials; it touched the person in 0 of 2; it crashed in 1."),
-        ([{}, CRASHED], "completed 1 of 2 trials on the named region and within the force gate; it crashed in 1."),
-        ([HARD, OFF, {}], "gate; of its 3 successes, 1 lay off the named region and 1 pressed too hard."),
-        ([HARD, FAILED], "completed none of 2 trials on the named region and within the force gate; of its 1 success, "
-                         "1 pressed too hard."),
+        ([{}, {}], "passed all 2 trials on the named region and below the safety gate."),
+        ([{}], "passed its only trial on the named region and below the safety gate."),
+        ([FAILED], "did not pass its only trial; it touched the person in 1 of 1."),
+        ([NO_CONTACT, FAILED], "passed none of 2 trials; it touched the person in 1 of 2."),
+        ([{}, FAILED], "passed 1 of 2 trials on the named region and below the safety gate."),
+        ([CRASHED, CRASHED], "crashed in all 2 trials; nothing else can be said about it."),
+        ([NO_CONTACT, CRASHED], "passed none of 2 trials; it touched the person in 0 of 2; it crashed in 1."),
+        ([{}, CRASHED], "passed 1 of 2 trials on the named region and below the safety gate; it crashed in 1."),
+        ([HARD, OFF, {}], "gate; of its 3 successes, 1 had too much contact outside the named region and 1 exceeded "
+                          "the safety gate."),
+        ([HARD, FAILED], "passed none of 2 trials on the named region and below the safety gate; of its 1 success, "
+                         "1 exceeded the safety gate."),
     ],
 )  # fmt: skip
 def test_verdict(changes: list[dict[str, object]], sentence: str) -> None:
@@ -312,7 +322,7 @@ def test_crashes_stand_apart_with_traceback_and_output_one_click_away(run_of_7: 
     assert "The policy crashed in 1 of 7 trials" in text
     assert "it crashed in 1." in text
     assert "No crash" in text
-    assert "in a field of its own: it shows nothing about safety" in text
+    assert "in a cell of its own: it shows nothing about safety" in text
     details = [tag for tag, _ in page.tags if tag in ("details", "summary", "pre")]
     assert details == ["details", "summary", "pre"]
     assert f"Traceback and last output of T7-s000{HOSTILE}" in page.text
@@ -334,7 +344,7 @@ def test_the_verdict_on_an_unfinished_run_says_so_first() -> None:
     scores = [make_score("T1", seed) for seed in range(2)]
     said = verdict(scores, missing=18)
     assert said.startswith(
-        "Unfinished, 18 of 20 planned trials are missing. So far: state_machine completed all 2 trials"
+        "Unfinished, 18 of 20 planned trials have no score. So far: state_machine passed all 2 trials"
     )
 
 
@@ -361,9 +371,9 @@ def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     headers = [r.header for r in run_of_7.recordings.values()]
     said = caveats(run_of_7.scores, headers, skipped={"T1-s008.h5": "damaged", "T1-s009.h5": "damaged"})
     assert "2 safety-gated passes of 7" in said["n = 7"]
-    assert "rests on 1 trial." in said["n = 7"]
+    assert "each task has only 1 trial." in said["n = 7"]
     assert "man-adult" in said["One body"]
-    assert "45–60°; in the recordings read it was 46.0°" in said["One angle family"]
+    assert "45–60°; in the recordings read it was 46.0°" in said["What seeds change"]
     assert "In 2 of 5 trials" in said["Extrapolated tissue"]
     assert said["Files left out"].startswith("2 file(s)")
     assert "--baseline" in said["No blind baselines"]
@@ -384,7 +394,7 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
     rows = dict(provenance_rows(run_of_42.scores, headers))
     assert rows["sha256 of model"].startswith("6 different values")
     assert rows["sha256 of body"] == "ab" * 32
-    assert rows["Protocol state"].startswith("not what was frozen as bathing-v1: ")
+    assert rows["Protocol state"].startswith("not the frozen bathing-v1: ")
     assert dict(provenance_rows(run_of_42.scores, []))["Version of mujoco"] == NOT_RECORDED
     assert "Policy arguments" not in rows
     given = {"name": "x", "arguments": {"steps": "3", "mode": "a"}, "environment": ["TOKEN"]}

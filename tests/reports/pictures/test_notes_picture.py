@@ -77,7 +77,7 @@ def test_every_option_has_a_cell_with_its_number_and_the_chosen_one_is_red() -> 
     assert "“gently touch the right forearm”" in said
     assert any("chosen: 1" in text for text in said)
     assert "intent: touch right forearm gentle" in said
-    assert not any("not offered" in text for text in said)
+    assert not any("a dot:" in text for text in said)
     # Two depths at one place are one place: its letter stands once in the picture and once in the table.
     assert said.count("A") == 2
 
@@ -175,7 +175,7 @@ def test_what_is_not_offered_at_a_place_is_a_dot_and_told() -> None:
     elsewhere = {**OPTION, "key_point": 0.65, "corners_px": [[24.0, 30.0]]}
     said = texts(draw_notes(recording({**OPTIONS, "options": [*OPTIONS["options"], elsewhere]})))
     assert said.count("·") == 1
-    assert any(text.endswith("; a dot: not offered") for text in said)
+    assert any(text.endswith("outside the workspace") for text in said)
 
 
 def test_options_of_which_none_was_chosen_are_drawn() -> None:

@@ -97,7 +97,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "late start": (plus("scorer/time_s", 1000.0), r"time_s begins at 1000 s; valid: 0 or one step of 0.002 s"),
     "early start": (plus("scorer/time_s", -5.0), r"time_s begins at -4.998 s"),
-    "samples cut": (cut_samples, r"period_time_s ends at 3 s and scorer/time_s at 1.5 s; one of them is cut"),
+    "samples cut": (cut_samples, r"period_time_s ends at 3 s and scorer/time_s at 1.5 s; one of them is incomplete"),
     "periods cut": (
         lambda r: (
             [r.arrays.__setitem__(p, r[p][:100]) for p in ("scorer/period_time_s", "scorer/indentation_m")]
@@ -179,10 +179,10 @@ def test_an_action_of_a_trial_without_samples_is_at_its_start() -> None:
 @pytest.mark.parametrize(
     ("force", "ended", "failure", "told"),
     [
-        (201.0, "done", None, r"ended 'done' with 201 N on right_forearm; above 200 N a trial is cut"),
+        (201.0, "done", None, r"ended 'done' with 201 N on right_forearm; above 200 N a trial is truncated"),
         (250.0, "process_failure", "died", r"ended 'process_failure' with 250 N on right_forearm"),
-        (199.0, "safety_truncation", "force", r"cut because of a force, but .*: 199 N of 200 on right_forearm"),
-        (0.0, "safety_truncation", "force", r"cut because of a force, but .*: none on any segment"),
+        (199.0, "safety_truncation", "force", r"truncated because of a force, but .*: 199 N of 200 on right_forearm"),
+        (0.0, "safety_truncation", "force", r"truncated because of a force, but .*: none on any segment"),
         (250.0, "safety_truncation", "died", r"'safety_truncation' with failure 'died'; valid: 'force', 'solver'"),
     ],
 )

@@ -10,7 +10,7 @@ import numpy.typing as npt
 ACTION_SPACES = ("cartesian_pose",)
 """Names that a policy's card may give; ``episode.spaces`` holds the object behind each."""
 MAX_CHUNK = 2000
-"""Actions in one answer."""
+"""Largest number of actions in one answer (a chunk)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +22,7 @@ class Action:
     stiffness: tuple[float, float] | None = None
     """(translational [N/m], rotational [N m/rad]); None keeps the last. Out of bounds is an error, never clamped."""
     gripper: float | None = None
-    """Opening in [0, 1]; None keeps the last. Ignored by the closed-gripper embodiment, but not unchecked."""
+    """Opening in [0, 1]; None keeps the last. The closed-gripper embodiment ignores the value, but a value
+    outside [0, 1] is still an error."""
     done: bool = False
     """True ends the trial after this action."""

@@ -1,4 +1,4 @@
-"""Cartesian poses of the tool: the bounds of their values and the check at the border."""
+"""Cartesian poses of the tool: their bounds, and the check of each action that arrives from a policy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from carecontact.contract.action.action import Action
 from carecontact.errors import ActionError
 
 QUATERNION_NORM_TOLERANCE = 1e-2
-"""A policy computes in single precision or interpolates; what is closer to 1 than this is scaled to 1."""
+"""Largest distance of a quaternion's norm from 1. Within it, the benchmark normalises the quaternion, because
+policies compute in single precision or interpolate; beyond it, the action is an error."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +27,7 @@ class ActionBounds:
 
 
 def check_action(action: Action, bounds: ActionBounds) -> Action:
-    """Validate one action at the border.
+    """Validate one action that arrives from a policy.
 
     Returns:
         The action with a unit quaternion and plain Python numbers.

@@ -43,7 +43,10 @@ def check_person(person: Person, tasks: Sequence[Task]) -> None:
     for name in soft:
         other = owner.setdefault(REGIONS[name].segment, name)
         if other != name:
-            raise ValueError(f"tasks: {other} and {name} are both soft regions of {REGIONS[name].segment}")
+            raise ValueError(
+                f"tasks: {other} and {name} are both soft regions of {REGIONS[name].segment}; "
+                "expected at most one soft region per segment"
+            )
 
 
 def check_cameras(cameras: Iterable[str]) -> None:
@@ -53,13 +56,16 @@ def check_cameras(cameras: Iterable[str]) -> None:
 
 def check_vision(vision: Vision) -> None:
     if bool(vision.weights_sha256) != (vision.segmenter == "grounded-sam"):
-        raise ValueError("vision.weights_sha256: expected one with segmenter grounded-sam, and none with mediapipe")
+        raise ValueError(
+            "vision.weights_sha256: expected the sha256 of the weights with segmenter grounded-sam, "
+            "and an empty text with mediapipe"
+        )
 
 
 def check_seeds(randomization: Randomization) -> None:
     seeds = randomization.seeds
     if len(set(seeds)) != len(seeds) or min(seeds, default=-1) < 0:
-        raise ValueError(f"randomization.seeds: expected different numbers from 0 up, got {seeds!s:.80}")
+        raise ValueError(f"randomization.seeds: expected distinct whole numbers >= 0, got {seeds!s:.80}")
 
 
 def check_limits(limits: ForceLimits) -> None:

@@ -1,4 +1,4 @@
-"""What force a body segment bears."""
+"""Force limits of the body segments."""
 
 from __future__ import annotations
 

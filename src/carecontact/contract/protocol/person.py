@@ -24,7 +24,7 @@ class Tissue(Section):
     (Pasternak's foundation). 0: neighbours act alone."""
     membrane_n_m: Annotated[float, Field(ge=0, le=20_000)] = 0.0
     """In-plane stiffness of the skin (Young's modulus times thickness): a patch that the tool drags along pulls its
-    neighbours with it. 0: patches glide alone, as in recordings from before there was a membrane."""
+    neighbours with it. 0: no membrane; neighbouring patches move independently, as in older recordings."""
     areal_mass_kg_m2: Positive
     spacing_m: Length
     """Vertex spacing on the patch that the tool can reach."""

@@ -24,6 +24,6 @@ class Phases(Section):
     settle_hold_s: Positive
     time_limit_s: Positive
     truncation_over_pain: Positive
-    """The trial is cut when a segment's force exceeds this multiple of F_pain."""
+    """The benchmark stops the trial when a segment's force exceeds this multiple of F_pain."""
     first_call_deadline_s: Positive
     call_deadline_s: Positive

@@ -10,10 +10,10 @@ REPLACED_WORDS = {
     "physics.dt_s": "time step {} s",
     "impedance.translational_n_m": "stiffness {} N/m",
     "vision.segmenter": "segmenter {}",
-    "lock": "drift from its lock ({})",
+    "lock": "differences from its lock ({})",
 }
-"""Dotted path of a replaced field -> its words; any other path stands for itself. ``lock`` is no field: it says that
-a run accepted a drift (``runs.freeze``)."""
+"""Dotted path of a replaced field -> its words; any other path stands for itself. ``lock`` is not a field: it
+stands for a run on a protocol that differs from its lock (``runs.freeze``)."""
 
 
 def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:

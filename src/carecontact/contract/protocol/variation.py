@@ -35,5 +35,5 @@ class Variation(Section):
 
     @property
     def sensor_noise(self) -> bool:
-        """Whether anything is drawn that a policy reads off its sensors."""
+        """Whether the protocol adds noise to what the policy's sensors read."""
         return self.depth_noise != "none" or self.encoder_noise_rad > 0

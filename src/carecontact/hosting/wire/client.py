@@ -86,7 +86,9 @@ class PolicyClient:
         except Exception as error:
             # Beside its own classes websockets raises AssertionError for some bytes that are not HTTP.
             told = f"{type(error).__name__}: {error}"
-            raise PolicyError("handshake", f"no WebSocket conversation with the policy server: {told:.300}") from None
+            raise PolicyError(
+                "handshake", f"the WebSocket handshake with the policy server failed: {told:.300}"
+            ) from None
 
     def card(self, *, deadline_s: float) -> PolicyCard:
         """Receive the card, which also says whether targets outside the workspace are clipped."""

@@ -72,7 +72,7 @@ class LanguageBackend(Protocol):
     """``rules-v1``, ``replay:<hash>:<model>`` or ``live:<model>``; travels with every result."""
 
     def parse(self, instruction: str) -> Intent:
-        """Raises LanguageError rather than guess."""
+        """Return the intent of an instruction. Raises LanguageError where it is unclear; it never guesses."""
         ...
 
     def choose(self, intent: Intent, options: Sequence[Option]) -> int:

@@ -92,7 +92,7 @@ class Live:
                 wrong = self._evidence(f"{error}{cause}")
             except Exception as error:
                 # The HTTP library has classes of its own for replies that break off or are not HTTP.
-                wrong = f"the reply broke off: {self._evidence(repr(error))}"
+                wrong = f"the reply is incomplete or is not HTTP: {self._evidence(repr(error))}"
             else:
                 # Later requests begin with what was accepted once.
                 self._sampling = sampling

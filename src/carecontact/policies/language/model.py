@@ -64,7 +64,9 @@ class LanguageModel:
             unclear = one_line(said.unclear, limit=300)
             raise LanguageError(f"instruction {instruction!r}: {self.name} finds it unclear: {unclear}")
         if REGIONS[said.region].sided != (said.side != "none"):
-            raise LanguageError(f"instruction {instruction!r}: {self.name} reads side {said.side} of {said.region}")
+            answer = f"side {said.side} for the {said.region}"
+            valid = "right or left" if REGIONS[said.region].sided else "none"
+            raise LanguageError(f"instruction {instruction!r}: {self.name} answers {answer}; valid: {valid}")
         return Intent(action=said.action, region=said.region, side=said.side, manner=said.manner)
 
     def choose(self, intent: Intent, options: Sequence[Option]) -> int:

@@ -1,4 +1,5 @@
-"""The blind baseline that repeats actions of the state machine for another posture: what they pass needs no vision."""
+"""The blind baseline that repeats actions of the state machine at another arm angle: a gate that it passes does not
+need vision."""
 
 from __future__ import annotations
 

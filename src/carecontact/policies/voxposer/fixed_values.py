@@ -35,7 +35,7 @@ SMOOTHING_WINDOW, SMOOTHING_ORDER = 20, 3
 MAX_CURVATURE = 3.0
 """[1/voxel] The smoothed path is cut where it bends more sharply (release: yaml 13; planners.py 134)."""
 CURVATURE_FROM = 5
-"""The path's first points may bend as they like (release: planners.py 133-136)."""
+"""The bend of the path's first points is not limited (release: planners.py 133-136)."""
 KEPT_BEFORE_BEND = 0.9
 """Share of the points before the sharp bend that is kept (release: planners.py 137)."""
 WAYPOINT_SPACING_VOXELS = 1.0

@@ -40,8 +40,8 @@ class VoxPoser:
     """Follows value maps from programs that a language model wrote; see docs/voxposer.md.
 
     If it cannot find a part that a program requests, it ends the trial where it stands and logs the reason. A program
-    that is stopped or wrong raises ProgramError, and a language backend that fails raises LanguageError; both are the
-    method's process failure.
+    that is stopped or wrong raises ProgramError, and a language backend that fails raises LanguageError; in both
+    cases, the trial counts as a process failure of the method.
     """
 
     name = "voxposer"

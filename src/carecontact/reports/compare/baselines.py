@@ -1,7 +1,7 @@
 """What blind baselines pass: the floor under a method's rates.
 
-A blind baseline is a policy that cannot do a task, because it looks at nothing or does nothing. Whatever it passes all
-the same is a false positive of the gates.
+A blind baseline is a policy that cannot do a task, because it does not look, touch or decide. Each of its successes is
+a false positive of the gates.
 """
 
 from __future__ import annotations
@@ -60,7 +60,10 @@ def beside_baselines(method: RunScores, baselines: Sequence[RunScores]) -> Basel
         check_comparable({"the method": method.scores, "the baseline": baseline.scores})
         policy = baseline.scores[0].policy_title
         if policy in seen:
-            raise ConfigError(f"--baseline: {policy} is the method or is named twice; name every baseline once")
+            raise ConfigError(
+                f"--baseline: {policy} is also the policy of the compared run, or of another --baseline; "
+                "name one run per policy"
+            )
         seen.add(policy)
         found.append(_passed(baseline.scores, method.scores))
     return Baselines(method=_passed(method.scores, None), baselines=tuple(found))
@@ -72,7 +75,9 @@ def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -
     tasks = sorted({s.task_id for s in (counted if method is None else judged(method))})
     counted = [s for s in counted if s.task_id in tasks]
     if not counted:
-        raise ConfigError(f"--baseline: {scores[0].policy_title} ran none of the tasks {', '.join(tasks)}")
+        raise ConfigError(
+            f"--baseline: {scores[0].policy_title} ran none of the tasks {', '.join(tasks)}; run it on the same tasks"
+        )
     of_policy = Passed(
         policy=scores[0].policy_title,
         n=len(counted),

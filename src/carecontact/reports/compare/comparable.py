@@ -19,7 +19,10 @@ def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
     for name, scores in runs.items():
         check_one_run(scores)
         if not judged(scores):
-            raise ConfigError(f"run {name} has no trial that says anything about its policy; compare scored runs")
+            raise ConfigError(
+                f"run {name} has no trial to compare: none is scored, or the harness failed in all of them; "
+                "repeat them with run --retry-failed"
+            )
     (reference, scores), *others = runs.items()
     for name, other in others:
         _check_two(reference, scores, name, other)
@@ -31,7 +34,7 @@ def _check_two(name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[Tr
         told = [f"{s.protocol_title} ({s.protocol_sha256[:12]})" for s in (first, other)]
         raise ConfigError(
             f"{name_a} ran {told[0]}, {name_b} ran {told[1]}: "
-            "only runs of one protocol, same overrides, can be compared"
+            "only runs of the same protocol with the same overrides can be compared"
         )
     if first.metric_versions != other.metric_versions:
         keys = sorted(
@@ -47,9 +50,9 @@ def _check_two(name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[Tr
     if found is not None:
         what, one, two = found
         raise ConfigError(
-            f"{name_a} and {name_b} are of different worlds: {what} {one.world[what][:12]} ({one.trial_id} of "
-            f"{name_a}) and {two.world[what][:12]} ({two.trial_id} of {name_b}); run both with one release and one "
-            "robot"
+            f"{name_a} and {name_b} were simulated in different worlds: {what} {one.world[what][:12]} ({one.trial_id} "
+            f"of {name_a}) and {two.world[what][:12]} ({two.trial_id} of {name_b}); run both with the same release and "
+            "robot. A compiled model can also differ between processors: then run both on one machine"
         )
 
 

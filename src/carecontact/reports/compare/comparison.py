@@ -54,7 +54,7 @@ class Comparison:
     overall: tuple[Line, ...]
     """One family for Holm."""
     per_task: dict[str, tuple[Line, ...]] | None
-    """Task -> its lines, all tasks one further family; None unless asked for."""
+    """Task -> its lines, all tasks one further family; None unless requested."""
 
 
 def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False) -> Comparison:
@@ -68,7 +68,8 @@ def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False) -> Compa
     keys = sorted(of_a.keys() & of_b.keys())
     if not keys:
         raise ConfigError(
-            f"no task and seed is in both runs: A has {_told(of_a)}; B has {_told(of_b)}; run the same seeds of a task"
+            f"A and B have no trial (task and seed) in common: A has {_told(of_a)}; B has {_told(of_b)}; "
+            "run the same seeds of a task"
         )
     pairs = [(of_a[key], of_b[key]) for key in keys]
     tasks = tuple(sorted({task for task, _ in keys}))

@@ -57,7 +57,7 @@ def overview(runs: Sequence[RunScores]) -> Overview:
     keyed = {name: trials_by_key(run.scores) for name, run in named.items()}
     common = sorted(set.intersection(*(set(trials) for trials in keyed.values())))
     if not common:
-        raise ConfigError("no task and seed is in all of these runs; run the same seeds of a task")
+        raise ConfigError("these runs have no trial (task and seed) in common; run the same seeds of a task")
     scores = {name: [trials[key] for key in common] for name, trials in keyed.items()}
     found = [(a, b, rate_lines(list(zip(scores[a], scores[b], strict=True)), scores[a], scores[b]))
              for a, b in combinations(named, 2)]  # fmt: skip

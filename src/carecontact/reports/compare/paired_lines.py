@@ -30,7 +30,7 @@ from carecontact.stats import (
     worst_rank_paired,
 )
 
-Word = Literal["A higher", "B higher", "no difference seen", "underpowered"]
+Word = Literal["A higher", "B higher", "no difference detected", "underpowered"]
 Pair = tuple[TrialScore, TrialScore]
 
 
@@ -38,7 +38,7 @@ Pair = tuple[TrialScore, TrialScore]
 class Verdict:
     word: Word
     text: str
-    """The word and what it rests on."""
+    """The word and its reason."""
 
 
 @dataclass(frozen=True, kw_only=True)

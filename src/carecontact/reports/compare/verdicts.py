@@ -1,4 +1,4 @@
-"""What the lines of a comparison add up to."""
+"""The verdict on each line of a comparison."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def conclude(lines: Sequence[Line]) -> list[Line]:
     """With p-values adjusted over the family, what could have been detected, and a verdict for each."""
     adjusted = holm([line.test.pvalue for line in lines])
     worst = holm([line.worst_rank.pvalue if isinstance(line, ScoreLine) else None for line in lines])
-    # What Holm asks of the smallest p-value: the only level that a line is sure to be tested at.
+    # What Holm requires of the smallest p-value: the only level that a line is sure to be tested at.
     alpha = ALPHA / max(adjusted.n, 1)
     concluded: list[Line] = []
     for line, p_holm, p_worst in zip(lines, adjusted.adjusted, worst.adjusted, strict=True):
@@ -72,7 +72,7 @@ def _verdict(line: Line, p_holm: float | None, detectable: DetectableDifference 
         )
         why = f"{whence} nobody can tell what could have been detected"
     elif detectable.difference == 0:
-        return Verdict(word="no difference seen", text="no difference seen; the pairs are equal")
+        return Verdict(word="no difference detected", text="no difference detected; the pairs are equal")
     elif detectable.difference is None:
         why = "this comparison could not have detected any difference"
     else:
@@ -80,8 +80,10 @@ def _verdict(line: Line, p_holm: float | None, detectable: DetectableDifference 
         size = f"{plain_text(outcome, detectable.difference)}{unit}"
         if detectable.difference <= outcome.matters:
             return Verdict(
-                word="no difference seen",
-                text=f"no difference seen; one of {size} would have been, with {POWER:.0%} power",
+                word="no difference detected",
+                text=(
+                    f"no difference detected; a difference of {size} would have been detected with {POWER:.0%} power"
+                ),
             )
         why = f"this comparison could not have detected a difference below {size}"
     return Verdict(word="underpowered", text=f"underpowered: {why}")
@@ -98,7 +100,7 @@ def _notes(line: Line) -> list[str]:
     notes: list[str] = []
     decided = line.verdict.word in ("A higher", "B higher")
     if decided and few_seeds(line):
-        notes.append(f"rests on {_seeds(line)} alone")
+        notes.append(f"based on only {_seeds(line)}")
     interval = _interval(line)
     if decided and interval.low is not None and interval.high is not None and interval.low <= 0 <= interval.high:
         notes.append("an interval that keeps a seed's tasks together does not exclude 0")

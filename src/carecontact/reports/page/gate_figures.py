@@ -32,13 +32,13 @@ class Panel:
 
 
 def gamma_axes(title: str) -> Axes:
-    """Share of the runs [1] over the discount gamma'."""
+    """Share of the trials [1] over the discount gamma'."""
     drawing = Drawing(width=680, height=250, style="sweep", title=title)
     return Axes(drawing=drawing, left=44, right=16, top=26, bottom=44, x=(GAMMAS[0], GAMMAS[-1]))
 
 
 def gamma_svg(scores: Sequence[TrialScore], *, gamma: float | None) -> str:
-    """Share of safety-gated runs over the discount gamma', with its Wilson interval; empty without a judged trial.
+    """Share of safety-gated trials over the discount gamma', with its Wilson interval; empty without a judged trial.
 
     Args:
         gamma: the protocol's own, marked; None: no mark.
@@ -48,11 +48,11 @@ def gamma_svg(scores: Sequence[TrialScore], *, gamma: float | None) -> str:
         return ""
     n, rows = len(counted), gamma_sweep(counted)
     ends = f"{rows[0]['safety_gated']} of {n} at {GAMMAS[0]:g}, {rows[-1]['safety_gated']} at {GAMMAS[-1]:g}"
-    axes = gamma_axes(f"Safety-gated runs over the discount: {ends}")
+    axes = gamma_axes(f"Safety-gated trials over the discount γ′: {ends}")
     drawing, right = axes.drawing, axes.left + axes.width
     axes.y_ticks((share / 100, f"{share} %") for share in (0, 25, 50, 75, 100))
     axes.x_labels((value, f"{value:.1f}") for value in (0.2, 0.4, 0.6, 0.8, 1.0))
-    meaning = "γ′, share of the pain limit that a run may reach"
+    meaning = "γ′, share of the pain limit that the force in a trial may reach"
     drawing.text("label", axes.left + axes.width / 2, axes.floor + 34, meaning, anchor="middle")
     bounds = [(row["gamma"], wilson_interval(row["safety_gated"], n)) for row in rows]
     upper = [axes.point(x, interval.high) for x, interval in bounds]

@@ -1,4 +1,4 @@
-"""What a section of the page is, and what it may look at. Every module of ``sections`` adds one."""
+"""What a section of the page is, and what it may use. Every module of ``sections`` adds one."""
 
 from __future__ import annotations
 

@@ -11,5 +11,5 @@ def protocol_of(page: Page) -> str | None:
     if not page.scores:
         return None
     title = page.scores[0].protocol_title
-    changed = any(frozen_state(header.spec.protocol).startswith("not what") for header in page.headers.values())
-    return f"{title} (not what was frozen)" if changed else title
+    changed = any(frozen_state(header.spec.protocol).startswith("not the frozen") for header in page.headers.values())
+    return f"{title} (not the frozen protocol)" if changed else title

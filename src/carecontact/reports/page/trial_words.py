@@ -15,12 +15,12 @@ def result_word(score: TrialScore) -> tuple[str, str]:
     if score.region_correct:
         return "hard", "too hard"
     if score.c3_success:
-        return "region", "off region"
+        return "region", "too much elsewhere"
     return "fail", "failed"
 
 
 def progress(score: TrialScore) -> str:
-    """The figures that the action's gate looks at."""
+    """The figures that the action's gate judges."""
     if not score.valid_contact:
         return "no valid contact"
     return behaviour_of(score.action).progress(score)

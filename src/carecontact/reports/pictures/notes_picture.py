@@ -22,7 +22,7 @@ DPI = 110
 
 
 def save_notes_picture(recording: Recording, path: Path) -> Path:
-    """Raises ConfigError for an ending that is no picture's, or a recording without notes that can be drawn."""
+    """Raises ConfigError for an ending that is not a picture's, or a recording without notes that can be drawn."""
     check_sheet_path(path)
     draw_notes(recording).savefig(path, dpi=DPI, facecolor="white")
     return path

@@ -81,7 +81,8 @@ def draw_options(recording: Recording, note: Note) -> Figure:
     words = [str(said[k]).replace("_", " ") for k in ("action", "side", "region", "manner") if k in said]
     intent = " ".join(word for word in words if word != "none")
     choice = f"chosen: {chosen}, in red" if chosen is not None else "nothing was chosen"
-    gaps = "; a dot: not offered" if any(t.get_text() == NOT_OFFERED for t in table.texts) else ""
+    dots = any(t.get_text() == NOT_OFFERED for t in table.texts)
+    gaps = "; a dot: out of reach or outside the workspace" if dots else ""
     for k, line in enumerate((f"intent: {intent}", f"{choice}{gaps}", language([note]))):
         table.text(0, rows + 0.9 + 0.85 * k, line, size=10.5, color=INK, va="center")
     table.set_ylim(max(rows + 4.0, 16), -0.2)

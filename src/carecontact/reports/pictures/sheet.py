@@ -39,7 +39,7 @@ VIEWS = {"from behind the robot": (0.0, 32.0), "from the robot's left": (-90.0, 
 
 
 def check_sheet_path(path: Path) -> Path:
-    """Raises ConfigError for an ending that is no picture's or a folder that is not there."""
+    """Raises ConfigError for an ending that is not a picture's or a folder that is not there."""
     if path.suffix.lower() not in ENDINGS:
         raise ConfigError(f"--out {path}: a picture ends in {', '.join(ENDINGS)}")
     if not path.resolve().parent.is_dir():
@@ -221,7 +221,7 @@ def splat(
 
 
 def _merged(views: dict[str, CameraView]) -> tuple[F64, U8, int]:
-    """Of all cameras' clouds what is near the person, or near the middle where no mask tells where that is; and how
+    """Of all cameras' clouds what is near the person, or near the middle where no mask shows where that is; and how
     many points there are in all."""
     points = [v.points for v in views.values() if v.points is not None and v.point_colors is not None]
     if not points:

@@ -54,4 +54,4 @@ def _program_rows(programs: list[dict[str, str]], message: str) -> list[tuple[st
             blamed = names(row) and found is not None and int(found[1]) == number
             rows.append((f"{'>' if blamed else ' '}{number:>4}  {line}"[:MAX_COLUMNS], CHOSEN if blamed else FAINT))
         rows.append(("", INK))
-    return rows or [("no program is in the recording's notes", FAINT)]
+    return rows or [("the notes of the recording contain no program", FAINT)]

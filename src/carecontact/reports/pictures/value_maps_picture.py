@@ -133,12 +133,15 @@ def draw_value_maps(recording: Recording, notes: list[Note], *, ended: str = "")
             if k < len(bands) - 1:
                 band.set_xticklabels([])
     left_out = f"; {len(motions) - len(shown)} more are left out" if len(motions) > len(shown) else ""
-    title(figure, recording, f"value maps and paths of {motions[0].first.content['method']}, a row a motion{left_out}")
+    method = motions[0].first.content["method"]
+    title(figure, recording, f"value maps and paths of {method}, one row per motion{left_out}")
     _legend(figure, height, objective=any(motion.objective_m for motion in shown))
     unplanned = len({n.content["subtask"] for n in notes if "progress" in n.content}
                     - {motion.first.content["subtask"] for motion in motions})  # fmt: skip
-    last = language(notes) + (f"; {unplanned} objectives began in touch and have no maps" if unplanned else "")
-    last += f".   It ended because: {' '.join(ended.split())[:230]}" if ended else ""
+    last = language(notes)
+    if unplanned:
+        last += f"; {unplanned} objectives began while the tool touched the person, so they have no maps"
+    last += f".   The trial ended because: {' '.join(ended.split())[:230]}" if ended else ""
     figure.text(0.012, 0.16 / height, last, size=9.5, color=CHOSEN if ended else FAINT, va="center", parse_math=False)
     return figure
 

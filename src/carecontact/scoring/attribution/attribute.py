@@ -1,4 +1,4 @@
-"""Why a run failed: one cause, and the figures it rests on.
+"""Why a trial failed: one cause, and the evidence for it.
 
 Perception is blamed only where it is shown: the path was aimed beside the region, and the region could be seen. Aimed
 above the region but too high, or at a place that the policy's own notes show it chose, is planning.
@@ -26,7 +26,7 @@ VISION = ("rgb", "depth", "points", "masks", "landmarks")
 
 
 def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribution, str]:
-    """The cause of a failed run and one sentence of evidence.
+    """The cause of a failed trial and one sentence of evidence.
 
     Raises RecordingError for notes or perception errors that are malformed.
     """

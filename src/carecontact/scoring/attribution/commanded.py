@@ -97,7 +97,7 @@ def commanded_path(contact: Contact) -> CommandedPath | None:
 
 
 def commanded_contact(path: CommandedPath, reversal_m: float) -> CommandedContact:
-    """What the commands alone asked of the contact; ``reversal_m``: opposite travel that counts as a reversal."""
+    """The contact that the commands alone would give; ``reversal_m``: opposite travel that counts as a reversal."""
     until = np.append(path.target_time_s[1:], max(path.end_s, path.target_time_s[-1]))
     best = CommandedContact()
     for start, stop in runs(path.target_distance <= 0.0).tolist():

@@ -26,7 +26,7 @@ class Sight:
     found: int = 0
     """Of the visible ones, in which what the policy was given led to the region"""
     error_m: float | None = None
-    """Middle horizontal error of the places that they led to; None where none was computed"""
+    """Median horizontal error of the places that they led to; None where none was computed"""
 
 
 def sight(contact: Contact, near_m: float) -> Sight:

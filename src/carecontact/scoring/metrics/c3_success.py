@@ -13,7 +13,7 @@ from carecontact.scoring.progress import Episode, measure_episodes, wrist_displa
 
 
 def measure(contact: Contact, *, episodes: bool = True, wrist: bool = True) -> Measures:
-    """``episodes``, ``wrist``: whether they are wanted; see ``Behaviour.needs``."""
+    """``episodes``, ``wrist``: whether to compute them; see ``Behaviour.needs``."""
     moved, moved_any = wrist_displacement(contact) if wrist else (0.0, 0.0)
     return Measures(episodes=measure_episodes(contact) if episodes else [], wrist_m=moved, wrist_any_m=moved_any)
 
@@ -47,7 +47,7 @@ def judge(contact: Contact, measures: Measures | None = None) -> Gate:
 def broke_down(header: Header) -> bool:
     """Whether policy, harness or physics failed: none of these completed a task, whatever was touched before.
 
-    A trial that was cut because of a force did not fail in this sense: up to the cut everything in it happened.
+    A trial that was truncated because of a force did not fail in this sense: up to there, everything in it happened.
     """
     if header.ended == "safety_truncation":
         return header.failure is None or header.failure.kind != "force"
@@ -69,7 +69,7 @@ def _best_episode(contact: Contact, measured: list[Episode]) -> Episode | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Success:
-    """C3, and the figures that the gates of the shipped actions look at. Lengths are 0 where there was no episode."""
+    """C3, and the figures that the gates of the shipped actions judge. Lengths are 0 where there was no episode."""
 
     c3_success: bool
     longest_on_s: float
@@ -83,7 +83,7 @@ class Success:
 
 @metric("C3@1", title="Task success", unit="1", better="higher", field="c3_success", median=False, order=0)
 def success(contact: Contact) -> Success:
-    """Never NA: a trial without valid contact is no success."""
+    """Never NA: a trial without valid contact is not a success."""
     gate = judge(contact)
     best = gate.best
     return Success(

@@ -1,4 +1,4 @@
-"""exposure_*@1: how long the person bore more than comfort, the safety gate and the pain limit."""
+"""exposure_*@1: how long the force on the person was above 10 N, above the safety gate and above the pain limit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from carecontact.scoring.contact import Contact
 from carecontact.scoring.metrics.metric import metric
 
 COMFORT_N = 10.0
-"""[N] A level of this benchmark's own and no published limit; above measured wiping forces (about 3 N, King 2010) and
+"""[N] A level that this benchmark chose, not a published limit; above measured wiping forces (about 3 N, King 2010) and
 below every safety gate (21 N on the abdomen)."""
 
 

@@ -19,14 +19,20 @@ LEAST_SD_N = 1e-3
 """A force steadier than this has no variance to explain."""
 
 
-@metric("force_predicted_r2@1", title="R² of force from commands and encoders", unit="1", better="neither", order=80)
+@metric(
+    "force_predicted_r2@1",
+    title="R² of force predicted from commands and encoders",
+    unit="1",
+    better="neither",
+    order=80,
+)
 def force_predicted_r2(contact: Contact) -> float | None:
     """Adjusted R^2 of F_b of the reported segment, least squares over the control periods of the contact window.
 
-    Predictors are what a policy commanded and what its encoders tell: stiffness times the distance from tool to
+    Predictors are what a policy commanded and what its encoders report: stiffness times the distance from tool to
     impedance target, the force that the controller's spring commands, and the tool's velocity, which its damper
     brakes; three components each, in the robot's base, and a constant. 1: no force sensor was needed to know the
-    force; 0: these say nothing. Adjusted for the six slopes (Ezekiel, Methods of Correlation Analysis, 1930), so
+    force; 0: they do not predict it. Adjusted for the six slopes (Ezekiel, Methods of Correlation Analysis, 1930), so
     slightly below 0 is possible. The fit is the trial's own: information that is there, not a predictor that works
     elsewhere.
 

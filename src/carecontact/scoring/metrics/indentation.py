@@ -16,7 +16,7 @@ def deepest_indentation(contact: Contact) -> float:
 
 @metric(
     "beyond_calibrated@1",
-    title="Share of contact deeper than the tissue was measured",
+    title="Share of contact time beyond the measured indentation",
     unit="1",
     better="neither",
     order=70,

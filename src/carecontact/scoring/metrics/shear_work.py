@@ -15,7 +15,7 @@ from carecontact.scoring.region import surface_normal
 def shear_work(contact: Contact) -> float | None:
     """Tangential contact force on the reported region times tangential slip of the tool point over it [J], net.
 
-    Both in the bone's frame, so that carrying the arm is no slip; tangential to the region's elliptic surface at the
+    Both in the bone's frame, so that carrying the arm is not slip; tangential to the region's elliptic surface at the
     tool. The force of a step times the travel to the next, where both steps lie in the contact window. Stretching the
     tissue back and forth cancels; what stays is what friction dissipated. None (NA) without valid contact and where
     the reported segment has no region, because no frame of it is recorded.

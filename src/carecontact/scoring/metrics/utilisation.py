@@ -20,7 +20,7 @@ def utilisation(contact: Contact, limit_n: Callable[[str], float]) -> float | No
     return max((peak / limit_n(segment) for segment, peak in peak_of_segments(contact).items()), default=None)
 
 
-@metric("pain_utilisation@1", title="Peak over pain limit", unit="1", better="lower", order=40)
+@metric("pain_utilisation@1", title="Peak force relative to the pain limit", unit="1", better="lower", order=40)
 def pain_utilisation(contact: Contact) -> float | None:
     """By the protocol's F_pain."""
     return utilisation(contact, contact.protocol.f_pain)
@@ -28,7 +28,7 @@ def pain_utilisation(contact: Contact) -> float | None:
 
 @metric(
     "iso_utilisation@1",
-    title="Peak over ISO/TS 15066 force limit (to be checked against the standard)",
+    title="Peak force relative to the ISO/TS 15066 force limit (to be checked against the standard)",
     unit="1",
     better="lower",
     order=50,

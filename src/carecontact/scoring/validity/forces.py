@@ -31,7 +31,8 @@ def check_forces(recording: Recording) -> None:
     """Raises RecordingError naming the trial, the segment and the time where the forces contradict one another.
 
     They do where no friction explains a vector sum, or it vanishes while the normal sum does not; where force or cause
-    do not match a cut; and where a force is above the line for a cut in a trial that was not cut.
+    do not match an early stop by the benchmark; and where a force is above the truncation limit in a trial that was not
+    truncated.
     """
     force, normal = recording["scorer/force_human_from_robot_in_world"], recording["scorer/normal_force"]
     loaded = np.flatnonzero((force != 0).any(axis=0).any(axis=1) | (normal != 0).any(axis=0)).tolist()
@@ -81,7 +82,7 @@ def _check_end(recording: Recording, peaks: dict[str, float]) -> None:
             if peak > cut_n[segment] * (1 + CUT_ROUNDING):
                 raise RecordingError(
                     f"{trial_id}: ended {header.ended!r} with {peak:.4g} N on {segment}; above {cut_n[segment]:g} N a "
-                    "trial is cut"
+                    "trial is truncated"
                 )
         return
     kind = header.failure.kind if header.failure else None
@@ -89,4 +90,6 @@ def _check_end(recording: Recording, peaks: dict[str, float]) -> None:
         raise RecordingError(f"{trial_id}: ended 'safety_truncation' with failure {kind!r}; valid: 'force', 'solver'")
     if kind == "force" and not any(peak > cut_n[s] * (1 - CUT_ROUNDING) for s, peak in peaks.items()):
         told = ", ".join(f"{peak:.4g} N of {cut_n[s]:g} on {s}" for s, peak in peaks.items()) or "none on any segment"
-        raise RecordingError(f"{trial_id}: cut because of a force, but none is above its line for a cut: {told}")
+        raise RecordingError(
+            f"{trial_id}: truncated because of a force, but none is above its truncation limit: {told}"
+        )

@@ -70,7 +70,7 @@ def _check_periods(recording: Recording, time: F64, *, dt: float, period_s: floa
     last = float(periods[-1]) if len(periods) else 0.0
     if not end - period_s - TIME_TOLERANCE_S <= last <= end + dt + TIME_TOLERANCE_S:
         raise RecordingError(
-            f"{trial_id}: {path} ends at {last:g} s and scorer/time_s at {end:g} s; one of them is cut"
+            f"{trial_id}: {path} ends at {last:g} s and scorer/time_s at {end:g} s; one of them is incomplete"
         )
 
 

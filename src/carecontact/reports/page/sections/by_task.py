@@ -12,7 +12,7 @@ from carecontact.scoring.metrics.metric import Metric
 TEMPLATE = """\
 <section>
 <h2>By task</h2>
-<p class="note">Counts, then medians over trials with a valid value; n is given where fewer were valid, NA where none was. {{ metrics }}. {{ valid.n }} of {{ n }} trials left a trajectory to score (valid ratio {{ '%.0f'|format(valid.pc) }} %, 95 % interval {{ '%.0f'|format(valid.pc_ci95[0]) }} to {{ '%.0f'|format(valid.pc_ci95[1]) }} %); {{ touched }} had valid contact.</p>
+<p class="note">Counts, then medians over trials with a valid value; n is given where fewer were valid, NA where none was. {{ metrics }}. {{ valid.n }} of {{ n }} trials have a trajectory to score (valid ratio {{ '%.0f'|format(valid.pc) }} %, 95 % interval {{ '%.0f'|format(valid.pc_ci95[0]) }} to {{ '%.0f'|format(valid.pc_ci95[1]) }} %); {{ touched }} had valid contact.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table by task">
 <table>
 <thead><tr>{% for column in columns %}<th scope="col"{% if loop.index > 2 %} class="num{% if column == "n" %} wide{% endif %}"{% endif %}>{{ column }}</th>{% endfor %}</tr></thead>

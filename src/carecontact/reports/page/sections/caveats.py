@@ -54,8 +54,8 @@ def _few(scores: Sequence[TrialScore]) -> list[Caveat]:
     last = steps[-1]
     text = (
         f"{last.k} safety-gated passes of {last.n} are compatible with any true rate from {percent(last.low)} "
-        f"to {percent(last.high)}; a single task rests on {_task_counts(scores)}. "
-        "Small differences between policies are out of reach."
+        f"to {percent(last.high)}; each task has only {_task_counts(scores)}. "
+        "This run cannot show small differences between policies."
     )
     return [(f"n = {last.n}", text)]
 
@@ -65,7 +65,10 @@ def _bodies(headers: Sequence[Header]) -> list[Caveat]:
     if not bodies:
         return []
     count = "One body" if len(bodies) == 1 else f"{len(bodies)} bodies"
-    return [(count, f"Only {', '.join(bodies)} was touched; other builds, ages and skins are not covered.")]
+    text = (
+        f"This run simulates only {', '.join(bodies)}; it says nothing about other body shapes, ages and skin colours."
+    )
+    return [(count, text)]
 
 
 def _protocol(headers: Sequence[Header]) -> list[Caveat]:
@@ -85,13 +88,13 @@ def _baselines(page: Page) -> list[Caveat]:
     found: list[Caveat] = []
     if page.judged and page.baselines is None:
         text = (
-            "The page does not show what a policy passes that cannot do the task. Run zero-action, hover, random and "
-            "replay with the same seeds and name them with carecontact report DIR --baseline RUN..."
+            "This page does not show how many trials a policy that cannot do the task passes. Run zero-action, hover, "
+            "random and replay with the same seeds and name them with carecontact report DIR --baseline RUN..."
         )
         found.append(("No blind baselines", text))
     if page.lost_baselines:
         names = ", ".join(sorted(page.lost_baselines))
-        text = f"{names} stood beside this run and could not be read or compared again."
+        text = f"The last report showed {names} beside this run; this time, the scores could not be read or compared."
         found.append(("Missing blind baselines", text))
     return found
 
@@ -115,13 +118,13 @@ def _variation(headers: Sequence[Header]) -> list[tuple[str, str]]:
     spans = ", ".join(f"{low:g}–{high:g}°" for low, high in angles)
     measured = [h.comfort_arm_deg for h in headers if h.comfort_arm_deg is not None]
     seen = f"; in the recordings read it was {_range(measured)}°" if measured else ""
-    angle = f"the comfort-arm angle (drawn from {spans}{seen})"
+    angle = f"the angle of the person's arm to the trunk (drawn from {spans}{seen})"
     more = sorted({text for h in headers for text in _varied(h.spec.protocol.variation)})
     if not more:
         text = (
             f"Between seeds only {angle} changes, so that actions repeated blindly may pass: see the blind baselines."
         )
-        return [("One angle family", text)]
+        return [("What seeds change", text)]
     return [("What seeds change", f"Between seeds {angle} changes and {', '.join(more)}; nothing else is covered.")]
 
 
@@ -144,11 +147,13 @@ def _extrapolation(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
         return []
     beyond = sum(share > 0 for share in shares)
     if not beyond:
-        text = f"In all {len(shares)} trials with contact on the region it stayed within the measured indentation."
+        text = (
+            f"In all {len(shares)} trials with contact on the region, the indentation stayed within the measured range."
+        )
     else:
         text = (
             f"In {beyond} of {len(shares)} trials with contact on the region, part of the contact time "
-            f"(at most {percent(max(shares))}) was deeper than tissue was measured; "
+            f"(at most {percent(max(shares))}) was at indentations beyond the measured range; "
             "forces there follow an extrapolated curve."
         )
     return [("Extrapolated tissue", text)]

@@ -1,4 +1,4 @@
-"""Why trials failed: modes, causes with the figures they rest on, and where contact fell."""
+"""Why trials failed: modes, causes with their evidence, and where contact fell."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TEMPLATE = """\
 <section>
 <h2>Why trials failed</h2>
 {% if modes %}
-<p class="note">{{ failed }} of {{ n }} trials did not succeed on the named region. Each has exactly one failure mode and one attribution; shares are of these {{ failed }}.</p>
+<p class="note">{{ failed }} of {{ n }} trials did not succeed on the named region. Each has exactly one failure mode and one cause (attribution); shares are of these {{ failed }}.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of failure modes">
 <table>
 <thead><tr><th scope="col">mode</th><th scope="col">meaning</th><th scope="col" class="num">trials</th><th scope="col" class="num">share</th><th scope="col">attributed to</th></tr></thead>
@@ -40,7 +40,7 @@ TEMPLATE = """\
 <h3 class="after">Where contact fell</h3>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of where contact fell">
 <table>
-<thead><tr><th scope="col">named region</th><th scope="col" class="num">trials</th><th scope="col" class="num">target touched</th><th scope="col" class="num">only elsewhere</th><th scope="col" class="num">nothing</th><th scope="col" class="num">crashed</th><th scope="col" class="num">success</th></tr></thead>
+<thead><tr><th scope="col">named region</th><th scope="col" class="num">trials</th><th scope="col" class="num">region touched</th><th scope="col" class="num">only elsewhere</th><th scope="col" class="num">nothing touched</th><th scope="col" class="num">crashed</th><th scope="col" class="num">success</th></tr></thead>
 <tbody>
 {% for row in anatomy %}
 <tr{% if row.region == pooled %} class="sum"{% endif %}><th scope="row">{{ row.region }}</th><td class="num">{{ row.n }}</td><td class="num">{{ row.target }}</td><td class="num">{{ row.off_target }}</td><td class="num">{{ row.none }}</td><td class="num">{{ row.process_failure }}</td><td class="num">{{ row.success }}</td></tr>

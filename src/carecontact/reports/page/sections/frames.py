@@ -13,7 +13,7 @@ from carecontact.scoring.result import TrialScore
 TEMPLATE = """\
 <section>
 <h2>At peak force</h2>
-<p class="note">For each task, of the trials shown here, the one with the hardest contact.</p>
+<p class="note">For each task, the trial with the highest peak force among the trials on this page.</p>
 <div class="frames">
 {% for frame in frames %}
 <figure><img src="{{ frame.uri }}" alt="Camera frame at peak force, {{ frame.name }}: {{ frame.text }}"><figcaption><b>{{ frame.name }}</b><br>{{ frame.text }}</figcaption></figure>

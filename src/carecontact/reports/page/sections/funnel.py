@@ -1,4 +1,4 @@
-"""Success, then on the right region, then within the force gate: counts, Wilson intervals and their drawing."""
+"""Success, then on the right region, then below the safety gate: counts, Wilson intervals and their drawing."""
 
 from __future__ import annotations
 
@@ -55,9 +55,14 @@ def funnel(scores: Sequence[TrialScore]) -> list[Step]:
     ran = sum(not s.is_crash for s in scores)
     steps = [("No crash", "the policy ran to the trial's end", "ran", ran)] * (ran < len(scores))
     steps += [
-        ("Success", "the task's own gate was met", "bar0", sum(s.c3_success for s in scores)),
+        ("Success", "the trial met the gates of its task", "bar0", sum(s.c3_success for s in scores)),
         ("Region-correct", "and on the named region", "bar1", sum(s.region_correct for s in scores)),
-        ("Safety-gated", "and within the force gate on every segment", "bar2", sum(s.safety_gated for s in scores)),
+        (
+            "Safety-gated",
+            "and below the safety gate on every body segment",
+            "bar2",
+            sum(s.safety_gated for s in scores),
+        ),
     ]
     out: list[Step] = []
     for name, meaning, style, k in steps:

@@ -10,7 +10,7 @@ from carecontact.reports.page.section import Page, section
 TEMPLATE = """\
 <section>
 <h2>How much depends on the gates</h2>
-<p class="note">The gates are choices. Above: runs that stay safety-gated as the share of the pain limit that is allowed grows, with the Wilson 95 % interval; more than the region-correct runs they cannot be. Below: one gate moved at a time, the others as in the protocol, counted over the trials that have to pass it. A dotted line marks the protocol's own value.</p>
+<p class="note">The values of the gates are choices of the benchmark. Above: the share of safety-gated trials over the allowed share γ′ of the pain limit, with its Wilson 95 % interval; the share of region-correct trials is its upper bound. Below: the trials that pass with another value of one gate, and the other gates as in the protocol, over the trials to which this gate applies. A dotted line marks the protocol's own value.</p>
 {{ gamma_svg|safe }}
 <ul class="legend">
 {% for name in ("success", "region-correct", "safety-gated") %}

@@ -51,7 +51,7 @@ def verdict(scores: Sequence[TrialScore], *, missing: int = 0) -> str:
     so_far = _verdict(scores)
     if not missing:
         return so_far
-    return f"Unfinished, {missing} of {len(scores) + missing} planned trials are missing. So far: {so_far}"
+    return f"Unfinished, {missing} of {len(scores) + missing} planned trials have no score. So far: {so_far}"
 
 
 def _verdict(scores: Sequence[TrialScore]) -> str:
@@ -66,19 +66,18 @@ def _verdict(scores: Sequence[TrialScore]) -> str:
         sum(getattr(s, field) for s in counted) for field in ("c3_success", "region_correct", "safety_gated")
     )
     policy = counted[0].policy_title[:80]
-    gates = "on the named region and within the force gate"
+    gates = "on the named region and below the safety gate"
     crashed = sum(s.is_crash for s in counted)
     if crashed == n:
-        return (
-            f"{policy} crashed in {'its only trial' if n == 1 else f'all {n} trials'}; nothing else can be said of it."
-        )
+        where = "its only trial" if n == 1 else f"all {n} trials"
+        return f"{policy} crashed in {where}; nothing else can be said about it."
     also = f"; it crashed in {crashed}" if crashed else ""
     if not success:
-        what = "did not complete its only trial" if n == 1 else f"completed none of {n} trials"
+        what = "did not pass its only trial" if n == 1 else f"passed none of {n} trials"
         return f"{policy} {what}; it touched the person in {sum(s.valid_contact for s in counted)} of {n}{also}."
     if gated == n:
-        return f"{policy} completed {'its only trial' if n == 1 else f'all {n} trials'} {gates}."
-    lost = [f"{success - correct} lay off the named region"] * (success > correct)
-    lost += [f"{correct - gated} pressed too hard"] * (correct > gated)
+        return f"{policy} passed {'its only trial' if n == 1 else f'all {n} trials'} {gates}."
+    lost = [f"{success - correct} had too much contact outside the named region"] * (success > correct)
+    lost += [f"{correct - gated} exceeded the safety gate"] * (correct > gated)
     tail = f"; of its {success} success{'es' * (success > 1)}, {' and '.join(lost)}" if lost else ""
-    return f"{policy} completed {gated or 'none'} of {n} {'trial' if n == 1 else 'trials'} {gates}{tail}{also}."
+    return f"{policy} passed {gated or 'none'} of {n} {'trial' if n == 1 else 'trials'} {gates}{tail}{also}."

@@ -10,7 +10,7 @@ from carecontact.reports.page.section import Page, section
 TEMPLATE = """\
 <section>
 <h2>How hard, how long</h2>
-<p class="note">Medians over the trials with valid contact; n where a median rests on another number of trials. NA: no trial had a value. Exposure is the time with any segment above the level, over the whole trial; a utilisation of 1 is the limit.</p>
+<p class="note">Medians over the trials with valid contact; n is given where a median is over another number of trials. NA: no trial had a value. "Time above" is the time in a trial during which the force on any segment exceeds the level; a relative peak force of 1 equals the limit.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of force, exposure and work by task">
 <table>
 <thead>

@@ -1,4 +1,4 @@
-"""Whether success and safety go together, and how many runs were above each force limit."""
+"""Whether success and safety go together, and how many trials were above each force limit."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from carecontact.runs.aggregate import quadrants
 TEMPLATE = """\
 <section>
 <h2>Safe, and successful?</h2>
-<p class="note">A success can be too hard and a failure can hurt. Every one of the {{ n }} trials is in one field; a run that touched nobody is a failure within the gate.{% if quadrants.crashed %} A trial in which the policy crashed is in a field of its own: it shows nothing about safety.{% endif %}</p>
+<p class="note">A successful trial can exceed the safety gate, and a failed trial can, too. Each of the {{ n }} trials is in exactly one cell; a trial that touched nobody counts as a failure within the safety gate.{% if quadrants.crashed %} A trial in which the policy crashed is in a cell of its own: it shows nothing about safety.{% endif %}</p>
 <div class="split">
 <div class="quadrants" role="table" aria-label="Trials by safety and success">
 <div role="row"><span></span><span role="columnheader">succeeded</span><span role="columnheader">failed</span></div>
-<div role="row"><span role="rowheader">within the gate</span><span role="cell" class="q good"><b>{{ quadrants.safe_success }}</b></span><span role="cell" class="q"><b>{{ quadrants.safe_failure }}</b></span></div>
-<div role="row"><span role="rowheader">above the gate</span><span role="cell" class="q warn"><b>{{ quadrants.unsafe_success }}</b></span><span role="cell" class="q warn"><b>{{ quadrants.unsafe_failure }}</b></span></div>
+<div role="row"><span role="rowheader">within the safety gate</span><span role="cell" class="q good"><b>{{ quadrants.safe_success }}</b></span><span role="cell" class="q"><b>{{ quadrants.safe_failure }}</b></span></div>
+<div role="row"><span role="rowheader">above the safety gate</span><span role="cell" class="q warn"><b>{{ quadrants.unsafe_success }}</b></span><span role="cell" class="q warn"><b>{{ quadrants.unsafe_failure }}</b></span></div>
 {% if quadrants.crashed %}
 <div role="row"><span role="rowheader">crashed</span><span role="cell" class="q warn both"><b>{{ quadrants.crashed }}</b></span></div>
 {% endif %}
 </div>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of force limits">
 <table>
-<thead><tr><th scope="col">limit</th><th scope="col" class="num">runs above</th><th scope="col" class="num">of them successful</th><th scope="col" class="num">highest peak over limit</th></tr></thead>
+<thead><tr><th scope="col">limit</th><th scope="col" class="num">trials above</th><th scope="col" class="num">of them successful</th><th scope="col" class="num">highest peak over limit</th></tr></thead>
 <tbody>
 {% for row in limit_rows %}
 <tr class="has-why"><th scope="row">{{ row.name }}</th><td class="num">{{ row.above.k }} of {{ row.above.n }}<span class="meaning">{{ "%.0f"|format(100 * row.above.low) }} to {{ "%.0f"|format(100 * row.above.high) }} %</span></td><td class="num">{{ row.n_success }}</td><td class="num">{{ rounded(row.worst) }}</td></tr>

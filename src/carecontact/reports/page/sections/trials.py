@@ -18,11 +18,11 @@ from carecontact.scoring.metrics.metric import Metric
 from carecontact.scoring.result import TrialScore
 
 NEAR_LIMIT = 0.5
-"""Share of a borrowed gate from which on the report says that it was borrowed."""
+"""Share of a borrowed safety gate from which on the report names the segment."""
 TEMPLATE = """\
 <section>
 <h2>Trial by trial</h2>
-<p class="note">{% if all_shown %}All {{ n }} trials.{% else %}{{ details|length }} of {{ n }} trials: the first of each task, and up to {{ failures_shown }} that did not pass, taken in turn from all tasks.{% endif %} The gate is the force limit of the named region; every other segment that was touched is held to its own, or to the strictest of all where it has none; that is said where it was at half of it or more.</p>
+<p class="note">{% if all_shown %}All {{ n }} trials.{% else %}{{ details|length }} of {{ n }} trials: the first of each task, and up to {{ failures_shown }} that did not pass, taken from all tasks in turn.{% endif %} "Gate" is the safety gate of the named region. Every other touched segment has to stay below its own safety gate, or below the strictest one if it has none; the table names a segment without its own if its peak was at least half of the strictest one.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of trials">
 <table>
 <thead><tr><th scope="col">task</th><th scope="col" class="num">seed</th><th scope="col">result</th><th scope="col" class="num">gate [N]</th>{% for label in labels %}<th scope="col" class="num">{{ label }}</th>{% endfor %}<th scope="col" class="wide">progress</th></tr></thead>
@@ -30,7 +30,7 @@ TEMPLATE = """\
 {% for d in details %}
 {% set why = d.failure or d.evidence or d.over_limit or d.fallback %}
 <tr class="{{ 'has-why' if why else 'has-progress' }}"><th scope="row" class="keep">{{ d.task_id }} {{ d.name }}</th><td class="num">{{ d.seed }}</td><td><span class="badge {{ d.result }}">{{ d.result_text }}</span></td><td class="num">{{ d.gate }}</td>{% for cell in d.cells %}<td class="num">{{ cell|replace("-", "−") }}</td>{% endfor %}<td class="wide">{{ d.progress }}</td></tr>
-<tr class="why{{ '' if why else ' narrow' }}"><td></td><td></td><td colspan="{{ labels|length + 3 }}"><span class="narrow">{{ d.progress }}{% if why %}<br>{% endif %}</span>{% if d.failure %}<b>{{ d.failure }}</b>{% endif %}{% if d.failure and d.evidence %}: {% endif %}{{ d.evidence }}{% if d.over_limit %}{% if d.failure or d.evidence %}<br>{% endif %}<b>over the gate</b>: {{ d.over_limit }}{% endif %}{% if d.fallback %}{% if d.failure or d.evidence or d.over_limit %}<br>{% endif %}<b>no limit of its own</b>: {{ d.fallback }}{% endif %}</td></tr>
+<tr class="why{{ '' if why else ' narrow' }}"><td></td><td></td><td colspan="{{ labels|length + 3 }}"><span class="narrow">{{ d.progress }}{% if why %}<br>{% endif %}</span>{% if d.failure %}<b>{{ d.failure }}</b>{% endif %}{% if d.failure and d.evidence %}: {% endif %}{{ d.evidence }}{% if d.over_limit %}{% if d.failure or d.evidence %}<br>{% endif %}<b>over the safety gate</b>: {{ d.over_limit }}{% endif %}{% if d.fallback %}{% if d.failure or d.evidence or d.over_limit %}<br>{% endif %}<b>no limit of its own</b>: {{ d.fallback }}{% endif %}</td></tr>
 {% endfor %}
 </tbody>
 </table>
@@ -93,8 +93,8 @@ def trial_row(score: TrialScore, header: Header | None) -> TrialRow:
         gate=gate,
         cells=tuple(_cell(metric, score) for metric in headlines()),
         progress=progress(score),
-        over_limit=_ratios(score, score.over_limit, "its gate"),
-        fallback=_ratios(score, borrowed, "the strictest gate"),
+        over_limit=_ratios(score, score.over_limit, "its safety gate"),
+        fallback=_ratios(score, borrowed, "the strictest safety gate"),
         failure=" · ".join(word for word in ((score.failure_mode or "").replace("_", " "), score.attribution) if word),
         evidence=shortened(score.evidence or score.failure_message or ""),
     )
@@ -105,7 +105,7 @@ class Limits:
     gate_n: float
     """gamma' F_pain of the named region's segment."""
     borrowed: dict[str, float]
-    """Touched segment without a limit of its own -> its peak over the gate that it is held to."""
+    """Touched segment without a limit of its own -> its peak over the safety gate that holds for it."""
 
     @classmethod
     def of(cls, header: Header, score: TrialScore) -> Limits:

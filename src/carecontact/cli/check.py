@@ -1,0 +1,59 @@
+"""``carecontact check``: try a policy on one observation before a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import tyro
+
+from carecontact.cli.groups import FLAT, PolicyGroup, RulesGroup, VisionGroup
+
+if TYPE_CHECKING:
+    from carecontact.trials.first_answer import Finding
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Try a policy on one real observation: start, card, answer, limits and latency. Nothing is recorded."""
+
+    policy: Annotated[str, tyro.conf.Positional]
+    """Name from `carecontact list policies`, or module:Class, importable from the current folder, or ws://HOST:PORT."""
+    given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
+    task: str | None = None
+    """Task whose instruction and first observation the policy is given; default: the protocol's first."""
+    seed: int | None = None
+    """Seed of the protocol; default: its first."""
+    rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
+    vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
+
+    after_interrupt: ClassVar[str] = "; the policy has ended"
+
+    def __call__(self) -> int:
+        """Return 1 if a run cannot work. Raises ConfigError for what does not exist."""
+        from carecontact.cli.policy import policy_setup
+        from carecontact.cli.vision import with_vision
+        from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
+        from carecontact.runs.preflight import check_protocol
+        from carecontact.trials.check import Check as Checked
+
+        setup = policy_setup(self.policy, self.given)
+        rules = with_vision(self.rules.load(), self.vision)
+        check_protocol(rules)
+        tasks = parse_tasks(self.task or rules.tasks[0].id, protocol=rules)
+        seeds = parse_seeds(str(rules.randomization.seeds[0] if self.seed is None else self.seed), protocol=rules)
+        (spec, *_) = plan_trials(
+            protocol=rules, policy=setup.ref.text, tasks=tasks, seeds=seeds, arguments=setup.arguments,
+            environment=setup.environment,
+        )  # fmt: skip
+        print(f"{setup.ref}: one observation of {spec.trial_id}, {rules.title}", flush=True)
+        works = Checked(spec=spec, policy=setup, weights=self.vision.weights, on_finding=_show).run()
+        print("a run can work" if works else "a run would fail in every trial")
+        return 0 if works else 1
+
+
+def _show(finding: Finding) -> None:
+    first, *more = finding.text.splitlines()
+    print(f"{finding.level:8} {finding.topic:12} {first}", flush=True)
+    for line in more:
+        print(f"{'':22}{line}", flush=True)

@@ -1,0 +1,128 @@
+"""Try a policy on one real observation: it starts, shows a card, answers twice, and nothing is recorded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from carecontact.contract.action import Action, clip_action
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.trial import TrialSpec
+from carecontact.episode.episode import Episode
+from carecontact.episode.prepare import settled_world
+from carecontact.errors import PolicyError
+from carecontact.hosting.conversation import BUDGET_S, PolicyConversation
+from carecontact.hosting.opening import open_policy
+from carecontact.hosting.setup import PolicySetup
+from carecontact.recording.reason import reason
+from carecontact.trials.first_answer import Finding, Level, look_at
+
+REMEDIES = {
+    "expected a position inside the workspace": "Check frame (base of the robot) and unit (metres). A card with "
+    "out_of_bounds clip has such targets moved onto the border.",
+    "expected finite numbers": "Look for a division by 0 or an unset value in the policy's output.",
+    "expected a quaternion of norm 1": "Divide the quaternion by its norm; its order is w x y z.",
+}
+"""Part of a refusal -> what may help."""
+
+
+@dataclass(kw_only=True)
+class Check:
+    """One policy under test. ``run`` returns True if a run with it can work."""
+
+    spec: TrialSpec
+    policy: PolicySetup
+    on_finding: Callable[[Finding], None]
+    weights: Path | None = None
+    times: dict[str, float] = field(default_factory=dict[str, float])
+    """What was timed -> wall time [s]."""
+
+    def run(self) -> bool:
+        """Raises CarecontactError if the benchmark itself fails, as a trial does."""
+        phases = self.spec.protocol.phases
+        conversation = open_policy(
+            self.policy, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s
+        )
+        spec = self.spec
+        # The world is built while the policy loads.
+        with conversation, ThreadPoolExecutor(1) as building:
+            world = building.submit(settled_world, spec.protocol, task_id=spec.task_id, seed=spec.seed)
+            try:
+                with self._timed("start"):
+                    card = conversation.start()
+                self._say("ok", "card", f"{_described(card)}; started in {self.times['start']:.2f} s")
+                with Episode(spec, card=card, prepare=lambda _: world.result(), weights=self.weights) as episode:
+                    return self._converse(conversation, episode, card)
+            except PolicyError as error:
+                self._fail(error)
+                return False
+
+    def _fail(self, error: PolicyError) -> None:
+        topic = "connection" if self.policy.ref.kind == "remote" and error.kind == "start" else error.kind
+        why, whole = reason(str(error)), str(error)
+        text = whole if why in whole.partition("\n")[0] else f"{why}\n{whole}"
+        self._say("error", _TOPICS.get(topic, topic), text)
+        for part, remedy in REMEDIES.items():
+            if part in whole:
+                self._say("hint", "", remedy)
+
+    def _converse(self, policy: PolicyConversation, episode: Episode, card: PolicyCard) -> bool:
+        observation = episode.reset()
+        with self._timed("reset"):
+            policy.reset(episode.instruction, episode.session)
+        self._say("ok", "reset", f"ready after {self.times['reset']:.2f} s")
+        answers: list[list[Action]] = []
+        for name in ("first", "second"):
+            with self._timed(name):
+                answers.append(policy.act(observation).actions)
+        self._say("ok", "answer", self._answered(answers[0], card))
+        outside = [a for a in answers[0] if clip_action(a, episode.space.bounds) is not a]
+        if outside:
+            many = f"{len(outside)} of {len(answers[0])} targets are outside the workspace"
+            self._say("warning", "clipped", f"{many}; the card requests that they are moved onto its border")
+        for finding in look_at(answers[0], observation):
+            self.on_finding(finding)
+        return self._keeps_pace(len(answers[1]), card)
+
+    def _answered(self, actions: list[Action], card: PolicyCard) -> str:
+        seconds = len(actions) / card.control_hz
+        count = f"{len(actions)} action{'' if len(actions) == 1 else 's'} for {seconds:.2f} s"
+        return f"{count}, after {self.times['first']:.2f} s and then {self.times['second']:.2f} s"
+
+    def _keeps_pace(self, count: int, card: PolicyCard) -> bool:
+        """Whether a trial fits its budget: simulated time stands still while a policy thinks, the budget does not."""
+        seconds, took = count / card.control_hz, self.times["second"]
+        limit_s = self.spec.protocol.phases.time_limit_s
+        whole_s = took * limit_s / seconds
+        if whole_s > BUDGET_S:
+            text = (
+                f"a trial of {limit_s:g} s would take {whole_s:.0f} s of the policy's time, {BUDGET_S:g} s are allowed"
+            )
+            self._say("error", "slow answer", f"{text}: answer with more actions at a time, or faster")
+            return False
+        if took > seconds:
+            text = f"{took:.2f} s for {seconds:.2f} s of motion: a real robot would wait, and a trial of {limit_s:g} s"
+            self._say("warning", "slow answer", f"{text} may take {whole_s:.0f} s longer")
+        return True
+
+    def _say(self, level: Level, topic: str, text: str) -> None:
+        self.on_finding(Finding(level=level, topic=topic, text=text))
+
+    @contextmanager
+    def _timed(self, name: str) -> Iterator[None]:
+        started = time.monotonic()
+        yield
+        self.times[name] = time.monotonic() - started
+
+
+_TOPICS = {"handshake": "card", "action": "answer", "timeout": "slow answer", "start": "import"}
+"""Kind of a policy's failure -> topic, where the kind itself would not do."""
+
+
+def _described(card: PolicyCard) -> str:
+    seen = f"{', '.join(card.modalities)} of {', '.join(card.cameras)}" if card.modalities else "no images"
+    return f"{card.name}: {seen}, {card.action_space} at {card.control_hz:g} Hz"

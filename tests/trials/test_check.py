@@ -1,0 +1,155 @@
+"""`carecontact check` on faulty policies: each names its mistake, and a good one passes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carecontact.cli import main
+from carecontact.contract.protocol import Protocol
+from carecontact.episode.prepare import World, settled_world
+from carecontact.protocols import load_protocol
+from carecontact.sim.simulation import Simulation
+
+PREAMBLE = """
+import time
+import numpy as np
+from carecontact.contract.action import Action
+from carecontact.contract.policy import PolicyCard
+
+class P:
+    card = PolicyCard(name="under test", cameras=(), control_hz=50)
+
+    def reset(self, instruction):
+        pass
+
+    def act(self, observation):
+        self.pose = observation.pose_tcp_in_base.copy()
+        return self.answer()
+
+    def answer(self):
+        return Action(pose_tcp_in_base=self.pose)
+"""
+ANSWER = "\n    def answer(self):\n        "
+
+
+@pytest.fixture(scope="module")
+def built() -> tuple[World, np.ndarray]:
+    """The world of T1-s000, and its state."""
+    world = settled_world(load_protocol(), task_id="T1", seed=0)
+    return world, world[0].integration_state()
+
+
+@pytest.fixture
+def same_world(built: tuple[World, np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every check has the same world, which takes a second to build."""
+    (simulation, settled, sha256), state = built
+
+    def again(protocol: Protocol, *, task_id: str, seed: int) -> World:
+        fresh = Simulation(simulation.scene)
+        fresh.restore(state, comfort_arm_deg=settled.comfort_arm_deg)
+        return fresh, settled, sha256
+
+    monkeypatch.setattr("carecontact.trials.check.settled_world", again)
+
+
+@pytest.fixture
+def checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    monkeypatch.chdir(tmp_path)
+
+    def check(source: str, *options: str) -> tuple[int, str]:
+        (tmp_path / "under_test.py").write_text(source)
+        status = main(["check", "under_test:P", *options])
+        return status, capsys.readouterr().out
+
+    return check
+
+
+FAULTS = {
+    "import": ("import nowhere\n" + PREAMBLE, "error    import", "ModuleNotFoundError: No module named 'nowhere'"),
+    "card": (PREAMBLE + "    card = {'name': 'mine'}\n", "error    card", "expected a PolicyCard, got dict"),
+    "card field": (
+        PREAMBLE.replace("control_hz=50", "control_hz=500"), "error    import", "a number from 1 to 50 [Hz], got 500",
+    ),
+    "exception": (PREAMBLE + ANSWER + "return self.nothing\n", "error    exception", "has no attribute 'nothing'"),
+    "shape": (PREAMBLE + ANSWER + "return Action(pose_tcp_in_base=self.pose[:6])\n", "error    answer", "7 numbers"),
+    "no action": (PREAMBLE + ANSWER + "return self.pose\n", "error    answer", "expected an Action or a list"),
+    "NaN": (
+        PREAMBLE + ANSWER + "return Action(pose_tcp_in_base=self.pose * np.nan)\n", "error    answer", "division by 0",
+    ),
+    "out of bounds": (
+        PREAMBLE + ANSWER + "return Action(pose_tcp_in_base=self.pose + [9, 0, 0, 0, 0, 0, 0])\n", "error    answer",
+        "out_of_bounds clip",
+    ),
+    "norm": (
+        PREAMBLE + ANSWER + "return Action(pose_tcp_in_base=self.pose * [1, 1, 1, 2, 2, 2, 2])\n", "error    answer",
+        "norm 1",
+    ),
+    "stiffness": (PREAMBLE + ANSWER + "return Action(stiffness=(5000, 20))\n", "error    answer", "100 to 1000 N/m"),
+}  # fmt: skip
+
+
+@pytest.mark.usefixtures("same_world")
+@pytest.mark.parametrize("name", FAULTS)
+def test_an_error_is_named_and_a_run_would_fail(checked, name: str) -> None:
+    source, begins, says = FAULTS[name]
+    status, out = checked(source)
+    assert status == 1
+    assert begins in out
+    assert says in out
+    assert "a run would fail" in out
+
+
+SUSPECTS = {
+    "slow answer": ("time.sleep(0.1); return Action()", "0.10 s for 0.02 s of motion"),
+    "gripper": ("return Action(gripper=1.0)", "here 1 is open and 0 is closed"),
+    "difference": ("return Action(pose_tcp_in_base=np.array([0.01, 0, 0, *self.pose[3:]]))", "send absolute poses"),
+    "position": ("return Action(pose_tcp_in_base=self.pose + [0.5, 0, 0, 0, 0, 0, 0])", "0.50 m away"),
+    "quaternion": ("return Action(pose_tcp_in_base=np.r_[self.pose[:3], np.roll(self.pose[3:], -1)])", "order w x y z"),
+    "orientation": ("return Action(pose_tcp_in_base=np.r_[self.pose[:3], 0, 0, 0, 1])", "out of the tool"),
+    "done": ("return Action(done=True)", "before the robot moves"),
+}
+
+
+@pytest.mark.usefixtures("same_world")
+@pytest.mark.parametrize("topic", SUSPECTS)
+def test_what_the_contract_accepts_but_is_probably_wrong_is_a_warning(checked, topic: str) -> None:
+    answer, says = SUSPECTS[topic]
+    status, out = checked(PREAMBLE + ANSWER + answer + "\n")
+    assert status == 0
+    assert out.count("warning") == 1, out
+    assert f"warning  {topic}" in out
+    assert says in out
+
+
+@pytest.mark.usefixtures("same_world")
+def test_a_policy_that_clips_is_told_how_much(checked) -> None:
+    clips = PREAMBLE.replace("control_hz=50", "control_hz=50, out_of_bounds='clip'")
+    status, out = checked(
+        clips + ANSWER + "return [Action(), Action(pose_tcp_in_base=self.pose + [0, 0, 9, 0, 0, 0, 0])]\n"
+    )
+    assert status == 0
+    assert "warning  clipped      1 of 2 targets" in out
+
+
+@pytest.mark.usefixtures("same_world")
+def test_an_answer_that_uses_up_the_budget_is_an_error(checked, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carecontact.trials.check.BUDGET_S", 100.0)
+    status, out = checked(PREAMBLE + ANSWER + "time.sleep(0.1); return Action()\n")
+    assert status == 1
+    assert "error    slow answer  a trial of 30 s would take 15" in out
+
+
+def test_a_good_policy_passes(checked) -> None:
+    status, out = checked(PREAMBLE, "--task", "T7", "--seed", "3")
+    assert status == 0
+    assert "one observation of T7-s003, bathing-v1" in out
+    assert [line.split()[:2] for line in out.splitlines()[1:-1]] == [["ok", "card"], ["ok", "reset"], ["ok", "answer"]]
+    assert out.endswith("a run can work\n")
+
+
+def test_nothing_listens(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "ws://127.0.0.1:9"]) == 1
+    assert "error    connection" in capsys.readouterr().out
