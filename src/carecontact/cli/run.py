@@ -82,7 +82,7 @@ class Run:
         if self.restart:
             restart(self.out)
         print(f"{setup.ref}{arguments_text(setup)}: {len(specs)} trial(s) of {rules.title} into {self.out}", flush=True)
-        with progress() as on_event:
+        with progress(self.out) as on_event:
             summary = run_trials(
                 specs,
                 out=self.out,
