@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import carecontact
-from carecontact.recording import write_recording
+from carecontact.recording import read_recording, write_recording
 from tests.scoring.synthetic import make_recording, touch
 
 FILE = """
@@ -83,6 +83,13 @@ def test_the_report_shows_it(place: tuple[Path, dict[str, str]]) -> None:
     row = re.search(r"<th scope=\"row\">Mean force of the touch</th><td class=\"keep\">N</td>(.*)</tr>", text)
     assert row is not None
     assert re.findall(r">(4\.\d{3})<", row[1])
+    assert re.search(r"Metrics</th>.*impulse@1, .*mean_force@1", text), "its version is on the page"
+
+
+def test_results_name_its_package(place: tuple[Path, dict[str, str]]) -> None:
+    for name in ("a", "b"):
+        assert json.loads((place[0] / name / "results.json").read_text())["versions"]["touch-metrics"] == ["1.0"]
+    assert "touch-metrics" not in read_recording(place[0] / "a" / "T1-s000.h5").header.versions
 
 
 def test_the_comparison_tests_it(place: tuple[Path, dict[str, str]]) -> None:
@@ -90,7 +97,7 @@ def test_the_comparison_tests_it(place: tuple[Path, dict[str, str]]) -> None:
     told = printed["compare a b --out both"]
     assert any(line.startswith("mean_force@1 [N] ") for line in told.splitlines())
     assert "mean_force@1 Mean force of the touch: " in told
-    assert "at most 0.05, over 7 lines" in told, "three rates, C1, C4, C5 and this one"
+    assert "corrected over 7 rows" in told, "three rates, C1, C4, C5 and this one"
     lines = json.loads((folder / "both" / "comparison.json").read_text())["overall"]
     (line,) = [line for line in lines if line["outcome"]["id"] == "mean_force@1"]
     assert line["difference"]["estimate"] < -2.0

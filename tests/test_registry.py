@@ -4,6 +4,7 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,10 +20,21 @@ class Point:
     row: Any
     loads: int = 0
     dist: Any = None
+    fault: Exception | None = None
+
+    @property
+    def value(self) -> str:
+        return f"{self.name}_{self.row}:ROW"
 
     def load(self) -> Any:
         self.loads += 1
+        if self.fault is not None:
+            raise self.fault
         return self.row
+
+
+def package(name: str) -> Any:
+    return SimpleNamespace(name=name, version="0.3")
 
 
 @pytest.fixture
@@ -79,15 +91,82 @@ def test_rows_of_other_packages_come_through_entry_points(points: dict[str, list
     assert "giant" in Registry("body", plural="bodies")
 
 
-def test_a_shipped_row_is_neither_replaced_nor_slowed_by_another_package(points: dict[str, list[Point]]) -> None:
-    theirs = Point("ours", 99)
+def test_looking_up_a_shipped_row_loads_no_other_package(points: dict[str, list[Point]]) -> None:
+    theirs = Point("theirs", 99)
     points["carecontact.things"] = [theirs]
     rows: Registry[int] = Registry("thing")
     rows.register("ours", 1)
     assert rows["ours"] == 1
-    assert theirs.loads == 0, "looking up a shipped name imported another package"
-    assert list(rows) == ["ours"]
-    assert rows["ours"] == 1
+    assert (list(rows), "theirs" in rows, len(rows)) == (["ours", "theirs"], True, 2)
+    assert rows.package("theirs") is None
+    assert theirs.loads == 0
+
+
+@pytest.mark.parametrize("fault", [SyntaxError("bad"), ImportError("no\nmodule"), TypeError("no neighbourhood")])
+def test_a_row_that_cannot_be_loaded_is_named_and_harms_no_other(
+    points: dict[str, list[Point]], fault: Exception
+) -> None:
+    broken = Point("theirs", 7, dist=package("their-things"), fault=fault)
+    points["carecontact.things"] = [broken]
+    rows: Registry[int] = Registry("thing")
+    rows.register("ours", 1)
+    assert (rows["ours"], rows.usable()) == (1, {"ours": 1})
+    why = f"{type(fault).__name__}: {' '.join(str(fault).split())}"
+    for _ in range(2):
+        with pytest.raises(ConfigError) as caught:
+            rows["theirs"]
+        assert str(caught.value) == (
+            f"thing 'theirs' of package their-things 0.3 (theirs_7:ROW) cannot be loaded: {why}"
+        )
+    assert broken.loads == 1, "a second import would fail for another reason"
+
+
+def test_one_name_of_two_packages_is_refused_and_both_are_named(points: dict[str, list[Point]]) -> None:
+    points["carecontact.things"] = [
+        Point("theirs", 7, dist=package("one")), Point("theirs", 8, dist=package("two")), Point("other", 9),
+    ]  # fmt: skip
+    rows: Registry[int] = Registry("thing")
+    with pytest.raises(ConfigError, match=r"'theirs' of package one 0\.3 \(.*\) has the same name as .* package two"):
+        rows["theirs"]
+    assert rows["other"] == 9
+
+
+def test_a_name_that_is_registered_already_is_refused_unless_it_is_the_same_row(
+    points: dict[str, list[Point]],
+) -> None:
+    mine: list[int] = []
+    points["carecontact.things"] = [
+        Point("ours", [], dist=package("theirs")), Point("mine", mine, dist=package("own"))
+    ]  # fmt: skip
+    rows: Registry[list[int]] = Registry("thing")
+    rows.register("ours", [])
+    rows.register("mine", mine)
+    assert rows["mine"] is mine
+    with pytest.raises(
+        ConfigError, match=r"thing 'ours' of package theirs 0\.3 .* has the name of another thing, which"
+    ):
+        rows["ours"]
+
+
+def test_a_row_may_be_registered_by_the_function_that_an_entry_point_names(points: dict[str, list[Point]]) -> None:
+    def function() -> None: ...
+
+    points["carecontact.things"] = [Point("theirs", function), Point("misnamed", function)]
+    rows: Registry[int] = Registry("thing", row=float)
+    rows.register("theirs", 7.0, origin=function)
+    assert rows["theirs"] == 7
+    with pytest.raises(ConfigError, match=r"'misnamed' .* registers itself as 'theirs'; give its entry point the same"):
+        rows["misnamed"]
+
+
+@pytest.mark.parametrize(("row", "what"), [("7", "a str"), (float, "the class float"), (None, "a NoneType")])
+def test_a_row_has_the_class_of_its_registry(points: dict[str, list[Point]], row: Any, what: str) -> None:
+    points["carecontact.things"] = [Point("theirs", row)]
+    rows: Registry[Any] = Registry("thing", row=float)
+    with pytest.raises(ConfigError, match=rf"^thing 'theirs' \(.*\) is {what}; expected a float object$"):
+        rows["theirs"]
+    with pytest.raises(ConfigError, match=f"^thing 'mine' is {what}; expected a float object$"):
+        rows.register("mine", row)
 
 
 def test_other_packages_are_loaded_once(points: dict[str, list[Point]]) -> None:

@@ -73,8 +73,9 @@ if ! "$UV_VENV/bin/uv" --version 2>/dev/null | grep -q "^uv $UV_VERSION\b"; then
 fi
 
 say "installing the locked packages into $VENV (about 900 MB)"
+# --inexact: packages that the user installed beside carecontact stay.
 # UV_PROJECT_ENVIRONMENT and VIRTUAL_ENV of the caller must not send the packages elsewhere.
 env -u VIRTUAL_ENV UV_PROJECT_ENVIRONMENT="$VENV" UV_PYTHON_DOWNLOADS=never \
-    "$UV_VENV/bin/uv" sync --frozen --quiet --compile-bytecode --python "$PYTHON"
+    "$UV_VENV/bin/uv" sync --frozen --inexact --quiet --compile-bytecode --python "$PYTHON"
 printf '%s\n' "$wanted" >"$STAMP"
 say "ready"

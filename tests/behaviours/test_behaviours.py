@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -50,13 +51,13 @@ def test_an_action_without_a_gate_in_the_protocol_lists_those_that_have_one() ->
         PROTOCOL.gates.of("hold")
 
 
-@pytest.fixture
-def odd() -> Iterator[str]:
-    BEHAVIOURS.register("odd", Behaviour)  # pyright: ignore[reportArgumentType]
-    yield "odd"
-    del BEHAVIOURS._rows["odd"]
+@pytest.mark.parametrize(("row", "what"), [(Behaviour, "the class Behaviour"), ("touch", "a str")])
+def test_a_row_that_is_no_behaviour_object_is_refused(row: Any, what: str) -> None:
+    with pytest.raises(ConfigError, match=f"^action 'odd' is {what}; expected a Behaviour object$"):
+        BEHAVIOURS.register("odd", row)
 
 
-def test_a_row_that_is_no_behaviour_object_is_named(odd: str) -> None:
-    with pytest.raises(ConfigError, match=r"action 'odd' is registered as .*; expected a Behaviour object"):
-        behaviour_of(odd)
+def test_a_row_that_only_has_a_gate_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(BEHAVIOURS._rows, "odd", SimpleNamespace(gate=Section))
+    with pytest.raises(ConfigError, match="action 'odd' is registered as SimpleNamespace; expected a Behaviour object"):
+        behaviour_of("odd")

@@ -12,6 +12,7 @@ import pytest
 import carecontact as carecontact_package
 from carecontact import __version__
 from carecontact.cli import BROKEN_PIPE, main
+from carecontact.regions.anatomy import JOINTS, LIMB_PARTS, SEGMENTS
 from carecontact.scoring import METRICS
 
 SOURCES = str(Path(carecontact_package.__file__).parents[1])
@@ -87,6 +88,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         ("tasks", ["T1", "T2", "T3", "T4", "T5", "T6", "T7"]),
         ("protocols", ["bathing-moved-v1", "bathing-v1"]),
         ("metrics", sorted(METRICS)),
+        ("segments", [*SEGMENTS, *LIMB_PARTS, *JOINTS]),
     ],
 )
 def test_list(what: str, expected: list[str], capsys: pytest.CaptureFixture[str]) -> None:

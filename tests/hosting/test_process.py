@@ -213,6 +213,21 @@ def test_a_policy_that_does_not_read_is_killed(launch: Launch) -> None:
     assert _children() == []
 
 
+def test_a_silent_policy_is_reported_until_it_answers(launch: Launch, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carecontact.hosting.conversation.WAIT_REPORT_S", 0.1)
+    process = launch("class P(Base):\n    def act(self, o): time.sleep(0.35); return Action()")
+    lines: list[str] = []
+    process.start()
+    process.reset("touch", SESSION)
+    process.on_wait = lines.append
+    process.act(synthetic_observation())
+    count = len(lines)
+    assert count >= 1
+    assert all(re.fullmatch(r"waiting for the policy: \d of 20 s", line) for line in lines)
+    time.sleep(0.2)
+    assert len(lines) == count
+
+
 def test_many_slow_calls_use_up_the_budget_of_a_trial(launch: Launch) -> None:
     """Each is within its deadline; without a budget a trial would end by the supervisor's limit, for nobody."""
     process = launch("class P(Base):\n    def act(self, o): time.sleep(0.1); return Action()")

@@ -48,9 +48,11 @@ def _forearm_from_above() -> CameraView:
     )
 
 
-def test_hover_waits_over_the_region_and_never_comes_nearer() -> None:
+@pytest.mark.parametrize("verb", ["push", "tap"])
+def test_hover_waits_over_the_region_and_never_comes_nearer(verb: str) -> None:
+    """Whatever the action is, also one of another package."""
     policy = Hover()
-    policy.reset("push the right forearm")
+    policy.reset(f"{verb} the right forearm")
     actions = policy.act(synthetic_observation(cameras={"overhead": _forearm_from_above()}))
     poses = np.array([check_action(action, BOUNDS).pose_tcp_in_base for action in actions])
     assert [action.done for action in actions] == [False] * (len(actions) - 1) + [True]

@@ -15,6 +15,7 @@ from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
 from carecontact.policies.registry import POLICIES, PolicyRow, policy_target
 from carecontact.protocols import load_protocol
+from tests.installed import look_again
 from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_view
 
 
@@ -88,9 +89,8 @@ def test_an_unknown_name_lists_the_valid_ones() -> None:
 
 def test_other_packages_add_policies_through_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
     row = PolicyRow(target="theirs.policy:Theirs", description="Somebody's policy.")
-    point = SimpleNamespace(name="theirs", load=lambda: row, dist=None)
+    point = SimpleNamespace(name="theirs", value="theirs:ROW", load=lambda: row, dist=None)
     monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group == "carecontact.policies" else [])
-    monkeypatch.setattr(POLICIES, "_external_loaded", False)
-    monkeypatch.setattr(POLICIES, "_rows", dict(POLICIES._rows))
+    look_again(monkeypatch, POLICIES)
     assert policy_target(PolicyRef.parse("theirs")) == "theirs.policy:Theirs"
     assert "theirs" in list(POLICIES)

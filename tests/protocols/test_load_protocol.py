@@ -68,7 +68,7 @@ def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
         (with_field("dt_s", '"fast"'), r"  physics\.dt_s: expected a number \(got fast\)"),
         (with_field("dt_s", "-0.002"), r"  physics\.dt_s: expected more than 0\.0 \(got -0\.002\)"),
         (with_field("force_n", "nan"), r"  gates\.push\.force_n: "),
-        (with_field("action", '"hit"'), r"  tasks\.T1\.action: .*'hit'.*push, scrub, touch.*\(got hit\)"),
+        (with_field("action", '"hit"'), r"  tasks\.T1\.action: .*'hit'.*push, scrub.*touch.*\(got hit\)"),
         (without_field("wrist_displacement_m"), r"  gates\.push\.wrist_displacement_m: missing; give it a value$"),
         (with_field("gamma", "35"), r"  limits\.gamma: expected at most 1\.0 \(got 35\)"),
         (TEXT + "\nhello = 1\n", r".*limits\.f_pain_n: no segment 'hello'; valid: pelvis, .*, forearm, "),
@@ -117,3 +117,18 @@ def test_a_file_does_not_claim_overrides(tmp_path: Path) -> None:
     path = written(tmp_path, f'{TEXT}\n[overrides]\n"person.body" = "man-old-light"\n')
     with pytest.raises(ConfigError, match="overrides are written by a command"):
         load_protocol(path)
+
+
+@pytest.mark.parametrize(
+    ("segments", "where", "why"),
+    [
+        ('["right_hnad"]', r"forearm\.1", "no segment named 'right_hnad'; valid: pelvis, abdomen, .*, left_foot"),
+        ("[]", "forearm", "expected at least 1 of them, got 0"),
+    ],
+)
+def test_a_neighbourhood_of_a_segment_that_no_body_has_is_refused(
+    segments: str, where: str, why: str, tmp_path: Path
+) -> None:
+    text = f'base = "{DEFAULT_PROTOCOL}"\nid = "mine"\ndescription = "x"\ncontact.neighbourhood.forearm = {segments}\n'
+    with pytest.raises(ConfigError, match=rf"mine\.toml: (?s:.*)contact\.neighbourhood\.{where}: .*{why}"):
+        load_protocol(written(tmp_path, text))

@@ -29,7 +29,7 @@ def rows(count: int) -> dict[str, np.ndarray]:
 
 
 def test_joints_have_the_estimators_numbers() -> None:
-    assert {name: index for name, index in JOINTS.items() if name in LANDMARK} == LANDMARK
+    assert JOINTS == LANDMARK
     assert (JOINTS["left knee"], JOINTS["right ankle"]) == (25, 28)
     assert max(JOINTS.values()) < LANDMARK_COUNT
 

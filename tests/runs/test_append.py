@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,15 @@ def test_append_adds_and_changes_nothing(folder: Path, new_metric: str) -> None:
 def score_medians(data: dict[str, Any], trials: list[dict[str, Any]]) -> dict[str, Any]:
     values = sorted(t["additional"][NEW] for t in trials if t["additional"][NEW] is not None)
     return {"estimate": values[len(values) // 2], "n": len(trials), "n_valid": len(values)}
+
+
+def test_the_package_of_a_metric_that_is_added_is_named(
+    folder: Path, new_metric: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(METRICS, "package", {new_metric: "pytest"}.get)
+    append_metrics(folder)
+    assert json.loads((folder / "results.json").read_text())["versions"]["pytest"] == [version("pytest")]
+    test_append_equals_a_full_scoring(folder, new_metric)
 
 
 def test_append_equals_a_full_scoring(folder: Path, new_metric: str) -> None:

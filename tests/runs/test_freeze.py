@@ -39,6 +39,7 @@ def locked(tmp_path: Path) -> tuple[str, Protocol]:
     return str(path), protocol
 
 
+@pytest.mark.usefixtures("worlds_from_scratch")
 def test_nothing_drifts_here_and_compiling_again_gives_the_same_sums(here: Lock) -> None:
     assert drift(here, here) == []
     region = "forearm"

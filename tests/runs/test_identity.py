@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import pytest
 
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.errors import ConfigError
-from carecontact.policies.registry import POLICIES, PolicyRow
+from carecontact.policies.registry import POLICIES
 from carecontact.runs.identity import identity_of, policy_package, policy_source
 from carecontact.runs.manifest import survey, write_manifest
+from tests.installed import look_again, write_package
 from tests.scoring.synthetic import touch
 
 SPEC = touch(seed=0).header.spec
@@ -31,15 +33,19 @@ def test_a_replaced_checkpoint_is_another_run(tmp_path: Path) -> None:
 def test_a_registered_policy_of_another_package_counts_by_its_version_and_source(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "tapper.py").write_text("class Tapper: ...")
-    monkeypatch.setitem(POLICIES._rows, "tapper", PolicyRow(target="tapper:Tapper", description="Taps."))
-    monkeypatch.setitem(POLICIES._package, "tapper", "numpy")
+    row = "from carecontact.policies.registry import PolicyRow\nROW = PolicyRow(target='tapper:Tapper', description='')"
+    write_package(
+        tmp_path, "tapping", version="2.0", files={"tapper": "class Tapper: ...", "tapper_row": row},
+        points={"policies": {"tapper": "tapper_row:ROW"}},
+    )  # fmt: skip
+    monkeypatch.syspath_prepend(tmp_path)
+    look_again(monkeypatch, POLICIES)
     ref = PolicyRef.parse("tapper")
-    assert policy_source(ref, search_path=[str(tmp_path)]) == tmp_path / "tapper.py"
-    assert set(policy_package(ref)) == {"numpy"}
-    identity = identity_of(SPEC.model_copy(update={"policy": "tapper"}), search_path=[str(tmp_path)])
-    assert identity.policy_sha256 is not None
-    assert "numpy" in identity.versions
+    assert policy_source(ref, search_path=[]) == tmp_path / "tapper.py"
+    assert policy_package(ref) == {"tapping": "2.0"}
+    identity = identity_of(SPEC.model_copy(update={"policy": "tapper"}), search_path=[])
+    assert identity.policy_sha256 == hashlib.sha256(b"class Tapper: ...").hexdigest()
+    assert identity.versions["tapping"] == "2.0"
 
 
 @pytest.mark.parametrize("name", ["hover", "ws://192.0.2.7:8765"])

@@ -6,10 +6,13 @@ from typing import Any
 
 import pytest
 
-from carecontact.contract.protocol import Protocol
+from carecontact.contract.protocol import BEHAVIOURS, Protocol
 from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol
-from carecontact.runs.preflight import check_protocol
+from carecontact.registry import Registry
+from carecontact.runs.preflight import check_protocol, check_rows
+from carecontact.scoring import METRICS
+from carecontact.scoring.limits import LIMIT_PACKS
 
 
 def edited(section: str, **values: Any) -> Protocol:
@@ -20,6 +23,7 @@ def edited(section: str, **values: Any) -> Protocol:
 
 def test_the_shipped_protocol_can_run() -> None:
     check_protocol(load_protocol())
+    check_rows(load_protocol())
 
 
 @pytest.mark.parametrize(
@@ -37,3 +41,12 @@ def test_the_shipped_protocol_can_run() -> None:
 def test_what_would_fail_every_trial_is_told_before(section: str, values: dict[str, Any], told: str) -> None:
     with pytest.raises(ConfigError, match=told):
         check_protocol(edited(section, **values))
+
+
+@pytest.mark.parametrize("registry", [METRICS, LIMIT_PACKS, BEHAVIOURS], ids=lambda registry: registry.kind)
+def test_a_row_that_cannot_be_loaded_is_told_before(registry: Registry[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    name = next(iter(registry))
+    monkeypatch.setattr(registry, "_settled", set())
+    monkeypatch.setitem(registry._faults, name, f"{name} cannot be loaded")
+    with pytest.raises(ConfigError, match=f"^{name} cannot be loaded$"):
+        check_rows(load_protocol())

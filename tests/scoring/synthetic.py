@@ -15,6 +15,7 @@ from carecontact.recording import SEGMENTS, Failure, Header, Recording, empty_ar
 from carecontact.regions import REGIONS
 
 F64 = npt.NDArray[np.float64]
+PROTOCOL = load_protocol("bathing-v1")
 DT = 0.002
 JOINTS = ["right_shoulder_abduction", "right_elbow_flexion"]
 JOINT_RANGE = [[-0.5, 2.5], [0.0, 2.4]]
@@ -67,7 +68,7 @@ def make_recording(
     Targets are (time, TCP position in the task's region frame); regions lie still and unrotated. A trial that was cut
     was cut by its force where one is above the line, else by the solver.
     """
-    protocol = protocol or load_protocol("bathing-v1")
+    protocol = protocol or PROTOCOL
     regions = protocol.regions
     at, size = ([table.get(r, other) for r in regions] for table, other in ((REGION_AT, ELSEWHERE), (SIZE, SMALL)))
     spec = TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy=policy)
@@ -148,7 +149,7 @@ def make_recording(
 
 
 def target_segment(task_id: str) -> str:
-    return REGIONS[load_protocol("bathing-v1").task(task_id).region].segment
+    return REGIONS[PROTOCOL.task(task_id).region].segment
 
 
 def touch(force: float = 5.0, **options: Any) -> Recording:

@@ -4,6 +4,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from carecontact.behaviours import Sweep
+from carecontact.behaviours.touch import Touch
+from carecontact.contract.protocol import BEHAVIOURS
+from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording
 from carecontact.scoring import TrialScore, score_recording
@@ -82,3 +86,20 @@ def test_a_stricter_gate_never_helps(force: float, shift: float) -> None:
     for gate in ("push_force_n", "push_wrist_m"):
         row = list(score.gate_sweep[gate].values())
         assert row == sorted(row, reverse=True)
+
+
+@pytest.mark.parametrize(("name", "owner"), [("floor_n", "the contact floor"), ("push_force_n", "action 'push'")])
+def test_a_sweep_with_the_name_of_another_is_refused(name: str, owner: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Tap(Touch):
+        sweeps = (Sweep(name=name, field="duration_s", values=(1.0,), title="x", unit="s"),)
+
+    monkeypatch.setitem(BEHAVIOURS._rows, "touch", Tap())
+    with pytest.raises(ConfigError, match=f"{owner}.* both have a sweep named '{name}'; begin"):
+        protocol_sweeps(load_protocol())
+
+
+def test_a_sweep_of_a_field_that_the_gate_does_not_have_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"^Tap\.sweeps: the gate has no field 'tapps'; valid: duration_s$"):
+
+        class Tap(Touch):
+            sweeps = (Sweep(name="tap_taps", field="tapps", values=(1.0,), title="x", unit="1"),)

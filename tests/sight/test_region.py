@@ -7,12 +7,13 @@ from hypothesis import strategies as st
 
 from carecontact.contract.observation import Observation
 from carecontact.errors import ContractError
-from carecontact.regions import REGIONS, LimbSight, TrunkSight
+from carecontact.regions import REGIONS, LimbSight, Region, TrunkSight
 from carecontact.sight import (
     LANDMARK,
     PerceptionFailure,
     region_from_observation,
 )
+from carecontact.sight.person import joint_centre
 from tests.sight.lying_person import (
     HEIGHT,
     LIMB_RADIUS,
@@ -118,6 +119,32 @@ def test_a_joint_without_depth(observation: Observation) -> None:
     surface[LANDMARK["right wrist"]] = np.nan
     with pytest.raises(PerceptionFailure, match="right wrist has no depth"):
         region_from_observation(change_view(observation, landmarks_in_base=surface), "forearm")
+
+
+@pytest.mark.parametrize(("length", "seen"), [(0.45, True), (0.65, False)])
+def test_a_region_of_the_leg(length: float, seen: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A shank is longer than a limb of the arm can be."""
+    shank = Region(segment="left_shank", neighbourhood=("left_foot",), sight=LimbSight(joints=("knee", "ankle")))
+    monkeypatch.setitem(REGIONS._rows, "left_shin", shank)
+    person = Person(shoulder=np.array([0.75, -0.45, LIMB_RADIUS]))
+    observation = observe(person)
+    landmarks = np.array(observation.cameras["overhead"].landmarks)
+    surface = np.array(observation.cameras["overhead"].landmarks_in_base)
+    for leg, arm, share in (("left knee", "right wrist", length / 0.54), ("left ankle", "right shoulder", 0.0)):
+        landmarks[LANDMARK[leg]] = landmarks[LANDMARK[arm]]
+        surface[LANDMARK[leg]] = person.shoulder + share * (person.wrist - person.shoulder) + [0, 0, LIMB_RADIUS]
+    leg = change_view(observation, landmarks=landmarks, landmarks_in_base=surface)
+    if seen:
+        found = region_from_observation(leg, "left_shin", side="left")
+        assert found.half_length_m == pytest.approx(length / 2, abs=0.02)
+        return
+    with pytest.raises(PerceptionFailure, match=r"left left shin seems 0\.6\d m long, expected 0\.15 to 0\.6 m"):
+        region_from_observation(leg, "left_shin", side="left")
+
+
+def test_a_joint_without_a_key_point_is_a_failure_of_perception(observation: Observation) -> None:
+    with pytest.raises(PerceptionFailure, match="no key point is named 'none knee'; valid: left shoulder, "):
+        joint_centre(observation.cameras["overhead"], "none knee")
 
 
 def test_an_absurd_skeleton(observation: Observation) -> None:

@@ -257,6 +257,7 @@ def test_parked_robot_touches_nothing_and_the_arm_never_meets_itself(scene: Scen
         assert not any(all(g >= 0 and robot[g] for g in c.geom) for c in data.contact[: data.ncon])
 
 
+@pytest.mark.usefixtures("worlds_from_scratch")
 def test_same_protocol_same_model(scene_of: Callable[[str | None], Scene]) -> None:
     again = build_scene(PROTOCOL, target="abdomen")
     assert again.model_sha256 == scene_of("abdomen").model_sha256

@@ -239,19 +239,23 @@ def distance_to_surface(body: Body, points: np.ndarray) -> np.ndarray:
 
 
 def inside(body: Body, points: np.ndarray) -> np.ndarray:
-    """(n,) whether a ray leaves the surface an odd number of times."""
+    """(n,) whether a ray leaves the surface an odd number of times: once for each triangle that it meets."""
     ray = np.array([0.231, -0.117, 0.966])
-    a, b, c = np.moveaxis(body.vertices[body.faces[~body.is_eye[body.faces].any(1)]], 1, 0)
+    ray /= np.linalg.norm(ray)
+    across = np.cross(ray, [1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across)
+    flat = np.stack([across, np.cross(ray, across)], 1)
+    corners = body.vertices[body.faces[~body.is_eye[body.faces].any(1)]]
+    seen, height = corners @ flat, corners @ ray
+    (left, bottom), (right, top) = seen.min(1).T.copy(), seen.max(1).T.copy()
     out = np.empty(len(points), bool)
-    e1, e2 = b - a, c - a
-    p = np.cross(ray, e2)
-    det = np.einsum("ij,ij->i", e1, p)
-    usable = np.abs(det) > 1e-14
-    e1, e2, p, det, a = e1[usable], e2[usable], p[usable], det[usable], a[usable]
-    for k, point in enumerate(points):
-        s = point - a
-        u = np.einsum("ij,ij->i", s, p) / det
-        q = np.cross(s, e1)
-        v, t = q @ ray / det, np.einsum("ij,ij->i", e2, q) / det
-        out[k] = np.count_nonzero((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)) % 2
+    for k, (place, above) in enumerate(zip(points @ flat, points @ ray, strict=True)):
+        near = (left <= place[0]) & (place[0] <= right) & (bottom <= place[1]) & (place[1] <= top)
+        (a, b, c), z = np.moveaxis(seen[near], 1, 0), height[near]
+        u, v, w = b - a, c - a, place - a
+        area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+        beta = (w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]) / area
+        gamma = (u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]) / area
+        crossing = z[:, 0] + beta * (z[:, 1] - z[:, 0]) + gamma * (z[:, 2] - z[:, 0])
+        out[k] = np.count_nonzero((beta >= 0) & (gamma >= 0) & (beta + gamma <= 1) & (crossing > above)) % 2
     return out

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeVar
 
 import tyro
 
 from carecontact.cli.groups import FLAT, ProtocolGroup
+from carecontact.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from carecontact.registry import Registry
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,7 +23,9 @@ class List:
     """List the names that the command line accepts."""
 
     what: Annotated[
-        Literal["tasks", "actions", "regions", "policies", "protocols", "bodies", "tissue", "metrics", "all"],
+        Literal[
+            "tasks", "actions", "regions", "segments", "policies", "protocols", "bodies", "tissue", "metrics", "all"
+        ],
         tyro.conf.Positional,
     ] = "all"
     """Kind of names to list."""
@@ -45,25 +55,32 @@ def _tasks(protocol: str) -> list[tuple[str, str]]:
 def _actions(protocol: str) -> list[tuple[str, str]]:
     from carecontact.contract.protocol import BEHAVIOURS
 
-    return [
-        (name, f"gate: {', '.join(behaviour.gate.model_fields) or 'no fields'}")
-        for name, behaviour in BEHAVIOURS.items()
-    ]
+    return _rows(BEHAVIOURS, lambda row: f"gate: {', '.join(row.gate.model_fields) or 'no fields'}")
 
 
 def _regions(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.regions import REGIONS, all_regions
+    from carecontact.regions import REGIONS, Region, all_regions
 
-    return [
-        (name, f"{'soft' if REGIONS[name].soft else 'rigid'}, on {REGIONS[name].segment.replace('_', ' ')}")
-        for name in all_regions()
-    ]
+    def meaning(row: Region) -> str:
+        return f"{'soft' if row.soft else 'rigid'}, on {row.segment.replace('_', ' ')}"
+
+    found = dict(_rows(REGIONS, meaning))
+    return [(name, found[name]) for name in all_regions()]
+
+
+def _segments(protocol: str) -> list[tuple[str, str]]:
+    from carecontact.regions import JOINTS, SEGMENTS
+    from carecontact.regions.anatomy import LIMB_PARTS
+
+    rows = [(name, "For segment and neighbourhood of a region.") for name in SEGMENTS]
+    rows += [(name, "For closed_by of a region's shape.") for name in LIMB_PARTS]
+    return [*rows, *((name, "For joints of a region's sight.") for name in JOINTS)]
 
 
 def _policies(protocol: str) -> list[tuple[str, str]]:
     from carecontact.policies.registry import POLICIES
 
-    rows = [(name, f"{row.description} {_arguments(row.target)}") for name, row in POLICIES.items()]
+    rows = _rows(POLICIES, lambda row: f"{row.description} {_arguments(row.target)}")
     return [
         *rows,
         ("module:Class", "Your own policy, importable from the current folder. Arguments: those of its constructor."),
@@ -116,18 +133,32 @@ def _tissue(protocol: str) -> list[tuple[str, str]]:
 
 
 def _metrics(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.scoring import METRICS
+    from carecontact.scoring import METRICS, Metric
 
     directions = {
         "higher": "higher is better",
         "lower": "lower is better",
         "neither": "neither higher nor lower is better",
     }
-    units = {name: "" if metric.unit == "1" else f" [{metric.unit}]" for name, metric in METRICS.items()}
-    return [(name, f"{metric.title}{units[name]}, {directions[metric.better]}") for name, metric in METRICS.items()]
+
+    def meaning(row: Metric) -> str:
+        return f"{row.title}{'' if row.unit == '1' else f' [{row.unit}]'}, {directions[row.better]}"
+
+    return _rows(METRICS, meaning)
+
+
+def _rows(registry: Registry[T], meaning: Callable[[T], str]) -> list[tuple[str, str]]:
+    """A line for each row; one that cannot be loaded is listed with the reason."""
+    found: list[tuple[str, str]] = []
+    for name in registry:
+        try:
+            found.append((name, meaning(registry[name])))
+        except ConfigError as error:
+            found.append((name, str(error)))
+    return found
 
 
 KINDS = {
-    "tasks": _tasks, "actions": _actions, "regions": _regions, "policies": _policies, "protocols": _protocols,
-    "bodies": _bodies, "tissue": _tissue, "metrics": _metrics,
+    "tasks": _tasks, "actions": _actions, "regions": _regions, "segments": _segments, "policies": _policies,
+    "protocols": _protocols, "bodies": _bodies, "tissue": _tissue, "metrics": _metrics,
 }  # fmt: skip

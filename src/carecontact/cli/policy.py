@@ -75,6 +75,7 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> None:
     shipped = setup.ref.kind == "registered" and POLICIES.package(setup.ref.text) is None
     if shipped and not (setup.arguments or setup.environment or setup.language):
         return
+    conversation.on_wait = lambda line: print(line, flush=True)
     try:
         with conversation:
             conversation.start()

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
 from carecontact.cli.groups import Folder, Switch
+from carecontact.errors import ConfigError
+
+if TYPE_CHECKING:
+    from carecontact.runs.run_scores import RunScores
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,5 +34,22 @@ class Report:
         from carecontact.cli.stored import read_run
 
         need_recordings(self.folder)
-        write_page(self.folder, read_run(self.folder, rescore=self.rescore), baselines=self.baseline)
+        run = read_run(self.folder, rescore=self.rescore)
+        _need_rows(self.folder, run)
+        write_page(self.folder, run, baselines=self.baseline)
         return 0
+
+
+def _need_rows(folder: Path, run: RunScores) -> None:
+    """Raises ConfigError where no recording could be scored, and RecordingError, which names the recording and its
+    package, for an action or a region that nothing here registers: the report that is there stays."""
+    from carecontact.contract.protocol import BEHAVIOURS
+    from carecontact.recording import read_header
+    from carecontact.regions import REGIONS
+
+    if not run.scores:
+        why = next(iter(run.skipped.values()), "there are none")
+        raise ConfigError(f"{folder}: no recording can be scored, so no report is written; the first: {why}")
+    for score in run.scores:
+        if score.action not in BEHAVIOURS or score.region not in REGIONS:
+            read_header(folder / f"{score.trial_id}.h5")

@@ -100,11 +100,11 @@ class Run:
         return failed_status(summary.ended, allow_failures=self.allow_failures) if not scores.skipped else 1
 
     def _protocol(self) -> Protocol:
-        """Raises ConfigError for a protocol that cannot run, and UnknownNameError."""
+        """Raises ConfigError for a protocol that cannot run or be scored, and UnknownNameError."""
         from carecontact.cli.vision import with_vision
         from carecontact.protocols import load_protocol
         from carecontact.runs.freeze import check_frozen
-        from carecontact.runs.preflight import check_protocol
+        from carecontact.runs.preflight import check_protocol, check_rows
 
         name = self.rules.protocol
         loaded = check_frozen(name, load_protocol(name), unfrozen=self.unfrozen)
@@ -112,6 +112,7 @@ class Run:
         changed = self.rules.changed(loaded, **self.physics.changes(), stiffness=stiffness)
         rules = with_vision(changed, self.vision)
         check_protocol(rules)
+        check_rows(rules)
         return rules
 
 

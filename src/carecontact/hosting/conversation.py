@@ -3,6 +3,7 @@ one fails."""
 
 from __future__ import annotations
 
+import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
@@ -18,6 +19,8 @@ from carecontact.hosting.wire.client import ActReply, PolicyClient
 GRACE_S = 1.0
 """Between being asked to end and being cut off."""
 EVIDENCE_CHARS = 4000
+WAIT_REPORT_S = 10.0
+"""How often a silent policy is reported."""
 BUDGET_S = 3600.0
 """Wall time that a policy may take in one trial, all calls together: 2.4 s for each of the 1,500 calls that 30 s at
 50 Hz can hold. In code and in no protocol: it only keeps a trial from ending by the supervisor's limit, which would be
@@ -36,6 +39,9 @@ class PolicyConversation(ABC):
     Every method below raises PolicyError (``kind`` says what happened, the message ends with what the policy printed,
     where that is known) and leaves nothing open behind. After a failure the object is closed.
     """
+
+    on_wait: Callable[[str], None] | None = None
+    """Called every WAIT_REPORT_S seconds while the policy is silent, with one line; another thread calls it."""
 
     def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S) -> None:
         """``first_deadline_s`` holds for the start, each reset and the first act, when models load; ``deadline_s`` for
@@ -121,7 +127,8 @@ class PolicyConversation(ABC):
         """Gives the seconds that a call may take, and takes those that it took off the budget."""
         started, allowed_s = time.monotonic(), min(deadline_s, self._left_s)
         try:
-            yield allowed_s
+            with self._reported_wait(allowed_s):
+                yield allowed_s
         except PolicyError as error:
             if error.kind == "timeout" and allowed_s < deadline_s:
                 raise PolicyError(
@@ -131,6 +138,25 @@ class PolicyConversation(ABC):
             raise
         finally:
             self._left_s = max(self._left_s - (time.monotonic() - started), 0.0)
+
+    @contextmanager
+    def _reported_wait(self, allowed_s: float) -> Generator[None, None, None]:
+        report, answered, started = self.on_wait, threading.Event(), time.monotonic()
+        if report is None:
+            yield
+            return
+
+        def repeat() -> None:
+            while not answered.wait(WAIT_REPORT_S):
+                report(f"waiting for the policy: {time.monotonic() - started:.0f} of {allowed_s:.0f} s")
+
+        thread = threading.Thread(target=repeat, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            answered.set()
+            thread.join()
 
     @contextmanager
     def _evidence(self, doing: str) -> Generator[None, None, None]:

@@ -10,7 +10,6 @@ from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError
-from carecontact.policies.language.backend import Intent
 from carecontact.policies.language.rules import Rules
 from carecontact.policies.motion import (
     CONTROL_HZ,
@@ -47,19 +46,19 @@ class Hover:
     )
 
     def __init__(self) -> None:
-        self._intent: Intent | None = None
+        self._place: tuple[str, str] | None = None
 
     def reset(self, instruction: str) -> None:
-        """Read the instruction. Raises LanguageError if rules-v1 does not understand it."""
-        self._intent = Rules().parse(instruction)
+        """Read the region and its side, whatever the action is. Raises LanguageError if rules-v1 finds none."""
+        self._place = Rules().parse_place(instruction)
 
     def act(self, observation: Observation) -> list[Action]:
         """Return the whole way as one chunk, of which the last action ends the trial."""
-        if self._intent is None:
+        if self._place is None:
             raise ContractError("act() was called before reset()")
-        side = "right" if self._intent.side == "none" else self._intent.side
+        region, side = self._place
         try:
-            geometry = region_from_observation(observation, self._intent.region, side=side, camera=CAMERA)
+            geometry = region_from_observation(observation, region, side=side, camera=CAMERA)
         except ContractError as error:
             logger.warning("Hover stays where it is: %s", error)
             return [Action(done=True)]

@@ -19,7 +19,7 @@ class PolicyRow:
     arguments ``language`` and ``record``."""
 
 
-POLICIES: Registry[PolicyRow] = Registry("policy", plural="policies")
+POLICIES: Registry[PolicyRow] = Registry("policy", row=PolicyRow, plural="policies")
 POLICIES.register(
     "zero-action",
     PolicyRow(

@@ -15,6 +15,7 @@ from carecontact.recording.check import check_header, check_recording
 from carecontact.recording.migration import RawRecording, check_version, migrate
 from carecontact.recording.schema import SCHEMA_VERSION, Header, Recording
 from carecontact.recording.stored_file import check_sizes, find_datasets, load, opened, read_bytes, root_datasets
+from carecontact.recording.versions import missing_suppliers
 from carecontact.recording.writer import CHECKSUM, HEADER
 
 
@@ -31,7 +32,7 @@ def read_recording(path: Path | str) -> Recording:
 
     Raises RecordingError naming the file and the fault: absent, not HDF5, truncated, damaged, foreign, too large,
     a schema that no migration starts from, a required array missing or of the wrong dtype or shape, or a checksum that
-    differs.
+    differs. Raises ConfigError for an installed action or region that its protocol names and that cannot be loaded.
     """
     return read_verified(path).recording
 
@@ -119,4 +120,9 @@ def _parse_header(path: Path, data: dict[str, Any]) -> Header:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
-        raise RecordingError(f"{path}: header field {place}: {first['msg']} ({error.error_count()} wrong)") from None
+        versions = data.get("versions")
+        absent = missing_suppliers(cast("dict[str, str]", versions)) if isinstance(versions, dict) else []
+        also = f"; it was recorded with {', '.join(absent)}, not installed here" if absent else ""
+        raise RecordingError(
+            f"{path}: header field {place}: {first['msg']} ({error.error_count()} wrong){also}"
+        ) from None

@@ -15,15 +15,9 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 
 from carecontact.contract.trial import TrialSpec
-from carecontact.regions import STANDARD_REGIONS
+from carecontact.regions import SEGMENTS, STANDARD_REGIONS
 
 SCHEMA_VERSION = "carecontact-recording-2"
-
-SEGMENTS = (
-    "pelvis", "abdomen", "thorax", "neck", "head",
-    *(f"{side}_{name}" for side in ("right", "left")
-      for name in ("upper_arm", "forearm", "hand", "thigh", "shank", "foot")),
-)  # fmt: skip
 
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
 

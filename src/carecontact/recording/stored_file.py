@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.errors import RecordingError
+from carecontact.errors import CarecontactError, RecordingError
 from carecontact.recording.check import STORABLE_KINDS
 from carecontact.recording.writer import CHECKSUM, HEADER
 
@@ -32,7 +32,7 @@ def opened(path: Path) -> Generator[Any]:
     """The h5py file of a trial, whose length HDF5 compares with the one that it stored.
 
     Raises RecordingError naming the file for one that is absent, too large, truncated or not HDF5, and for any error
-    inside the block.
+    inside the block that is not carecontact's own.
     """
     h5py: Any = import_module("h5py")  # ships no types
     try:
@@ -44,7 +44,7 @@ def opened(path: Path) -> Generator[Any]:
             )
         with h5py.File(path, "r") as file:
             yield file
-    except RecordingError:
+    except CarecontactError:
         raise
     except Exception as error:  # h5py answers damage with OSError, KeyError, RuntimeError, ValueError, TypeError ...
         message = " ".join(str(error).split()) or type(error).__name__

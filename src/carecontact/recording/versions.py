@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Mapping
 from importlib import metadata
 
 from carecontact import __version__
 from carecontact.contract.protocol import BEHAVIOURS, Protocol
 from carecontact.regions import REGIONS
 
+PACKAGES = ("mujoco", "numpy", "scipy", "mediapipe", "opencv-python-headless")
+"""Those that every trial's numbers rest on."""
 SEGMENTER_PACKAGES = {"mediapipe": (), "grounded-sam": ("torch", "transformers", "tokenizers", "pillow")}
 """Segmenter -> what it runs on besides the packages of every trial."""
 
@@ -22,16 +25,36 @@ def supplier_versions(protocol: Protocol) -> dict[str, str]:
     """Of the other packages that supply actions and regions of the protocol's tasks."""
     suppliers = {BEHAVIOURS.package(task.action) for task in protocol.tasks}
     suppliers |= {REGIONS.package(task.region) for task in protocol.tasks}
-    return {name: metadata.version(name) for name in sorted(filter(None, suppliers))}
+    return versions_of(suppliers)
+
+
+def versions_of(packages: Iterable[str | None]) -> dict[str, str]:
+    """Installed package -> its version, sorted; None stands for no package."""
+    return {name: metadata.version(name) for name in sorted({name for name in packages if name is not None})}
 
 
 def package_versions(segmenter: str = "mediapipe") -> dict[str, str]:
     """Of what decides a trial's numbers, without importing any of it."""
     versions = {"python": ".".join(map(str, sys.version_info[:3])), "carecontact": __version__}
-    packages = ("mujoco", "numpy", "scipy", "mediapipe", "opencv-python-headless")
-    for package in (*packages, *SEGMENTER_PACKAGES[segmenter]):
+    for package in (*PACKAGES, *SEGMENTER_PACKAGES[segmenter]):
         try:
             versions[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             versions[package] = "not installed"
     return versions
+
+
+def missing_suppliers(versions: Mapping[str, str]) -> list[str]:
+    """Name and version of the packages that supplied rows for a recording and are not installed here.
+
+    Args:
+        versions: of a recording's header.
+    """
+    known = {"python", "carecontact", *PACKAGES, *(name for names in SEGMENTER_PACKAGES.values() for name in names)}
+    found: list[str] = []
+    for name in sorted(versions.keys() - known):
+        try:
+            metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found.append(f"{name} {versions[name]}")
+    return found

@@ -1,5 +1,6 @@
 """The regions of the body that a task can name: one file each, plain data, found by name in REGIONS."""
 
+from carecontact.regions.anatomy import JOINTS, SEGMENTS
 from carecontact.regions.region import (
     REGIONS,
     STANDARD_REGIONS,
@@ -12,7 +13,9 @@ from carecontact.regions.region import (
 )
 
 __all__ = [
+    "JOINTS",
     "REGIONS",
+    "SEGMENTS",
     "STANDARD_REGIONS",
     "Belly",
     "LimbSight",

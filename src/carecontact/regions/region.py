@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from carecontact.errors import ConfigError
+from carecontact.regions.anatomy import JOINTS, LIMB_PARTS, SEGMENTS, check_names, check_pair
 from carecontact.registry import Registry
 
 
@@ -25,6 +27,10 @@ class Tube:
     held_out_m: tuple[tuple[float, float], ...] = ()
     """Places (along, across) of the region's frame where validation compares the tissue with published curves [m];
     each is at least 8 mm from those of tools/fit_tissue.py."""
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError for a ``closed_by`` that is not two of LIMB_PARTS."""
+        check_pair("Tube.closed_by", self.closed_by, LIMB_PARTS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +55,10 @@ class LimbSight:
     free_from: float = 0.0
     """Share of the line before which limb and trunk are one."""
 
+    def __post_init__(self) -> None:
+        """Raises ConfigError for ``joints`` that are not two of JOINTS."""
+        check_pair("LimbSight.joints", self.joints, JOINTS)
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrunkSight:
@@ -62,6 +72,10 @@ class TrunkSight:
     """Middle of the region as a share of the line between the two pairs."""
     length: float
     """Of the region, as a share of that line's length."""
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError for ``joints`` that are not two of JOINTS."""
+        check_pair("TrunkSight.joints", self.joints, JOINTS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +99,18 @@ class Region:
     the way."""
     scripted_along_m: float = 0.0
     """Where validation makes its scripted contacts, along the region's axis from its middle [m]."""
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError for a segment that no body has, a neighbourhood without one, ``words`` that are one text,
+        and a limb's shape or sight on a segment that has no side."""
+        check_names("Region.segment", (self.segment,), SEGMENTS)
+        check_names("Region.neighbourhood", self.neighbourhood, SEGMENTS)
+        if isinstance(self.words, str):
+            raise ConfigError(f"Region.words: expected a tuple of texts, got {self.words!r}")
+        for field, of_a_limb in (("shape", isinstance(self.shape, Tube)), ("sight", isinstance(self.sight, LimbSight))):
+            if of_a_limb and not self.sided:
+                kind = type(getattr(self, field)).__name__
+                raise ConfigError(f"Region.{field}: {kind} is for a limb, and {self.segment} has no side")
 
     @property
     def soft(self) -> bool:
@@ -114,7 +140,7 @@ class Region:
                 return ()
 
 
-REGIONS: Registry[Region] = Registry("region", scan="carecontact.regions")
+REGIONS: Registry[Region] = Registry("region", row=Region, scan="carecontact.regions")
 """Name -> row. Other packages add rows through the entry-point group ``carecontact.regions``. Policies may read it: a
 module that registers a region must import nothing of carecontact but ``carecontact.regions``."""
 

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from carecontact.errors import ConfigError
 from carecontact.recording import read_verified
+from carecontact.recording.versions import versions_of
 from carecontact.runs.results_content import RESULTS_SCHEMA
 from carecontact.runs.results_file import RESULTS_NAME, write_results
 from carecontact.scoring.contact import find_contact
@@ -55,6 +56,9 @@ def append_metrics(folder: Path | str) -> Appended:
             grown += 1
     if added:
         _add_medians(data, added)
+        for package, version in versions_of(map(METRICS.package, added)).items():
+            listed = data.setdefault("versions", {}).setdefault(package, [])
+            data["versions"][package] = sorted({*listed, version})
         write_results(folder, data)
     listed = {trial["trial_id"] for trial in trials}
     return Appended(

@@ -1,11 +1,15 @@
-"""Faults of a protocol that would make every trial of a run fail for the same reason."""
+"""Faults that would make every trial of a run fail for the same reason, or leave it without scores."""
 
 from __future__ import annotations
 
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError, UnknownNameError
+from carecontact.scoring.behaviour import behaviour_of
 from carecontact.scoring.filters import rate_faults
+from carecontact.scoring.gate_sweep import protocol_sweeps
+from carecontact.scoring.limits import LIMIT_PACKS
+from carecontact.scoring.metrics.metric import checked_metrics
 
 
 def check_protocol(protocol: Protocol) -> None:
@@ -26,3 +30,13 @@ def check_protocol(protocol: Protocol) -> None:
             )
     if faults:
         raise ConfigError(f"protocol {protocol.id} cannot run: {'; '.join(faults)}")
+
+
+def check_rows(protocol: Protocol) -> None:
+    """Raises ConfigError for a metric, a limit pack, or an action of the protocol's gates that the scorer cannot use;
+    nothing is computed."""
+    for action in protocol.gates.actions:
+        behaviour_of(action)
+    protocol_sweeps(protocol)
+    checked_metrics()
+    list(LIMIT_PACKS.values())

@@ -16,7 +16,8 @@ class RunScores:
     skipped: dict[str, str] = field(default_factory=dict[str, str])
     """File name -> why it was not scored."""
     versions: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
-    """Package -> every version that the scored recordings name; more than one means a mixed run."""
+    """Package -> every version that the scored recordings name, and those of the packages whose metrics scored them;
+    more than one means a mixed run."""
     missing: tuple[str, ...] = ()
     """Trials that were planned and have no score; where no plan is known, none."""
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from carecontact.errors import ConfigError
+from carecontact.recording.versions import versions_of
 from carecontact.runs.pooling import check_one_run
 from carecontact.runs.run_scores import RunScores
 from carecontact.runs.score_files import score_files
+from carecontact.scoring.metrics.metric import METRICS
 from carecontact.scoring.result import TrialScore
 
 
@@ -35,10 +38,16 @@ def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
             skipped[path.name] = found
             continue
         scores.append(found.score)
-        for package, version in found.versions.items():
-            versions.setdefault(package, set()).add(version)
+        _add(versions, found.versions)
+    if scores:
+        _add(versions, versions_of(map(METRICS.package, METRICS)))
     check_one_run(scores)
     return RunScores(scores=scores, skipped=skipped, versions={k: sorted(v) for k, v in sorted(versions.items())})
+
+
+def _add(versions: dict[str, set[str]], further: Mapping[str, str]) -> None:
+    for package, version in further.items():
+        versions.setdefault(package, set()).add(version)
 
 
 def misnamed(folder: Path) -> list[Path]:

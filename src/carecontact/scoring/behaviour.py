@@ -6,7 +6,6 @@ The shipped actions are in ``carecontact.behaviours``, one file each.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Literal, TypeVar, cast
 
@@ -53,6 +52,15 @@ class Behaviour(ABC, Generic[G]):
     """Whether the action is meant to move a limb. Results pool the joint-limit margin C2 over such actions alone: it
     says little where nothing was meant to move."""
 
+    def __init_subclass__(cls) -> None:
+        """Raises ConfigError for a sweep of a field that the gate does not have."""
+        super().__init_subclass__()
+        fields: dict[str, Any] = cls.gate.model_fields if hasattr(cls, "gate") else {}
+        for sweep in cls.sweeps if fields else ():
+            if sweep.field not in fields:
+                known = ", ".join(fields)
+                raise ConfigError(f"{cls.__name__}.sweeps: the gate has no field {sweep.field!r}; valid: {known}")
+
     @abstractmethod
     def judge(self, contact: Contact, gate: G, attempt: Attempt) -> Judgement: ...
 
@@ -93,13 +101,8 @@ def behaviour_of(action: str) -> Behaviour[Any]:
 
 
 def actions_that_move() -> frozenset[str]:
-    """The registered actions that are meant to move a limb."""
-    return frozenset(action for action in BEHAVIOURS if behaviour_of(action).moves_the_person)
-
-
-def sweeps_of(actions: Iterable[str]) -> dict[str, tuple[str, Sweep]]:
-    """Name of each sweep of these actions -> its action and itself."""
-    return {sweep.name: (action, sweep) for action in actions for sweep in behaviour_of(action).sweeps}
+    """The registered actions that are meant to move a limb; one that cannot be loaded has no trials to pool."""
+    return frozenset(action for action in BEHAVIOURS.usable() if behaviour_of(action).moves_the_person)
 
 
 def let_go(contact: Contact, holding: Mask, duration_s: float) -> bool:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
-from carecontact.contract.protocol import Protocol
-from carecontact.scoring.behaviour import Sweep, behaviour_of, sweeps_of
+from carecontact.contract.protocol import BEHAVIOURS, Protocol
+from carecontact.errors import ConfigError
+from carecontact.scoring.behaviour import Sweep, behaviour_of
 from carecontact.scoring.contact import Contact, with_floor
 from carecontact.scoring.gate import Measures
 from carecontact.scoring.metrics.c3_success import judge, measure
@@ -16,9 +18,27 @@ FLOOR = Sweep(name="floor_n", field="on_n", values=(0.25, 0.5, 1.0, 2.0), title=
 
 
 def protocol_sweeps(protocol: Protocol) -> dict[str, tuple[str | None, Sweep]]:
-    """Name of each sweep of a protocol's trials -> its action, None where it is for all of them, and itself."""
+    """Name of each sweep of a protocol's trials -> its action, None where it is for all of them, and itself.
+
+    Raises ConfigError where two sweeps have the same name.
+    """
     used = {task.action for task in protocol.tasks}
-    return {FLOOR.name: (None, FLOOR), **sweeps_of(action for action in protocol.gates.actions if action in used)}
+    return sweeps_of(action for action in protocol.gates.actions if action in used)
+
+
+def sweeps_of(actions: Iterable[str]) -> dict[str, tuple[str | None, Sweep]]:
+    """As ``protocol_sweeps``, for these actions. Raises ConfigError where two sweeps have the same name."""
+    found: dict[str, tuple[str | None, Sweep]] = {FLOOR.name: (None, FLOOR)}
+    for action, sweep in [(name, sweep) for name in actions for sweep in behaviour_of(name).sweeps]:
+        if sweep.name in found:
+            other = found[sweep.name][0]
+            owner = "the contact floor" if other is None else BEHAVIOURS.title(other)
+            raise ConfigError(
+                f"{owner} and {BEHAVIOURS.title(action)} both have a sweep named {sweep.name!r}; "
+                "begin the name of a sweep with its action"
+            )
+        found[sweep.name] = action, sweep
+    return found
 
 
 def own_value(protocol: Protocol, action: str | None, sweep: Sweep) -> float:

@@ -28,7 +28,7 @@ class LimitPack:
         return self.limit_n.get(sideless(segment), min(self.limit_n.values()))
 
 
-LIMIT_PACKS: Registry[LimitPack] = Registry("limit pack", plural="limit_packs")
+LIMIT_PACKS: Registry[LimitPack] = Registry("limit pack", row=LimitPack, plural="limit_packs")
 
 LIMIT_PACKS.register(
     "behrens-2021-table-8",

@@ -22,6 +22,15 @@ FailureMode = Literal[
 Attribution = Literal["process", "perception", "planning", "execution", "safety"]
 
 
+MEASURED = (
+    "c1_peak_force_n", "c1_peak_filtered_n", "c1_peak_contact_sum_n", "c1_peak_any_segment_n", "c2_joint_margin_rad",
+    "c2_joint", "c2_time_s", "c2_settled_margin_rad", "c2_change_rad", "c3_success", "c4_motion_activity",
+    "c5_force_sd_n", "longest_on_s", "on_share", "stroke_m", "extent_m", "reversals", "wrist_displacement_m",
+    "wrist_displacement_any_m",
+)  # fmt: skip
+"""Fields of ``TrialScore`` that metrics fill."""
+
+
 class TrialScore(BaseModel):
     """None means NA. Produced by ``scoring.score_recording`` alone; SI units."""
 

@@ -15,7 +15,7 @@ from carecontact.scoring.metrics.c1_peak_force import peak_of_segments
 from carecontact.scoring.metrics.c3_success import judge, measure
 from carecontact.scoring.metrics.impulse import total_impulse
 from carecontact.scoring.metrics.indentation import beyond_calibrated, deepest_indentation
-from carecontact.scoring.metrics.metric import METRICS, Metric
+from carecontact.scoring.metrics.metric import METRICS, Metric, checked_metrics
 from carecontact.scoring.result import TrialScore
 from carecontact.scoring.validity.streams import check_streams
 from carecontact.scoring.verdict import reach_verdict
@@ -25,7 +25,8 @@ def score_recording(recording: Recording, *, sha256: str | None = None) -> Trial
     """Score one trial by the settings of the protocol in its header; no simulator, no clock, no other file.
 
     Raises RecordingError naming the array if a required one is missing or malformed, if a scorer stream holds what it
-    cannot hold, or if its samples are not one physics step apart: a broken stream never becomes a number.
+    cannot hold, or if its samples are not one physics step apart: a broken stream never becomes a number. Raises
+    ConfigError naming a metric or an action, its package and the trial where that is at fault.
 
     Args:
         sha256: canonical hash that the recording was verified by; default: computed.
@@ -49,11 +50,11 @@ def score_recording(recording: Recording, *, sha256: str | None = None) -> Trial
 def measure_all(contact: Contact) -> tuple[dict[str, Any], dict[str, float | None]]:
     """Every registered metric of one trial: fields of ``TrialScore`` with their values, then id -> value of the others.
 
-    Raises ConfigError if two metrics fill the same field.
+    Raises ConfigError as ``checked_metrics`` and ``Metric.compute`` do, and if two metrics fill the same field.
     """
     filled: dict[str, Any] = {}
     additional: dict[str, float | None] = {}
-    for row in METRICS.values():
+    for row in checked_metrics():
         if row.field is None:
             additional[row.id] = row.compute(contact)
             continue
@@ -65,9 +66,12 @@ def measure_all(contact: Contact) -> tuple[dict[str, Any], dict[str, float | Non
 
 
 def check_finite(place: str, values: dict[str, Any]) -> None:
-    """Raises RecordingError, which begins with ``place``, for an infinite value or NaN."""
+    """Raises RecordingError, which begins with ``place``, for an infinite value or NaN; ConfigError, which names the
+    metric, for one of a metric that another package supplies."""
     for name, value in values.items():
         if isinstance(value, float) and not isfinite(value):
+            if METRICS.package(name):
+                raise ConfigError(f"{METRICS.title(name)} returned {value} in trial {place}; return None for NA")
             raise RecordingError(f"{place}: {name} comes out as {value}; its arrays are out of all range")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from carecontact.scoring.behaviour import behaviour_of
+from carecontact.scoring.ask import ask
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.gate import Gate
 from carecontact.scoring.metrics.c1_peak_force import peak_of_segments
@@ -68,8 +68,7 @@ def _failure_mode(contact: Contact, gate: Gate) -> FailureMode:
         return "no_target_contact"
     if anatomy == "off_target":
         return "off_target_contact"
-    action = contact.task.action
-    if not gate.time_met and behaviour_of(action).lost(contact, contact.protocol.gates.of(action), gate):
+    if not gate.time_met and ask(contact, "lost", contact, contact.protocol.gates.of(contact.task.action), gate):
         return "lost_contact"
     # Short of progress, or stopped of its own accord; a hold that the clock cut short is neither.
     if not gate.success and not (gate.progress_met and ended == "time_limit"):

@@ -18,6 +18,7 @@ from carecontact.sight.person import PerceptionFailure, joint_centre, person_poi
 F64 = npt.NDArray[np.float64]
 
 LIMB_LENGTH_M = (0.15, 0.40)
+LEG_LENGTH_M = (0.15, 0.60)  # a thigh or a shank
 TRUNK_LENGTH_M = (0.30, 0.70)
 """Lengths from small children to very tall adults; a skeleton outside them is not a person's."""
 MIN_COLUMN_POINTS = 5
@@ -108,7 +109,8 @@ def _limb_line(view: CameraView, sight: LimbSight, side: str, region: str) -> tu
     """(3,) and (3,) ends of a region's line along a limb, nearer the trunk first."""
     first, second = sight.joints
     start, end = joint_centre(view, f"{side} {first}"), joint_centre(view, f"{side} {second}")
-    _checked_length(end - start, LIMB_LENGTH_M, f"{side} {region.replace('_', ' ')}")
+    limits = LEG_LENGTH_M if "knee" in sight.joints else LIMB_LENGTH_M
+    _checked_length(end - start, limits, f"{side} {region.replace('_', ' ')}")
     start, end = _at_centres(sight, start, end)
     return start + sight.free_from * (end - start), end
 

@@ -47,6 +47,7 @@ class Check:
         conversation = open_policy(
             self.policy, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s
         )
+        conversation.on_wait = lambda line: self._say("wait", "", line)
         spec = self.spec
         # The world is built while the policy loads.
         with conversation, ThreadPoolExecutor(1) as building:

@@ -27,7 +27,7 @@ WRONG_TURN_DEG, RIGHT_TURN_DEG = 90.0, 45.0
 HALF_OPEN = 0.5
 
 
-Level = Literal["ok", "warning", "error", "hint"]
+Level = Literal["ok", "warning", "error", "hint", "wait"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,6 +39,7 @@ def run_trial(
     prepare: Callable[[TrialSpec], World] | None = None,
     on_look: Callable[[Look], None] | None = None,
     on_policy: Callable[[bool], None] | None = None,
+    on_wait: Callable[[str], None] | None = None,
 ) -> Recording:
     """Run the trial to its end; a policy's failure is part of the recording.
 
@@ -48,6 +49,7 @@ def run_trial(
         prepare: gives the world at t = 0, as ``settled_world`` does; the audit has its own.
         on_look: called after every answer with what the policy was shown and what it was made of.
         on_policy: called with True when the process of a local policy is about to start, with False when it is gone.
+        on_wait: called with a line every few seconds while the policy is silent, by another thread.
 
     Raises:
         CarecontactError: the harness itself failed (SceneError, SettleError, DependencyError and others).
@@ -57,7 +59,7 @@ def run_trial(
     report = on_policy if on_policy is not None and setup.ref.kind != "remote" else _report_to_nobody
     with Episode(spec, prepare=prepare, weights=weights) as episode:
         report(True)
-        _converse(episode, setup, on_look)
+        _converse(episode, setup, on_look, on_wait)
         report(False)
         return episode.finish()
 
@@ -66,12 +68,15 @@ def _report_to_nobody(running: bool) -> None:
     pass
 
 
-def _converse(episode: Episode, setup: PolicySetup, on_look: Callable[[Look], None] | None) -> None:
+def _converse(
+    episode: Episode, setup: PolicySetup, on_look: Callable[[Look], None] | None, on_wait: Callable[[str], None] | None
+) -> None:
     phases = episode.protocol.phases
     try:
         with open_policy(
             setup, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s
         ) as policy:
+            policy.on_wait = on_wait
             try:
                 episode.card = policy.start()
                 policy.reset(episode.instruction, episode.session)

@@ -23,6 +23,8 @@ SINGLE_THREAD = {
 }
 """A sum split over threads depends on how many there are; and the supervisor already uses every core."""
 
+WAITING = "waiting.txt"
+"""File beside the recording in which the worker says that it waits for its policy."""
 POLICY_RUNS, POLICY_GONE = b"+", b"-"
 
 
@@ -39,10 +41,15 @@ def main() -> int:
         if request.phase_fd is not None:
             os.write(request.phase_fd, POLICY_RUNS if running else POLICY_GONE)
 
+    def wait(line: str) -> None:
+        request.out.with_name(WAITING).write_text(line)
+
     try:
         from carecontact.trials.trial import run_trial
 
-        recording = run_trial(request.spec, policy=request.policy, weights=request.weights, on_policy=tell)
+        recording = run_trial(
+            request.spec, policy=request.policy, weights=request.weights, on_policy=tell, on_wait=wait
+        )
         write_recording(recording, request.out)
     except Exception as error:
         trace = traceback.format_exc()

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
+from carecontact.hosting.conversation import WAIT_REPORT_S
 from carecontact.hosting.descendants import kill_marked, marks_of
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, write_recording
@@ -22,7 +23,7 @@ from carecontact.recording.schema import Recording
 from carecontact.runs.manifest import FAILED
 from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, tail
 from carecontact.trials.request import TrialRequest
-from carecontact.trials.worker import POLICY_RUNS, SINGLE_THREAD
+from carecontact.trials.worker import POLICY_RUNS, SINGLE_THREAD, WAITING
 
 # -P: the folder a user happens to stand in must not shadow a module of the trial's process.
 WORKER_COMMAND = (sys.executable, "-P", "-X", "faulthandler", "-m", "carecontact.trials.worker")
@@ -106,6 +107,16 @@ class Workers:
                 self._keep_log(worker, recording)
             done.append((worker.spec, recording))
         return done
+
+    def waiting(self) -> dict[str, str]:
+        """Trial id -> the line of a worker whose policy was silent just now."""
+        lines: dict[str, str] = {}
+        for worker in self.running:
+            note = worker.partial.with_name(WAITING)
+            with suppress(OSError):
+                if time.time() - note.stat().st_mtime < 2 * WAIT_REPORT_S:
+                    lines[worker.spec.trial_id] = note.read_text(errors="replace")
+        return lines
 
     def kill_all(self) -> None:
         for worker in self.running:

@@ -12,6 +12,9 @@ from carecontact.errors import ConfigError, RecordingError
 from carecontact.recording import SEGMENTS, Recording
 from carecontact.scoring import METRICS, Metric, metric, score_recording
 from carecontact.scoring.contact import Contact, find_contact
+from carecontact.scoring.metrics.metric import checked_metrics
+from carecontact.scoring.result import MEASURED
+from carecontact.scoring.score import measure_all
 from tests.scoring.synthetic import JOINT_RANGE, before_start, hold, make_recording, push, scrub, seconds, touch
 
 FAST = settings(max_examples=15, deadline=None)
@@ -71,6 +74,13 @@ def test_one_computation_fills_all_its_fields() -> None:
     [
         ({"id_": "grip"}, "NAME@VERSION"),
         ({"id_": "grip@1", "field": "grip_n"}, "TrialScore has no field 'grip_n'"),
+        ({"id_": "grip@1", "field": "safety_gated"}, "TrialScore has no field 'safety_gated' that a metric fills"),
+        ({"id_": "grip@1", "better": "more"}, "better: expected one of higher, lower, neither; got 'more'"),
+        ({"id_": "grip@1", "pool": "tap"}, "pool: expected None, moving or a tuple of actions; got 'tap'"),
+        ({"id_": "grip@1", "unit": ""}, "unit: expected a text, 1 for a plain number; got ''"),
+        ({"id_": "grip@1", "digits": 1.5}, "digits: expected None, or a number from 0 up; got 1.5"),
+        ({"id_": "grip@1", "matters": "much"}, "matters: expected None, or above 0; got 'much'"),
+        ({"id_": "grip@1", "order": None}, "order: expected a whole number; got None"),
         ({"id_": "grip@1", "better": "neither", "matters": 1.0}, "matters needs a direction"),
         ({"id_": "C1@1"}, "registered twice"),
     ],
@@ -85,6 +95,53 @@ def test_two_metrics_cannot_fill_one_field(registered: None) -> None:
     metric("C5@2", title="Force stability", unit="N", better="lower", field="c5_force_sd_n")(lambda contact: 0.0)
     with pytest.raises(ConfigError, match=r"metric C5@2: another metric fills the field 'c5_force_sd_n'"):
         score_recording(touch())
+
+
+def test_shipped_metrics_fill_every_field_that_is_theirs() -> None:
+    filled, _ = measure_all(find_contact(push()))
+    assert sorted(filled) == sorted(MEASURED)
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        ("much", "returned 'much' in trial T1-s000; expected a number, or None for NA"),
+        (np.zeros((2, 1)), r"returned array\(\[\[0\.\], \[0\.\]\]\) in trial T1-s000; expected a number"),
+        (ValueError("no"), r"failed in trial T1-s000: ValueError: no \(test_metrics\.py, line \d+\)"),
+    ],
+)
+def test_a_metric_that_measures_no_number_is_named(registered: None, answer: Any, told: str) -> None:
+    @metric("grip@1", title="Grip", unit="N", better="lower")
+    def grip(contact: Contact) -> Any:
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    with pytest.raises(ConfigError, match=f"^metric 'grip@1' {told}"):
+        score_recording(touch())
+
+
+def test_a_number_out_of_range_is_the_fault_of_the_package_whose_metric_it_is(
+    registered: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    metric("grip@1", title="Grip", unit="N", better="lower")(lambda contact: float("nan"))
+    with pytest.raises(RecordingError, match=r"T1-s000: grip@1 comes out as nan"):
+        score_recording(touch())
+    monkeypatch.setattr(METRICS, "package", {"grip@1": "grips"}.get)
+    with pytest.raises(ConfigError, match="metric 'grip@1' returned nan in trial T1-s000; return None for NA"):
+        score_recording(touch())
+
+
+def test_a_pool_names_registered_actions(registered: None) -> None:
+    metric("grip@1", title="Grip", unit="N", better="lower", pool=("tapp",))(lambda contact: 0.0)
+    with pytest.raises(ConfigError, match=r"metric 'grip@1': pool: no action named 'tapp'; valid: .*push, .*touch"):
+        checked_metrics()
+
+
+def test_a_metric_has_the_name_of_its_id(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METRICS._rows, "C1@7", METRICS["C1@1"])
+    with pytest.raises(ConfigError, match="metric 'C1@7': its id is 'C1@1'; give its entry point the same name"):
+        checked_metrics()
 
 
 def test_metrics_are_na_without_contact() -> None:

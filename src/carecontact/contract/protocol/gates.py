@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Protocol, cast
+from typing import Annotated, Any, Literal, Protocol, cast, runtime_checkable
 
 from pydantic import BeforeValidator, ConfigDict, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -12,6 +12,7 @@ from carecontact.errors import UnknownNameError
 from carecontact.registry import Registry
 
 
+@runtime_checkable
 class HasGate(Protocol):
     """What a protocol needs of a row of BEHAVIOURS; the rest of a row is for the scorer (``scoring.behaviour``)."""
 
@@ -21,7 +22,9 @@ class HasGate(Protocol):
         ...
 
 
-BEHAVIOURS: Registry[HasGate] = Registry("action", plural="behaviours", scan="carecontact.behaviours")
+BEHAVIOURS: Registry[HasGate] = Registry(
+    "action", row=HasGate, expected="a Behaviour object", plural="behaviours", scan="carecontact.behaviours"
+)
 """Action -> its behaviour. Other packages add rows through the entry-point group ``carecontact.behaviours``."""
 
 

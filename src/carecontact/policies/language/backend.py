@@ -18,8 +18,9 @@ Approach = Literal["above", "near_side", "far_side"]
 
 
 def spoken_regions() -> tuple[str, ...]:
-    """The regions that an instruction can name: those whose row has words for it."""
-    return tuple(name for name in all_regions() if REGIONS[name].words)
+    """The regions that an instruction can name: those whose row can be loaded and has words for it."""
+    rows = REGIONS.usable()
+    return tuple(name for name in all_regions() if name in rows and rows[name].words)
 
 
 def _spoken(name: str) -> str:

@@ -42,19 +42,22 @@ class Rules:
 
     def parse(self, instruction: str) -> Intent:
         """Raises LanguageError that says what is missing or ambiguous and which words are known."""
-        text = re.sub(r"\s+", " ", instruction.lower().replace("\u2019", "'")).strip()
-        negated = [word for word in NEGATIONS if _contains(text, word)]
-        if negated:
-            raise LanguageError(f"instruction {instruction!r}: rules-v1 refuses negation ({', '.join(negated)})")
+        text = _plain(instruction)
         action = _one(instruction, text, "action", ACTIONS)
+        region, side = self.parse_place(instruction)
+        manner = _at_most_one(instruction, text, "manner", MANNERS)
+        return Intent.model_validate({"action": action, "region": region, "side": side, "manner": manner})
+
+    def parse_place(self, instruction: str) -> tuple[str, str]:
+        """Region and side, whatever the action is. Raises LanguageError as ``parse``."""
+        text = _plain(instruction)
         region = _one(instruction, text, "region", {name: REGIONS[name].words for name in spoken_regions()})
         side = _at_most_one(instruction, text, "side", SIDES)
         if REGIONS[region].sided and side == "none":
             raise LanguageError(f"instruction {instruction!r}: which {region.replace('_', ' ')}? say right or left")
         if not REGIONS[region].sided and side != "none":
             raise LanguageError(f"instruction {instruction!r}: the {region} has no {side} side that rules-v1 knows")
-        manner = _at_most_one(instruction, text, "manner", MANNERS)
-        return Intent.model_validate({"action": action, "region": region, "side": side, "manner": manner})
+        return region, side
 
     def choose(self, intent: Intent, options: Sequence[Option]) -> int:
         """Raises ContractError if no option has the intended primitive."""
@@ -80,6 +83,15 @@ class Rules:
     def take_calls(self) -> list[dict[str, object]]:
         """None: nobody was asked."""
         return []
+
+
+def _plain(instruction: str) -> str:
+    """In small letters and single spaces. Raises LanguageError for a negation."""
+    text = re.sub(r"\s+", " ", instruction.lower().replace("\u2019", "'")).strip()
+    negated = [word for word in NEGATIONS if _contains(text, word)]
+    if negated:
+        raise LanguageError(f"instruction {instruction!r}: rules-v1 refuses negation ({', '.join(negated)})")
+    return text
 
 
 def _contains(text: str, phrase: str) -> bool:

@@ -14,8 +14,7 @@ from carecontact.contract.protocol import Protocol
 from carecontact.reports.svg import Axes, Drawing
 from carecontact.runs.aggregate import GAMMAS, LEVELS, gamma_sweep, gate_sweep
 from carecontact.runs.pooling import judged
-from carecontact.scoring.behaviour import sweeps_of
-from carecontact.scoring.gate_sweep import FLOOR, own_value
+from carecontact.scoring.gate_sweep import own_value, sweeps_of
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import wilson_interval
 
@@ -83,8 +82,7 @@ def gate_panels(scores: Sequence[TrialScore], protocol: Protocol | None) -> list
     """
     counted = judged(scores)
     panels: list[Panel] = []
-    sweeps = {FLOOR.name: (None, FLOOR), **sweeps_of(sorted({s.action for s in counted}))}
-    for name, (action, sweep) in sweeps.items():
+    for name, (action, sweep) in sweeps_of(sorted({s.action for s in counted})).items():
         of_gate = [s for s in counted if action in (None, s.action)]
         rows = gate_sweep(of_gate).get(name, [])
         if not rows:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from carecontact.contract.protocol import BEHAVIOURS
 from carecontact.scoring.behaviour import behaviour_of
+from carecontact.scoring.blame import blamed_on
 from carecontact.scoring.result import TrialScore
 
 
@@ -20,7 +22,9 @@ def result_word(score: TrialScore) -> tuple[str, str]:
 
 
 def progress(score: TrialScore) -> str:
-    """The figures that the action's gate judges."""
+    """The figures that the action's gate judges. Raises ConfigError for an action that cannot give them."""
     if not score.valid_contact:
         return "no valid contact"
-    return behaviour_of(score.action).progress(score)
+    behaviour = behaviour_of(score.action)
+    with blamed_on(f"{BEHAVIOURS.title(score.action)}: progress", score.trial_id):
+        return behaviour.progress(score)

@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from carecontact.recording.reason import reason_of
+from carecontact.scoring.ask import ask
 from carecontact.scoring.attribution.commanded import CommandedPath, commanded_contact, commanded_path
 from carecontact.scoring.attribution.noted_target import nearest_noted_target, noted_reason, noted_subtasks
 from carecontact.scoring.attribution.sight import Sight, modalities, sight
-from carecontact.scoring.behaviour import behaviour_of, mm
+from carecontact.scoring.behaviour import mm
 from carecontact.scoring.contact import Contact, runs
 from carecontact.scoring.gate import Gate
 from carecontact.scoring.result import Attribution, FailureMode
@@ -90,8 +91,8 @@ def _aimed_right(contact: Contact, gate: Gate, mode: FailureMode, path: Commande
 
 def _requested(contact: Contact, path: CommandedPath) -> str | None:
     """What the targets under the surface requested, if a tool that followed them would pass the gate."""
-    action, asked = contact.task.action, commanded_contact(path, contact.protocol.contact.reversal_m)
-    return behaviour_of(action).requested(contact.protocol.gates.of(action), asked)
+    asked = commanded_contact(path, contact.protocol.contact.reversal_m)
+    return ask(contact, "requested", contact.protocol.gates.of(contact.task.action), asked)
 
 
 def _views(contact: Contact, seen: Sight) -> str:
@@ -144,8 +145,8 @@ def _safety_evidence(contact: Contact) -> str:
 
 
 def _shortfall(contact: Contact, gate: Gate, mode: FailureMode) -> str:
-    gates, action = contact.protocol.gates, contact.task.action
+    gates = contact.protocol.gates
     if mode == "wrong_share":
         share = contact.region_share or 0.0
         return f"only {share:.0%} of the contact impulse fell on it, {gates.region_share:.0%} needed"
-    return behaviour_of(action).shortfall(contact, gates.of(action), gate)
+    return ask(contact, "shortfall", contact, gates.of(contact.task.action), gate)

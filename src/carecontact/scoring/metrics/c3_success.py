@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from carecontact.recording import Header
-from carecontact.scoring.behaviour import behaviour_of
+from carecontact.scoring.ask import ask
 from carecontact.scoring.contact import Contact, longest_run
-from carecontact.scoring.gate import Attempt, Gate, Measures
+from carecontact.scoring.gate import Attempt, Gate, Judgement, Measures
 from carecontact.scoring.metrics.metric import metric
 from carecontact.scoring.progress import Episode, measure_episodes, wrist_displacement
 
@@ -24,15 +24,14 @@ def judge(contact: Contact, measures: Measures | None = None) -> Gate:
     ``measures``: of this contact if they are known already.
     """
     measures = measures or measure(contact)
-    action = contact.task.action
-    behaviour, gate = behaviour_of(action), contact.protocol.gates.of(action)
+    gate = contact.protocol.gates.of(contact.task.action)
     attempt = Attempt(
-        held_steps=longest_run(behaviour.holding(contact, gate)),
+        held_steps=longest_run(ask(contact, "holding", contact, gate)),
         best=_best_episode(contact, measures.episodes),
         wrist_m=measures.wrist_m,
         wrist_any_m=measures.wrist_any_m,
     )
-    judged = behaviour.judge(contact, gate, attempt)
+    judged: Judgement = ask(contact, "judge", contact, gate, attempt)
     return Gate(
         success=contact.valid and not broke_down(contact.recording.header) and judged.time_met and judged.progress_met,
         time_met=judged.time_met,
@@ -58,10 +57,10 @@ def _best_episode(contact: Contact, measured: list[Episode]) -> Episode | None:
     """One that passes the task's own gate if there is one, then one that passes another action's, then the longest
     stroke, then the earliest."""
     own = contact.task.action
-    passes = {action: (behaviour_of(action), gate) for action, gate in contact.protocol.gates.actions.items()}
+    gates = contact.protocol.gates.actions.items()
 
     def rank(episode: Episode) -> tuple[bool, bool, float]:
-        passed = {action for action, (behaviour, gate) in passes.items() if behaviour.passes(gate, episode)}
+        passed = {action for action, gate in gates if ask(contact, "passes", gate, episode, action=action)}
         return own in passed, bool(passed), episode.stroke_m
 
     return max(measured, key=rank, default=None)

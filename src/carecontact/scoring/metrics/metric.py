@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, is_dataclass
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from carecontact.errors import ConfigError
+from carecontact.contract.protocol import BEHAVIOURS
+from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.registry import Registry
 from carecontact.scoring.behaviour import actions_that_move
+from carecontact.scoring.blame import blamed_on, shown
 from carecontact.scoring.contact import Contact
-from carecontact.scoring.result import TrialScore
+from carecontact.scoring.metric_fields import Better, check_fields
+from carecontact.scoring.result import MEASURED, TrialScore
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     Measured = float | DataclassInstance | None
 
-Better = Literal["higher", "lower", "neither"]
 Pool = tuple[str, ...] | Literal["moving"] | None
 
 
@@ -54,17 +57,9 @@ class Metric:
     """Place in tables, lowest first; metrics with the same order stand by id."""
 
     def __post_init__(self) -> None:
-        """Raises ConfigError for an id without a version, an unknown field, or a ``matters`` without a direction."""
-        name, at, version = self.id.rpartition("@")
-        if not (name and at and version.isdigit()):
-            raise ConfigError(f"metric {self.id!r}: the id must be NAME@VERSION, for example {self.id or 'grip'}@1")
-        if self.field is not None and self.field not in TrialScore.model_fields:
-            raise ConfigError(
-                f"metric {self.id}: TrialScore has no field {self.field!r}; "
-                "leave field out and the value stands in TrialScore.additional"
-            )
-        if self.matters is not None and self.better == "neither":
-            raise ConfigError(f"metric {self.id}: matters needs a direction; better must be 'higher' or 'lower'")
+        """Raises ConfigError for an id without a version, a field of ``TrialScore`` that no metric fills, a ``matters``
+        without a direction, and any other argument of a wrong kind."""
+        check_fields(vars(self))
 
     @property
     def name(self) -> str:
@@ -82,13 +77,15 @@ class Metric:
         return tuple(sorted(actions_that_move())) if self.pool == "moving" else self.pool
 
     def compute(self, contact: Contact) -> float | None:
-        """The number of one trial; None for NA."""
-        return self._number(self.measure(contact))
+        """The number of one trial; None for NA. Raises ConfigError, which names metric and trial, for a measure that
+        raises or returns anything else."""
+        return self._number(self._measured(contact))
 
     def fill(self, contact: Contact) -> dict[str, Any]:
-        """Field of ``TrialScore`` -> value, for a metric that has a field. NA fills its own field alone, with None."""
+        """Field of ``TrialScore`` -> value, for a metric that has a field. NA fills its own field alone, with None.
+        Raises ConfigError as ``compute``."""
         assert self.field is not None
-        found = self.measure(contact)
+        found = self._measured(contact)
         if is_dataclass(found):
             return {f.name: getattr(found, f.name) for f in fields(found)}
         return {self.field: found}
@@ -102,13 +99,25 @@ class Metric:
         actions = self.actions
         return [self.of(score) for score in scores if actions is None or score.action in actions]
 
+    def _measured(self, contact: Contact) -> Measured:
+        title, trial_id = METRICS.title(self.id), contact.recording.header.spec.trial_id
+        with blamed_on(title, trial_id):
+            found = self.measure(contact)
+        if found is None or isinstance(found, Real):
+            return found
+        if self.field is not None and is_dataclass(found) and not isinstance(found, type):
+            if unknown := {field.name for field in fields(found)} - set(MEASURED):
+                raise ConfigError(f"{title}: no metric fills the field {min(unknown)!r} of TrialScore")
+            return found
+        raise ConfigError(f"{title} returned {shown(found)} in trial {trial_id}; expected a number, or None for NA")
+
     def _number(self, found: Measured) -> float | None:
         if is_dataclass(found):
             found = getattr(found, str(self.field))
         return None if found is None else float(found)  # pyright: ignore[reportArgumentType]
 
 
-METRICS: Registry[Metric] = Registry("metric", scan="carecontact.scoring.metrics")
+METRICS: Registry[Metric] = Registry("metric", row=Metric, scan="carecontact.scoring.metrics")
 
 Function = TypeVar("Function", bound="Callable[[Contact], Measured]")
 
@@ -139,10 +148,27 @@ def metric(
                 id=id_, title=title, unit=unit, better=better, measure=measure, field=field, pool=pool,
                 median=median, digits=digits, headline=headline, matters=matters, order=order,
             ),
+            origin=measure,
         )  # fmt: skip
         return measure
 
     return register
+
+
+def checked_metrics() -> list[Metric]:
+    """Every registered metric. Raises ConfigError for one that cannot be loaded or has another id than its name, for
+    two that fill one field, and for a ``pool`` of an action that nothing registers."""
+    filled: dict[str, str] = {}
+    for name, row in METRICS.items():
+        title = METRICS.title(name)
+        if row.id != name:
+            raise ConfigError(f"{title}: its id is {row.id!r}; give its entry point the same name")
+        if row.field is not None and filled.setdefault(row.field, name) != name:
+            raise ConfigError(f"metric {name}: another metric fills the field {row.field!r} already")
+        for action in row.pool if isinstance(row.pool, tuple) else ():
+            if action not in BEHAVIOURS:
+                raise ConfigError(f"{title}: pool: {UnknownNameError(BEHAVIOURS.kind, action, BEHAVIOURS)}")
+    return list(METRICS.values())
 
 
 def metrics_in_order() -> list[Metric]:

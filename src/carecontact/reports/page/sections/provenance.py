@@ -57,6 +57,7 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
     rows += [(f"Tissue, {region.replace('_', ' ')}", source) for region, source in regions]
     rows.append(("Force limits", _distinct(f"{p.limits.pack}, γ′ = {p.limits.gamma:g}" for p in protocols)))
     metrics = sorted({f"{name} {version}" for s in scores for name, version in s.metric_versions.items()})
+    metrics += sorted({id_ for s in scores for id_ in s.additional})
     rows.append(("Metrics", ", ".join(metrics) or NOT_RECORDED))
     names = {name for h in headers for name in h.versions}
     rows += [
