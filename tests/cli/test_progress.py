@@ -69,6 +69,17 @@ def test_the_time_left_follows_the_trials_that_ran(tmp_path: Path, monkeypatch: 
     tally.close()
 
 
+def test_a_silent_policy_is_named_until_its_trial_ends(tmp_path: Path) -> None:
+    tally = Tally(tmp_path)
+    line = "waiting for the policy: 40 of 120 s"
+    silent = TrialEvent(kind="waiting", trial_id="T1-s000", done=0, total=2, message=line)
+    tally.take(silent)
+    assert tally.text().endswith("; T1-s000 waiting for the policy: 40 of 120 s")
+    tally.take(event("finished", 0, ended="process_failure"))
+    assert "waiting" not in tally.text()
+    tally.close()
+
+
 def test_a_heartbeat_comes_where_there_is_no_terminal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

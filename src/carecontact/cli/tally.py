@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carecontact.errors import ConfigError
+from carecontact.hosting.conversation import WAIT_REPORT_S
 from carecontact.trials.supervisor import TrialEvent
 
 if TYPE_CHECKING:
@@ -32,11 +33,15 @@ class Tally:
         self._done = self._total = self._ran = 0
         self.passed = self.failed = self.crashed = self.harness_failed = 0
         self._last_c1 = ""
+        self._silent: dict[str, tuple[float, str]] = {}
 
     def take(self, event: TrialEvent) -> None:
         self._done, self._total = event.done, event.total
+        if event.kind == "waiting":
+            self._silent[event.trial_id] = time.monotonic(), event.message or ""
         if event.kind not in ("kept", "finished"):
             return
+        self._silent.pop(event.trial_id, None)
         self._ran += event.kind == "finished"
         if event.ended == "process_failure":
             self.crashed += 1
@@ -54,7 +59,7 @@ class Tally:
             parts.append(f"{self.harness_failed} failed in the harness")
         if self._last_c1:
             parts.append(self._last_c1)
-        return ", ".join([*parts, self._left()])
+        return ", ".join([*parts, self._left()]) + self._silence()
 
     def heartbeat(self) -> str:
         return f"{time.monotonic() - self._began:6.0f} s [{self._done}/{self._total}] {self.text()}"
@@ -62,6 +67,11 @@ class Tally:
     def close(self, *, wait: bool = False) -> None:
         """Stop scoring; ``wait``: once every trial is scored."""
         self._scorer.shutdown(wait=wait, cancel_futures=not wait)
+
+    def _silence(self) -> str:
+        """What the supervisor last said of trials whose policy does not answer."""
+        since = time.monotonic() - 2 * WAIT_REPORT_S
+        return "".join(f"; {trial_id} {line}" for trial_id, (at, line) in list(self._silent.items()) if at > since)
 
     def _left(self) -> str:
         if not self._ran:
