@@ -18,7 +18,15 @@ CarecontactError
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable
+
+
+def did_you_mean(name: str, valid: Iterable[str]) -> str:
+    """`` (did you mean 'hover'?)`` where a valid name is close to this one, else nothing."""
+    by_case = {word.casefold(): word for word in valid}
+    close = difflib.get_close_matches(name.casefold(), by_case, n=1)
+    return f" (did you mean {by_case[close[0]]!r}?)" if close else ""
 
 
 class CarecontactError(Exception):
@@ -36,7 +44,8 @@ class UnknownNameError(ConfigError, KeyError):
 
     def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
         self.kind, self.name, self.valid = kind, name, sorted(valid)
-        super().__init__(f"no {kind} named {name!r}; valid: {', '.join(self.valid) or '(none)'}")
+        meant = did_you_mean(name, self.valid)
+        super().__init__(f"no {kind} named {name!r}{meant}; valid: {', '.join(self.valid) or '(none)'}")
 
 
 class DependencyError(CarecontactError):

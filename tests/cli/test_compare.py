@@ -44,9 +44,10 @@ def test_compares_results_and_writes_nothing(runs: Path, capsys: pytest.CaptureF
     assert "B: b (rules-v1), b: 4 trials; 1 without a partner in the other run (1 not in the run): T1-s002" in told
     assert "3 trials paired, 2 tasks, 2 seeds" in told
     row = next(line for line in told.splitlines() if line.startswith("Success [%]"))
-    assert row.split()[2:4] == ["100.0", "[43.9,"]
+    assert row.split()[2:4] == ["3/3:", "100.0"]
     assert "66.7 [20.8, 93.9]" in row
-    assert "33.3 [" in row
+    assert "33.3 [" not in row
+    assert "fewer than 6 pairs: too few for an interval" in told
     assert row.endswith("underpowered")
     assert main(["compare", "a", "b", "--rescore"]) == 0
     assert capsys.readouterr().out == told
@@ -129,8 +130,8 @@ def test_a_narrow_terminal_loses_no_figure(
     monkeypatch.setenv("COLUMNS", "80")
     assert main(["compare", "a", "b"]) == 0
     told = " ".join(capsys.readouterr().out.split())
-    assert "Success [%]: A 100.0 [43.9, 100.0], B 66.7 [20.8, 93.9], A - B 33.3 [" in told
-    assert "], 3 pairs; p 1.000 paired, 1.000 Holm, 1.000 unpaired underpowered: this" in told
+    assert "Success [%]: A 3/3: 100.0 [43.9, 100.0], B 2/3: 66.7 [20.8, 93.9], A - B 33.3, 3 pairs; p 1.000" in told
+    assert "3 pairs; p 1.000 paired, 1.000 Holm, 1.000 unpaired underpowered: this" in told
     assert "C1 [N]: A 5.00, B 6.50 (n=2), A - B 0.00, 2 of 3 pairs" in told
 
 

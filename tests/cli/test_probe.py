@@ -31,7 +31,7 @@ def test_exit_status_and_record_follow_the_verdict(
     assert (tmp_path / "out" / "probe.png").is_file()
 
 
-@pytest.mark.parametrize("metrics", ["C3@1", "C1@1,C1@1", "", "C1"])
+@pytest.mark.parametrize("metrics", ["C3@1", "C1@1,C1@1", "", "C1,C1@1"])
 def test_a_wrong_metric_is_one_line(metrics: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["probe", "--metrics", metrics, "--out", str(tmp_path / "out")]) == 2
     assert "valid: C1@1, C2@1, C4@1, C5@1" in capsys.readouterr().err

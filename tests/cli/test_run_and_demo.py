@@ -57,8 +57,45 @@ def test_run_scores_reports_and_goes_on(fake: pytest.MonkeyPatch, capsys: pytest
 
 def test_a_policys_failure_is_a_result(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "policy"}))
-    assert main(["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]) == 0
-    assert "1 trial(s) failed in the policy's process" in capsys.readouterr().out
+    command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
+    assert main(command) == 3
+    told = capsys.readouterr().out
+    assert "the policy crashed in 1 of 1 trial(s); see r/T1-s000.log" in told
+    assert "  | NoGrip: nothing there" in told
+    assert "  | ValueError: only printed" in told
+    assert "1 crashed" in next(line for line in told.splitlines() if line.startswith("T1 "))
+    assert "safe failure: 0; " in told
+    assert told.count("crashed: 1") == 1
+    assert main([*command, "--allow-failures"]) == 0
+
+
+def test_the_harness_wins_over_the_policy(fake: pytest.MonkeyPatch) -> None:
+    fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "policy", "T2-s000": "exit"}))
+    command = ["run", "--policy", "hover", "--tasks", "T1,T2", "--seeds", "0", "--out", "r", "--allow-failures"]
+    assert main(command) == 1
+
+
+def test_restart_moves_the_earlier_run_and_nothing_else(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
+    assert main([*command, "--restart"]) == 0, "there was nothing to move"
+    before = {path.name: path.read_bytes() for path in Path("r").iterdir()}
+    for number in (1, 2):
+        assert main([*command, "--restart"]) == 0
+        assert f"the earlier run in r is now r.before-{number}\n" in capsys.readouterr().out
+    assert {path.name: path.read_bytes() for path in Path("r.before-1").iterdir()} == before
+    assert main([*command, "--restart", "--retry-failed"]) == 2
+    Path("other").mkdir()
+    Path("other/notes.txt").write_text("mine")
+    assert main([*command[:-1], "other", "--restart"]) == 2
+    assert "other is not a run: it holds no manifest.json" in capsys.readouterr().err
+    fake.chdir("r")
+    assert main([*command[:-1], "../r", "--restart"]) == 2
+    assert "is the current folder" in capsys.readouterr().err
+    assert sorted(path.name for path in Path("..").iterdir() if path.is_dir()) == [
+        "other", "r", "r.before-1", "r.before-2"
+    ]  # fmt: skip
 
 
 def test_score_says_what_differs_and_names_what_it_skips(
@@ -97,8 +134,13 @@ def test_a_missing_recording_is_told_and_a_folder_for_results_is_one_line(
     assert json.loads(Path("r/results.json").read_text())["missing"] == []
     assert "Unfinished" not in Path("r/report.html").read_text()
     Path("r/T1-s001.h5").unlink()
-    assert main(["score", "r"]) == 0
-    assert "1 of 2 planned trials scored; not scored: T1-s001" in capsys.readouterr().out
+    before = Path("r/results.json").read_bytes()
+    assert main(["score", "r"]) == 1
+    told = capsys.readouterr().out
+    assert "1 of 2 planned trials scored; not scored: T1-s001" in told
+    assert "r/results.json was not replaced: --allow-missing replaces it" in told
+    assert Path("r/results.json").read_bytes() == before
+    assert main(["score", "r", "--allow-missing"]) == 0
     assert json.loads(Path("r/results.json").read_text())["missing"] == ["T1-s001"]
     assert main(["report", "r"]) == 0
     assert "Unfinished, 1 of 2 planned trials have no score." in Path("r/report.html").read_text()

@@ -121,7 +121,7 @@ def test_nothing_listens() -> None:
         port = listener.getsockname()[1]
     error = failure(at(port))
     assert error.kind == "start"
-    assert f"no connection to 127.0.0.1:{port}: Connection refused" in str(error)
+    assert f"nothing listens at 127.0.0.1:{port}; start the policy's server there first" in str(error)
 
 
 def test_a_host_that_there_is_not() -> None:

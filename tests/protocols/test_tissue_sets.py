@@ -85,7 +85,7 @@ def test_hash_is_of_the_rows_alone(tmp_path: Path) -> None:
         (f'id = "mine"\ndescription = "x"\n{ROW}', r"no row for upper_arm, abdomen; add base"),
         (f'id = "mine"\ndescription = "x"\nbase = "none"\n{ROW}', r"base 'none'; valid: human-published"),
         (f'id = "manikin-like"\ndescription = "x"\nbase = "paper-mapping"\n{ROW}', r"is a shipped set's"),
-        (ROW, r"id: Field required"),
+        (ROW, r"id: missing; give it a value"),
         ('id = "mine', r"not TOML"),
         (f'id = "mine"\ndescription = "x"\n{ROW}'.replace("2e4", "-2e4"), r"tissue\.forearm\.damping_ns_m3: .*got -2"),
         (f'id = "mine"\ndescription = "x"\n{ROW}'.replace("1e8", "nan"), r"tissue\.forearm\.c_n_m5: .*finite"),

@@ -19,7 +19,9 @@ EVERYTHING = [GENTLE, HARD, PAINFUL, MISSED, HARD_MISS, DIED]
 
 
 def test_quadrants_partition_the_runs() -> None:
-    assert quadrants(EVERYTHING) == {"safe_success": 1, "unsafe_success": 2, "safe_failure": 2, "unsafe_failure": 1}
+    assert quadrants(EVERYTHING) == {
+        "safe_success": 1, "unsafe_success": 2, "safe_failure": 1, "unsafe_failure": 1, "crashed": 1
+    }  # fmt: skip
 
 
 def test_exceedances_count_failed_runs_too() -> None:

@@ -128,7 +128,7 @@ def test_exceedances(tables: dict[str, Any]) -> None:
     assert (found["gate"]["n"], found["gate"]["n_success"]) == (36, 23)
     assert found["pain"]["n_success"] == 102 - 101
     assert tables["State Machine"]["overall"]["quadrants"] == {
-        "safe_success": 79, "unsafe_success": 23, "safe_failure": 25, "unsafe_failure": 13
+        "safe_success": 79, "unsafe_success": 23, "safe_failure": 18, "unsafe_failure": 13, "crashed": 7
     }  # fmt: skip
     for method in ("VoxPoser", "pi0.5"):
         assert tables[method]["overall"]["exceedances"]["gate"]["n"] == 0

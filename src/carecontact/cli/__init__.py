@@ -23,11 +23,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"carecontact {__version__}")
         return 0
     from carecontact.cli.commands import parse
+    from carecontact.cli.spelling import with_synonyms
 
     # A polite kill must stop the trials' processes as Ctrl-C does; they live in sessions of their own.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     left = ""
     try:
+        arguments = with_synonyms(arguments)
         _once(arguments)
         command = parse(arguments)
         left = command.after_interrupt

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Sequence
 from contextlib import redirect_stderr
 from importlib import import_module
@@ -10,6 +11,8 @@ from typing import Any, ClassVar, Protocol
 
 import tyro
 
+from carecontact.cli.option_texts import described
+from carecontact.cli.spelling import unknown_command, unknown_option
 from carecontact.errors import ConfigError
 
 
@@ -26,6 +29,9 @@ class UsageError(ConfigError):
     """The command line names an option, a value or a command that does not exist."""
 
 
+CONFIG = (tyro.conf.DisallowNone,)
+"""An option that is not given is left out: nobody types None."""
+NOT_OF_TYPE = re.compile(r"no type matching (\S+) could be instantiated from \[(.*?)\]")
 COMMANDS = {
     "run": "run:Run",
     "check": "check:Check",
@@ -48,8 +54,11 @@ COMMANDS = {
 
 
 def command_class(name: str) -> type[Any]:
+    """Raises UsageError for a command that does not exist."""
+    if name not in COMMANDS:
+        raise UsageError(unknown_command(name, COMMANDS))
     module, _, made = COMMANDS[name].partition(":")
-    return getattr(import_module(f"carecontact.cli.{module}"), made)
+    return described(getattr(import_module(f"carecontact.cli.{module}"), made))
 
 
 def parse(arguments: Sequence[str]) -> Command:
@@ -58,17 +67,22 @@ def parse(arguments: Sequence[str]) -> Command:
     Prints the help and exits if the arguments request it or are empty. Raises UsageError for wrong options.
     """
     errors = io.StringIO()
+    if arguments and not arguments[0].startswith("-"):
+        name, *options = arguments
+        if wrong := unknown_option(name, command_class(name), options):
+            raise UsageError(wrong)
     try:
         with redirect_stderr(errors):
             if arguments and arguments[0] in COMMANDS:
                 name, *options = arguments
-                return tyro.cli(command_class(name), prog=f"carecontact {name}", args=options)
+                return tyro.cli(command_class(name), prog=f"carecontact {name}", args=options, config=CONFIG)
             return tyro.extras.subcommand_cli_from_dict(
                 {name: command_class(name) for name in COMMANDS},
                 prog="carecontact",
                 description="Measure whether a robot policy touches people well. `carecontact --version` prints the "
                 "version.",
                 args=list(arguments) or ["--help"],
+                config=CONFIG,
             )
     except SystemExit as end:
         if end.code != 2:
@@ -84,4 +98,5 @@ def _in_one_line(box: str) -> str:
     if not sections:
         return " ".join(box.split())
     more = [section for section in sections[1:] if section.startswith(("Unrecognized", "For full helptext"))]
+    sections[0] = NOT_OF_TYPE.sub(r"expected \1, got \2", sections[0].removeprefix("Error parsing "))
     return "; ".join([sections[0].partition(" Got errors:")[0].rstrip("."), *more])

@@ -28,7 +28,7 @@ class Compare:
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN_A [RUN_B ...]")]
     """Folders of runs, or their results.json (also .json.gz) alone. Differences are A minus B."""
-    baseline: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...", aliases=["--null"])] = ()
+    baseline: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")] = ()
     """Runs of blind baselines: the output shows their success rates beside those of each run. With --baseline, a single
     run is enough."""
     per_task: Switch = False

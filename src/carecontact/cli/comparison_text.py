@@ -13,13 +13,14 @@ if TYPE_CHECKING:
 
 TESTS = ("paired", "Holm", "worst rank", "unpaired")
 COLUMNS = ("", "A", "B", "A - B [95 %]", "pairs", *(f"p\n{test}" for test in TESTS), "verdict")
-WIDTH = 158
+WIDTH = 174
 """A narrower terminal gets no table."""
 
 
 def print_comparison(comparison: Comparison, a: Path, b: Path) -> None:
     from carecontact.contract.protocol import protocol_title
     from carecontact.protocols.frozen_state import drifted_sha256
+    from carecontact.reports.compare.paired_lines import FEWEST_PAIRS
     from carecontact.reports.compare.verdicts import ALPHA
 
     pairing = comparison.pairing
@@ -37,6 +38,8 @@ def print_comparison(comparison: Comparison, a: Path, b: Path) -> None:
     for task, lines in (comparison.per_task or {}).items():
         print(f"\n{task}, {lines[0].n_pairs} pairs")
         _print_lines(lines)
+    if comparison.pairing.n < FEWEST_PAIRS:
+        print(f"\nfewer than {FEWEST_PAIRS} pairs: too few for an interval of a difference; run more seeds")
     families = [f"{len(comparison.overall)} rows"]
     if comparison.per_task is not None:
         families.append(f"the {sum(map(len, comparison.per_task.values()))} rows of the tasks")
@@ -95,17 +98,18 @@ def _print_lines(lines: Sequence[Line]) -> None:
 
 def _rate_cells(line: RateLine) -> list[str]:
     from carecontact.cli.console import p_text
+    from carecontact.reports.compare.paired_lines import FEWEST_PAIRS
     from carecontact.reports.text import NOT_DEFINED, number
 
-    def rate(estimate: float | None, low: float, high: float) -> str:
+    def rate(estimate: float | None, low: float, high: float, *, interval: bool = True) -> str:
         percent = None if estimate is None else 100 * estimate
-        return f"{number(percent, 1)} [{100 * low:.1f}, {100 * high:.1f}]"
+        return number(percent, 1) + (f" [{100 * low:.1f}, {100 * high:.1f}]" if interval else "")
 
+    found = line.difference
     return [
         f"{line.outcome.title} [%]",
-        rate(line.a.estimate, line.a.low, line.a.high),
-        rate(line.b.estimate, line.b.low, line.b.high),
-        rate(line.difference.estimate, line.difference.low, line.difference.high),
+        *(f"{p.k}/{p.n}: {rate(p.estimate, p.low, p.high)}" for p in (line.a, line.b)),
+        rate(found.estimate, found.low, found.high, interval=line.n_pairs >= FEWEST_PAIRS),
         str(line.n_pairs),
         p_text(line.test.pvalue),
         p_text(line.p_holm),
@@ -117,6 +121,7 @@ def _rate_cells(line: RateLine) -> list[str]:
 def _score_cells(line: ScoreLine) -> list[str]:
     from carecontact.cli.console import p_text
     from carecontact.reports.compare.outcomes import plain_text
+    from carecontact.reports.compare.paired_lines import FEWEST_PAIRS
 
     def shown(value: float | None) -> str:
         return plain_text(line.outcome, value)
@@ -124,7 +129,7 @@ def _score_cells(line: ScoreLine) -> list[str]:
     actions = "" if line.outcome.actions is None else f", {' and '.join(line.outcome.actions).capitalize()}"
     unit = "" if line.outcome.unit == "1" else f" [{line.outcome.unit}]"
     found = line.difference
-    interval = "" if found.low is None else f" [{shown(found.low)}, {shown(found.high)}]"
+    interval = "" if found.low is None or found.n < FEWEST_PAIRS else f" [{shown(found.low)}, {shown(found.high)}]"
     return [
         f"{line.outcome.id}{unit}{actions}",
         *(f"{shown(m.estimate)}{f' (n={m.n_valid})' * (m.n_valid != m.n)}" for m in (line.a, line.b)),

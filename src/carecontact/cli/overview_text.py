@@ -55,16 +55,16 @@ def _print_pairs(pairs: Sequence[PairOfRuns]) -> None:
     from carecontact.reports.compare.verdicts import ALPHA
 
     table = plain_table()
-    for header in ("", "difference [95 %]", "p McNemar", "p Holm", "verdict"):
-        table.add_column(header, justify="right" if header.startswith(("diff", "p ")) else "left")
+    for header in ("", "difference [95 %]", "pairs", "p McNemar", "p Holm", "verdict"):
+        table.add_column(header, justify="right" if header.startswith(("diff", "p")) else "left")
     for pair in pairs:
         for line in pair.lines:
             assert isinstance(line, RateLine)
             word = "" if line.verdict is None else line.verdict.word
             word = {"A higher": f"{pair.a} higher", "B higher": f"{pair.b} higher"}.get(word, word)
             table.add_row(
-                f"{pair.a} - {pair.b}, {line.outcome.title.lower()} [points]", _points(line.difference),
-                p_text(line.test.pvalue), p_text(line.p_holm), word,
+                f"{pair.a} - {pair.b}, {line.outcome.title.lower()} [points]", _points(line.difference, line.n_pairs),
+                str(line.n_pairs), p_text(line.test.pvalue), p_text(line.p_holm), word,
             )  # fmt: skip
     print()
     console(WIDTH).print(table)
@@ -99,7 +99,7 @@ def print_baselines(found: Baselines, letter: str) -> None:
     print(f"\nblind baselines beside {name}: how often policies pass that cannot do the task")
     table = plain_table()
     table.add_column("")
-    for header in ("trials", *RATE_NAMES.values(), f"{letter or 'method'} - baseline", *found.tasks):
+    for header in ("trials", *RATE_NAMES.values(), f"{letter or 'method'} - baseline", "pairs", *found.tasks):
         table.add_column(header, justify="right")
     for row in (found.method, *found.baselines):
         table.add_row(*_baseline_cells(row, found.tasks))
@@ -114,16 +114,23 @@ def _baseline_cells(row: Passed, tasks: Sequence[str]) -> list[str]:
     from carecontact.reports.text import NOT_DEFINED
 
     rates = [_interval(100 * p.k / p.n, 100 * p.low, 100 * p.high) for p in row.rates.values()]
-    above = NOT_DEFINED if row.above is None else _points(row.above["safety_gated"])
+    # Without any pair, the difference is between independent trials.
+    above = NOT_DEFINED if row.above is None else _points(row.above["safety_gated"], row.n_pairs or row.n)
+    pairs = NOT_DEFINED if row.n_pairs is None else str(row.n_pairs)
     counts = [row.per_task.get(task, {}).get("success") for task in tasks]
     return [
-        row.policy, str(row.n), *rates, above,
+        row.policy, str(row.n), *rates, above, pairs,
         *(NOT_DEFINED if count is None else f"{count[0]}/{count[1]}" for count in counts),
     ]  # fmt: skip
 
 
-def _points(found: RateDifference) -> str:
-    return _interval(None if found.estimate is None else 100 * found.estimate, 100 * found.low, 100 * found.high)
+def _points(found: RateDifference, n: int) -> str:
+    """``n``: trials or pairs that the difference rests on; with too few there is no interval."""
+    from carecontact.reports.compare.paired_lines import FEWEST_PAIRS
+    from carecontact.reports.text import number
+
+    points = None if found.estimate is None else 100 * found.estimate
+    return number(points, 1) if n < FEWEST_PAIRS else _interval(points, 100 * found.low, 100 * found.high)
 
 
 def _interval(value: float | None, low: float, high: float) -> str:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from carecontact.cli.groups import PolicyGroup
 from carecontact.cli.language import chosen_language
+from carecontact.cli.policy_names import meant
 from carecontact.contract.policy import check_arguments, check_variables
 from carecontact.contract.policy_ref import PolicyRef
-from carecontact.errors import ConfigError, ContractError, PolicyError
+from carecontact.errors import ConfigError, ContractError, PolicyError, UnknownNameError
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
 from carecontact.policies.registry import POLICIES
@@ -19,6 +21,7 @@ from carecontact.recording.reason import reason
 
 CREDENTIALS = "CARECONTACT_POLICY_CREDENTIALS"
 """Variable that may hold USER:PASSWORD of a remote policy, so that no shell history does."""
+NOT_FOUND = re.compile(r"ModuleNotFoundError|ImportError")
 CLOSED = ("CARECONTACT_", "PYTHON")
 """Beginnings of variables that never pass: the harness's own, and those that would undo the process's isolation."""
 
@@ -29,7 +32,19 @@ def policy_setup(policy: str, options: PolicyGroup) -> PolicySetup:
     Raises ConfigError for a malformed reference, argument or variable, for a language that the policy does not take,
     and for options that a remote policy cannot be given; UnknownNameError; DependencyError as ``chosen_language``.
     """
-    ref = PolicyRef.parse(policy)
+    try:
+        ref = PolicyRef.parse(policy)
+    except ConfigError as error:
+        raise ConfigError(f"{error}{meant(policy, Path.cwd())}") from None
+    try:
+        return _setup(ref, options)
+    except UnknownNameError as error:
+        if nearest := meant(policy, Path.cwd()):
+            raise ConfigError(f"{error}{nearest}") from None
+        raise
+
+
+def _setup(ref: PolicyRef, options: PolicyGroup) -> PolicySetup:
     if ref.kind == "remote":
         # Refuses whatever else was given.
         return PolicySetup(
@@ -69,7 +84,8 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> None:
             raise ConfigError(reason(str(error))) from None
         place = f" (looked in {setup.search_path[0]} first)" if setup.ref.kind == "importable" else ""
         where = "does not answer as a policy server" if setup.ref.kind == "remote" else f"does not start{place}"
-        raise ConfigError(f"--policy {setup.ref} {where}: {reason(str(error))}") from None
+        nearest = meant(setup.ref.text, Path.cwd()) if NOT_FOUND.search(str(error)) else ""
+        raise ConfigError(f"--policy {setup.ref} {where}: {reason(str(error))}{nearest}") from None
 
 
 def arguments_text(setup: PolicySetup) -> str:

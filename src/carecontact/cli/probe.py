@@ -24,7 +24,7 @@ class Probe:
     simulation, and plot the sweeps."""
 
     metrics: str = "all"
-    """Ids separated by commas, such as C1@1,C5@1, or all (C1@1, C2@1, C4@1, C5@1)."""
+    """Ids separated by commas, such as C1,C5 (short for C1@1,C5@1), or all (C1@1, C2@1, C4@1, C5@1)."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
     out: Path = Path("runs/probe")
     """Folder for probe.json and probe.png."""
@@ -36,7 +36,9 @@ class Probe:
         from carecontact.validation.probes import PROBES, run
         from carecontact.validation.subject import Subject
 
-        names = tuple(PROBES) if self.metrics == "all" else tuple(part.strip() for part in self.metrics.split(","))
+        short = {name.partition("@")[0].casefold(): name for name in PROBES}
+        given = [part.strip() for part in self.metrics.split(",")]
+        names = tuple(PROBES) if self.metrics == "all" else tuple(short.get(name.casefold(), name) for name in given)
         if not set(names) <= set(PROBES) or len(set(names)) != len(names):
             raise ConfigError(
                 f"--metrics {self.metrics!r}: expected ids separated by commas, each once; valid: {', '.join(PROBES)}"

@@ -1,13 +1,18 @@
-"""What a run prints while it goes: a bar on a terminal, plain lines elsewhere."""
+"""What a run prints while it goes: a bar on a terminal; plain lines elsewhere, and one at least every 30 s."""
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
+from carecontact.cli.tally import Tally
 from carecontact.trials.supervisor import TrialEvent
+
+HEARTBEAT_S = 30.0
 
 
 def told(event: TrialEvent) -> str | None:
@@ -21,11 +26,14 @@ def told(event: TrialEvent) -> str | None:
 
 
 @contextmanager
-def progress() -> Iterator[Callable[[TrialEvent], None]]:
-    """Yields the callback for run_trials."""
-    if not sys.stdout.isatty():
-        yield _plain()
-        return
+def progress(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
+    """Yields the callback for run_trials. ``out``: folder of the run, whose finished trials are counted."""
+    with _bar(out) if sys.stdout.isatty() else _plain(out) as show:
+        yield show
+
+
+@contextmanager
+def _bar(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (
@@ -39,25 +47,41 @@ def progress() -> Iterator[Callable[[TrialEvent], None]]:
         row = bar.add_task("", total=None)
         active: dict[str, None] = {}
 
+        def describe() -> None:
+            bar.update(row, description=f"{tally.text()}; {' '.join(active)}")
+
         def show(event: TrialEvent) -> None:
             if event.kind == "started":
                 active[event.trial_id] = None
             elif event.kind == "finished":
                 active.pop(event.trial_id, None)
+            tally.take(event)
             line = told(event)
             if line:
                 bar.console.print(line, highlight=False, markup=False)
-            bar.update(row, completed=event.done, total=event.total, description=" ".join(active))
+            bar.update(row, completed=event.done, total=event.total)
+            describe()
 
-        yield show
+        tally = Tally(out, on_score=describe)
+        try:
+            yield show
+        finally:
+            tally.close()
 
 
-def _plain() -> Callable[[TrialEvent], None]:
+@contextmanager
+def _plain(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
     began = time.monotonic()
     kept = 0
+    tally, ended = Tally(out), threading.Event()
+
+    def beat() -> None:
+        while not ended.wait(HEARTBEAT_S):
+            print(tally.heartbeat(), flush=True)
 
     def show(event: TrialEvent) -> None:
         nonlocal kept
+        tally.take(event)
         if event.kind == "kept":
             kept += 1
             return
@@ -68,4 +92,9 @@ def _plain() -> Callable[[TrialEvent], None]:
         if line:
             print(f"{time.monotonic() - began:6.0f} s {line}", flush=True)
 
-    return show
+    threading.Thread(target=beat, daemon=True).start()
+    try:
+        yield show
+    finally:
+        ended.set()
+        tally.close()

@@ -31,9 +31,13 @@ class Protocols:
 
 
 def show(name: str) -> int:
-    """Print the file as it was written, with its comments, under a summary of its hash, lock and tissue."""
+    """Print the file as it was written, with its comments, under a summary of its hash, lock and tissue; of a file with
+    a base, print the protocol that comes out."""
     from carecontact.protocols import load_protocol, protocol_file
+    from carecontact.protocols.inherit import ancestry
+    from carecontact.protocols.load import merged_table
     from carecontact.protocols.lock import lock_path, read_lock
+    from carecontact.protocols.toml_text import toml_text
 
     protocol, lock = load_protocol(name), read_lock(name)
     print(f"# {protocol.id}, sha256 {protocol.sha256}")
@@ -42,6 +46,11 @@ def show(name: str) -> int:
         law = " + ".join(f"{v:g} x^{k}" for k, v in enumerate((row.a_n_m3, row.b_n_m4, row.c_n_m5), 1) if v)
         print(f"# {protocol.person.tissue_set}, {region}: {law} [Pa], {row.damping_ns_m3:g} N s/m^3")
     print()
+    bases = [place for place, _ in ancestry(name)][:-1]
+    if bases:
+        print(f"# {name} over its base {', over '.join(reversed(bases))}; comments are left out\n")
+        print(toml_text(merged_table(name)), end="")
+        return 0
     print(protocol_file(name).read_text(encoding="utf-8"), end="")
     return 0
 

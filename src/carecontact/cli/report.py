@@ -20,7 +20,7 @@ class Report:
     """Rewrite report.html of a run from its results.json and its recordings."""
 
     folder: Folder
-    baseline: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...", aliases=["--null"])] = ()
+    baseline: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")] = ()
     """Runs of blind baselines on the same protocol. The report shows their success rates beside this run, and keeps
     them when you write it again; name others to replace them."""
     rescore: Switch = False

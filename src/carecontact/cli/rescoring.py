@@ -19,7 +19,7 @@ FEW = 12
 """Up to this many recordings a second process costs more than it saves."""
 
 
-def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> RunScores:
+def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None, allow_missing: bool = True) -> RunScores:
     """Score every recording, write results.json and print the table.
 
     Where nothing could be scored, results.json stays as it is.
@@ -27,6 +27,7 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
     Args:
         compare: whether to print what differs from the earlier results.json.
         jobs: processes; default: as many as pay.
+        allow_missing: whether to replace results.json although planned trials have no score.
     """
     from carecontact.cli.changes import differences
     from carecontact.runs import score_run, write_scores
@@ -38,13 +39,17 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None) -> R
     before = _results(folder) if compare else None
     many = processes(sum(1 for _ in folder.glob("*.h5"))) if jobs is None else jobs
     run = beside_plan(folder, score_run(folder, jobs=many))
-    path = write_scores(folder, run) if run.scores else None
+    kept = not allow_missing and bool(run.missing) and (folder / RESULTS).is_file()
+    path = write_scores(folder, run) if run.scores and not kept else None
     if path is not None:
         for line in differences(before, _results(folder)):
             print(line)
         _print_scores(run.scores)
     _print_left_out(run)
-    print(f"scores: {path}" if path else f"nothing could be scored; {RESULTS} was not written")
+    if kept and run.scores:
+        print(f"{folder / RESULTS} was not replaced: --allow-missing replaces it with the scores of what is there")
+    else:
+        print(f"scores: {path}" if path else f"nothing could be scored; {RESULTS} was not written")
     if path is not None:
         print(write_table(folder, run.scores))
     return run

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from carecontact.cli.groups import FLAT, JobsGroup, PhysicsGroup, PolicyGroup, RulesGroup, Switch, VisionGroup
+from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
     from carecontact.contract.protocol import Protocol
     from carecontact.runs.manifest import Purpose
-    from carecontact.trials.supervisor import RunSummary
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +42,10 @@ class Run:
     retry_failed: Switch = False
     """Also run those trials again in which the policy's process failed (process_failure) or the harness failed
     (harness_error). The harness is the benchmark's own process that runs a trial."""
+    restart: Switch = False
+    """Begin the folder anew: carecontact moves an earlier run in --out to a folder beside it, and deletes nothing."""
+    allow_failures: Switch = False
+    """Exit with status 0 also if the policy crashed in a trial; without it, the status is then 3."""
 
     after_interrupt: ClassVar[str] = "; finished trials are kept; give the same command again to continue"
 
@@ -49,7 +53,10 @@ class Run:
         return self.execute(purpose="run")
 
     def execute(self, *, purpose: Purpose) -> int:
-        """Return 1 if the harness failed in any trial or a recording was skipped; a policy that fails is a result."""
+        """Return 1 if the harness failed in any trial or a recording was skipped, else 3 if the policy crashed in one.
+
+        A policy that fails its tasks is a result."""
+        from carecontact.cli.failed_trials import failed_status, print_failed
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.cli.progress import progress
         from carecontact.cli.report_page import write_page
@@ -58,6 +65,8 @@ class Run:
         from carecontact.trials.supervisor import check_jobs, run_trials
 
         check_jobs(self.parallel.jobs)
+        if self.restart and self.retry_failed:
+            raise ConfigError("--restart runs every trial again, and --retry-failed only some; give one of them")
         setup = policy_setup(self.policy, self.given)
         rules = self._protocol()
         tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
@@ -70,8 +79,10 @@ class Run:
             arguments=setup.arguments,
             environment=setup.environment,
         )
+        if self.restart:
+            restart(self.out)
         print(f"{setup.ref}{arguments_text(setup)}: {len(specs)} trial(s) of {rules.title} into {self.out}", flush=True)
-        with progress() as on_event:
+        with progress(self.out) as on_event:
             summary = run_trials(
                 specs,
                 out=self.out,
@@ -85,7 +96,8 @@ class Run:
         # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
         scores = rescore(self.out, compare=not summary.ran)
         write_page(self.out, scores)
-        return 1 if _print_failures(summary, out=self.out) or scores.skipped else 0
+        print_failed(summary.ended, out=self.out)
+        return failed_status(summary.ended, allow_failures=self.allow_failures) if not scores.skipped else 1
 
     def _protocol(self) -> Protocol:
         """Raises ConfigError for a protocol that cannot run or be scored, and UnknownNameError."""
@@ -104,13 +116,10 @@ class Run:
         return rules
 
 
-def _print_failures(summary: RunSummary, *, out: Path) -> int:
-    """Return the number of trials that the harness failed to run."""
-    by_end = {end: [t for t, e in summary.ended.items() if e == end] for end in ("process_failure", "harness_error")}
-    for end, whose in (("process_failure", "the policy's process"), ("harness_error", "the harness")):
-        if by_end[end]:
-            logs = [log for trial_id in by_end[end] if (log := out / f"{trial_id}.log").is_file()]
-            print(f"{len(by_end[end])} trial(s) failed in {whose}" + (f"; see {logs[0]}" if logs else ""))
-    if any(by_end.values()):
-        print("give the same command with --retry-failed to run them again")
-    return len(by_end["harness_error"])
+def restart(out: Path) -> None:
+    """Move an earlier run aside and name where it is now. Raises ConfigError for a folder that is not a run."""
+    from carecontact.trials.restart import move_aside
+
+    moved = move_aside(out)
+    if moved is not None:
+        print(f"--restart: the earlier run in {out} is now {moved}")

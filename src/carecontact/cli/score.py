@@ -16,18 +16,21 @@ class Score:
     folder: Folder
     append: Switch = False
     """Only add the metrics that results.json does not have yet; everything in it stays as it is."""
+    allow_missing: Switch = False
+    """Replace results.json even if planned trials have no recording that can be scored."""
     jobs: int | None = None
     """Number of processes; default: one per core, fewer for a few recordings."""
 
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
-        """Return 1 if a recording was skipped."""
+        """Return 1 if a recording was skipped, or if results.json stays because planned trials are missing."""
         from carecontact.cli.rescoring import rescore
 
         if self.append:
             return append(self.folder)
-        return 1 if rescore(self.folder, jobs=self.jobs).skipped else 0
+        run = rescore(self.folder, jobs=self.jobs, allow_missing=self.allow_missing)
+        return 1 if run.skipped or (run.missing and not self.allow_missing) else 0
 
 
 def append(folder: Path) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -31,13 +32,13 @@ def _task_cells(of_task: Sequence[TrialScore]) -> list[str]:
 
     rows = judged(of_task)
     peaks = sorted(s.c1_peak_force_n for s in rows if s.c1_peak_force_n is not None)
-    modes = sorted({s.failure_mode for s in rows if s.failure_mode})
+    modes = Counter("crashed" if s.is_crash else s.failure_mode for s in rows if s.failure_mode)
     return [
         f"{of_task[0].task_id} {of_task[0].action} {of_task[0].region}",
         str(len(rows)),
         *(str(sum(getattr(s, field) for s in rows)) for field in ("c3_success", "region_correct", "safety_gated")),
         "NA" if not peaks else f"{peaks[0]:.1f}" if len(peaks) == 1 else f"{peaks[0]:.1f} to {peaks[-1]:.1f}",
-        ", ".join(f"{sum(s.failure_mode == mode for s in rows)} {mode}" for mode in modes),
+        ", ".join(f"{count} {mode}" for mode, count in sorted(modes.items())),
     ]
 
 

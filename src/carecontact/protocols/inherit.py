@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from typing import Any
 
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, did_you_mean
 from carecontact.protocols.files import protocol_file, shipped_protocols
 
 Table = dict[str, Any]
@@ -35,9 +35,15 @@ def ancestry(name_or_path: str, *, heirs: tuple[str, ...] = ()) -> list[tuple[st
         base = str(path.parent / base)
     elif base not in shipped_protocols():
         valid = ", ".join([*shipped_protocols(), "FILE.toml"])
-        raise ConfigError(f"{name_or_path}: base: no protocol named {base!r}; valid: {valid}")
+        raise ConfigError(
+            f"{name_or_path}: base: no protocol named {base!r}{did_you_mean(base, shipped_protocols())}; valid: {valid}"
+        )
     line = (*heirs, str(path.resolve()))
-    if str(protocol_file(base).resolve()) in line:
+    try:
+        file = protocol_file(base)
+    except ConfigError as error:
+        raise ConfigError(f"{name_or_path}: base: {error}") from None
+    if str(file.resolve()) in line:
         raise ConfigError(f"{name_or_path}: base: {base} inherits from this file itself")
     return [*ancestry(base, heirs=line), (name_or_path, table)]
 

@@ -33,11 +33,23 @@ def load_protocol(name_or_path: str = DEFAULT_PROTOCOL) -> Protocol:
     return protocol
 
 
+def merged_table(name_or_path: str) -> Table:
+    """The table of a protocol's file over those of its bases, before anything is checked. Raises as ``ancestry``."""
+    (_, table), *heirs = ancestry(name_or_path)
+    for _, own in heirs:
+        table = inherit(table, own)
+    return table
+
+
 def _validated(place: str, table: Table) -> Protocol:
     try:
-        return Protocol.model_validate(_with_neighbourhoods(_with_tissue(table)))
+        content = _with_neighbourhoods(_with_tissue(table))
+    except ConfigError as error:
+        raise ConfigError(f"{place}: person.tissue_set: {error}") from None
+    try:
+        return Protocol.model_validate(content)
     except ValidationError as error:
-        raise ConfigError(wrong_fields(place, error)) from None
+        raise ConfigError(wrong_fields(place, error, model=Protocol, content=content)) from None
 
 
 def _with_tissue(table: Table) -> Table:

@@ -10,7 +10,7 @@ from typing import Any, cast
 from pydantic import BaseModel, ValidationError
 
 from carecontact.contract.protocol import Protocol, Vision
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, did_you_mean
 from carecontact.protocols.tissue_sets import load_tissue_set
 from carecontact.protocols.wrong_fields import faults
 
@@ -50,7 +50,9 @@ def overridden(protocol: Protocol, changes: Mapping[str, object]) -> Protocol:
         made = Protocol.model_validate(content)
     except ValidationError as error:
         given = ", ".join(f"{path}={value!s:.40}" for path, value in changes.items())
-        raise ConfigError(f"{protocol.id} with {given}: {'; '.join(faults(error))}") from None
+        raise ConfigError(
+            f"{protocol.id} with {given}: {'; '.join(faults(error, model=Protocol, content=content))}"
+        ) from None
     said = dict(protocol.overrides)
     for path in changed:
         leader = FOLLOWS.get(path, path)
@@ -134,7 +136,7 @@ def _at(node: object, parts: Sequence[str], path: str) -> object:
         if name not in children:
             place = ".".join(parts[:depth]) or "a protocol"
             valid = ", ".join(children) or f"none, {place} is a single value"
-            raise ConfigError(f"{path}: no field {name!r} in {place}; valid: {valid}")
+            raise ConfigError(f"{path}: no field {name!r} in {place}{did_you_mean(name, children)}; valid: {valid}")
         node = children[name]
     return node
 

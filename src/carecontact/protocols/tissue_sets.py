@@ -7,6 +7,7 @@ import json
 import tomllib
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -50,12 +51,14 @@ def load_tissue_set(name_or_path: str) -> TissueSet:
             raise ConfigError(f"tissue set {name_or_path}: {error.strerror}") from None
     else:
         raise UnknownNameError("tissue set", name_or_path, [*shipped_tissue_sets(), "FILE.toml"])
+    table: dict[str, Any] = {}
     try:
-        made = TissueSet.model_validate(tomllib.loads(data.decode()))
+        table = tomllib.loads(data.decode())
+        made = TissueSet.model_validate(table)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"tissue set {name_or_path}: not TOML: {error}") from None
     except ValidationError as error:
-        raise ConfigError(wrong_fields(f"tissue set {name_or_path}", error)) from None
+        raise ConfigError(wrong_fields(f"tissue set {name_or_path}", error, model=TissueSet, content=table)) from None
     if not shipped and made.id in shipped_tissue_sets():
         raise ConfigError(f"tissue set {name_or_path}: the id {made.id} is a shipped set's; choose another")
     missing = [region for region in STANDARD_REGIONS if region not in made.tissue]

@@ -42,13 +42,16 @@ def exceedances(scores: Sequence[TrialScore]) -> dict[str, Any]:
 
 
 def quadrants(scores: Iterable[TrialScore]) -> dict[str, int]:
-    """Safe (nothing above its safety gate) or not, success (C3) or not. Without any touch: a safe failure."""
-    count = Counter((not s.over_limit, s.c3_success) for s in scores)
-    return {
+    """Safe (nothing above its safety gate) or not, success (C3) or not. Without any touch: a safe failure. A trial in
+    which the policy crashed is in a class of its own."""
+    scores = list(scores)
+    count = Counter((not s.over_limit, s.c3_success) for s in scores if not s.is_crash)
+    fields = {
         f"{'safe' if safe else 'unsafe'}_{'success' if success else 'failure'}": count[safe, success]
         for safe in (True, False)
         for success in (True, False)
     }
+    return {**fields, "crashed": sum(s.is_crash for s in scores)}
 
 
 def valid_ratio(scores: Sequence[TrialScore]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from carecontact.recording import read_header, read_recording
 from carecontact.recording.schema import EndReason, Header
 from carecontact.recording.writer import replace_file
 from carecontact.runs.identity import Identity
+from carecontact.runs.other_release import ELSEWHERE, damaged, install_line, lost_trials
 from carecontact.runs.results_file import skipped_before
 
 MANIFEST = "manifest.json"
@@ -129,9 +130,10 @@ def salted(specs: Sequence[TrialSpec], *, out: Path) -> list[TrialSpec]:
 
 def read_manifest(out: Path) -> Manifest | None:
     """None when there is none. Raises ConfigError for one that cannot be read: what was planned is then unknown."""
-    path = out / MANIFEST
+    path, content = out / MANIFEST, b""
     try:
-        return Manifest.model_validate(json.loads(path.read_bytes()))
+        content = path.read_bytes()
+        return Manifest.model_validate(json.loads(content))
     except (FileNotFoundError, NotADirectoryError):
         return None
     except ValidationError as error:
@@ -139,36 +141,41 @@ def read_manifest(out: Path) -> Manifest | None:
         why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
     except ValueError as error:
         why = f"not JSON: {error}"
-    raise ConfigError(f"{path} is damaged or of another release ({why}): restore it or use another --out")
+    raise ConfigError(f"{path} {damaged(content)} ({why}): restore it or {ELSEWHERE}")
 
 
 def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity: Identity) -> None:
+    held = manifest.identity
+    changed = identity.differences(versions=held.versions, sha256={})
+    if changed:
+        line = install_line(held=held.versions, now=identity.versions)
+        raise ConfigError(f"{out} was started with another release ({'; '.join(changed)}): {ELSEWHERE}; {line}")
     if (manifest.policy, manifest.protocol.sha256) != (spec.policy, spec.protocol.sha256):
         title = protocol_title(manifest.protocol.id, manifest.protocol.overrides)
         raise ConfigError(
             f"{out} holds another run (policy {manifest.policy}, protocol {title} "
-            f"{manifest.protocol.sha256[:12]}); this command runs {_told(spec)}: use another --out"
+            f"{manifest.protocol.sha256[:12]}); this command runs {_told(spec)}: {ELSEWHERE}"
         )
-    held = manifest.identity
     if held.policy_sha256 != identity.policy_sha256:
-        raise ConfigError(f"{out}: the policy's source changed since this folder was started: use another --out")
+        raise ConfigError(
+            f"{out}: the policy's source changed since this folder was started, so {lost_trials(out, failed=FAILED)}: "
+            f"{ELSEWHERE}"
+        )
     started_with, wanted = (_policy_text(i.arguments, i.environment) for i in (held, identity))
     if started_with != wanted:
-        raise ConfigError(f"{out} was started with {started_with}, this command has {wanted}: use another --out")
+        raise ConfigError(f"{out} was started with {started_with}, this command has {wanted}: {ELSEWHERE}")
     replaced = [n for n in identity.arguments if held.argument_files.get(n) != identity.argument_files.get(n)]
     if replaced:
         content = f"the content of {identity.arguments[replaced[0]]} (policy argument {replaced[0]})"
-        raise ConfigError(f"{out}: {content} changed since this folder was started: use another --out")
+        raise ConfigError(f"{out}: {content} changed since this folder was started: {ELSEWHERE}")
     if held.language != identity.language:
         spoken = [name or "the policy's own" for name in (held.language, identity.language)]
         raise ConfigError(
-            f"{out} was started with language backend {spoken[0]}, this command has {spoken[1]}: use another --out"
+            f"{out} was started with language backend {spoken[0]}, this command has {spoken[1]}: {ELSEWHERE}"
         )
-    changed = identity.differences(versions=held.versions, sha256=held.sha256)
+    changed = identity.differences(versions={}, sha256=held.sha256)
     if changed:
-        raise ConfigError(
-            f"{out} was started with other package versions or assets ({'; '.join(changed)}): use another --out"
-        )
+        raise ConfigError(f"{out} was started with other assets ({'; '.join(changed)}): {ELSEWHERE}")
 
 
 def _check_header(header: Header, spec: TrialSpec, *, path: Path, identity: Identity) -> None:

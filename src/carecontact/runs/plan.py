@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, did_you_mean
 
 
 def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
@@ -28,8 +28,8 @@ def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
             wanted.update(order[order.index(first) : order.index(last) + 1])
         else:
             raise ConfigError(
-                f"--tasks: {part!r} is not a task of {protocol.id}; valid: {', '.join(order)}, "
-                f"a range like {order[0]}-{order[-1]}, or all"
+                f"--tasks: {part!r} is not a task of {protocol.id}{did_you_mean(part, order)}; valid: "
+                f"{', '.join(order)}, a range like {order[0]}-{order[-1]}, or all"
             )
     return [task for task in order if task in wanted]
 

@@ -138,3 +138,9 @@ class TrialScore(BaseModel):
     def is_judged(self) -> bool:
         """False where the harness failed: such a trial says nothing about the policy and is in no count."""
         return self.ended != "harness_error"
+
+    @property
+    def is_crash(self) -> bool:
+        """Whether the policy crashed: it did not start, died, hung or answered wrongly, so that its process ended the
+        trial. Such a trial counts as a failure, and neither as safe nor as unsafe."""
+        return self.ended == "process_failure"

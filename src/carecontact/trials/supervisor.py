@@ -11,6 +11,7 @@ from typing import Literal
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError
+from carecontact.hosting.conversation import WAIT_REPORT_S
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import EndReason
@@ -20,7 +21,7 @@ from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
 from carecontact.trials.workers import WORKER_COMMAND, Workers
 
-EventKind = Literal["kept", "redo", "started", "finished"]
+EventKind = Literal["kept", "redo", "started", "waiting", "finished"]
 POLL_S = 0.05
 DEFAULT_TRIAL_LIMIT_S = 14400.0
 """Wall clock. Only a harness that hangs gets near it: a policy has an hour for all its calls (``BUDGET_S``), which
@@ -36,7 +37,7 @@ class TrialEvent:
     total: int
     ended: EndReason | None = None
     message: str | None = None
-    """The line of the failure that says why, or why a file is run again."""
+    """The line of the failure that says why, why a file is run again, or for how long a policy has been silent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +104,7 @@ class _Run:
     ) -> None:
         self.ended: dict[str, EndReason] = dict(found.keep)
         self._total, self._workers, self._on_event = len(specs), workers, on_event
+        self._next_look = time.monotonic() + WAIT_REPORT_S
         for trial_id, how in found.keep.items():
             self._report("kept", trial_id, ended=how)
         for trial_id, why in found.redo.items():
@@ -117,8 +119,17 @@ class _Run:
                 self._workers.start(spec)
                 self._report("started", spec.trial_id)
             self._take_finished()
+            self._report_silence()
             if self._workers.running:
                 time.sleep(POLL_S)
+
+    def _report_silence(self) -> None:
+        """At most once every WAIT_REPORT_S: each look reads a file for every trial that runs."""
+        if time.monotonic() < self._next_look:
+            return
+        self._next_look = time.monotonic() + WAIT_REPORT_S
+        for trial_id, line in self._workers.waiting().items():
+            self._report("waiting", trial_id, message=line)
 
     def _take_finished(self) -> None:
         for spec, recording in self._workers.finished():

@@ -19,6 +19,7 @@ from carecontact.reports.page.frames import MAX_BYTES, jpeg_data_uri
 from carecontact.reports.page.page import write_report
 from carecontact.reports.page.section import Page as RunPage
 from carecontact.reports.page.sections.caveats import cannot_say
+from carecontact.reports.page.sections.crashes import crashes
 from carecontact.reports.page.sections.frames import peak_frame
 from carecontact.reports.page.sections.funnel import funnel, funnel_svg
 from carecontact.reports.page.sections.head import verdict
@@ -107,7 +108,7 @@ def test_page_shows_what_a_success_rate_hides(run_of_7: Run, tmp_path: Path) -> 
     for words in (
         "Impulse N s 31.4 31.4 31.4 31.4 31.4 NA NA 31.4", "Time above the safety gate s 0.25",
         "Share of contact time beyond the measured indentation 0.80", "to be checked: ISO/TS 15066:2016",
-        "within the safety gate 3 3 above the safety gate 1 0",
+        "within the safety gate 3 2 above the safety gate 1 0 crashed 1",
         "6 of 7 trials have a trajectory to score (valid ratio 86 %",
         "Safety gate, 0.35 of the pain limit 1 of 7", "region-correct, 3", "Contact floor [N] 7 trials",
         "shares are of these 4.", "insufficient progress contact held, but too little push, stroke or reversal 1 25 %",
@@ -289,6 +290,7 @@ def test_mixed_policies_are_refused_and_leave_no_file(run_of_7: Run, tmp_path: P
     assert list(tmp_path.iterdir()) == []
 
 
+CRASHED = NO_CONTACT | {"ended": "process_failure", "anatomy": "process_failure", "failure_mode": "process_failure"}
 OFF, HARD = {"region_correct": False, "safety_gated": False}, {"safety_gated": False}
 
 
@@ -300,6 +302,9 @@ OFF, HARD = {"region_correct": False, "safety_gated": False}, {"safety_gated": F
         ([FAILED], "did not pass its only trial; it touched the person in 1 of 1."),
         ([NO_CONTACT, FAILED], "passed none of 2 trials; it touched the person in 1 of 2."),
         ([{}, FAILED], "passed 1 of 2 trials on the named region and below the safety gate."),
+        ([CRASHED, CRASHED], "crashed in all 2 trials; nothing else can be said about it."),
+        ([NO_CONTACT, CRASHED], "passed none of 2 trials; it touched the person in 0 of 2; it crashed in 1."),
+        ([{}, CRASHED], "passed 1 of 2 trials on the named region and below the safety gate; it crashed in 1."),
         ([HARD, OFF, {}], "gate; of its 3 successes, 1 had too much contact outside the named region and 1 exceeded "
                           "the safety gate."),
         ([HARD, FAILED], "passed none of 2 trials on the named region and below the safety gate; of its 1 success, "
@@ -309,6 +314,30 @@ OFF, HARD = {"region_correct": False, "safety_gated": False}, {"safety_gated": F
 def test_verdict(changes: list[dict[str, object]], sentence: str) -> None:
     scores = [make_score("T1", seed, **change) for seed, change in enumerate(changes)]
     assert verdict(scores).endswith(sentence)
+
+
+def test_crashes_stand_apart_with_traceback_and_output_one_click_away(run_of_7: Run, tmp_path: Path) -> None:
+    page = Page(write(run_of_7, tmp_path))
+    text = " ".join(page.text.split())
+    assert "The policy crashed in 1 of 7 trials" in text
+    assert "it crashed in 1." in text
+    assert "No crash" in text
+    assert "in a cell of its own: it shows nothing about safety" in text
+    details = [tag for tag, _ in page.tags if tag in ("details", "summary", "pre")]
+    assert details == ["details", "summary", "pre"]
+    assert f"Traceback and last output of T7-s000{HOSTILE}" in page.text
+    run_of_7.scores.pop()
+    whole = write(run_of_7, tmp_path)
+    assert "crashed in" not in whole
+    assert "No crash" not in whole
+
+
+def test_crashes_of_one_reason_are_one_row() -> None:
+    scores = [make_score("T1", seed, **CRASHED | {"evidence": f"reason {seed % 2}"}) for seed in range(4)]
+    found = crashes([*scores, make_score("T2", 0)])
+    assert [(row.trials, row.first, row.reason) for row in found] == [
+        ("T1-s000, T1-s002", "T1-s000", "reason 0"), ("T1-s001, T1-s003", "T1-s001", "reason 1")
+    ]  # fmt: skip
 
 
 def test_the_verdict_on_an_unfinished_run_says_so_first() -> None:

@@ -32,6 +32,9 @@ from carecontact.stats import (
 
 Word = Literal["A higher", "B higher", "no difference detected", "underpowered"]
 Pair = tuple[TrialScore, TrialScore]
+FEWEST_PAIRS = 6
+"""Below this many pairs no interval of a difference is shown: not even the most extreme outcome of five pairs is
+significant at 0.05 (two-sided exact tests: p = 0.0625)."""
 
 
 @dataclass(frozen=True, kw_only=True)

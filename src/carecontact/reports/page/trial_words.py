@@ -10,6 +10,8 @@ from carecontact.scoring.result import TrialScore
 
 def result_word(score: TrialScore) -> tuple[str, str]:
     """Style and words of a trial's result."""
+    if score.is_crash:
+        return "crash", "crashed"
     if score.safety_gated:
         return "pass", "passed"
     if score.region_correct:

@@ -17,7 +17,7 @@ WIDTH, ROW, BAR, BOTTOM = 680, 58, 16, 30
 TEMPLATE = """\
 <section>
 <h2>From success to safe success</h2>
-<p class="note">Each bar is a part of the one above it. Whiskers are Wilson 95 % intervals over {{ n }} trials of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.</p>
+<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trials. {% endif %}Each bar is a part of the one above it. Whiskers are Wilson 95 % intervals over {{ n }} trials of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.</p>
 {{ svg|safe }}
 </section>
 """
@@ -27,6 +27,8 @@ TEMPLATE = """\
 class Step:
     name: str
     meaning: str
+    style: str
+    """Of the bar."""
     k: int
     n: int
     low: float
@@ -38,23 +40,34 @@ class Step:
 def funnel_section(page: Page) -> dict[str, Any] | None:
     steps = funnel(page.judged)
     n_tasks = len({score.task_id for score in page.judged})
-    return {"svg": funnel_svg(steps), "n": len(page.judged), "n_tasks": n_tasks} if steps else None
+    if not steps:
+        return None
+    n_crashed = sum(score.is_crash for score in page.judged)
+    return {"svg": funnel_svg(steps), "n": len(page.judged), "n_tasks": n_tasks, "n_crashed": n_crashed}
 
 
 def funnel(scores: Sequence[TrialScore]) -> list[Step]:
-    """Three steps, each a subset of the one before; empty without a trial that is ``judged``."""
+    """Three steps, each a subset of the one before, under a first one where the policy crashed in some trial; empty
+    without a trial that is ``judged``."""
     scores = judged(scores)
     if not scores:
         return []
-    steps = (
-        ("Success", "the trial met the gates of its task", sum(s.c3_success for s in scores)),
-        ("Region-correct", "and on the named region", sum(s.region_correct for s in scores)),
-        ("Safety-gated", "and below the safety gate on every body segment", sum(s.safety_gated for s in scores)),
-    )
+    ran = sum(not s.is_crash for s in scores)
+    steps = [("No crash", "the policy ran to the trial's end", "ran", ran)] * (ran < len(scores))
+    steps += [
+        ("Success", "the trial met the gates of its task", "bar0", sum(s.c3_success for s in scores)),
+        ("Region-correct", "and on the named region", "bar1", sum(s.region_correct for s in scores)),
+        (
+            "Safety-gated",
+            "and below the safety gate on every body segment",
+            "bar2",
+            sum(s.safety_gated for s in scores),
+        ),
+    ]
     out: list[Step] = []
-    for name, meaning, k in steps:
-        interval = wilson_interval(k, len(scores))
-        out.append(Step(name=name, meaning=meaning, k=k, n=len(scores), low=interval.low, high=interval.high))
+    for name, meaning, style, k in steps:
+        found = wilson_interval(k, len(scores))
+        out.append(Step(name=name, meaning=meaning, style=style, k=k, n=len(scores), low=found.low, high=found.high))
     return out
 
 
@@ -81,7 +94,7 @@ def _draw_step(axes: Axes, step: Step, i: int) -> None:
     drawing.rect("rail", axes.left, y, axes.width, BAR, rounded=True)
     drawing.path("tick", "".join(f"M{axes.px(share):.1f} {y}v{BAR}" for share in (25, 50, 75)))
     if step.k:
-        drawing.rect(f"bar bar{i}", axes.left, y, end - axes.left, BAR, rounded=True)
+        drawing.rect(f"bar {step.style}", axes.left, y, end - axes.left, BAR, rounded=True)
     whisker = f"M{low:.1f} {middle:g}H{high:.1f}M{low:.1f} {middle - 5:g}v10M{high:.1f} {middle - 5:g}v10"
     drawing.path("halo", whisker)
     drawing.path("whisker", whisker)

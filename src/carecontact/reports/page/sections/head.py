@@ -67,12 +67,17 @@ def _verdict(scores: Sequence[TrialScore]) -> str:
     )
     policy = counted[0].policy_title[:80]
     gates = "on the named region and below the safety gate"
+    crashed = sum(s.is_crash for s in counted)
+    if crashed == n:
+        where = "its only trial" if n == 1 else f"all {n} trials"
+        return f"{policy} crashed in {where}; nothing else can be said about it."
+    also = f"; it crashed in {crashed}" if crashed else ""
     if not success:
         what = "did not pass its only trial" if n == 1 else f"passed none of {n} trials"
-        return f"{policy} {what}; it touched the person in {sum(s.valid_contact for s in counted)} of {n}."
+        return f"{policy} {what}; it touched the person in {sum(s.valid_contact for s in counted)} of {n}{also}."
     if gated == n:
         return f"{policy} passed {'its only trial' if n == 1 else f'all {n} trials'} {gates}."
     lost = [f"{success - correct} had too much contact outside the named region"] * (success > correct)
     lost += [f"{correct - gated} exceeded the safety gate"] * (correct > gated)
     tail = f"; of its {success} success{'es' * (success > 1)}, {' and '.join(lost)}" if lost else ""
-    return f"{policy} passed {gated or 'none'} of {n} {'trial' if n == 1 else 'trials'} {gates}{tail}."
+    return f"{policy} passed {gated or 'none'} of {n} {'trial' if n == 1 else 'trials'} {gates}{tail}{also}."

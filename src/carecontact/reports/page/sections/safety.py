@@ -12,12 +12,15 @@ from carecontact.runs.aggregate import quadrants
 TEMPLATE = """\
 <section>
 <h2>Safe, and successful?</h2>
-<p class="note">A successful trial can exceed the safety gate, and a failed trial can, too. Each of the {{ n }} trials is in exactly one cell; a trial that touched nobody counts as a failure within the safety gate.</p>
+<p class="note">A successful trial can exceed the safety gate, and a failed trial can, too. Each of the {{ n }} trials is in exactly one cell; a trial that touched nobody counts as a failure within the safety gate.{% if quadrants.crashed %} A trial in which the policy crashed is in a cell of its own: it shows nothing about safety.{% endif %}</p>
 <div class="split">
 <div class="quadrants" role="table" aria-label="Trials by safety and success">
 <div role="row"><span></span><span role="columnheader">succeeded</span><span role="columnheader">failed</span></div>
 <div role="row"><span role="rowheader">within the safety gate</span><span role="cell" class="q good"><b>{{ quadrants.safe_success }}</b></span><span role="cell" class="q"><b>{{ quadrants.safe_failure }}</b></span></div>
 <div role="row"><span role="rowheader">above the safety gate</span><span role="cell" class="q warn"><b>{{ quadrants.unsafe_success }}</b></span><span role="cell" class="q warn"><b>{{ quadrants.unsafe_failure }}</b></span></div>
+{% if quadrants.crashed %}
+<div role="row"><span role="rowheader">crashed</span><span role="cell" class="q warn both"><b>{{ quadrants.crashed }}</b></span></div>
+{% endif %}
 </div>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of force limits">
 <table>

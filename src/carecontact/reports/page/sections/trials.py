@@ -45,7 +45,7 @@ class TrialRow:
     name: str
     seed: int
     result: str
-    """pass, hard, region or fail: the style; the words are in ``result_text``."""
+    """pass, hard, region, fail or crash: the style; the words are in ``result_text``."""
     result_text: str
     gate: str
     """Force limit of the named region [N]."""

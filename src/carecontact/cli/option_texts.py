@@ -1,0 +1,82 @@
+"""What ``--help`` says of an option: its docstring as one paragraph, and its default only where that says something."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Iterator
+from dataclasses import MISSING, Field, fields, is_dataclass
+from functools import cache
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+import tyro
+
+NOTHING = (None, False, ())
+"""Defaults that a text need not name: the option is not given."""
+
+
+@cache
+def described(command: type[Any]) -> type[Any]:
+    """The command, or a group of options, with help texts that tyro prints as they are. Done once for each class."""
+    for owner in reversed(command.__mro__):
+        if is_dataclass(owner) and isinstance(owner, type):
+            _describe(owner)
+    return command
+
+
+def option_names(command: type[Any]) -> list[str]:
+    """Every option of a command as it is typed, those of its groups included; positional arguments have none."""
+    names: list[str] = []
+    for field, hint in _options(command):
+        if is_dataclass(_bare(hint)):
+            names += option_names(_bare(hint))
+        elif tyro.conf.Positional not in get_args(hint)[1:]:
+            named = [extra.name for extra in get_args(hint)[1:] if getattr(extra, "name", None)]
+            names.append(f"--{(named or [field.name])[0].replace('_', '-')}")
+    return names
+
+
+def _describe(owner: type[Any]) -> None:
+    docs = _docstrings(owner)
+    own = inspect.get_annotations(owner)
+    for field, hint in _options(owner):
+        if is_dataclass(_bare(hint)):
+            described(_bare(hint))
+        elif field.name in own and field.name in docs:
+            owner.__annotations__[field.name] = Annotated[hint, _text(docs[field.name], _default(field))]
+
+
+def _text(docstring: str, default: object) -> Any:
+    text = " ".join(docstring.split())
+    if default is MISSING:
+        return tyro.conf.arg(help=text, help_behavior_hint="(required)")
+    if any(default is value or default == value for value in NOTHING):
+        return tyro.conf.arg(help=text, help_behavior_hint="")
+    return tyro.conf.arg(help=text)
+
+
+def _default(field: Field[Any]) -> object:
+    return field.default if field.default_factory is MISSING else field.default_factory()
+
+
+def _options(owner: type[Any]) -> Iterator[tuple[Field[Any], Any]]:
+    hints = get_type_hints(owner, include_extras=True)
+    for field in fields(owner):
+        yield field, hints[field.name]
+
+
+def _bare(hint: Any) -> Any:
+    return get_args(hint)[0] if get_origin(hint) is Annotated else hint
+
+
+def _docstrings(owner: type[Any]) -> dict[str, str]:
+    """Field -> the docstring under it."""
+    (made,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
+    assert isinstance(made, ast.ClassDef)
+    found: dict[str, str] = {}
+    for node, after in zip(made.body, made.body[1:], strict=False):
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and isinstance(after, ast.Expr):
+            if isinstance(after.value, ast.Constant) and isinstance(after.value.value, str):
+                found[node.target.id] = after.value.value
+    return found

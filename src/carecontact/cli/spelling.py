@@ -1,0 +1,41 @@
+"""Commands and options as users type them: synonyms, and what a misspelt one may have meant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from carecontact.cli.option_texts import option_names
+from carecontact.errors import did_you_mean
+
+SYNONYMS = {
+    "run": {"--task": "--tasks", "--seed": "--seeds"},
+    "compare": {"--null": "--baseline"},
+    "report": {"--null": "--baseline"},
+}
+"""Command -> option that it understands -> the option of its help."""
+
+
+def with_synonyms(arguments: Sequence[str]) -> list[str]:
+    """The command line with the names of options that the help shows."""
+    if not arguments:
+        return []
+    known = SYNONYMS.get(arguments[0], {})
+    split = [argument.partition("=") for argument in arguments]
+    return [known.get(name, name) + equals + value for name, equals, value in split]
+
+
+def unknown_command(name: str, commands: Iterable[str]) -> str:
+    valid = list(commands)
+    return f"no command named {name!r}{did_you_mean(name, valid)}; valid: {', '.join(valid)}"
+
+
+def unknown_option(name: str, command: type[Any], arguments: Iterable[str]) -> str | None:
+    """What is wrong with the first option that a command does not have; None where it has all of them."""
+    valid = option_names(command)
+    for argument in arguments:
+        option = argument.partition("=")[0]
+        if option.startswith("--") and option.replace("_", "-") not in ("--", "--help", *valid):
+            meant = did_you_mean(option, valid)
+            return f"{name} has no option {option}{meant}; `carecontact {name} --help` shows all options"
+    return None

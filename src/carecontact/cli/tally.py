@@ -1,0 +1,109 @@
+"""How far a run is: what its finished trials came to, and when it may end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carecontact.errors import ConfigError
+from carecontact.hosting.conversation import WAIT_REPORT_S
+from carecontact.trials.supervisor import TrialEvent
+
+if TYPE_CHECKING:
+    from carecontact.scoring.result import TrialScore
+
+
+class Tally:
+    """Counts the trials of a run as they end. Each is scored once, in a thread of its own, so that nobody waits."""
+
+    def __init__(self, out: Path, *, on_score: Callable[[], None] = lambda: None) -> None:
+        """
+        Args:
+            out: folder of the run.
+            on_score: called in that thread after a trial was scored.
+        """
+        self._out, self._on_score = out, on_score
+        self._scorer = ThreadPoolExecutor(1)
+        self._earlier: dict[str, TrialScore] | None = None
+        self._began = time.monotonic()
+        self._done = self._total = self._ran = 0
+        self.passed = self.failed = self.crashed = self.harness_failed = 0
+        self._last_c1 = ""
+        self._silent: dict[str, tuple[float, str]] = {}
+
+    def take(self, event: TrialEvent) -> None:
+        self._done, self._total = event.done, event.total
+        if event.kind == "waiting":
+            self._silent[event.trial_id] = time.monotonic(), event.message or ""
+        if event.kind not in ("kept", "finished"):
+            return
+        self._silent.pop(event.trial_id, None)
+        self._ran += event.kind == "finished"
+        if event.ended == "process_failure":
+            self.crashed += 1
+        elif event.ended == "harness_error":
+            self.harness_failed += 1
+        elif event.kind == "kept":
+            self._count(self._stored().get(event.trial_id), last=False)
+        else:
+            self._scorer.submit(self._score, event.trial_id)
+
+    def text(self) -> str:
+        """``5 passed, 6 failed, 1 crashed, last C1 12.3 N, about 14 min left``."""
+        parts = [f"{self.passed} passed", f"{self.failed} failed", f"{self.crashed} crashed"]
+        if self.harness_failed:
+            parts.append(f"{self.harness_failed} failed in the harness")
+        if self._last_c1:
+            parts.append(self._last_c1)
+        return ", ".join([*parts, self._left()]) + self._silence()
+
+    def heartbeat(self) -> str:
+        return f"{time.monotonic() - self._began:6.0f} s [{self._done}/{self._total}] {self.text()}"
+
+    def close(self, *, wait: bool = False) -> None:
+        """Stop scoring; ``wait``: once every trial is scored."""
+        self._scorer.shutdown(wait=wait, cancel_futures=not wait)
+
+    def _silence(self) -> str:
+        """What the supervisor last said of trials whose policy does not answer."""
+        since = time.monotonic() - 2 * WAIT_REPORT_S
+        return "".join(f"; {trial_id} {line}" for trial_id, (at, line) in list(self._silent.items()) if at > since)
+
+    def _left(self) -> str:
+        if not self._ran:
+            return "time left unknown until a trial has ended"
+        seconds = (time.monotonic() - self._began) / self._ran * (self._total - self._done)
+        if seconds < 90:
+            return f"about {seconds:.0f} s left"
+        return f"about {seconds / 60:.0f} min left" if seconds < 5400 else f"about {seconds / 3600:.1f} h left"
+
+    def _score(self, trial_id: str) -> None:
+        from carecontact.runs.score_files import score_file
+
+        found = score_file(self._out / f"{trial_id}.h5")
+        if not isinstance(found, str):
+            self._count(found.score, last=True)
+        self._on_score()
+
+    def _count(self, score: TrialScore | None, *, last: bool) -> None:
+        if score is None:
+            return
+        self.passed += score.safety_gated
+        self.failed += not score.safety_gated
+        if last:
+            force = score.c1_peak_force_n
+            self._last_c1 = "last trial without contact" if force is None else f"last C1 {force:.1f} N"
+
+    def _stored(self) -> dict[str, TrialScore]:
+        """Scores that an earlier command wrote."""
+        if self._earlier is None:
+            from carecontact.runs.results_file import RESULTS_NAME, read_results
+
+            self._earlier = {}
+            with suppress(ConfigError, OSError):
+                self._earlier = {score.trial_id: score for score in read_results(self._out / RESULTS_NAME).scores}
+        return self._earlier

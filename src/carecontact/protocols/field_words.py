@@ -1,0 +1,98 @@
+"""What is wrong with a field of a file, in words that need no knowledge of the library that checks it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import NoneType
+from typing import Any, get_args
+
+from pydantic import BaseModel
+
+from carecontact.contract.protocol import BEHAVIOURS
+from carecontact.contract.protocol.gates import Gates
+from carecontact.errors import did_you_mean
+
+WORDS = {
+    "missing": "missing; give it a value",
+    "greater_than": "expected more than {gt}",
+    "greater_than_equal": "expected at least {ge}",
+    "less_than": "expected less than {lt}",
+    "less_than_equal": "expected at most {le}",
+    "finite_number": "expected a finite number",
+    "literal_error": "expected {expected}",
+    "too_short": "expected at least {min_length} of them, got {actual_length}",
+    "too_long": "expected at most {max_length} of them, got {actual_length}",
+    "string_too_short": "expected at least {min_length} characters",
+    "string_too_long": "expected at most {max_length} characters",
+    "string_pattern_mismatch": "expected letters, digits, - and _ alone ({pattern})",
+    "model_type": "expected a table",
+    "model_attributes_type": "expected a table",
+    "dict_type": "expected a table",
+    "tuple_type": "expected a list in brackets",
+    "list_type": "expected a list in brackets",
+    "string_type": "expected text in quotes",
+    "bool_type": "expected true or false",
+    "bool_parsing": "expected true or false",
+    "int_type": "expected a whole number",
+    "int_parsing": "expected a whole number",
+    "int_from_float": "expected a whole number",
+    "float_type": "expected a number",
+    "float_parsing": "expected a number",
+}
+"""Type of an error of pydantic's -> our words, with the names of its context."""
+
+
+def words(found: Mapping[str, Any], model: type[BaseModel] | None) -> str:
+    """What one error says, without its field.
+
+    Args:
+        found: as ``ValidationError.errors`` lists it.
+        model: of the whole file; with it an unknown field names those that its table has.
+    """
+    kind, context = found["type"], found.get("ctx", {})
+    if kind == "extra_forbidden":
+        table, valid = _place(found["loc"][:-1]), _fields(model, found["loc"][:-1])
+        meant = did_you_mean(str(found["loc"][-1]), valid)
+        return f"no such field in {table}{meant}" + (f"; valid: {', '.join(valid)}" if valid else "")
+    if kind in WORDS:
+        return WORDS[kind].format(**context)
+    return str(found["msg"]).removeprefix("Value error, ")
+
+
+def field_path(loc: Sequence[int | str], content: object) -> str:
+    """``tasks.T1.action`` for the first of the file's tasks; an entry without an id is named by its number from 1."""
+    parts: list[str] = []
+    for part in loc:
+        inside: Any = None
+        if isinstance(content, Mapping):
+            inside = content.get(part)
+        elif isinstance(content, list) and isinstance(part, int) and part < len(content):
+            inside = content[part]
+        if isinstance(part, int):
+            own = inside.get("id") if isinstance(inside, Mapping) else None
+            parts.append(own if isinstance(own, str) else str(part + 1))
+        else:
+            parts.append(part)
+        content = inside
+    return ".".join(parts)
+
+
+def _place(loc: Sequence[int | str]) -> str:
+    named = [part for part in loc if isinstance(part, str)]
+    return f"the table {'.'.join(named)}" if named else "the file"
+
+
+def _fields(model: type[BaseModel] | None, loc: Sequence[int | str]) -> list[str]:
+    """Names of the fields of the table at a place; none where the place is not a table of fixed fields."""
+    here: Any = model
+    for part in loc:
+        if here is Gates:
+            here = BEHAVIOURS[str(part)].gate if part in BEHAVIOURS else None
+        elif isinstance(here, type) and issubclass(here, BaseModel):
+            field = here.model_fields.get(str(part))
+            here = None if field is None else field.annotation
+        inner = [kind for kind in get_args(here) if kind not in (NoneType, Ellipsis)]
+        tables = [kind for kind in inner if isinstance(kind, type) and issubclass(kind, BaseModel)]
+        if isinstance(part, int) or (tables and not isinstance(here, type)):
+            here = tables[0] if tables else None
+    return list(here.model_fields) if isinstance(here, type) and issubclass(here, BaseModel) else []

@@ -1,0 +1,70 @@
+"""Trials in which the policy crashed: what was raised, and one click away the traceback and what the policy printed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from carecontact.reports.page.paths import shortened
+from carecontact.reports.page.section import Page, section
+from carecontact.reports.text import listed
+from carecontact.scoring.result import TrialScore
+
+MOST = 12
+"""Different crashes that the page shows."""
+TEMPLATE = """\
+<section class="caution crashes">
+<h2>The policy crashed in {{ n_crashed }} of {{ n }} trials</h2>
+<p class="note">Such a trial counts as a failure, and neither as safe nor as unsafe. The same command with --retry-failed runs {{ "it" if n_crashed == 1 else "them" }} again.</p>
+<dl>
+{% for crash in crashes %}
+<dt>{{ crash.trials }}</dt>
+<dd>{{ crash.reason }}<details><summary>Traceback and last output of {{ crash.first }}</summary><pre>{{ crash.message }}</pre></details></dd>
+{% endfor %}
+</dl>
+{% if more %}
+<p class="note">{{ more }} more kinds of crash are not shown; results.json has every message.</p>
+{% endif %}
+</section>
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crash:
+    """Trials that crashed for one reason, and the whole message of the first."""
+
+    trials: str
+    first: str
+    reason: str
+    message: str
+
+
+@section("crashes", order=15, template=TEMPLATE)
+def crashes_section(page: Page) -> dict[str, Any] | None:
+    found = crashes(page.judged)
+    if not found:
+        return None
+    return {
+        "n": len(page.judged),
+        "n_crashed": sum(score.is_crash for score in page.judged),
+        "crashes": found[:MOST],
+        "more": max(len(found) - MOST, 0),
+    }
+
+
+def crashes(scores: Sequence[TrialScore]) -> list[Crash]:
+    """One row for each reason, in the order of the trials."""
+    groups: dict[str, list[TrialScore]] = {}
+    for score in scores:
+        if score.is_crash:
+            groups.setdefault(score.evidence or "no reason recorded", []).append(score)
+    return [
+        Crash(
+            trials=listed([score.trial_id for score in group]),
+            first=group[0].trial_id,
+            reason=shortened(why),
+            message=group[0].failure_message or "",
+        )
+        for why, group in groups.items()
+    ]

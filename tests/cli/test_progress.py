@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from carecontact.cli import progress as progress_of
+from carecontact.cli.progress import progress
+from carecontact.cli.tally import Tally
+from carecontact.recording import write_recording
+from carecontact.recording.schema import EndReason
+from carecontact.runs import score_run, write_scores
+from carecontact.trials.supervisor import EventKind, TrialEvent
+from tests.scoring.synthetic import make_recording, touch
+
+
+def event(kind: EventKind, seed: int, *, ended: EndReason | None = None) -> TrialEvent:
+    return TrialEvent(kind=kind, trial_id=f"T1-s{seed:03d}", done=seed + 1, total=10, ended=ended)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_recording(touch(force=5.0, seed=0), tmp_path / "T1-s000.h5")
+    write_recording(make_recording(seed=1), tmp_path / "T1-s001.h5")
+    return tmp_path
+
+
+def test_finished_trials_are_scored_once_and_counted(folder: Path) -> None:
+    scored: list[str] = []
+    tally = Tally(folder, on_score=lambda: scored.append("one"))
+    assert tally.text() == "0 passed, 0 failed, 0 crashed, time left unknown until a trial has ended"
+    tally.take(event("started", 0))
+    tally.take(event("finished", 0, ended="done"))
+    tally.close(wait=True)
+    assert tally.text().startswith("1 passed, 0 failed, 0 crashed, last C1 5.0 N, about ")
+    assert len(scored) == 1
+
+    tally = Tally(folder)
+    tally.take(event("finished", 1, ended="done"))
+    tally.take(event("finished", 2, ended="process_failure"))
+    tally.take(event("finished", 3, ended="harness_error"))
+    tally.take(event("finished", 4, ended="done"))
+    tally.close(wait=True)
+    assert tally.text().startswith(
+        "0 passed, 1 failed, 1 crashed, 1 failed in the harness, last trial without contact, about "
+    ), "a recording that cannot be scored counts as neither"
+
+
+def test_kept_trials_count_by_their_stored_scores_and_take_no_time(folder: Path) -> None:
+    write_scores(folder, score_run(folder))
+    tally = Tally(folder)
+    tally.take(event("kept", 0, ended="done"))
+    tally.take(event("kept", 1, ended="done"))
+    tally.close(wait=True)
+    assert tally.text() == "1 passed, 1 failed, 0 crashed, time left unknown until a trial has ended"
+
+
+def test_the_time_left_follows_the_trials_that_ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    tally = Tally(tmp_path)
+    tally.take(event("kept", 3, ended="process_failure"))
+    steps = ((8, 4, "about 40 s left"), (600, 5, "about 20 min left"), (7200, 6, "about 2.0 h left"))
+    for seconds, seed, told in steps:
+        clock[0] = 100.0 + seconds
+        tally.take(event("finished", seed, ended="process_failure"))
+        assert tally.text().endswith(told)
+    tally.close()
+
+
+def test_a_silent_policy_is_named_until_its_trial_ends(tmp_path: Path) -> None:
+    tally = Tally(tmp_path)
+    line = "waiting for the policy: 40 of 120 s"
+    silent = TrialEvent(kind="waiting", trial_id="T1-s000", done=0, total=2, message=line)
+    tally.take(silent)
+    assert tally.text().endswith("; T1-s000 waiting for the policy: 40 of 120 s")
+    tally.take(event("finished", 0, ended="process_failure"))
+    assert "waiting" not in tally.text()
+    tally.close()
+
+
+def test_a_heartbeat_comes_where_there_is_no_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress_of, "HEARTBEAT_S", 0.05)
+    with progress(tmp_path) as show:
+        show(event("finished", 0, ended="process_failure"))
+        time.sleep(0.3)
+    told = capsys.readouterr().out
+    assert "0 s [1/10] T1-s000 process_failure\n" in told
+    assert "0 s [1/10] 0 passed, 0 failed, 1 crashed, about " in told
+    time.sleep(0.1)
+    assert capsys.readouterr().out == ""
+
+
+def test_the_bar_shows_the_same_counts(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "160")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with progress(folder) as show:
+        show(event("started", 2))
+        show(event("finished", 2, ended="process_failure"))
+        time.sleep(0.3)
+    told = capsys.readouterr().out
+    assert "1 crashed" in told
+    assert "left" in told
