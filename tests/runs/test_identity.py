@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from carecontact.contract.policy import PolicyCard
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.errors import ConfigError
 from carecontact.policies.registry import POLICIES
@@ -46,6 +47,19 @@ def test_a_registered_policy_of_another_package_counts_by_its_version_and_source
     identity = identity_of(SPEC.model_copy(update={"policy": "tapper"}), search_path=[])
     assert identity.policy_sha256 == hashlib.sha256(b"class Tapper: ...").hexdigest()
     assert identity.versions["tapping"] == "2.0"
+
+
+def test_another_card_behind_an_address_is_another_run(tmp_path: Path) -> None:
+    spec = SPEC.model_copy(update={"policy": "ws://192.0.2.7:8765"})
+    first, second = (
+        identity_of(spec, search_path=[], card=PolicyCard(name=f"mine step {step}")) for step in (1000, 2000)
+    )
+    write_manifest([spec], out=tmp_path, identity=first, purpose="run")
+    survey([spec], out=tmp_path, retry_failed=False, identity=first)
+    with pytest.raises(ConfigError, match=r"card of ws://192.0.2.7:8765 changed .*name was 'mine step 1"):
+        survey([spec], out=tmp_path, retry_failed=False, identity=second)
+    local = identity_of(SPEC.model_copy(update={"policy": "hover"}), search_path=[], card=PolicyCard(name="hover"))
+    assert local.card is None
 
 
 @pytest.mark.parametrize("name", ["hover", "ws://192.0.2.7:8765"])

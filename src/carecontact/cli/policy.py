@@ -11,7 +11,7 @@ from pathlib import Path
 from carecontact.cli.groups import PolicyGroup
 from carecontact.cli.language import chosen_language
 from carecontact.cli.policy_names import meant
-from carecontact.contract.policy import check_arguments, check_variables
+from carecontact.contract.policy import PolicyCard, check_arguments, check_variables
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.errors import ConfigError, ContractError, PolicyError, UnknownNameError
 from carecontact.hosting.opening import open_policy
@@ -66,19 +66,19 @@ def _setup(ref: PolicyRef, options: PolicyGroup) -> PolicySetup:
     )
 
 
-def check_policy(setup: PolicySetup, *, deadline_s: float) -> None:
-    """Start the policy once, just as a trial does, unless it is a shipped one that is given nothing.
+def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
+    """Start the policy once, just as a trial does, and return its card; None for a shipped one that is given nothing.
 
     Raises UnknownNameError, or ConfigError saying in one line why a policy does not start or a server shows no card.
     """
     conversation = open_policy(setup, first_deadline_s=deadline_s, deadline_s=deadline_s)
     shipped = setup.ref.kind == "registered" and POLICIES.package(setup.ref.text) is None
     if shipped and not (setup.arguments or setup.environment or setup.language):
-        return
+        return None
     conversation.on_wait = lambda line: print(line, flush=True)
     try:
         with conversation:
-            conversation.start()
+            return conversation.start()
     except PolicyError as error:
         if error.kind == "argument":
             raise ConfigError(reason(str(error))) from None

@@ -85,16 +85,21 @@ def _plain(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
         if event.kind == "kept":
             kept += 1
             return
-        if kept:
-            print(f"{kept} trial(s) are finished already", flush=True)
-            kept = 0
+        say_kept()
         line = told(event)
         if line:
             print(f"{time.monotonic() - began:6.0f} s {line}", flush=True)
 
+    def say_kept() -> None:
+        nonlocal kept
+        if kept:
+            print(f"{kept} trial(s) are finished already", flush=True)
+        kept = 0
+
     threading.Thread(target=beat, daemon=True).start()
     try:
         yield show
+        say_kept()
     finally:
         ended.set()
         tally.close()

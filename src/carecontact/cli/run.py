@@ -70,7 +70,7 @@ class Run:
         setup = policy_setup(self.policy, self.given)
         rules = self._protocol()
         tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
-        check_policy(setup, deadline_s=rules.phases.first_call_deadline_s)
+        card = check_policy(setup, deadline_s=rules.phases.first_call_deadline_s)
         specs = plan_trials(
             protocol=rules,
             policy=setup.ref.text,
@@ -89,6 +89,7 @@ class Run:
                 jobs=self.parallel.jobs,
                 retry_failed=self.retry_failed,
                 policy=setup,
+                card=card,
                 weights=self.vision.weights and self.vision.weights.resolve(),
                 on_event=on_event,
                 purpose=purpose,

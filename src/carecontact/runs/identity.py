@@ -9,9 +9,11 @@ from collections.abc import Mapping, Sequence
 from importlib import metadata, resources
 from importlib.machinery import PathFinder
 from pathlib import Path
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
+from carecontact.contract.policy import PolicyCard
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
 from carecontact.policies.language.selection import language_name
@@ -29,6 +31,8 @@ class Identity(BaseModel):
     policy_sha256: str | None
     """Of the file of the policy's module; None for a policy of this package, which the version stands for, and for one
     on another host, of which nothing is known but its address and card."""
+    card: dict[str, Any] | None = None
+    """Of a policy on another host: all that can be known of its version."""
     language: str | None = None
     """Backend that --language named; None: the policy's own choice."""
     arguments: dict[str, str] = {}
@@ -48,11 +52,14 @@ class Identity(BaseModel):
         return [f"{name} was {old}, is {now}" for name, old, now in pairs if old and old != now]
 
 
-def identity_of(spec: TrialSpec, *, search_path: Sequence[str], language: str | None = None) -> Identity:
+def identity_of(
+    spec: TrialSpec, *, search_path: Sequence[str], language: str | None = None, card: PolicyCard | None = None
+) -> Identity:
     """
     Args:
         search_path: folders in which ``module:Class`` is looked for before the installed packages.
         language: as the command line spells it.
+        card: what the policy showed when it was tried.
     """
     versions = package_versions()
     ref = PolicyRef.parse(spec.policy)
@@ -65,6 +72,7 @@ def identity_of(spec: TrialSpec, *, search_path: Sequence[str], language: str | 
     }  # fmt: skip
     return Identity(
         policy_sha256=None if source is None else hashlib.sha256(source.read_bytes()).hexdigest(),
+        card=card.plain() if card is not None and ref.kind == "remote" else None,
         language=language_name(language) if language else None,
         arguments=spec.policy_arguments,
         argument_files=fingerprints(spec.policy_arguments),

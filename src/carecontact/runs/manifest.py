@@ -161,6 +161,11 @@ def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity:
             f"{out}: the policy's source changed since this folder was started, so {lost_trials(out, failed=FAILED)}: "
             f"{ELSEWHERE}"
         )
+    if held.card and identity.card and held.card != identity.card:
+        fields = sorted(held.card.keys() | identity.card.keys())
+        changed = [n for n in fields if held.card.get(n) != identity.card.get(n)]
+        values = ", ".join(f"{n} was {held.card.get(n)!r}, is {identity.card.get(n)!r}" for n in changed)
+        raise ConfigError(f"{out}: the card of {spec.policy} changed ({values}): {ELSEWHERE}")
     started_with, wanted = (_policy_text(i.arguments, i.environment) for i in (held, identity))
     if started_with != wanted:
         raise ConfigError(f"{out} was started with {started_with}, this command has {wanted}: {ELSEWHERE}")

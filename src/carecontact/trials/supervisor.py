@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError
 from carecontact.hosting.conversation import WAIT_REPORT_S
@@ -54,6 +55,7 @@ def run_trials(
     *,
     out: Path,
     policy: PolicySetup | None = None,
+    card: PolicyCard | None = None,
     weights: Path | None = None,
     jobs: int | None = None,
     retry_failed: bool = False,
@@ -69,6 +71,7 @@ def run_trials(
 
     Args:
         policy: how the policy of all trials is reached; default: as its name in the trials alone says.
+        card: what the policy showed; of a policy on another host it decides whether this is the same run.
         weights: folder with the weights of the protocol's segmenter.
 
     Raises ConfigError for a folder that holds another run, that another command is writing to, or that cannot be
@@ -80,7 +83,7 @@ def run_trials(
         raise ConfigError("no trial to run")
     setup = policy or setup_of(specs[0])
     check_setup(specs[0], setup)
-    identity = identity_of(specs[0], search_path=setup.search_path, language=setup.language)
+    identity = identity_of(specs[0], search_path=setup.search_path, language=setup.language, card=card)
     found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
     specs = salted(specs, out=out)
     _prepare(out, specs, identity=identity, purpose=purpose)
