@@ -32,7 +32,7 @@ SESSION = Session(
     ),
     joint_low_rad=(-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973),
     joint_high_rad=(2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973),
-    camera_sizes_px={"overhead": (640, 480)},
+    camera_sizes_px={"overhead": (640, 480), "bedside": (640, 480), "exterior": (640, 360), "wrist": (640, 480)},
     time_limit_s=30.0,
 )
 OBSERVATION = Observation(
@@ -44,7 +44,7 @@ OBSERVATION = Observation(
     pose_tcp_in_base=np.array([0.25, 0.375, 0.5, 0.0, 1.0, 0.0, 0.0]),
     cameras={
         "overhead": CameraView(
-            intrinsics=np.array([[2.0, 0.0, 1.0], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]]),
+            intrinsics=np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]),
             pose_camera_in_base=np.diag([1.0, -1.0, -1.0, 1.0]),
             rgb=np.arange(6, dtype=np.uint8).reshape(1, 2, 3),
         )

@@ -22,9 +22,10 @@ from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.remote import RemotePolicy
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire import codec
+from carecontact.hosting.wire.messages import act_message
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, pack
 from tests.hosting.served import served
-from tests.policies.synthetic import SESSION, synthetic_observation
+from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_view
 
 POLICY = """
 class P(Base):
@@ -179,7 +180,7 @@ def speaking(converse: Callable[[ServerConnection], object], **options: object) 
 @pytest.mark.parametrize(
     ("message", "kind", "says"),
     [
-        (pack({"action_horizon": 10}), "garbage", "expected one 'card' message, got keys ['action_horizon']"),
+        (pack({"action_horizon": 10}), "garbage", "type None; unknown key action_horizon; missing card, type; send"),
         ("hello", "garbage", "expected a binary message, got text 'hello'; send"),
         (bytes(MAX_REPLY_BYTES + 1), "oversize", "at most 4194304 bytes"),
         (None, "timeout", "no card message within"),
@@ -237,3 +238,35 @@ def test_an_observation_arrives_whole(tmp_path: Path) -> None:
         policy.reset("touch", SESSION)
         reply = policy.act(synthetic_observation(cameras={"overhead": view}))
     assert reply.actions[0].stiffness == (expected, 20.0)
+
+
+@pytest.mark.parametrize(
+    ("end", "kind", "says"),
+    [
+        ("raise", "died", "raised an exception (close code 1011): see its own output"),
+        ("return", "died", "closed the connection without an answer (close code 1000)"),
+        ("small", "oversize", "refused a message of {} bytes (close code 1009): raise its limit"),
+    ],
+)
+def test_how_a_server_closed_the_connection_is_told_by_its_code(
+    end: str, kind: str, says: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    def converse(connection: ServerConnection) -> None:
+        connection.send(pack({"type": "card", "card": {"name": "short"}}))
+        connection.recv()
+        if end == "raise":
+            raise ValueError("a bug")
+        if end == "small":
+            connection.send(pack({"type": "ready"}))
+            connection.recv()
+
+    caplog.set_level("CRITICAL", "websockets")
+    observation = synthetic_observation(cameras={"overhead": synthetic_view(height=600, width=800)})
+    with speaking(converse) as port, at(port) as policy:
+        policy.start()
+        if end == "small":
+            policy.reset("touch", SESSION)
+        with pytest.raises(PolicyError) as caught:
+            policy.act(observation) if end == "small" else policy.reset("touch", SESSION)
+    assert caught.value.kind == kind
+    assert says.format(len(act_message(observation))) in str(caught.value)

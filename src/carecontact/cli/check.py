@@ -47,9 +47,15 @@ class Check:
             protocol=rules, policy=setup.ref.text, tasks=tasks, seeds=seeds, arguments=setup.arguments,
             environment=setup.environment,
         )  # fmt: skip
-        print(f"{setup.ref}: one observation of {spec.trial_id}, {rules.title}", flush=True)
-        works = Checked(spec=spec, policy=setup, weights=self.vision.weights, on_finding=_show).run()
-        print("a run can work" if works else "a run would fail in every trial")
+        print(f"{setup.ref}: the first observation of {spec.trial_id}, {rules.title}, twice", flush=True)
+        check = Checked(spec=spec, policy=setup, weights=self.vision.weights, on_finding=_show)
+        works = check.run()
+        if not works:
+            print("a run would fail in every trial")
+        elif check.warnings:
+            print(f"a run can start, but look at the {check.warnings} warning(s) first")
+        else:
+            print("a run can work")
         return 0 if works else 1
 
 

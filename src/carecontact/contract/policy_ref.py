@@ -41,7 +41,8 @@ class PolicyRef:
             return cls(kind="registered", text=text)
         module, _, attribute = text.partition(":")
         if not attribute.isidentifier() or not all(part.isidentifier() for part in module.split(".")):
-            raise ConfigError(f"policy {text!r}: expected {IMPORTABLE}, for example my_policy:MyPolicy")
+            address = f"; for a policy's server, ws://{text}" if attribute.isdigit() else ""
+            raise ConfigError(f"policy {text!r}: expected {IMPORTABLE}, for example my_policy:MyPolicy{address}")
         return cls(kind="importable", text=text)
 
     @classmethod

@@ -24,6 +24,7 @@ from carecontact.trials.first_answer import Finding, Level, look_at
 REMEDIES = {
     "expected a position inside the workspace": "Check frame (base of the robot) and unit (metres). A card with "
     "out_of_bounds clip has such targets moved onto the border.",
+    "Connection refused": "Is the policy's server running, and does it listen on this host and port?",
     "expected finite numbers": "Look for a division by 0 or an unset value in the policy's output.",
     "expected a quaternion of norm 1": "Divide the quaternion by its norm; its order is w x y z.",
 }
@@ -38,6 +39,8 @@ class Check:
     policy: PolicySetup
     on_finding: Callable[[Finding], None]
     weights: Path | None = None
+    warnings: int = 0
+    """Number of them so far."""
     times: dict[str, float] = field(default_factory=dict[str, float])
     """What was timed -> wall time [s]."""
 
@@ -86,13 +89,13 @@ class Check:
             many = f"{len(outside)} of {len(answers[0])} targets are outside the workspace"
             self._say("warning", "clipped", f"{many}; the card requests that they are moved onto its border")
         for finding in look_at(answers[0], observation):
-            self.on_finding(finding)
+            self._say(finding.level, finding.topic, finding.text)
         return self._keeps_pace(len(answers[1]), card)
 
     def _answered(self, actions: list[Action], card: PolicyCard) -> str:
         seconds = len(actions) / card.control_hz
         count = f"{len(actions)} action{'' if len(actions) == 1 else 's'} for {seconds:.2f} s"
-        return f"{count}, after {self.times['first']:.2f} s and then {self.times['second']:.2f} s"
+        return f"{count}; first call {self.times['first']:.2f} s, second call {self.times['second']:.2f} s"
 
     def _keeps_pace(self, count: int, card: PolicyCard) -> bool:
         """Whether a trial fits its budget: simulated time stands still while a policy thinks, the budget does not."""
@@ -111,6 +114,7 @@ class Check:
         return True
 
     def _say(self, level: Level, topic: str, text: str) -> None:
+        self.warnings += level == "warning"
         self.on_finding(Finding(level=level, topic=topic, text=text))
 
     @contextmanager

@@ -61,7 +61,7 @@ def test_an_ordinary_msgpack_library_reads_and_writes_them(tool: ModuleType) -> 
 @pytest.mark.parametrize(
     ("heading", "kinds", "own"),
     [
-        ("card", (PolicyCard,), {"arguments", "environment"}),
+        ("card", (PolicyCard,), set()),
         ("act", (Observation, CameraView), set()),
         ("actions", (Action,), set()),
     ],

@@ -11,7 +11,6 @@ import time
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 
-from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from carecontact.contract.action import Action, ActionBounds, check_action, clip_action
@@ -21,16 +20,9 @@ from carecontact.errors import ActionError, ContractError, PolicyError
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.messages import CLOSE, act_message, reset_message
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, is_map, unpack
+from carecontact.hosting.wire.refusals import closed, instead, wrong_keys
 
-EXAMPLES = {
-    "card": '{"type": "card", "card": {"name": "my-policy", "modalities": ["rgb"], "cameras": ["overhead"]}}',
-    "ready": '{"type": "ready"}',
-    "actions": '{"type": "actions", "actions": [{"pose_tcp_in_base": [x, y, z, qw, qx, qy, qz]}]}',
-}
-"""What a policy's server may send in place of what was refused; docs/wire.md describes every message."""
 NOTE_KEY = re.compile(r"[a-z][a-z0-9_]{0,63}")
-MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA = 1009, 1002, 1007
-"""Close codes of RFC 6455, section 7.4.1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +43,8 @@ class PolicyClient:
     _bounds: ActionBounds | None = None
     _clips = False
     """Whether the card requests that targets outside the workspace are clipped."""
+    _sent_bytes = 0
+    """Length of the last message."""
 
     def __init__(self, *, port: int, deadline_s: float, host: str = "127.0.0.1", credentials: str = "") -> None:
         """Connect and read nothing yet. ``credentials``: ``USER:PASSWORD`` for HTTP basic authorization, or nothing.
@@ -141,6 +135,7 @@ class PolicyClient:
 
     def _send(self, message: bytes, *, deadline_s: float) -> None:
         """A peer that does not read can block a send for ever; closing our end of the line unblocks it."""
+        self._sent_bytes = len(message)
         expired = threading.Event()
 
         def hang_up() -> None:
@@ -155,7 +150,7 @@ class PolicyClient:
         except Exception as error:
             if expired.is_set():
                 raise PolicyError("timeout", f"did not read its message within {deadline_s:g} s") from None
-            raise _closed(error) from None
+            raise closed(error, sent_bytes=self._sent_bytes) from None
         finally:
             timer.cancel()
 
@@ -167,15 +162,16 @@ class PolicyClient:
         try:
             frame = self._connection.recv(timeout=max(deadline_s - spent, 0.0))
         except TimeoutError:
-            raise PolicyError("timeout", f"no {kind} message within {deadline_s:g} s") from None
+            first = "; a policy's server sends its card first, without a request" if kind == "card" else ""
+            raise PolicyError("timeout", f"no {kind} message within {deadline_s:.3g} s{first}") from None
         except Exception as error:
-            raise _closed(error) from None
+            raise closed(error, sent_bytes=self._sent_bytes) from None
         if isinstance(frame, str):
-            raise PolicyError("garbage", f"expected a binary message, got text {frame!r:.200}; {_instead(kind)}")
+            raise PolicyError("garbage", f"expected a binary message, got text {frame!r:.200}; {instead(kind)}")
         try:
             message = unpack(frame, max_bytes=MAX_REPLY_BYTES)
         except ContractError as error:
-            raise PolicyError("garbage", f"{kind} {error}; {_instead(kind)}") from None
+            raise PolicyError("garbage", f"{kind} {error}; {instead(kind)}") from None
         entries = message if is_map(message) else {}
         if entries.get("type") == "error":
             said, reason = entries.get("kind"), entries.get("message")
@@ -183,15 +179,11 @@ class PolicyClient:
                 reason = f"the policy's server reported an error, expected its reason as text, got {reason!r:.80}"
             known = said if isinstance(said, str) and said in PolicyError.REPORTED else "exception"
             raise PolicyError(known, reason, notes=_notes(entries))
-        keys = set(entries) - ({"notes"} if kind == "actions" else set[str]())
-        if keys != {"type"} | ({field} if field else set()) or entries["type"] != kind:
-            got = f"keys {sorted(entries)}, type {entries.get('type')!r}" if entries else f"{message!r:.200}"
-            raise PolicyError("garbage", f"expected one {kind!r} message, got {got:.300}; {_instead(kind)}")
+        wrong = wrong_keys(entries, kind=kind, field=field)
+        if wrong is not None:
+            got = wrong if entries else f"{message!r:.200}"
+            raise PolicyError("garbage", f"expected one {kind!r} message, got {got:.300}; {instead(kind)}")
         return entries
-
-
-def _instead(kind: str) -> str:
-    return f"send {EXAMPLES[kind]} as one binary message of msgpack (docs/wire.md)"
 
 
 def _notes(entries: dict[str, object]) -> dict[str, object]:
@@ -207,13 +199,3 @@ def _check(action: Action, bounds: ActionBounds, *, clips: bool, place: str) -> 
         check_action(clip_action(action, bounds) if clips else action, bounds)
     except ActionError as error:
         raise ActionError(f"{place}.{error}") from None
-
-
-def _closed(error: Exception) -> PolicyError:
-    """ConnectionClosed, or the AssertionError of websockets when the peer vanishes in the middle of a call."""
-    sent = error.sent if isinstance(error, ConnectionClosed) else None
-    if sent is not None and sent.code == MESSAGE_TOO_BIG:
-        return PolicyError("oversize", f"expected a reply of at most {MAX_REPLY_BYTES} bytes, got a longer one")
-    if sent is not None and sent.code in (PROTOCOL_ERROR, INVALID_DATA):
-        return PolicyError("garbage", f"the reply is not WebSocket: {sent.reason}")
-    return PolicyError("died", "the connection closed without an answer")

@@ -1,0 +1,71 @@
+"""What is said of a message or a connection that is not what the wire allows, and what to send instead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from websockets.exceptions import ConnectionClosed
+
+from carecontact.errors import PolicyError
+from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
+
+EXAMPLES = {
+    "card": '{"type": "card", "card": {"name": "my-policy", "modalities": ["rgb"], "cameras": ["overhead"]}}',
+    "ready": '{"type": "ready"}',
+    "actions": '{"type": "actions", "actions": [{"pose_tcp_in_base": [x, y, z, qw, qx, qy, qz]}]}',
+}
+"""What a policy's server may send in place of what was refused; docs/wire.md describes every message."""
+MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA, INTERNAL_ERROR = 1009, 1002, 1007, 1011
+"""Close codes of RFC 6455, section 7.4.1."""
+
+
+def instead(kind: str) -> str:
+    """Return what a policy's server may send as a message of this kind."""
+    return f"send {EXAMPLES[kind]} as one binary message of msgpack (docs/wire.md)"
+
+
+def wrong_keys(entries: Mapping[str, object], *, kind: str, field: str | None) -> str | None:
+    """Return what is wrong with the keys of a message of type ``kind`` with one field; None if nothing is."""
+    wanted = {"type"} | ({field} if field else set[str]())
+    allowed = wanted | ({"notes"} if kind == "actions" else set[str]())
+    unknown, missing = sorted(entries.keys() - allowed), sorted(wanted - entries.keys())
+    if not unknown and not missing and entries["type"] == kind:
+        return None
+    keys = [f"{what} {', '.join(names)}" for what, names in (("unknown key", unknown), ("missing", missing)) if names]
+    return "; ".join([f"type {entries.get('type')!r}", *keys])
+
+
+def closed(error: Exception, *, sent_bytes: int) -> PolicyError:
+    """Return why a call failed.
+
+    Args:
+        error: ConnectionClosed, or the AssertionError of websockets when the peer vanishes in the middle of a call.
+        sent_bytes: length of the last message to the policy.
+    """
+    sent = error.sent if isinstance(error, ConnectionClosed) else None
+    received = error.rcvd if isinstance(error, ConnectionClosed) else None
+    if received is not None and isinstance(error, ConnectionClosed) and error.rcvd_then_sent is not False:
+        return PolicyError(
+            "oversize" if received.code == MESSAGE_TOO_BIG else "died", _refused(received.code, sent_bytes)
+        )
+    if sent is not None and sent.code == MESSAGE_TOO_BIG:
+        return PolicyError("oversize", f"expected a reply of at most {MAX_REPLY_BYTES} bytes, got a longer one")
+    if sent is not None and sent.code in (PROTOCOL_ERROR, INVALID_DATA):
+        return PolicyError("garbage", f"the reply is not WebSocket: {sent.reason}")
+    return PolicyError("died", "the connection closed without an answer")
+
+
+def _refused(code: int, sent_bytes: int) -> str:
+    """Why the policy's server closed the connection, by its close code."""
+    if code == MESSAGE_TOO_BIG:
+        return (
+            f"the policy's server refused a message of {sent_bytes} bytes (close code {code}): raise its limit, in "
+            "Python's websockets with serve(..., max_size=None)"
+        )
+    if code == INTERNAL_ERROR:
+        return (
+            f"the policy's server raised an exception (close code {code}): see its own output; it may send an error "
+            "message with the traceback instead (docs/wire.md). A common cause: msgpack cannot pack numpy's float32 or "
+            "bool_; send plain numbers"
+        )
+    return f"the policy's server closed the connection without an answer (close code {code})"
