@@ -65,6 +65,8 @@ def _bar(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
         tally = Tally(out, on_score=describe)
         try:
             yield show
+            # The bar stays on the terminal, so that it has to count the last trial too.
+            tally.close(wait=True)
         finally:
             tally.close()
 

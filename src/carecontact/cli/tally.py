@@ -59,7 +59,7 @@ class Tally:
             parts.append(f"{self.harness_failed} failed in the harness")
         if self._last_c1:
             parts.append(self._last_c1)
-        return ", ".join([*parts, self._left()]) + self._silence()
+        return ", ".join([*parts, *self._left()]) + self._silence()
 
     def heartbeat(self) -> str:
         return f"{time.monotonic() - self._began:6.0f} s [{self._done}/{self._total}] {self.text()}"
@@ -73,13 +73,15 @@ class Tally:
         since = time.monotonic() - 2 * WAIT_REPORT_S
         return "".join(f"; {trial_id} {line}" for trial_id, (at, line) in list(self._silent.items()) if at > since)
 
-    def _left(self) -> str:
+    def _left(self) -> list[str]:
+        if self._total and self._done == self._total:
+            return []
         if not self._ran:
-            return "time left unknown until a trial has ended"
+            return ["time left unknown until a trial has ended"]
         seconds = (time.monotonic() - self._began) / self._ran * (self._total - self._done)
         if seconds < 90:
-            return f"about {seconds:.0f} s left"
-        return f"about {seconds / 60:.0f} min left" if seconds < 5400 else f"about {seconds / 3600:.1f} h left"
+            return [f"about {seconds:.0f} s left"]
+        return [f"about {seconds / 60:.0f} min left" if seconds < 5400 else f"about {seconds / 3600:.1f} h left"]
 
     def _score(self, trial_id: str) -> None:
         from carecontact.runs.score_files import score_file
