@@ -21,7 +21,7 @@ class Run:
 
     policy: str
     """Name from `carecontact list policies`, or module:Class, importable from the current folder, or ws://HOST:PORT of
-    a policy that `carecontact serve` serves."""
+    a policy's server (see docs/wire.md)."""
     given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
     out: Path
     """Folder for recordings, results.json and report.html."""
