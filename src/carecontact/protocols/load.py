@@ -42,17 +42,14 @@ def merged_table(name_or_path: str) -> Table:
 
 
 def _validated(place: str, table: Table) -> Protocol:
-    try:
-        content = _with_neighbourhoods(_with_tissue(table))
-    except ConfigError as error:
-        raise ConfigError(f"{place}: person.tissue_set: {error}") from None
+    content = _with_neighbourhoods(_with_tissue(place, table))
     try:
         return Protocol.model_validate(content)
     except ValidationError as error:
         raise ConfigError(wrong_fields(place, error, model=Protocol, content=content)) from None
 
 
-def _with_tissue(table: Table) -> Table:
+def _with_tissue(place: str, table: Table) -> Table:
     """The rows of the tissue set that the file names, under what the file says of tissue itself."""
     person = table.get("person")
     if not isinstance(person, dict) or not isinstance(person.get("tissue_set"), str):
@@ -62,7 +59,10 @@ def _with_tissue(table: Table) -> Table:
     # A file that spells out every row may give its set any name.
     if not isinstance(own, dict) or all(_is_whole(own.get(name)) for name in soft):
         return table
-    rows = load_tissue_set(person["tissue_set"]).tissue
+    try:
+        rows = load_tissue_set(person["tissue_set"]).tissue
+    except ConfigError as error:
+        raise ConfigError(f"{place}: person.tissue_set: {error}") from None
     taken = {name: rows[name].model_dump() for name in soft if name in rows}
     return {**table, "person": {**person, "tissue": merged(taken, own)}}
 
