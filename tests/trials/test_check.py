@@ -154,4 +154,4 @@ def test_nothing_listens(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "ws://127.0.0.1:9"]) == 1
     out = capsys.readouterr().out
     assert "error    connection" in out
-    assert "Is the policy's server running" in out
+    assert "nothing listens at 127.0.0.1:9" in out

@@ -24,7 +24,6 @@ from carecontact.trials.first_answer import Finding, Level, look_at
 REMEDIES = {
     "expected a position inside the workspace": "Check frame (base of the robot) and unit (metres). A card with "
     "out_of_bounds clip has such targets moved onto the border.",
-    "Connection refused": "Is the policy's server running, and does it listen on this host and port?",
     "expected finite numbers": "Look for a division by 0 or an unset value in the policy's output.",
     "expected a quaternion of norm 1": "Divide the quaternion by its norm; its order is w x y z.",
 }
