@@ -43,7 +43,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFi
         ]
         with endpoint(*answers) as server:
             monkeypatch.setenv("OPENAI_BASE_URL", server.url)
-            assert main([*command, "--jobs", "1", "--out", str(out), "--record", str(record)]) == 0
+            assert main([*command, "--allow-failures", "--jobs", "1", "--out", str(out), "--record", str(record)]) == 0
         assert {asked["key"] for asked in server.asked} == {BEARER}
         _check_all_of_it(tmp_path, capfd.readouterr())
         rows = json.loads((out / "results.json").read_text())["trials"]
