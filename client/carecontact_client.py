@@ -39,8 +39,7 @@ def serve(
     slots = threading.Semaphore(at_once)
 
     def converse(connection: ServerConnection) -> None:
-        with slots:
-            _converse(make_policy, connection)
+        _converse(make_policy, connection, slots)
 
     with _listen(converse, host, port, compression=None, ping_interval=None, max_size=MAX_MESSAGE_BYTES) as server:
         on_port(server.socket.getsockname()[1])
@@ -82,16 +81,18 @@ def _poses(values: Any) -> list[list[float]]:
     return poses.tolist()
 
 
-def _converse(make_policy: Callable[[], Any], connection: ServerConnection) -> None:
+def _converse(make_policy: Callable[[], Any], connection: ServerConnection, slots: threading.Semaphore) -> None:
     policy = None
     try:
         policy = make_policy()
+        # Before the slot: a trial that waits for its turn knows that somebody is there.
         connection.send(encode({"type": "card", "card": policy.card}))
-        for frame in connection:
-            message = decode(frame)
-            if message["type"] == "close":
-                return
-            connection.send(encode(_answer(policy, message)))
+        with slots:
+            for frame in connection:
+                message = decode(frame)
+                if message["type"] == "close":
+                    return
+                connection.send(encode(_answer(policy, message)))
     except ConnectionClosed:
         return  # the trial ended without this policy
     except Exception:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
@@ -32,26 +33,29 @@ class Check:
 
     def __call__(self) -> int:
         """Return 1 if a run cannot work. Raises ConfigError for what does not exist."""
+        from carecontact.cli.one_trial import check_trial
         from carecontact.cli.policy import policy_setup
+        from carecontact.cli.policy_names import meant
         from carecontact.cli.vision import with_vision
-        from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
+        from carecontact.runs.plan import plan_trials
         from carecontact.runs.preflight import check_protocol
         from carecontact.trials.check import Check as Checked
 
         setup = policy_setup(self.policy, self.given)
         rules = with_vision(self.rules.load(), self.vision)
         check_protocol(rules)
-        tasks = parse_tasks(self.task or rules.tasks[0].id, protocol=rules)
-        seeds = parse_seeds(str(rules.randomization.seeds[0] if self.seed is None else self.seed), protocol=rules)
+        task = self.task or rules.tasks[0].id
+        seed = rules.randomization.seeds[0] if self.seed is None else self.seed
+        check_trial(rules, task=task, seed=seed)
         (spec, *_) = plan_trials(
-            protocol=rules, policy=setup.ref.text, tasks=tasks, seeds=seeds, arguments=setup.arguments,
+            protocol=rules, policy=setup.ref.text, tasks=[task], seeds=[seed], arguments=setup.arguments,
             environment=setup.environment,
         )  # fmt: skip
         print(f"{setup.ref}: the first observation of {spec.trial_id}, {rules.title}, twice", flush=True)
         check = Checked(spec=spec, policy=setup, weights=self.vision.weights, on_finding=_show)
         works = check.run()
         if not works:
-            print("a run would fail in every trial")
+            print(f"a run would fail in every trial{meant(self.policy, Path.cwd())}")
         elif check.warnings:
             print(f"a run can start, but look at the {check.warnings} warning(s) first")
         else:

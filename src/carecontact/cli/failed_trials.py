@@ -35,7 +35,7 @@ def print_failed(ended: Mapping[str, EndReason], *, out: Path) -> None:
     if harness:
         print(f"{len(harness)} trial(s) failed in the harness{_log(harness, out)}")
     if crashed or harness:
-        print("give the same command with --retry-failed to run them again")
+        print("to run them again: --restart after a change of the policy, --retry-failed if the cause lay outside it")
 
 
 def failed_status(ended: Mapping[str, EndReason], *, allow_failures: bool) -> int:

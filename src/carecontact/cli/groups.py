@@ -123,8 +123,8 @@ class JobsGroup:
 @dataclass(frozen=True, kw_only=True)
 class ArgumentsGroup:
     policy_arg: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
-    """Argument for the policy's constructor; `carecontact list policies` shows those of registered policies. Every
-    recording stores its name and value."""
+    """Argument for the policy's constructor; `carecontact list policies` shows those of registered policies. Recordings
+    store its name and value."""
     policy_env: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = ()
     """Environment variable of this shell to pass on to the policy's process. Recordings store its name, not its
     value."""

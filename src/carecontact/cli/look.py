@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from carecontact.cli.groups import FLAT, RulesGroup, VisionGroup
-from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
-    from carecontact.contract.protocol import Protocol
+    pass
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +29,7 @@ class Look:
 
     def __call__(self) -> int:
         """Raises ConfigError for a task or seed that the protocol does not have."""
+        from carecontact.cli.one_trial import check_trial
         from carecontact.cli.vision import with_vision
         from carecontact.contract.observation import MODALITIES
         from carecontact.contract.policy import CAMERAS, PolicyCard
@@ -38,7 +38,7 @@ class Look:
         from carecontact.runs.preflight import check_protocol
 
         rules = with_vision(self.rules.load(), self.vision)
-        self._check_trial(rules)
+        check_trial(rules, task=self.task, seed=self.seed)
         trial = f"{self.task}-s{self.seed:03d}"
         path = check_sheet_path(self.out or Path(f"look-{trial}.png"))
         check_protocol(rules)
@@ -49,13 +49,3 @@ class Look:
         save_sheet(observation, path, title=title)
         print(f"{path}: {self.task} seed {self.seed}, {len(CAMERAS)} cameras")
         return 0
-
-    def _check_trial(self, rules: Protocol) -> None:
-        from carecontact.runs.plan import compact
-
-        ids = [task.id for task in rules.tasks]
-        if self.task not in ids:
-            raise ConfigError(f"--task: {self.task!r} is not a task of {rules.id}; valid: {', '.join(ids)}")
-        if self.seed not in rules.randomization.seeds:
-            seeds = compact(rules.randomization.seeds)
-            raise ConfigError(f"--seed: {self.seed} is not a seed of {rules.id}; valid: {seeds}")

@@ -85,7 +85,9 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
         place = f" (looked in {setup.search_path[0]} first)" if setup.ref.kind == "importable" else ""
         where = "does not answer as a policy server" if setup.ref.kind == "remote" else f"does not start{place}"
         nearest = meant(setup.ref.text, Path.cwd()) if NOT_FOUND.search(str(error)) else ""
-        raise ConfigError(f"--policy {setup.ref} {where}: {reason(str(error))}{nearest}") from None
+        raise ConfigError(
+            f"--policy {setup.ref} {where}: {reason(str(error))}{nearest}; `carecontact check` shows all of it"
+        ) from None
 
 
 def arguments_text(setup: PolicySetup) -> str:

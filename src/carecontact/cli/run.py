@@ -40,12 +40,12 @@ class Run:
     names the difference."""
     parallel: Annotated[JobsGroup, FLAT] = field(default_factory=JobsGroup)
     retry_failed: Switch = False
-    """Also run those trials again in which the policy's process failed (process_failure) or the harness failed
-    (harness_error). The harness is the benchmark's own process that runs a trial."""
+    """Run trials again in which the policy crashed (process_failure) or the harness failed (harness_error). The harness
+    is the benchmark's own process that runs a trial."""
     restart: Switch = False
     """Begin the folder anew: carecontact moves an earlier run in --out to a folder beside it, and deletes nothing."""
     allow_failures: Switch = False
-    """Exit with status 0 also if the policy crashed in a trial; without it, the status is then 3."""
+    """Exit with status 0 if the policy crashed in a trial. Without this option, the status is 3."""
 
     after_interrupt: ClassVar[str] = "; finished trials are kept; give the same command again to continue"
 

@@ -20,7 +20,7 @@ from carecontact.errors import ActionError, ContractError, PolicyError
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.messages import CLOSE, act_message, reset_message
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, is_map, unpack
-from carecontact.hosting.wire.refusals import closed, instead, wrong_keys
+from carecontact.hosting.wire.refusals import LATE, closed, instead, wrong_keys
 
 NOTE_KEY = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
@@ -162,8 +162,8 @@ class PolicyClient:
         try:
             frame = self._connection.recv(timeout=max(deadline_s - spent, 0.0))
         except TimeoutError:
-            first = "; a policy's server sends its card first, without a request" if kind == "card" else ""
-            raise PolicyError("timeout", f"no {kind} message within {deadline_s:.3g} s{first}") from None
+            late = f"no {kind} message within {deadline_s:.3g} s{LATE.get(kind, '')}"
+            raise PolicyError("timeout", late) from None
         except Exception as error:
             raise closed(error, sent_bytes=self._sent_bytes) from None
         if isinstance(frame, str):

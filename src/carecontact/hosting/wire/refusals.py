@@ -15,6 +15,8 @@ EXAMPLES = {
     "actions": '{"type": "actions", "actions": [{"pose_tcp_in_base": [x, y, z, qw, qx, qy, qz]}]}',
 }
 """What a policy's server may send in place of what was refused; docs/wire.md describes every message."""
+LATE = {"card": "; a server sends its card first, unasked; if it serves one trial at a time, run with --jobs 1"}
+"""Kind of a message that did not come -> what may help."""
 MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA, INTERNAL_ERROR = 1009, 1002, 1007, 1011
 """Close codes of RFC 6455, section 7.4.1."""
 

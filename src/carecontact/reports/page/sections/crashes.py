@@ -16,7 +16,7 @@ MOST = 12
 TEMPLATE = """\
 <section class="caution crashes">
 <h2>The policy crashed in {{ n_crashed }} of {{ n }} trials</h2>
-<p class="note">Such a trial counts as a failure, and neither as safe nor as unsafe. The same command with --retry-failed runs {{ "it" if n_crashed == 1 else "them" }} again.</p>
+<p class="note">Such a trial counts as a failure, and neither as safe nor as unsafe. To run {{ "it" if n_crashed == 1 else "them" }} again, give the same command with --restart after a change of the policy, or with --retry-failed if the cause lay outside it.</p>
 <dl>
 {% for crash in crashes %}
 <dt>{{ crash.trials }}</dt>
