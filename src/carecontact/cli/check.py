@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Try a policy on one real observation: start, card, answer, limits and latency. Nothing is recorded."""
+    """Try a policy on one real observation: start, card, answer, limits and latency. No trial is recorded."""
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
-    """Name from `carecontact list policies`, or module:Class, importable from the current folder, or ws://HOST:PORT of
-    a policy's server (see docs/wire.md)."""
+    """One of: a name from `carecontact list policies`; a module:Class that can be imported from the current folder; or
+    ws://HOST:PORT, the address of a policy's server (see docs/wire.md)."""
     given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
     task: str | None = None
     """Task whose instruction and first observation the policy is given; default: the protocol's first."""

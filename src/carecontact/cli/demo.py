@@ -20,8 +20,8 @@ SEED = 0
 
 @dataclass(frozen=True, kw_only=True)
 class Demo:
-    """Run the seven tasks once with the state machine, into a fresh folder. The command fails unless the robot
-    really touched, pushed and scrubbed."""
+    """Run the seven tasks once with the state machine. The command fails unless the robot really touched, pushed and
+    scrubbed."""
 
     out: Path = Path("runs/demo")
     """Folder for the demo. The command replaces an earlier demo in it, and refuses a folder that holds anything

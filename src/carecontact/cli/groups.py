@@ -123,11 +123,11 @@ class JobsGroup:
 @dataclass(frozen=True, kw_only=True)
 class ArgumentsGroup:
     policy_arg: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
-    """Argument for the policy's constructor; `carecontact list policies` shows those of registered policies. Recordings
-    store its name and value."""
+    """Argument for the policy's constructor; `carecontact list policies` shows those of registered policies. Repeat the
+    option for more. The recordings of a run store name and value."""
     policy_env: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = ()
-    """Environment variable of this shell to pass on to the policy's process. Recordings store its name, not its
-    value."""
+    """Environment variable of this shell to pass on to the policy's process. Repeat the option for more. The recordings
+    of a run store its name, not its value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,4 +136,5 @@ class PolicyGroup(ArgumentsGroup):
     """Language backend: rules-v1, replay:FILE.jsonl or live:MODEL, as far as the policy supports it (see
     docs/language.md); default: the policy's own choice."""
     record: Path | None = None
-    """Replay file to which carecontact appends the completions of --language live:MODEL."""
+    """File to which carecontact appends the answers of the model of --language live:MODEL, so that --language
+    replay:FILE.jsonl can repeat them."""

@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class List:
-    """List the names that the command line accepts."""
+    """List names: those that the command line accepts, and those that a protocol or a region of your own may use."""
 
     what: Annotated[
         Literal[
@@ -72,9 +72,9 @@ def _segments(protocol: str) -> list[tuple[str, str]]:
     from carecontact.regions import JOINTS, SEGMENTS
     from carecontact.regions.anatomy import LIMB_PARTS
 
-    rows = [(name, "For segment and neighbourhood of a region.") for name in SEGMENTS]
-    rows += [(name, "For closed_by of a region's shape.") for name in LIMB_PARTS]
-    return [*rows, *((name, "For joints of a region's sight.") for name in JOINTS)]
+    rows = [(name, "Body segment: a value of `segment` and `neighbourhood` of a region.") for name in SEGMENTS]
+    rows += [(name, "Limb part: a value of `closed_by` in a region's shape.") for name in LIMB_PARTS]
+    return [*rows, *((name, "Joint: a value of `joints` in a region's sight.") for name in JOINTS)]
 
 
 def _policies(protocol: str) -> list[tuple[str, str]]:

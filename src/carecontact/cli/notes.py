@@ -11,8 +11,9 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class Notes:
-    """Draw what a policy noted in a trial, on top of the image that it saw: the state machine's options and choice,
-    VoxPoser's value maps and paths, or the program that was stopped."""
+    """Draw what a policy noted in a trial, on top of the image that it saw: the options and the choice of
+    state-machine, or the value maps and paths of voxposer. If voxposer planned nothing, draw its program and what
+    stopped it."""
 
     recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRIAL.h5")]
     """Recording of one trial of state-machine, voxposer or voxposer-phased."""

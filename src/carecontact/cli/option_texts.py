@@ -12,9 +12,6 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import tyro
 
-NOTHING = (None, False, ())
-"""Defaults that a text need not name: the option is not given."""
-
 
 @cache
 def described(command: type[Any]) -> type[Any]:
@@ -51,7 +48,7 @@ def _text(docstring: str, default: object) -> Any:
     text = " ".join(docstring.split())
     if default is MISSING:
         return tyro.conf.arg(help=text, help_behavior_hint="(required)")
-    if any(default is value or default == value for value in NOTHING):
+    if default is None or default is False or default == ():
         return tyro.conf.arg(help=text, help_behavior_hint="")
     return tyro.conf.arg(help=text)
 

@@ -20,8 +20,8 @@ SCHEMA = "carecontact-probe-1"
 
 @dataclass(frozen=True, kw_only=True)
 class Probe:
-    """Check that C1, C2, C4 and C5 follow the quantities that they measure: run one scripted sweep for each in
-    simulation, and plot the sweeps."""
+    """Check that C1, C2, C4 and C5 follow the quantities that they measure: for each score, simulate scripted
+    trials in which one quantity changes step by step (a sweep, for example of the commanded depth), and plot them."""
 
     metrics: str = "all"
     """Ids separated by commas, such as C1,C5 (short for C1@1,C5@1), or all (C1@1, C2@1, C4@1, C5@1)."""

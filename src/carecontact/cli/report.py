@@ -21,8 +21,8 @@ class Report:
 
     folder: Folder
     baseline: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")] = ()
-    """Runs of blind baselines on the same protocol. The report shows their success rates beside this run, and keeps
-    them when you write it again; name others to replace them."""
+    """Runs of blind baselines on the same protocol. The report shows their success rates beside those of this run.
+    Later reports of this run show the same baselines, until you name others."""
     rescore: Switch = False
     """Compute the scores again from the recordings in place of reading results.json, which stays as it is."""
 

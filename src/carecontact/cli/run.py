@@ -20,8 +20,8 @@ class Run:
     that are missing."""
 
     policy: str
-    """Name from `carecontact list policies`, or module:Class, importable from the current folder, or ws://HOST:PORT of
-    a policy's server (see docs/wire.md)."""
+    """One of: a name from `carecontact list policies`; a module:Class that can be imported from the current folder; or
+    ws://HOST:PORT, the address of a policy's server (see docs/wire.md)."""
     given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
     out: Path
     """Folder for recordings, results.json and report.html."""
@@ -32,20 +32,21 @@ class Run:
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
     physics: Annotated[PhysicsGroup, FLAT] = field(default_factory=PhysicsGroup)
     stiffness: float | None = None
-    """Stiffness of the arm's translation [N/m], in place of the protocol's; every output names this change. It does
-    not change a stiffness that the policy commands itself."""
+    """Translational stiffness of the robot's impedance control [N/m], in place of the protocol's; every output names
+    this change. If the policy commands a stiffness itself, that one applies."""
     vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
     unfrozen: Switch = False
     """Run a frozen protocol even if it differs from its lock (see `carecontact protocol verify`). Every output then
     names the difference."""
     parallel: Annotated[JobsGroup, FLAT] = field(default_factory=JobsGroup)
     retry_failed: Switch = False
-    """Run trials again in which the policy crashed (process_failure) or the harness failed (harness_error). The harness
-    is the benchmark's own process that runs a trial."""
+    """Run again the trials in which the policy crashed (process_failure) or the harness failed (harness_error). The
+    harness is the benchmark's own process that runs a trial."""
     restart: Switch = False
     """Begin the folder anew: carecontact moves an earlier run in --out to a folder beside it, and deletes nothing."""
     allow_failures: Switch = False
-    """Exit with status 0 if the policy crashed in a trial. Without this option, the status is 3."""
+    """Exit with status 0 even if the policy crashed in a trial. Without this option, the status is then 3. If the
+    harness failed, the status is 1 in either case."""
 
     after_interrupt: ClassVar[str] = "; finished trials are kept; give the same command again to continue"
 

@@ -19,7 +19,7 @@ class Score:
     allow_missing: Switch = False
     """Replace results.json even if planned trials have no recording that can be scored."""
     jobs: int | None = None
-    """Number of processes; default: one per core, fewer for a few recordings."""
+    """Number of processes; default: one per core, or a smaller number if there are few recordings."""
 
     after_interrupt: ClassVar[str] = ""
 
