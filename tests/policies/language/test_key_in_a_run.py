@@ -29,18 +29,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFi
     def made(*answers: Answer, seeds: str) -> list[dict[str, Any]]:
         """Rows of the results, in the order of the trials."""
         out, record = tmp_path / "run", tmp_path / "said.jsonl"
-        command = [
-            "run",
-            "--allow-failures",
-            "--policy",
-            "state-machine",
-            "--language",
-            "live:m-1",
-            "--tasks",
-            "T1",
-            "--seeds",
-            seeds,
-        ]
+        command = ["run", "--policy", "state-machine", "--language", "live:m-1", "--tasks", "T1", "--seeds", seeds]
         with endpoint(*answers) as server:
             monkeypatch.setenv("OPENAI_BASE_URL", server.url)
             assert main([*command, "--allow-failures", "--jobs", "1", "--out", str(out), "--record", str(record)]) == 0
