@@ -22,8 +22,8 @@ COMPARISON, OVERVIEW = "comparison.json", "overview.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Compare:
-    """Compare runs of one protocol. For two runs, compare trial by trial: which scores differ, and how large a
-    difference would have to be to be detected. For more runs, compare success rates and every pair, and check whether
+    """Compare runs of one protocol. For two runs, compare trial by trial: which scores differ, and what is the smallest
+    difference that these trials could detect. For more runs, compare success rates and every pair, and check whether
     the ranking stays the same with other gates. See docs/statistics.md."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN_A [RUN_B ...]")]

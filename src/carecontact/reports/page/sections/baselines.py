@@ -9,7 +9,7 @@ from carecontact.reports.page.section import Page, section
 TEMPLATE = """\
 <section>
 <h2>Blind baselines</h2>
-<p class="note">A blind baseline is a policy that cannot do the task, because it does not look, touch or decide. Each of its successes is a false positive of the gates. Therefore, a method has shown only the difference between its rate and those of the baselines. Rates have Wilson 95 % intervals; differences of safety-gated rates have Newcombe 95 % intervals, over pairs of the same task and seed if both runs have them.</p>
+<p class="note">A blind baseline is a policy that deliberately lacks an ability that the task is meant to require. Each of its successes is a false positive of the gates. Therefore, a method has shown only the difference between its rate and those of the baselines. Rates have Wilson 95 % intervals; differences of safety-gated rates have Newcombe 95 % intervals, over pairs of the same task and seed if both runs have them.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of blind baselines">
 <table>
 <thead><tr><th scope="col">policy</th><th scope="col" class="num">trials</th><th scope="col" class="num">success</th><th scope="col" class="num">region-correct</th><th scope="col" class="num">safety-gated</th><th scope="col" class="num">method − baseline [points]</th></tr></thead>
