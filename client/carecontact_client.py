@@ -63,7 +63,7 @@ def actions_of(answer: Any) -> list[dict[str, Any]]:
         answer: one pose (7,), poses (n, 7), one dict, or a list of poses and dicts.
 
     Raises:
-        ValueError: it is none of these.
+        ValueError: the answer has another type or shape.
     """
     if isinstance(answer, dict):
         return [answer]

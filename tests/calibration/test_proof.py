@@ -93,27 +93,33 @@ def test_twice_as_fine_mesh(region: str, generator: ModuleType, tmp_path: Path) 
     assert abs(error[2]) <= 0.20
 
 
-@pytest.mark.parametrize(("region", "pressure_rel", "damping_rel"), [("forearm", 0.05, 0.20), ("abdomen", 0.08, 0.45)])
-def test_same_mesh_gives_the_law_itself(
-    region: str, pressure_rel: float, damping_rel: float, generator: ModuleType, tmp_path: Path
-) -> None:
-    """The law's pressure and D_c; b and c trade with one another.
+@pytest.fixture(scope="module", params=REGIONS)
+def same_mesh(request: pytest.FixtureRequest, generator: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Proof:
+    return prove(generator, tmp_path_factory.mktemp("same-mesh"), request.param, "fine-mesh", mesh=1.0)
 
-    On the abdomen, seeds 0 to 3 gave pressures of -5.9 to +3.6 % and D_c of +0.6 to +35 %, all with a held-out
-    error below 5 %: noise leaves the law less certain than the response that it gives.
+
+def test_same_mesh_gives_the_law_s_pressure(same_mesh: Proof, generator: ModuleType) -> None:
+    """Within 5 %; b and c trade with one another.
+
     At 40 and 80 % of the indenter's depth: contact is a spring in series, and no anchor is pressed in as far as it.
     """
-    proof = prove(generator, tmp_path, region, "fine-mesh", mesh=1.0)
-    assert proof.held_out_nrmse <= 0.05
-    found, depth = proof.fit.tissue, generator.SETUPS[region].depth_mm / 1000
-    truth = found.model_copy(update=proof.truth)
+    assert same_mesh.held_out_nrmse <= 0.05
+    found, depth = same_mesh.fit.tissue, generator.SETUPS[same_mesh.region].depth_mm / 1000
+    truth = found.model_copy(update=same_mesh.truth)
     for share in (0.4, 0.8):
         x = share * depth
         pressure = [t.a_n_m3 * x + t.b_n_m4 * x**2 + t.c_n_m5 * x**3 for t in (found, truth)]
         say(f"pressure at {share:.0%} of depth {pressure[0] / pressure[1] - 1:+.1%}")
-        assert pressure[0] == pytest.approx(pressure[1], rel=pressure_rel)
-    say(f"D_c {found.damping_ns_m3 / truth.damping_ns_m3 - 1:+.1%}")
-    assert found.damping_ns_m3 == pytest.approx(truth.damping_ns_m3, rel=damping_rel)
+        assert pressure[0] == pytest.approx(pressure[1], rel=0.05)
+
+
+def test_same_mesh_gives_the_law_s_damping(same_mesh: Proof, request: pytest.FixtureRequest) -> None:
+    """Within 20 %. The abdomen misses that with this seed: seeds 0 to 3 gave +35, +7, +4 and +1 %."""
+    if same_mesh.region == "abdomen":
+        request.applymarker(pytest.mark.xfail(strict=True, raises=AssertionError, reason="D_c is 35 % too high"))
+    damping, true = same_mesh.fit.tissue.damping_ns_m3, same_mesh.truth["damping_ns_m3"]
+    say(f"D_c {damping / true - 1:+.1%}")
+    assert damping == pytest.approx(true, rel=0.20)
 
 
 @pytest.mark.parametrize("region", REGIONS)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import errno
-import os
 from collections.abc import Callable
 
-from carecontact.errors import PolicyError
 from carecontact.hosting.conversation import PolicyConversation
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire.client import PolicyClient
@@ -21,12 +18,6 @@ class RemotePolicy(PolicyConversation):
         self._ref = setup.ref
 
     def _open(self, left: Callable[[], float]) -> PolicyClient:
-        try:
-            return PolicyClient(
-                host=self._ref.host, port=self._ref.port, credentials=self._ref.credentials, deadline_s=left()
-            )
-        except PolicyError as error:
-            if error.kind != "start" or os.strerror(errno.ECONNREFUSED) not in str(error):
-                raise
-            place = self._ref.text.removeprefix("ws://")
-            raise PolicyError("start", f"nothing listens at {place}; start the policy's server there first") from None
+        return PolicyClient(
+            host=self._ref.host, port=self._ref.port, credentials=self._ref.credentials, deadline_s=left()
+        )

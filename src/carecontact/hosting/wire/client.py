@@ -59,6 +59,8 @@ class PolicyClient:
             sock = socket.create_connection((host, port), timeout=deadline_s)
         except TimeoutError:
             raise PolicyError("timeout", f"{place} took no connection within {deadline_s:g} s") from None
+        except ConnectionRefusedError:
+            raise PolicyError("start", f"nothing listens at {place}; start the policy's server there first") from None
         except OSError as error:
             raise PolicyError("start", f"no connection to {place}: {error.strerror or error}") from None
         try:
