@@ -22,7 +22,7 @@ from carecontact.sim.simulation import Settled, Simulation
 QUICK_TRIAL_S = 0.1
 """Length of the policies' own trials in the quick form: one observation, with the robot parked."""
 QUICK_ACTIONS_PER_LOOK = 3
-"""Of presses with images, in the quick form: an observation every 0.15 s. All others observe at every action."""
+"""In the quick form, presses with images observe every 0.15 s. All other presses observe at every action."""
 BLIND = PolicyCard(name="every policy", control_hz=CONTROL_HZ)
 
 

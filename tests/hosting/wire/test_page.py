@@ -13,13 +13,25 @@ import msgpack
 import numpy as np
 import pytest
 
-from carecontact.contract.action import Action
+from carecontact.contract.action import MAX_CHUNK, Action
 from carecontact.contract.observation import CameraView, Observation
 from carecontact.contract.policy import PolicyCard
+from carecontact.hosting.conversation import BUDGET_S
 from carecontact.hosting.wire import codec
-from carecontact.hosting.wire.packing import unpack
+from carecontact.hosting.wire.packing import (
+    DTYPES,
+    MAX_DEPTH,
+    MAX_ITEMS,
+    MAX_MESSAGE_BYTES,
+    MAX_REPLY_BYTES,
+    MAX_TEXT_BYTES,
+    unpack,
+)
+from carecontact.protocols import load_protocol
+from carecontact.sight import LANDMARK
 
 ROOT = Path(__file__).parents[3]
+OBSERVED = np.array([0.25, 0.375, 0.5, 0.0, 1.0, 0.0, 0.0])
 PAGE = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8")
 
 
@@ -72,3 +84,34 @@ def test_every_field_stands_in_its_table(heading: str, kinds: tuple[type, ...], 
     rows = {name for row in re.findall(r"^\| (`.*?) \|", text, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)}
     fields = {field.name for kind in kinds for field in dataclasses.fields(kind)}
     assert rows == fields - own
+
+
+def test_the_page_s_python_reads_and_writes_messages(tool: ModuleType) -> None:
+    (block,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    answer = {"type": "actions", "actions": [{"pose_tcp_in_base": OBSERVED, "done": np.bool_(True)}]}
+    scope = {"np": np, "msgpack": msgpack, "frame": tool.messages()["act"], "answer": answer}
+    exec(block, scope)
+    np.testing.assert_array_equal(scope["message"]["observation"]["cameras"]["overhead"]["rgb"].ravel(), np.arange(6))
+    (action,) = codec.decode_actions(unpack(scope["frame"])["actions"])
+    np.testing.assert_array_equal(action.pose_tcp_in_base, OBSERVED)
+    assert action.done
+
+
+def test_the_limits_are_those_of_the_code() -> None:
+    phases = load_protocol().phases
+    for stated in (
+        f"{phases.first_call_deadline_s:g} s each", f"{phases.call_deadline_s:g} s (`phases.call_deadline_s`)",
+        f"{BUDGET_S / 3600:g} hour", f"{MAX_MESSAGE_BYTES >> 20} MiB", f"{MAX_REPLY_BYTES >> 20} MiB",
+        f"{MAX_ITEMS:,} entries", f"{MAX_TEXT_BYTES >> 10} KiB", f"{MAX_DEPTH} levels", f"1 to {MAX_CHUNK:,} actions",
+        *DTYPES,
+    ):  # fmt: skip
+        assert stated in PAGE, stated
+
+
+def test_the_instructions_and_the_landmarks_are_those_of_the_code() -> None:
+    text = " ".join(PAGE.split())
+    assert all(f'"{task.prompt}"' in text for task in load_protocol().tasks)
+    left = [LANDMARK[f"left {joint}"] for joint in ("shoulder", "elbow", "wrist", "hip")]
+    right = [LANDMARK[f"right {joint}"] for joint in ("shoulder", "elbow", "wrist", "hip")]
+    assert f"{left[0]}, {left[1]}, {left[2]} and {left[3]} are the person's left shoulder, elbow, wrist and hip" in text
+    assert f"and {right[0]}, {right[1]}, {right[2]} and {right[3]} the right ones" in text
