@@ -16,7 +16,6 @@ HARNESS_FAILED, POLICY_CRASHED = 1, 3
 """Exit status."""
 TRACE_LINES, PRINTED_LINES = 6, 4
 """Last lines of a traceback and of what the policy printed that a terminal shows; the report has all of them."""
-PRINTED = "\nit printed last:\n"
 
 
 def print_failed(ended: Mapping[str, EndReason], *, out: Path) -> None:
@@ -57,6 +56,7 @@ def _log(trials: list[str], out: Path) -> str:
 def _excerpt(recording: Path) -> list[str]:
     from carecontact.hosting.conversation import readable
     from carecontact.recording import read_header
+    from carecontact.recording.reason import PRINTED
 
     try:
         failure = read_header(recording).failure

@@ -9,14 +9,14 @@ from carecontact.recording.schema import Failure
 _PLAIN = ("action", "language", "program")
 """Kinds of failure whose messages are not tracebacks, but may hold words that a program or a language model chose."""
 _TRACEBACK = "Traceback (most recent call last):"
-_PRINTED = "\nit printed last:\n"
+PRINTED = "\nit printed last:\n"
 _RAISED = re.compile(r"^[A-Za-z_][\w.]*(Error|Exception|Exit|Interrupt|Warning)\b")
 
 
 def reason_of(failure: Failure) -> str:
     """As ``reason``, but what is not a traceback is kept as it is: nobody may write the reason of a failure."""
     if failure.kind in _PLAIN:
-        return " ".join(failure.message.partition(_PRINTED)[0].split())
+        return " ".join(failure.message.partition(PRINTED)[0].split())
     return reason(failure.message)
 
 
@@ -25,7 +25,7 @@ def reason(message: str) -> str:
 
     What a policy printed is not a reason, whatever it looks like.
     """
-    said = message.partition(_PRINTED)[0]
+    said = message.partition(PRINTED)[0]
     _, trace, after = said.rpartition(_TRACEBACK)
     lines = after.splitlines() if trace else said.splitlines()[1:]
     # Everything in a traceback is indented but the exception. One that was cut at its start is known by the name alone.
