@@ -14,7 +14,7 @@ from typing import Self
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard, Session
 from carecontact.errors import PolicyError
-from carecontact.hosting.wire.client import ActReply, PolicyClient
+from carecontact.hosting.client import ActReply, Client
 
 GRACE_S = 1.0
 """Between being asked to end and being cut off."""
@@ -50,7 +50,7 @@ class PolicyConversation(ABC):
         self._first_deadline_s, self._deadline_s = first_deadline_s, deadline_s
         self._budget_s = self._left_s = budget_s
         self._acted = False
-        self._client: PolicyClient | None = None
+        self._client: Client | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -94,7 +94,7 @@ class PolicyConversation(ABC):
         self._drop()
 
     @abstractmethod
-    def _open(self, left: Callable[[], float]) -> PolicyClient:
+    def _open(self, left: Callable[[], float]) -> Client:
         """Reach the policy within the seconds that are ``left``."""
 
     def _shown(self, text: str) -> str:
@@ -117,7 +117,7 @@ class PolicyConversation(ABC):
             with suppress(Exception):
                 client.disconnect()
 
-    def _connected(self) -> PolicyClient:
+    def _connected(self) -> Client:
         if self._client is None:
             raise RuntimeError(f"{type(self).__name__}: call start() first, and nothing after a failure or close()")
         return self._client

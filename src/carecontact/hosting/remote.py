@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from carecontact.hosting.client import Client
 from carecontact.hosting.conversation import PolicyConversation
 from carecontact.hosting.setup import PolicySetup
-from carecontact.hosting.wire.client import PolicyClient
+from carecontact.hosting.wire.client import PolicyClient, basic_authorization
+from carecontact.hosting.wire.connection import Connection
 
 
 class RemotePolicy(PolicyConversation):
@@ -17,7 +19,10 @@ class RemotePolicy(PolicyConversation):
         super().__init__(setup.ref.text, first_deadline_s=first_deadline_s, deadline_s=deadline_s)
         self._ref = setup.ref
 
-    def _open(self, left: Callable[[], float]) -> PolicyClient:
+    def _open(self, left: Callable[[], float]) -> Client:
+        ref = self._ref
         return PolicyClient(
-            host=self._ref.host, port=self._ref.port, credentials=self._ref.credentials, deadline_s=left()
+            Connection.open(
+                host=ref.host, port=ref.port, deadline_s=left(), authorization=basic_authorization(ref.credentials)
+            )
         )

@@ -11,7 +11,6 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -25,6 +24,7 @@ from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError, PolicyError
 from carecontact.hosting.wire.client import PolicyClient
+from carecontact.hosting.wire.connection import Connection
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, pack
 from carecontact.hosting.wire.server import _answer
 from tests.hosting.wire.fuzz import LAYERS, Plain, framed, replies, requests, spoilt, spoilt_transport
@@ -59,9 +59,8 @@ class Peer:
         # The handshake is over: what arrives now are frames.
         self.connection.response = object()  # pyright: ignore[reportAttributeAccessIssue]
         self.connection.pending_legacy_warning = False
-        self.client = PolicyClient.__new__(PolicyClient)
-        self.client._stack, self.client._bounds = ExitStack(), BOUNDS
-        self.client._connection = self.connection
+        self.client = PolicyClient(Connection(self.connection))
+        self.client._bounds = BOUNDS
 
     def hear(self, kind: str, wire: bytes, *, last: bool) -> Heard:
         """What the harness makes of raw bytes that answer a request of that kind; the card comes unasked."""
@@ -78,11 +77,11 @@ class Peer:
                 self.theirs.shutdown(socket.SHUT_WR)
 
         def send(message: bytes, *, deadline_s: float) -> None:
-            PolicyClient._send(self.client, message, deadline_s=deadline_s)
+            Connection.send(self.client.connection, message, deadline_s=deadline_s)
             assert self.theirs.recv(1 << 20)
             answer()
 
-        self.client._send = send
+        self.client.connection.send = send
         if kind == "card":
             answer()
             return self.client.card(deadline_s=DEADLINE_S)
