@@ -21,11 +21,8 @@ class PolicyClient(Client):
     """Speaks the native wire (docs/wire.md)."""
 
     def card(self, *, deadline_s: float) -> PolicyCard:
-        """Receive the card, which also says whether targets outside the workspace are clipped."""
         frame = self.connection.receive("card", deadline_s=deadline_s, late=LATE["card"])
-        card = codec.decode_card(_decoded(frame, "card", "card")["card"])
-        self._clips = card.out_of_bounds == "clip"
-        return card
+        return self._shows(codec.decode_card(_decoded(frame, "card", "card")["card"]))
 
     def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None:
         message = reset_message(instruction, session)

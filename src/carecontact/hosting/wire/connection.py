@@ -75,12 +75,18 @@ class Connection:
                 "handshake", f"the WebSocket handshake with the policy server failed: {told:.300}"
             ) from None
 
-    def expect_silence(self) -> None:
-        """An answer that is there before its question would count for an observation that it never saw."""
+    def waiting(self) -> bytes | str | None:
+        """A frame that has come already."""
         try:
-            frame = self._websocket.recv(timeout=0)
+            return self._websocket.recv(timeout=0)
         except Exception:
             # Nothing there, as it should be; or the line is closed, which the request itself will tell.
+            return None
+
+    def expect_silence(self) -> None:
+        """An answer that is there before its question would count for an observation that it never saw."""
+        frame = self.waiting()
+        if frame is None:
             return
         raise PolicyError("garbage", f"expected no message before the next request, got one of {len(frame)} bytes")
 
