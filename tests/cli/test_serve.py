@@ -12,6 +12,8 @@ import pytest
 from carecontact.cli import main
 from carecontact.cli.groups import PolicyGroup
 from carecontact.cli.policy import CREDENTIALS, policy_setup
+from carecontact.contract.policy_ref import API_KEY
+from carecontact.errors import ConfigError
 from carecontact.recording import read_recording
 from carecontact.trials.request import TrialRequest
 from tests.cli.test_run_and_demo import fake
@@ -45,6 +47,19 @@ def test_credentials_may_come_from_a_variable(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv(CREDENTIALS, "user:secret")
     assert policy_setup("ws://h:80", PolicyGroup()).ref.credentials == "user:secret"
     assert policy_setup("ws://me:mine@h:80", PolicyGroup()).ref.credentials == "me:mine"
+
+
+def test_a_dialects_key_comes_from_its_own_variable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CREDENTIALS, "user:secret")
+    assert policy_setup("openpi://h:80", PolicyGroup()).ref.credentials == ""
+    monkeypatch.setenv(API_KEY, "sk-key")
+    setup = policy_setup("openpi://h:80?profile=pi05-droid", PolicyGroup())
+    assert setup.ref.credentials == "sk-key"
+    assert "sk-key" not in repr(setup)
+    monkeypatch.setenv(API_KEY, "sk-key\r\nX: y")
+    with pytest.raises(ConfigError, match="CARECONTACT_API_KEY: expected one line of printable ASCII") as caught:
+        policy_setup("openpi://h:80", PolicyGroup())
+    assert "sk-key" not in str(caught.value)
 
 
 def test_a_server_that_is_not_there_is_told_before_anything_runs(

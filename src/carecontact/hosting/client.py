@@ -70,6 +70,11 @@ class Client(ABC):
     @abstractmethod
     def _end(self, *, deadline_s: float) -> None: ...
 
+    def _shows(self, card: PolicyCard) -> PolicyCard:
+        """Keep what the card says of actions, and pass it on."""
+        self._clips = card.out_of_bounds == "clip"
+        return card
+
     def _checked(self, actions: Sequence[Action]) -> list[Action]:
         """Raises ActionError naming the first action that is not within the contract."""
         assert self._bounds is not None

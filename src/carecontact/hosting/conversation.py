@@ -43,6 +43,9 @@ class PolicyConversation(ABC):
     on_wait: Callable[[str], None] | None = None
     """Called every WAIT_REPORT_S seconds while the policy is silent, with one line; another thread calls it."""
 
+    on_sent: Callable[[bytes], None] | None = None
+    """Called with every message that has been sent to the policy."""
+
     def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S) -> None:
         """``first_deadline_s`` holds for the start, each reset and the first act, when models load; ``deadline_s`` for
         every later act; ``budget_s`` for all of them together."""
@@ -74,6 +77,7 @@ class PolicyConversation(ABC):
                 return max(deadline - time.monotonic(), 0.0)
 
             self._client = self._open(left)
+            self._client.connection.on_sent = self.on_sent
             return self._client.card(deadline_s=left())
 
     def reset(self, instruction: str, session: Session) -> None:
