@@ -183,5 +183,6 @@ def _rows(registry: Registry[T], meaning: Callable[[T], str]) -> list[tuple[str,
 
 KINDS = {
     "tasks": _tasks, "actions": _actions, "regions": _regions, "segments": _segments, "spaces": _spaces,
-    "controls": _controls, "policies": _policies, "protocols": _protocols, "bodies": _bodies, "tissue": _tissue, "metrics": _metrics,
+    "controls": _controls, "policies": _policies, "protocols": _protocols, "bodies": _bodies, "tissue": _tissue,
+    "metrics": _metrics,
 }  # fmt: skip
