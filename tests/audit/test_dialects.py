@@ -141,7 +141,10 @@ def test_a_session_id_that_a_seed_chose(monkeypatch: pytest.MonkeyPatch) -> None
     [
         ("hello", lambda payload: payload.update(seed=3), "hello.seed"),
         ("hello", lambda payload: payload.update(harness_version="T1-s003"), "hello.harness_version"),
-        ("episode_start", lambda payload: payload.update(task={"name": INSTRUCTION, "seed": 3}), "episode_start.task.seed"),
+        (
+            "episode_start", lambda payload: payload.update(task={"name": INSTRUCTION, "seed": 3}),
+            "episode_start.task.seed",
+        ),
         (
             "episode_start", lambda payload: payload.update(task={"name": INSTRUCTION, "episode_idx": 3}),
             "episode_start.task.episode_idx",

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from carecontact.contract.action import Action, ActionBounds, check_action, clip_action
+from carecontact.contract.action import ACTION_SPACES, Action, ActionSpace
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import Session
 from carecontact.errors import ActionError, ContractError, PolicyError
 from carecontact.hosting.wire.connection import Connection
 
@@ -18,7 +19,8 @@ from carecontact.hosting.wire.connection import Connection
 @dataclass(frozen=True, kw_only=True)
 class ActReply:
     actions: list[Action]
-    """1 to MAX_CHUNK as they came; each passes ``check_action``, after ``clip_action`` if the card requests that."""
+    """1 to MAX_CHUNK as they came; each passes the check of the card's action space, after its ``clip`` if the card
+    requests that."""
     sent: bytes
     """The message that carried the observation: everything the policy was shown at this step."""
     sent_sha256: bytes
@@ -31,7 +33,8 @@ class ActReply:
 class Client(ABC):
     """One trial's conversation. Every failure is a PolicyError whose kind says what the policy did."""
 
-    _bounds: ActionBounds | None = None
+    _session: Session | None = None
+    _space: ActionSpace = ACTION_SPACES["cartesian_pose"]
     _clips = False
     """Whether the card requests that targets outside the workspace are clipped."""
 
@@ -44,12 +47,12 @@ class Client(ABC):
 
     def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
         """Begin the trial."""
-        self._bounds = session.action_bounds
+        self._session = session
         self._begin(instruction, session, deadline_s=deadline_s)
 
     def act(self, observation: Observation, *, deadline_s: float) -> ActReply:
         """Raises ObservationError if the observation breaks the contract, which is the harness's fault."""
-        if self._bounds is None:
+        if self._session is None:
             raise ContractError(f"{type(self).__name__}.act: expected reset before it, got none")
         return self._act(observation, deadline_s=deadline_s)
 
@@ -72,15 +75,16 @@ class Client(ABC):
 
     def _shows(self, card: PolicyCard) -> PolicyCard:
         """Keep what the card says of actions, and pass it on."""
-        self._clips = card.out_of_bounds == "clip"
+        self._clips, self._space = card.out_of_bounds == "clip", ACTION_SPACES[card.action_space]
         return card
 
     def _checked(self, actions: Sequence[Action]) -> list[Action]:
         """Raises ActionError naming the first action that is not within the contract."""
-        assert self._bounds is not None
+        session, space = self._session, self._space
+        assert session is not None
         for i, action in enumerate(actions):
             try:
-                check_action(clip_action(action, self._bounds) if self._clips else action, self._bounds)
+                space.check(space.clip(action, session) if self._clips else action, session)
             except ActionError as error:
                 raise ActionError(f"actions[{i}].{error}") from None
         return list(actions)

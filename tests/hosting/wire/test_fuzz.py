@@ -60,7 +60,7 @@ class Peer:
         self.connection.response = object()  # pyright: ignore[reportAttributeAccessIssue]
         self.connection.pending_legacy_warning = False
         self.client = PolicyClient(Connection(self.connection))
-        self.client._bounds = BOUNDS
+        self.client._session = SESSION
 
     def hear(self, kind: str, wire: bytes, *, last: bool) -> Heard:
         """What the harness makes of raw bytes that answer a request of that kind; the card comes unasked."""

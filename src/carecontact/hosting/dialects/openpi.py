@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import Session
 from carecontact.errors import ActionError, ContractError, PolicyError
 from carecontact.hosting.client import ActReply, Client, sha256
 from carecontact.hosting.dialects.chunks import joint_actions

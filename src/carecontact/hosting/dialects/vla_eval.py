@@ -13,7 +13,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import Session
 from carecontact.errors import ActionError, ContractError, ObservationError, PolicyError
 from carecontact.hosting.client import ActReply, Client, sha256
 from carecontact.hosting.dialects.chunks import JOINTS as JOINTS

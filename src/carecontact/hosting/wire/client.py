@@ -6,7 +6,8 @@ import base64
 import re
 
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import Session
 from carecontact.errors import ActionError, ContractError, PolicyError
 from carecontact.hosting.client import ActReply, Client, sha256
 from carecontact.hosting.wire import codec
