@@ -19,7 +19,7 @@ from websockets.sync.server import serve
 def infer(request):
     """Return (15, 8): steps at 15 Hz, each of seven normalised joint velocities and the gripper (1 is closed)."""
     camera = request["observation/exterior_image_1_left"]
-    assert camera.shape == (224, 224, 3) and camera.dtype == np.uint8
+    assert camera.shape == (224, 224, 3)
     posture = request["observation/joint_position"]
     print(f"{request['prompt']!r} at joint angles {np.round(posture, 2)}")
     actions = np.zeros((15, 8), np.float32)
@@ -28,7 +28,7 @@ def infer(request):
 
 
 def encode(value):
-    """openpi's marks of arrays and of numpy's numbers: their keys are bytes."""
+    """Marks of openpi for arrays and for numpy's numbers: their keys are bytes."""
     if isinstance(value, np.ndarray):
         return {b"__ndarray__": True, b"data": value.tobytes(), b"dtype": value.dtype.str, b"shape": value.shape}
     return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}

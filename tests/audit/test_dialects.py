@@ -86,7 +86,7 @@ def also(function: Callable[..., dict[str, Any]], change: Callable[[dict[str, An
             lambda request: request.update({"observation/wrist_image_left": np.zeros((224, 225, 3), np.uint8)}),
             "request.observation/wrist_image_left",
         ),
-        (lambda request: request.update({"observation/contact_force": np.zeros(1)}), "request.observation/contact_force"),
+        (lambda request: request.update({"observation/force": np.zeros(1)}), "request.observation/force"),
         (lambda request: request.pop("prompt"), "request.prompt"),
     ],
 )  # fmt: skip
