@@ -56,7 +56,12 @@ class Peer(test_fuzz.Peer):
             client: Client = VlaEvalClient(connection, options={"space": "joint_position"})
             arguments = {"dialect": "vla-eval", "state": "yes"}
             card = PolicyCard(
-                name="fuzz", action_space="joint_position", control="droid", cameras=("exterior",), arguments=arguments
+                name="fuzz",
+                action_space="joint_position",
+                control="droid",
+                cameras=("exterior",),
+                out_of_bounds="clip",
+                arguments=arguments,
             )
             client._card = client._shows(card)  # pyright: ignore[reportAttributeAccessIssue]
             return client
@@ -124,13 +129,13 @@ def test_no_frame_crashes_hangs_or_slips_in(
         if isinstance(heard, PolicyError):
             assert heard.kind in set(PolicyError.KINDS) - {"timeout"}
             assert str(heard)
+            assert layer != "well-formed", heard
             refused[layer] += 1
         else:
             assert harmless(heard), layer
         if one is not peer:
             one.close()
     peer.close()
-    assert refused["well-formed"] == 0
     shares = {layer: round(refused[layer] / (FRAMES[layer] * times), 2) for layer in LAYERS}
     record_property("share refused", shares)
     # A reply holds much that nobody uses, such as timings: what is spoilt there passes.

@@ -34,7 +34,9 @@ def joint_actions(chunk: object, *, horizon: int | None, space: str, grips: bool
         raise ActionError(f"{expected}, got {type(chunk).__name__} {chunk!r:.80}")
     if chunk.dtype.kind not in "fiu" or chunk.ndim != 2 or chunk.shape[1] != WIDTH or not 1 <= len(chunk) <= MAX_CHUNK:
         raise ActionError(f"{expected}, 1 to {MAX_CHUNK} steps, got {chunk.dtype} {chunk.shape}{_hint(chunk.shape)}")
-    values = chunk.astype(np.float64)
+    # A NaN of another width may signal when it is widened; it is named below.
+    with np.errstate(invalid="ignore"):
+        values = chunk.astype(np.float64)
     if not np.isfinite(values).all():
         row, column = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
         raise ActionError(f"actions[{row}]: expected finite numbers, got {values[row, column]} in column {column}")
