@@ -23,9 +23,7 @@ def audited(dialect: str, spec: TrialSpec, keyframe: Keyframe, log: Path) -> Wat
     make, address = SERVERS[dialect]
     with make().running() as port:
         policy = address.format(port)
-        seen = watch(
-            short(spec).model_copy(update={"policy": policy}), policy=policy, prepare=keyframe.parked, log=log
-        )
+        seen = watch(short(spec).model_copy(update={"policy": policy}), policy=policy, prepare=keyframe.parked, log=log)
     assert seen.error is None
     return seen
 
