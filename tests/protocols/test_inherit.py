@@ -71,7 +71,7 @@ def test_a_base_may_have_a_base_and_lies_relative_to_its_heir(tmp_path: Path) ->
     [
         (
             'base = "bathing"\n',
-            r"mine\.toml: base: no protocol named 'bathing'.*; valid: bathing-moved-v1, .*FILE\.toml",
+            r"mine\.toml: base: no protocol named 'bathing'.*; valid: bathing-droid-v1, .*FILE\.toml",
         ),
         ("base = 3\n", r"mine\.toml: base: expected the id of a protocol or a \.toml file, got 3"),
         ('base = "mine.toml"\n', r"mine\.toml: base: .*inherits from this file itself"),
