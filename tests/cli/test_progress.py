@@ -43,9 +43,9 @@ def test_finished_trials_are_scored_once_and_counted(folder: Path) -> None:
     tally.take(event("finished", 3, ended="harness_error"))
     tally.take(event("finished", 4, ended="done"))
     tally.close(wait=True)
-    assert (
-        tally.counts() == "0 passed, 1 failed, 1 crashed, 1 failed in the harness, last trial without contact"
-    ), "a recording that cannot be scored counts as neither"
+    assert tally.counts() == "0 passed, 1 failed, 1 crashed, 1 failed in the harness, last trial without contact", (
+        "a recording that cannot be scored counts as neither"
+    )
 
 
 def test_kept_trials_count_by_their_stored_scores_and_take_no_time(folder: Path) -> None:

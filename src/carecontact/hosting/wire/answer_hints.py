@@ -1,0 +1,65 @@
+"""What a policy that shows no card or answers with no action may have meant, and what to write instead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import cast
+
+import numpy as np
+
+from carecontact.contract.action.hints import pose_shape_hint
+
+OBJECT = "Action(pose_tcp_in_base=[x, y, z, qw, qx, qy, qz])"
+PLAIN = '[{"pose_tcp_in_base": [x, y, z, qw, qx, qy, qz]}]'
+CARD = 'PolicyCard(name="my-policy", modalities=("rgb",), cameras=("overhead",))'
+
+
+def object_hint(answer: object) -> str:
+    """For what ``act`` returned in Python: a clause with its semicolon, empty where the answer may hold Actions."""
+    if isinstance(answer, Mapping):
+        return f"; return {OBJECT} in place of the dict"
+    if isinstance(answer, list | tuple) and any(isinstance(item, Mapping) for item in cast(list[object], answer)):
+        return f"; return [{OBJECT}, ...] in place of the dicts"
+    shape = _shape(answer)
+    if len(shape) == 1 and shape[0]:
+        return f"{_six(shape)}; return {OBJECT} in place of bare numbers"
+    if len(shape) == 2:
+        return f"{_six(shape[1:])}; return [Action(pose_tcp_in_base=row) for row in rows] in place of rows of numbers"
+    return ""
+
+
+def plain_hint(answer: object) -> str:
+    """For the ``actions`` of a message: a clause with its semicolon, empty where they may be a list of maps."""
+    if isinstance(answer, Mapping):
+        return f"; put each action into a list, as in {PLAIN}"
+    shape = _shape(answer)
+    if (len(shape) == 1 and shape[0]) or len(shape) == 2:
+        return f"{_six(shape[-1:])}; send a map for each action, as in {PLAIN}"
+    return ""
+
+
+def pose_hint(value: object) -> str:
+    return pose_shape_hint(_shape(value))
+
+
+def card_hint(card: object) -> str:
+    """For what stands in the place of a PolicyCard."""
+    if isinstance(card, Mapping):
+        given = cast(Mapping[object, object], card)
+        same = ", ".join(f"{key}={value!r}" for key, value in given.items())
+        return f"write card = PolicyCard({same:.200}) in place of the dict"
+    return f"a policy shows a PolicyCard as its attribute 'card', for example card = {CARD}"
+
+
+def _six(shape: tuple[int, ...]) -> str:
+    return pose_shape_hint(shape) if shape == (6,) else ""
+
+
+def _shape(value: object) -> tuple[int, ...]:
+    """Of numbers alone; () for anything else, numbers of unequal rows included."""
+    try:
+        array = np.asarray(value)
+    except Exception:
+        # What a policy answers may be of any class, and its conversion may raise anything.
+        return ()
+    return array.shape if array.dtype.kind in "fiu" else ()
