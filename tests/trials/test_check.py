@@ -155,3 +155,36 @@ def test_nothing_listens(capsys: pytest.CaptureFixture[str]) -> None:
     out = capsys.readouterr().out
     assert "error    connection" in out
     assert "nothing listens at 127.0.0.1:9" in out
+
+
+OWN_FRAMES = {
+    "a misspelt class": ("under_test:PP", "ImportError: under_test has no 'PP'; it has P"),
+    "a misspelt module": ("under_tset:P", "ModuleNotFoundError: No module named 'under_tset'"),
+    "no policy": ("under_test:Action", "TypeError: under_test:Action has no method reset or act"),
+}
+
+
+@pytest.mark.parametrize("name", OWN_FRAMES)
+def test_a_traceback_of_our_own_frames_is_not_shown(
+    name: str, checked, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    checked(PREAMBLE + "    card = None\n")
+    target, says = OWN_FRAMES[name]
+    assert main(["check", target]) == 1
+    out = capsys.readouterr().out
+    assert out.splitlines()[1].startswith(f"error    import       {says}")
+    assert len(out.splitlines()) == 3
+    assert "Traceback" not in out
+
+
+def test_a_traceback_with_a_frame_of_the_policy_is_shown(checked) -> None:
+    _, out = checked(PREAMBLE + "    raise RuntimeError('no weights')\n")
+    assert "Traceback" in out
+    assert 'under_test.py", line' in out
+
+
+@pytest.mark.usefixtures("same_world")
+def test_a_refusal_that_says_what_it_looks_like_has_no_second_hint(checked) -> None:
+    _, out = checked(PREAMBLE + ANSWER + "return Action(pose_tcp_in_base=self.pose * 0)\n")
+    assert "norm 1, got 0; the position [0.0, 0.0, 0.0] looks like a difference" in out
+    assert "hint" not in out

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import re
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -9,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import carecontact
 from carecontact.contract.action import Action, clip_action
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
@@ -18,7 +21,7 @@ from carecontact.errors import PolicyError
 from carecontact.hosting.conversation import BUDGET_S, PolicyConversation
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
-from carecontact.recording.reason import reason
+from carecontact.recording.reason import PRINTED, reason
 from carecontact.trials.first_answer import Finding, Level, look_at
 
 REMEDIES = {
@@ -28,6 +31,10 @@ REMEDIES = {
     "expected a quaternion of norm 1": "Divide the quaternion by its norm; its order is w x y z.",
 }
 """Part of a refusal -> what may help."""
+LOOKS = "looks like"
+"""Part of a refusal that says itself what may help."""
+FRAME = re.compile(r'^\s+File "(.+?)", line \d+', re.MULTILINE)
+OWN = str(Path(carecontact.__file__).parent)
 
 
 @dataclass(kw_only=True)
@@ -67,10 +74,10 @@ class Check:
     def _fail(self, error: PolicyError) -> None:
         topic = "connection" if self.policy.ref.kind == "remote" and error.kind == "start" else error.kind
         why, whole = reason(str(error)), str(error)
-        text = whole if why in whole.partition("\n")[0] else f"{why}\n{whole}"
+        text = whole if why in whole.partition("\n")[0] else f"{why}\n{whole}" if _says_more(whole) else why
         self._say("error", _TOPICS.get(topic, topic), text)
         for part, remedy in REMEDIES.items():
-            if part in whole:
+            if part in whole and LOOKS not in whole:
                 self._say("hint", "", remedy)
 
     def _converse(self, policy: PolicyConversation, episode: Episode, card: PolicyCard) -> bool:
@@ -125,6 +132,14 @@ class Check:
 
 _TOPICS = {"handshake": "card", "action": "answer", "timeout": "slow answer", "start": "import"}
 """Kind of a policy's failure -> topic, where the kind itself would not do."""
+
+
+def _says_more(failure: str) -> bool:
+    """Whether a failure tells a user more than its reason: it holds what the policy printed, or a traceback with a
+    frame that is neither ours nor of Python's import."""
+    frames = FRAME.findall(failure)
+    foreign = [file for file in frames if not file.startswith((OWN, "<frozen importlib", importlib.__path__[0]))]
+    return PRINTED in failure or not frames or bool(foreign)
 
 
 def _described(card: PolicyCard) -> str:
