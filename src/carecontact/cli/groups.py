@@ -82,7 +82,15 @@ class RulesGroup(ChangedProtocolGroup):
     output names this change, and carecontact never pools such trials with those of the unchanged protocol."""
 
     def _others(self) -> dict[str, Mapping[str, object]]:
-        return {} if self.body is None else {"body": {"person.body": self.body}}
+        if self.body is None:
+            return {}
+        from carecontact.world.human.library import load_body
+
+        try:
+            load_body(self.body)
+        except ConfigError as error:
+            raise ConfigError(f"--body: {error}") from None
+        return {"body": {"person.body": self.body}}
 
 
 @dataclass(frozen=True, kw_only=True)
