@@ -132,6 +132,9 @@ def test_a_policy_that_clips_is_told_how_much(checked) -> None:
     )
     assert status == 0
     assert "warning  clipped      1 of 2 targets" in out
+    assert "millimetres" not in out
+    _, out = checked(clips + ANSWER + "return Action(pose_tcp_in_base=self.pose * [1e3, 1e3, 1e3, 1, 1, 1, 1])\n")
+    assert "moved onto its border; the first of them looks like millimetres: send metres" in out
 
 
 @pytest.mark.usefixtures("same_world")

@@ -11,8 +11,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 import carecontact
-from carecontact.contract.action import Action, clip_action
+from carecontact.contract.action import Action, ActionBounds, clip_action
+from carecontact.contract.action.hints import looks_like_millimetres
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
@@ -93,7 +96,8 @@ class Check:
         outside = [a for a in answers[0] if clip_action(a, episode.space.bounds) is not a]
         if outside:
             many = f"{len(outside)} of {len(answers[0])} targets are outside the workspace"
-            self._say("warning", "clipped", f"{many}; the card requests that they are moved onto its border")
+            text = f"{many}; the card requests that they are moved onto its border"
+            self._say("warning", "clipped", f"{text}{_unit(outside[0], episode.space.bounds)}")
         for finding in look_at(answers[0], observation):
             self._say(finding.level, finding.topic, finding.text)
         return self._keeps_pace(len(answers[1]), card)
@@ -132,6 +136,12 @@ class Check:
 
 _TOPICS = {"handshake": "card", "action": "answer", "timeout": "slow answer", "start": "import"}
 """Kind of a policy's failure -> topic, where the kind itself would not do."""
+
+
+def _unit(outside: Action, bounds: ActionBounds) -> str:
+    position = np.asarray(outside.pose_tcp_in_base)[:3]
+    meant = looks_like_millimetres(position, np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m))
+    return f"; the first of them {meant}" if meant else ""
 
 
 def _says_more(failure: str) -> bool:

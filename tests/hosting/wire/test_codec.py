@@ -191,7 +191,7 @@ def test_a_pose_may_be_a_plain_list_of_numbers() -> None:
         ({"pose_tcp_in_base": [0.4] * 7}, r'; put each action into a list, as in \[{"pose_tcp_in_base": \[x'),
         (
             [{"pose_tcp_in_base": [[0.4] * 7] * 3}],
-            r"actions\[0\]\.pose_tcp.*; these look like 3 pose\(s\): send a list",
+            r"actions\[0\]\.pose_tcp.*; these look like 3 poses: send a list",
         ),
         (
             [{"pose": [0.4] * 7}],

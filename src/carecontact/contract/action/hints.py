@@ -19,8 +19,10 @@ def pose_shape_hint(shape: tuple[int, ...]) -> str:
         return "; three numbers look like a position: add the quaternion w x y z"
     if shape == (8,):
         return "; eight numbers look like a pose and a gripper: give the last one as gripper"
+    if shape == (1, 7):
+        return "; this looks like a pose in a list of its own: leave the outer list out"
     if len(shape) == 2 and shape[1] == 7:
-        return f"; these look like {shape[0]} pose(s): send a list with one action for each"
+        return f"; these look like {shape[0]} poses: send a list with one action for each"
     return ""
 
 
