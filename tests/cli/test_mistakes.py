@@ -70,6 +70,7 @@ MISTAKES = {
         [*RUN, "hover", "--body", "woman"],
         "error: --body: no body named 'woman'; valid: man-adult, ",
     ),
+    "a body that there is not, of another command": (["validate", "--body", "woman"], "--body: no body named 'woman'"),
     "a misspelt word of protocol": (
         ["protocol", "sho"],
         "error: no choice named 'sho' (did you mean 'show'?); valid: list, show, verify, lock; For full helptext",

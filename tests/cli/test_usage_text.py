@@ -25,6 +25,9 @@ TOLD = {
         "--jobs",
         "two",
     ): "error: --jobs: expected INT, got 'two'; For full helptext, see carecontact demo --help\n",
+    ("serve", "hover", "--port", "x"): (
+        "error: --port: expected INT, got 'x'; For full helptext, see carecontact serve --help\n"
+    ),
     ("doctor", "x"): "error: no option takes x; For full helptext, run carecontact doctor --help\n",
 }
 

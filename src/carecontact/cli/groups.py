@@ -84,13 +84,18 @@ class RulesGroup(ChangedProtocolGroup):
     def _others(self) -> dict[str, Mapping[str, object]]:
         if self.body is None:
             return {}
-        from carecontact.world.human.library import load_body
-
-        try:
-            load_body(self.body)
-        except ConfigError as error:
-            raise ConfigError(f"--body: {error}") from None
+        check_body(self.body)
         return {"body": {"person.body": self.body}}
+
+
+def check_body(name: str) -> None:
+    """Raises ConfigError that blames --body for a body that does not exist or cannot be read."""
+    from carecontact.world.human.library import load_body
+
+    try:
+        load_body(name)
+    except ConfigError as error:
+        raise ConfigError(f"--body: {error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)

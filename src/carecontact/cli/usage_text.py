@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from carecontact.errors import did_you_mean
 
 NOT_OF_TYPE = re.compile(r"no type matching (\S+) could be instantiated from \[(.*?)\]")
+NO_NUMBER = re.compile(r"(?:invalid literal for (int)\(\) with base 10|could not convert string to (float)): ('.*?')")
 NO_CHOICE = re.compile(r"invalid choice '(.*?)' for argument '(.*?)'\. Expected one of \((.*?)\)")
 RULE = re.compile(r"─{8,}|-{8,}")
 """The parser's words, as tyro writes them, and its rules with and without UTF-8."""
@@ -20,8 +21,10 @@ def in_one_line(box: str) -> str:
     sections = [" ".join(section.split()) for section in RULE.split("\n".join(rows[1:])) if section.strip()]
     if not sections:
         return " ".join(box.split())
-    first = NOT_OF_TYPE.sub(r"expected \1, got \2", sections[0].removeprefix("Error parsing "))
-    first = NO_CHOICE.sub(_no_choice, first.partition(" Got errors:")[0].rstrip("."))
+    first = sections[0].removeprefix("Error parsing ").partition(" Got errors:")[0]
+    first = NOT_OF_TYPE.sub(r"expected \1, got \2", first)
+    first = NO_NUMBER.sub(lambda found: f"expected {(found[1] or found[2]).upper()}, got {found[3]}", first)
+    first = NO_CHOICE.sub(_no_choice, first.rstrip("."))
     help_is = [section for section in sections[1:] if section.startswith("For full helptext")]
     stray = next((section for section in sections if section.startswith(UNRECOGNIZED)), None)
     if stray is None:

@@ -26,7 +26,7 @@ def load_protocol(name_or_path: str = DEFAULT_PROTOCOL) -> Protocol:
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """
     (place, table), *heirs = ancestry(name_or_path)
-    protocol = _validated(place, table, bases=[DEFAULT_PROTOCOL, *shipped_protocols()])
+    protocol = _validated(place, table, bases=sorted(shipped_protocols(), key=lambda name: name != DEFAULT_PROTOCOL))
     for heir, own in heirs:
         place, table = heir, inherit(table, own)
         protocol = _validated(place, table)
@@ -49,7 +49,7 @@ def _validated(place: str, table: Table, *, bases: Sequence[str] = ()) -> Protoc
     try:
         return Protocol.model_validate(content)
     except ValidationError as error:
-        told = wrong_fields(place, error, model=Protocol, content=content, bases=list(dict.fromkeys(bases)))
+        told = wrong_fields(place, error, model=Protocol, content=content, bases=bases)
         raise ConfigError(told) from None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -37,7 +38,7 @@ REMEDIES = {
 LOOKS = "looks like"
 """Part of a refusal that says itself what may help."""
 FRAME = re.compile(r'^\s+File "(.+?)", line \d+', re.MULTILINE)
-OWN = str(Path(carecontact.__file__).parent)
+OWN = (f"{Path(carecontact.__file__).parent}{os.sep}", f"{importlib.__path__[0]}{os.sep}", "<frozen importlib")
 
 
 @dataclass(kw_only=True)
@@ -148,7 +149,7 @@ def _says_more(failure: str) -> bool:
     """Whether a failure tells a user more than its reason: it holds what the policy printed, or a traceback with a
     frame that is neither ours nor of Python's import."""
     frames = FRAME.findall(failure)
-    foreign = [file for file in frames if not file.startswith((OWN, "<frozen importlib", importlib.__path__[0]))]
+    foreign = [file for file in frames if not file.startswith(OWN)]
     return PRINTED in failure or not frames or bool(foreign)
 
 

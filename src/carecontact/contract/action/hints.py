@@ -1,4 +1,4 @@
-"""What the numbers of a refused action look like, and what to send instead; each hint begins a clause or is empty."""
+"""What the numbers of a refused action look like, and what to send instead; a hint is empty where nothing is known."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NEAR_BASE_M = 0.12
 
 
 def pose_shape_hint(shape: tuple[int, ...]) -> str:
-    """For numbers of a shape other than (7,) in place of one pose."""
+    """Return a clause, with its semicolon, about numbers of a shape other than (7,) in place of one pose."""
     if shape == (6,):
         return "; six numbers look like x y z and roll pitch yaw: turn the angles into a quaternion w x y z"
     if shape == (3,):
@@ -27,7 +27,7 @@ def pose_shape_hint(shape: tuple[int, ...]) -> str:
 
 
 def looks_like_difference(position: npt.NDArray[np.float64]) -> str:
-    """For a position (3,) [m] in base."""
+    """Return what is said of a position (3,) [m] that is too near the robot's base to be a target."""
     if math.hypot(*position) >= NEAR_BASE_M:
         return ""
     return "looks like a difference to the tool's pose: send the absolute pose of the tool in base"
@@ -36,7 +36,8 @@ def looks_like_difference(position: npt.NDArray[np.float64]) -> str:
 def looks_like_millimetres(
     position: npt.NDArray[np.float64], low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]
 ) -> str:
-    """For a position (3,) outside the workspace, whose corners in base are ``low`` and ``high`` (3,) [m]."""
+    """Return what is said of a position (3,) that lies in the workspace if its numbers are millimetres. The corners of
+    the workspace in base are ``low`` and ``high`` (3,) [m]."""
     metres = position / 1000.0
     if looks_like_difference(metres) or (metres < low).any() or (metres > high).any():
         return ""
@@ -44,6 +45,7 @@ def looks_like_millimetres(
 
 
 def gripper_hint(opening: float) -> str:
+    """Return a clause, with its semicolon, about an opening outside [0, 1]."""
     said = "; 1 is open and 0 is closed"
     if -1 <= opening < 0:
         return f"{said}: of a range from -1 to 1 send (1 + g) / 2, or (1 - g) / 2 where -1 means open"

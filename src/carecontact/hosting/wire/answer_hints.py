@@ -39,6 +39,7 @@ def plain_hint(answer: object) -> str:
 
 
 def pose_hint(value: object) -> str:
+    """For what stands in the place of a pose: a clause with its semicolon, or empty."""
     return pose_shape_hint(_shape(value))
 
 
