@@ -145,10 +145,13 @@ class MyPolicy:
 """
 CARD = 'PolicyCard(name="mine", cameras=())'
 ANSWERS = {
-    "a bare pose": (POSE, "; return Action(pose_tcp_in_base=[x, y, z, qw, qx, qy, qz]) in place of bare numbers"),
+    "a bare pose": (
+        POSE,
+        "; return Action(pose_tcp_in_base=[x, y, z, qw, qx, qy, qz]), or Action(joint=...) for joints, in",
+    ),
     "a list of lists": (
         f"[{POSE}, {POSE}]",
-        "; return [Action(pose_tcp_in_base=row) for row in rows] in place of rows",
+        "; return [Action(pose_tcp_in_base=row) for row in rows], or with joint",
     ),
     "a dict": (f"dict(pose_tcp_in_base=np.array({POSE}))", "; return Action(pose_tcp_in_base="),
     "roll pitch yaw": (

@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 import carecontact
-from carecontact.contract.action import Action, ActionBounds, clip_action
+from carecontact.contract.action import Action
 from carecontact.contract.action.hints import looks_like_millimetres
 from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import ActionBounds
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
 from carecontact.episode.prepare import settled_world
@@ -94,11 +95,11 @@ class Check:
             with self._timed(name):
                 answers.append(policy.act(observation).actions)
         self._say("ok", "answer", self._answered(answers[0], card))
-        outside = [a for a in answers[0] if clip_action(a, episode.space.bounds) is not a]
+        outside = [a for a in answers[0] if episode.space.clip(a, episode.session) is not a]
         if outside:
             many = f"{len(outside)} of {len(answers[0])} targets are outside the workspace"
             text = f"{many}; the card requests that they are moved onto its border"
-            self._say("warning", "clipped", f"{text}{_unit(outside[0], episode.space.bounds)}")
+            self._say("warning", "clipped", f"{text}{_unit(outside[0], episode.session.action_bounds)}")
         for finding in look_at(answers[0], observation):
             self._say(finding.level, finding.topic, finding.text)
         return self._keeps_pace(len(answers[1]), card)
@@ -140,6 +141,8 @@ _TOPICS = {"handshake": "card", "action": "answer", "timeout": "slow answer", "s
 
 
 def _unit(outside: Action, bounds: ActionBounds) -> str:
+    if outside.pose_tcp_in_base is None:
+        return ""
     position = np.asarray(outside.pose_tcp_in_base)[:3]
     meant = looks_like_millimetres(position, np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m))
     return f"; the first of them {meant}" if meant else ""

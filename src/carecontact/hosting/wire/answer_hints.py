@@ -22,9 +22,10 @@ def object_hint(answer: object) -> str:
         return f"; return [{OBJECT}, ...] in place of the dicts"
     shape = _shape(answer)
     if len(shape) == 1 and shape[0]:
-        return f"{_six(shape)}; return {OBJECT} in place of bare numbers"
+        return f"{_width(shape[0])}; return {OBJECT}, or Action(joint=...) for joints, in place of bare numbers"
     if len(shape) == 2:
-        return f"{_six(shape[1:])}; return [Action(pose_tcp_in_base=row) for row in rows] in place of rows of numbers"
+        rows = "[Action(pose_tcp_in_base=row) for row in rows]"
+        return f"{_width(shape[1])}; return {rows}, or with joint=row for joints, in place of rows of numbers"
     return ""
 
 
@@ -34,7 +35,7 @@ def plain_hint(answer: object) -> str:
         return f"; put each action into a list, as in {PLAIN}"
     shape = _shape(answer)
     if (len(shape) == 1 and shape[0]) or len(shape) == 2:
-        return f"{_six(shape[-1:])}; send a map for each action, as in {PLAIN}"
+        return f"{_width(shape[-1])}; send a map for each action, as in {PLAIN}"
     return ""
 
 
@@ -52,8 +53,11 @@ def card_hint(card: object) -> str:
     return f"a policy shows a PolicyCard as its attribute 'card', for example card = {CARD}"
 
 
-def _six(shape: tuple[int, ...]) -> str:
-    return pose_shape_hint(shape) if shape == (6,) else ""
+def _width(count: int) -> str:
+    """What a row of so many numbers looks like, where it is neither a pose nor seven joints."""
+    if count == 8:
+        return "; eight numbers look like seven joints and a gripper: give the last one as gripper"
+    return pose_shape_hint((count,)) if count == 6 else ""
 
 
 def _shape(value: object) -> tuple[int, ...]:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.action.action import Action
-from carecontact.contract.action.hints import (
-    gripper_hint,
-    looks_like_difference,
-    looks_like_millimetres,
-    pose_shape_hint,
-)
+from carecontact.contract.action.hints import looks_like_difference, looks_like_millimetres, pose_shape_hint
+from carecontact.contract.action.space import ACTION_SPACES, ActionSpace, check_gripper
+from carecontact.contract.session import ActionBounds
 from carecontact.errors import ActionError
 
 QUATERNION_NORM_TOLERANCE = 1e-2
@@ -21,15 +18,11 @@ QUATERNION_NORM_TOLERANCE = 1e-2
 policies compute in single precision or interpolate; beyond it, the action is an error."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ActionBounds:
-    """Limits that a policy learns before its first action."""
-
-    workspace_low_m: tuple[float, float, float]
-    workspace_high_m: tuple[float, float, float]
-    """Box of TCP positions in base."""
-    translational_stiffness: tuple[float, float]
-    rotational_stiffness: tuple[float, float]
+MAX_FEEDFORWARD_N, MAX_FEEDFORWARD_NM = 40.0, 5.0
+"""Largest component of a feedforward force and torque (chosen). 40 N is the contact force at which DROID's Panda stops
+by default (collision_behavior in its config/panda/franka_hardware.yaml)."""
+DAMPING_RATIO = (0.3, 2.0)
+"""Smallest and largest damping ratio (chosen): below, a soft contact rings on; above, the arm creeps."""
 
 
 def check_action(action: Action, bounds: ActionBounds) -> Action:
@@ -44,7 +37,9 @@ def check_action(action: Action, bounds: ActionBounds) -> Action:
     return Action(
         pose_tcp_in_base=None if action.pose_tcp_in_base is None else _pose(action.pose_tcp_in_base, bounds),
         stiffness=None if action.stiffness is None else _stiffness(action.stiffness, bounds),
-        gripper=_gripper(action.gripper),
+        damping_ratio=None if action.damping_ratio is None else _damping_ratio(action.damping_ratio),
+        wrench_in_tcp=None if action.wrench_in_tcp is None else _wrench(action.wrench_in_tcp),
+        gripper=check_gripper(action.gripper),
         done=bool(action.done),
     )
 
@@ -104,17 +99,55 @@ def _shown(position: npt.NDArray[np.float64]) -> list[float]:
     return [float(f"{x:.6g}") for x in position]
 
 
-def _stiffness(given: tuple[float, float], bounds: ActionBounds) -> tuple[float, float]:
-    if len(given) != 2:
-        raise ActionError(f"stiffness: expected (translational, rotational), got {len(given)} numbers")
-    limits = (bounds.translational_stiffness, bounds.rotational_stiffness)
-    for value, (low, high), unit in zip(given, limits, ("N/m", "N m/rad"), strict=True):
-        if not low <= value <= high:
-            raise ActionError(f"stiffness: expected {low:g} to {high:g} {unit}, got {value}")
-    return float(given[0]), float(given[1])
+def _stiffness(given: tuple[float, ...], bounds: ActionBounds) -> tuple[float, ...]:
+    """Two numbers, or one for each axis: there 0 is allowed, for an axis that a feedforward alone moves."""
+    if len(given) not in (2, 6):
+        raise ActionError(
+            "stiffness: expected 2 numbers (translational, rotational) or 6 (x y z, then about x y z), "
+            f"got {len(given)}"
+        )
+    linear = (*bounds.translational_stiffness, "N/m"), (*bounds.rotational_stiffness, "N m/rad")
+    limits = linear if len(given) == 2 else (linear[0],) * 3 + (linear[1],) * 3
+    for value, (low, high, unit) in zip(given, limits, strict=True):
+        if not low <= value <= high and not (value == 0 and len(given) == 6):
+            zero = ", or 0 on an axis with a feedforward" if len(given) == 6 else ""
+            raise ActionError(f"stiffness: expected {low:g} to {high:g} {unit}{zero}, got {value}")
+    return tuple(float(value) for value in given)
 
 
-def _gripper(opening: float | None) -> float | None:
-    if opening is not None and not 0 <= opening <= 1:
-        raise ActionError(f"gripper: expected an opening in [0, 1], got {opening}{gripper_hint(opening)}")
-    return opening
+def _damping_ratio(given: float) -> float:
+    low, high = DAMPING_RATIO
+    if not low <= given <= high:
+        raise ActionError(f"damping_ratio: expected {low:g} to {high:g} (1 is critical damping), got {given}")
+    return float(given)
+
+
+def _wrench(given: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    wrench = np.asarray(given)
+    expected = (
+        f"expected 6 numbers in the axes of the tool, a force of at most {MAX_FEEDFORWARD_N:g} N and a torque of at "
+        f"most {MAX_FEEDFORWARD_NM:g} N m in each"
+    )
+    if wrench.shape != (6,) or wrench.dtype.kind not in "fiu":
+        raise ActionError(f"wrench_in_tcp: {expected}, got shape {wrench.shape} {wrench.dtype}")
+    wrench = wrench.astype(np.float64)
+    # Written so that NaN is refused.
+    if not (np.abs(wrench) <= [MAX_FEEDFORWARD_N] * 3 + [MAX_FEEDFORWARD_NM] * 3).all():
+        raise ActionError(f"wrench_in_tcp: {expected}, got {wrench.tolist()}")
+    return wrench
+
+
+ACTION_SPACES.register(
+    "cartesian_pose",
+    ActionSpace(
+        description=(
+            "Targets of the tool's pose for the Cartesian impedance controller; optionally its stiffness, its damping "
+            "and a feedforward wrench."
+        ),
+        fields=("pose_tcp_in_base", "stiffness", "damping_ratio", "wrench_in_tcp"),
+        in_joints=False,
+        checked=lambda action, session: check_action(action, session.action_bounds),
+        clipped=lambda action, session: clip_action(action, session.action_bounds),
+        driver="carecontact.episode.drivers.cartesian_pose:CartesianPose",
+    ),
+)
