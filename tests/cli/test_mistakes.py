@@ -60,7 +60,8 @@ MISTAKES = {
     ),
     "a protocol without its base": (
         ["protocol", "show", "alone.toml"],
-        'alone.toml: add base = "bathing-v1" (valid: bathing-v1, bathing-droid-v1, bathing-moved-v1, FILE.toml), or give all fields; 12 ',
+        'alone.toml: add base = "bathing-v1" (valid: bathing-v1, bathing-droid-v1, '
+        "bathing-moved-v1, FILE.toml), or give all fields; 12 ",
     ),
     "a protocol file without its ending": (
         ["protocol", "verify", "alone"],
