@@ -10,6 +10,7 @@ from dataclasses import replace
 import msgpack
 import numpy as np
 import pytest
+from websockets.sync.server import ServerConnection
 
 from carecontact.audit.cell_geometry import pose_hand_in_base
 from carecontact.contract.embodiment import PANDA
@@ -23,6 +24,7 @@ from carecontact.hosting.dialects.requests import cartesian_position
 from tests.hosting.dialects.fakes import OMNI_PATH, Fake, Omni, Openpi, OpenpiPositions, RoboArena, unmark
 from tests.hosting.dialects.given import picture
 from tests.hosting.dialects.talking import INSTRUCTION, JOINTS, joints, policy_at, seen, talk
+from tests.hosting.test_remote import speaking
 from tests.policies.synthetic import SESSION
 
 ARENA = "roboarena://127.0.0.1:{}"
@@ -325,6 +327,23 @@ def test_a_lost_connection_is_the_trials_failure_and_never_a_new_one(server: Fak
         talk(VELOCITY.format(port), deadline_s=0.5 if kind == "timeout" else 20)
     assert caught.value.kind == kind
     assert len(server.paths) == 1
+
+
+@pytest.mark.parametrize(
+    ("status", "says"),
+    [
+        (401, "HTTP 401; the server wants a key: put it into the variable CARECONTACT_API_KEY"),
+        (404, "HTTP 404; the server speaks WebSocket on another path: add it to the address"),
+    ],
+)
+def test_a_refused_handshake_says_what_to_add(status: int, says: str) -> None:
+    def refuse(connection: ServerConnection, request: object) -> object:
+        return connection.respond(status, "no")
+
+    with speaking(lambda connection: None, process_request=refuse) as port:
+        with pytest.raises(PolicyError, match=says) as caught:
+            talk(VELOCITY.format(port))
+    assert caught.value.kind == "handshake"
 
 
 def test_nothing_listens() -> None:
