@@ -106,7 +106,11 @@ class PolicyConversation(ABC):
         return ""
 
     def _how_it_ended(self) -> str:
-        """To follow the message of a policy that is gone."""
+        """In place of the message of a policy that is gone, where more is known than that."""
+        return ""
+
+    def _where(self, kind: str) -> str:
+        """To follow the message of a failure of this kind: the stack of a policy that hangs or crashed."""
         return ""
 
     def _drop(self) -> None:
@@ -164,10 +168,10 @@ class PolicyConversation(ABC):
         try:
             yield
         except PolicyError as error:
-            ended = self._how_it_ended() if error.kind in ("died", "start") else ""
+            said = (self._how_it_ended() if error.kind == "died" else "") or str(error)[:EVIDENCE_CHARS].rstrip()
+            where = self._where(error.kind)[:EVIDENCE_CHARS]
             self._drop()
-            said = str(error)[:EVIDENCE_CHARS].rstrip()
-            message = f"policy {self.policy!r} failed at {doing}: {said}{self._hint(said)}{ended}"
+            message = f"policy {self.policy!r} failed at {doing}: {said}{self._hint(said)}{where}"
             if self.printed:
                 message += f"\nit printed last:\n{self.printed[-EVIDENCE_CHARS // 2 :]}"
             raise PolicyError(error.kind, self._shown(message), notes=error.notes) from None

@@ -12,6 +12,15 @@ _TRACEBACK = "Traceback (most recent call last):"
 PRINTED = "\nit printed last:\n"
 _RAISED = re.compile(r"^[A-Za-z_][\w.]*(Error|Exception|Exit|Interrupt|Warning)\b")
 
+_VALUE = re.compile(r"\[[^\]]*\]|-?\d+(\.\d+(e[-+]?\d+)?|e[-+]?\d+)")
+"""What may differ between two trials that failed alike: a list, or a number that is no integer, as codes and signals
+are."""
+
+
+def alike(why: str) -> str:
+    """A reason without its values, the same for trials that failed in the same way."""
+    return _VALUE.sub("#", why)
+
 
 def reason_of(failure: Failure) -> str:
     """As ``reason``, but what is not a traceback is kept as it is: nobody may write the reason of a failure."""

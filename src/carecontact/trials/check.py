@@ -19,15 +19,8 @@ from carecontact.hosting.conversation import BUDGET_S, PolicyConversation
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording.reason import reason
+from carecontact.recording.remedies import remedies
 from carecontact.trials.first_answer import Finding, Level, look_at
-
-REMEDIES = {
-    "expected a position inside the workspace": "Check frame (base of the robot) and unit (metres). A card with "
-    "out_of_bounds clip has such targets moved onto the border.",
-    "expected finite numbers": "Look for a division by 0 or an unset value in the policy's output.",
-    "expected a quaternion of norm 1": "Divide the quaternion by its norm; its order is w x y z.",
-}
-"""Part of a refusal -> what may help."""
 
 
 @dataclass(kw_only=True)
@@ -69,9 +62,8 @@ class Check:
         why, whole = reason(str(error)), str(error)
         text = whole if why in whole.partition("\n")[0] else f"{why}\n{whole}"
         self._say("error", _TOPICS.get(topic, topic), text)
-        for part, remedy in REMEDIES.items():
-            if part in whole:
-                self._say("hint", "", remedy)
+        for remedy in remedies(whole):
+            self._say("hint", "", remedy)
 
     def _converse(self, policy: PolicyConversation, episode: Episode, card: PolicyCard) -> bool:
         observation = episode.reset()

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from carecontact.recording.reason import alike
+from carecontact.recording.remedies import remedies
 from carecontact.reports.page.paths import shortened
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.text import listed
@@ -13,6 +15,7 @@ from carecontact.scoring.result import TrialScore
 
 MOST = 12
 """Different crashes that the page shows."""
+NO_REASON = "no reason recorded"
 TEMPLATE = """\
 <section class="caution crashes">
 <h2>The policy crashed in {{ n_crashed }} of {{ n }} trials</h2>
@@ -20,7 +23,7 @@ TEMPLATE = """\
 <dl>
 {% for crash in crashes %}
 <dt>{{ crash.trials }}</dt>
-<dd>{{ crash.reason }}<details><summary>Traceback and last output of {{ crash.first }}</summary><pre>{{ crash.message }}</pre></details></dd>
+<dd>{{ crash.reason }}{% for hint in crash.hints %}<br>{{ hint }}{% endfor %}<details><summary>Traceback and last output of {{ crash.first }}</summary><pre>{{ crash.message }}</pre></details></dd>
 {% endfor %}
 </dl>
 {% if more %}
@@ -37,6 +40,8 @@ class Crash:
     trials: str
     first: str
     reason: str
+    hints: tuple[str, ...]
+    """What may help."""
     message: str
 
 
@@ -58,13 +63,14 @@ def crashes(scores: Sequence[TrialScore]) -> list[Crash]:
     groups: dict[str, list[TrialScore]] = {}
     for score in scores:
         if score.is_crash:
-            groups.setdefault(score.evidence or "no reason recorded", []).append(score)
+            groups.setdefault(alike(score.evidence or NO_REASON), []).append(score)
     return [
         Crash(
             trials=listed([score.trial_id for score in group]),
             first=group[0].trial_id,
-            reason=shortened(why),
+            reason=shortened(group[0].evidence or NO_REASON),
+            hints=tuple(remedies(group[0].failure_message or "")),
             message=group[0].failure_message or "",
         )
-        for why, group in groups.items()
+        for group in groups.values()
     ]
