@@ -42,6 +42,8 @@ class PolicyConversation(ABC):
 
     on_wait: Callable[[str], None] | None = None
     """Called every WAIT_REPORT_S seconds while the policy is silent, with one line; another thread calls it."""
+    patient = False
+    """Whether ``start`` waits, within its deadline, for a server that takes no connection."""
 
     def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S) -> None:
         """``first_deadline_s`` holds for the start, each reset and the first act, when models load; ``deadline_s`` for
@@ -66,7 +68,7 @@ class PolicyConversation(ABC):
         return ""
 
     def start(self) -> PolicyCard:
-        """Connect; returns the policy's card."""
+        """Connect; returns the policy's card. Raises UnreachableError where no server takes a connection."""
         with self._evidence("start"), self._within(self._first_deadline_s) as allowed_s:
             deadline = time.monotonic() + allowed_s
 
@@ -174,7 +176,7 @@ class PolicyConversation(ABC):
             message = f"policy {self.policy!r} failed at {doing}: {said}{self._hint(said)}{where}"
             if self.printed:
                 message += f"\nit printed last:\n{self.printed[-EVIDENCE_CHARS // 2 :]}"
-            raise PolicyError(error.kind, self._shown(message), notes=error.notes) from None
+            raise type(error)(error.kind, self._shown(message), notes=error.notes) from None
         except BaseException:
             self._drop()
             raise

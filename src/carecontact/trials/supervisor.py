@@ -44,9 +44,11 @@ class TrialEvent:
 @dataclass(frozen=True, kw_only=True)
 class RunSummary:
     ended: dict[str, EndReason]
-    """Every planned trial."""
+    """Every planned trial that has a recording."""
     ran: tuple[str, ...]
     kept: tuple[str, ...]
+    unreached: str | None
+    """Why the policy's server could not be reached, so that the run stopped before its end; None: it is complete."""
     wall_s: float
 
 
@@ -66,7 +68,8 @@ def run_trials(
 ) -> RunSummary:
     """Run what is missing in ``out``, ``jobs`` trials at once; every trial has a recording afterwards.
 
-    A worker that dies without a recording gets one that says how it died. On KeyboardInterrupt the workers are killed
+    A worker that dies without a recording gets one that says how it died. If a policy's server stays out of reach, no
+    further trial begins; those that run end, and those that did not begin have no recording. On KeyboardInterrupt the workers are killed
     and finished trials stay.
 
     Args:
@@ -96,7 +99,13 @@ def run_trials(
             run.to_the_end(available_cores() if jobs is None else jobs)
         finally:
             workers.kill_all()
-    return RunSummary(ended=run.ended, ran=run.ran, kept=tuple(found.keep), wall_s=time.monotonic() - began)
+    return RunSummary(
+        ended=run.ended,
+        ran=tuple(trial_id for trial_id in run.ended if trial_id not in found.keep),
+        kept=tuple(found.keep),
+        unreached=run.unreached,
+        wall_s=time.monotonic() - began,
+    )
 
 
 class _Run:
@@ -106,6 +115,7 @@ class _Run:
         self, specs: Sequence[TrialSpec], found: Survey, workers: Workers, on_event: Callable[[TrialEvent], None]
     ) -> None:
         self.ended: dict[str, EndReason] = dict(found.keep)
+        self.unreached: str | None = None
         self._total, self._workers, self._on_event = len(specs), workers, on_event
         self._next_look = time.monotonic() + WAIT_REPORT_S
         for trial_id, how in found.keep.items():
@@ -113,7 +123,6 @@ class _Run:
         for trial_id, why in found.redo.items():
             self._report("redo", trial_id, message=why)
         self._waiting = [spec for spec in specs if spec.trial_id not in found.keep]
-        self.ran = tuple(spec.trial_id for spec in self._waiting)
 
     def to_the_end(self, jobs: int) -> None:
         while self._waiting or self._workers.running:
@@ -135,7 +144,12 @@ class _Run:
             self._report("waiting", trial_id, message=line)
 
     def _take_finished(self) -> None:
-        for spec, recording in self._workers.finished():
+        for done in self._workers.finished():
+            spec, recording = done.spec, done.recording
+            if done.unreached is not None:
+                self.unreached = done.unreached
+                self._waiting.clear()
+                continue
             if recording is None:
                 self._waiting.insert(0, spec)
                 self._report("redo", spec.trial_id, message="its process was lost while the policy was running")

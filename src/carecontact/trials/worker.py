@@ -1,8 +1,9 @@
 """One trial in its own process: ``python -m carecontact.trials.worker`` with a ``TrialRequest`` on standard input.
 
 The worker writes POLICY_RUNS to the request's ``phase_fd`` when the process of a local policy is about to start, and
-POLICY_GONE when it is gone. Exit status 0 means that the recording was written, whatever happened to the trial. A crash
-of the interpreter itself writes nothing; then the supervisor writes a recording.
+POLICY_GONE when it is gone. Exit status 0 means that the recording was written, whatever happened to the trial, or that
+UNREACHED says why the trial did not begin. A crash of the interpreter itself writes nothing; then the supervisor writes
+a recording.
 """
 
 from __future__ import annotations
@@ -25,12 +26,14 @@ SINGLE_THREAD = {
 
 WAITING = "waiting.txt"
 """File beside the recording in which the worker says that it waits for its policy."""
+UNREACHED = "unreached.txt"
+"""File beside it in which the worker says why it could not reach its policy's server; then there is no recording."""
 POLICY_RUNS, POLICY_GONE = b"+", b"-"
 
 
 def main() -> int:
     os.environ.update(SINGLE_THREAD)
-    from carecontact.errors import CarecontactError
+    from carecontact.errors import CarecontactError, UnreachableError
     from carecontact.recording import write_recording
     from carecontact.trials.failed import harness_error_recording, tail
     from carecontact.trials.request import TrialRequest
@@ -51,6 +54,8 @@ def main() -> int:
             request.spec, policy=request.policy, weights=request.weights, on_policy=tell, on_wait=wait
         )
         write_recording(recording, request.out)
+    except UnreachableError as error:
+        request.out.with_name(UNREACHED).write_text(str(error))
     except Exception as error:
         trace = traceback.format_exc()
         sys.stderr.write(trace)

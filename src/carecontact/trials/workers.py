@@ -23,7 +23,7 @@ from carecontact.recording.schema import Recording
 from carecontact.runs.manifest import FAILED
 from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, tail
 from carecontact.trials.request import TrialRequest
-from carecontact.trials.worker import POLICY_RUNS, SINGLE_THREAD, WAITING
+from carecontact.trials.worker import POLICY_RUNS, SINGLE_THREAD, UNREACHED, WAITING
 
 # -P: the folder a user happens to stand in must not shadow a module of the trial's process.
 WORKER_COMMAND = (sys.executable, "-P", "-X", "faulthandler", "-m", "carecontact.trials.worker")
@@ -38,6 +38,17 @@ class _Worker:
     phase: int
     """End of the pipe in which the worker reports when its policy runs."""
     started: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ended:
+    """A trial whose process has ended."""
+
+    spec: TrialSpec
+    recording: Recording | None
+    """None: the trial has to run once more, or it did not begin."""
+    unreached: str | None = None
+    """Why the policy's server could not be reached, so that the trial did not begin."""
 
 
 @dataclass(kw_only=True)
@@ -86,12 +97,9 @@ class Workers:
             _Worker(spec=spec, process=process, partial=partial, output=output, phase=phase, started=time.monotonic())
         )
 
-    def finished(self) -> list[tuple[TrialSpec, Recording | None]]:
-        """Reap the workers that have ended, were stopped or ran out of time; their recordings are then in ``out``.
-
-        None in place of a recording: the trial has to run once more.
-        """
-        done: list[tuple[TrialSpec, Recording | None]] = []
+    def finished(self) -> list[Ended]:
+        """Reap the workers that have ended, were stopped or ran out of time; their recordings are then in ``out``."""
+        done: list[Ended] = []
         for worker in list(self.running):
             stopped = _is_stopped(worker.process)
             timed_out = time.monotonic() - worker.started > self.trial_limit_s
@@ -101,11 +109,14 @@ class Workers:
             kill_tree(worker.process)
             with os.fdopen(worker.phase, "rb") as pipe:
                 policy_ran = (pipe.read() or b"").endswith(POLICY_RUNS)
+            if (unreached := self._unreached(worker)) is not None:
+                done.append(Ended(spec=worker.spec, recording=None, unreached=unreached))
+                continue
             recording = self._collected(worker, timed_out=timed_out, stopped=stopped, policy_ran=policy_ran)
             if recording is not None:
                 os.replace(worker.partial, self.out / f"{worker.spec.trial_id}.h5")
                 self._keep_log(worker, recording)
-            done.append((worker.spec, recording))
+            done.append(Ended(spec=worker.spec, recording=recording))
         return done
 
     def waiting(self) -> dict[str, str]:
@@ -123,6 +134,11 @@ class Workers:
             kill_tree(worker.process)
             os.close(worker.phase)
         self.running.clear()
+
+    def _unreached(self, worker: _Worker) -> str | None:
+        # A policy of this machine could write the file itself, to leave out a trial.
+        note = worker.partial.with_name(UNREACHED)
+        return note.read_text() if self.policy.ref.kind == "remote" and note.is_file() else None
 
     def _collected(self, worker: _Worker, *, timed_out: bool, stopped: bool, policy_ran: bool) -> Recording | None:
         """Return the recording in ``worker.partial``, writing one if the worker left none; None to run it again."""
