@@ -124,3 +124,37 @@ def test_equal_failures_stand_together_with_up_to_three_logs(
         "2 trial(s) failed in the harness; logs are in r\n2 trial(s): the trial's process ended with status 7" in told
     )
     assert "; see r/T2-s000.log, r/T2-s001.log\nto run them again: " in told
+
+
+XYZW = """
+import numpy as np
+from carecontact.contract.action import Action
+from carecontact.contract.policy import PolicyCard
+
+class Suspect:
+    card = PolicyCard(name="suspect", out_of_bounds="clip")
+    def reset(self, instruction): ...
+    def act(self, observation):
+        pose = observation.pose_tcp_in_base
+        outside = np.array([5.0, *pose[1:]])
+        return [
+            Action(pose_tcp_in_base=np.array([*pose[:3], *np.roll(pose[3:], -1)])),
+            Action(pose_tcp_in_base=outside), Action(done=True),
+        ]
+"""
+
+
+def test_what_is_suspect_about_the_first_answer_and_what_was_clipped_is_told_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "my.py").write_text(XYZW)
+    monkeypatch.chdir(tmp_path)
+    run = ["run", "--policy", "my:Suspect", "--tasks", "T1", "--seeds", "0-1", "--out", "r", "--fast", "--jobs", "1"]
+    assert main(run) == 0
+    told = capsys.readouterr().out
+    first, clipped = (line for line in told.splitlines() if line.startswith("warning: "))
+    assert first.startswith("warning: the first answer of T1-s000, quaternion: the first target turns the tool by ")
+    assert first.endswith("send quaternions in the order w x y z")
+    assert told.index(first) < told.index("T1-s001 done"), "before the run is over"
+    assert clipped.startswith("warning: In 2 of 2 trials the benchmark moved targets outside the workspace onto its ")
+    assert "(2 actions in all)" in clipped

@@ -7,8 +7,6 @@ import threading
 from contextlib import ExitStack
 from pathlib import Path
 
-import pytest
-
 from carecontact.hosting.setup import PolicySetup
 from carecontact.protocols import load_protocol
 from carecontact.recording import read_recording

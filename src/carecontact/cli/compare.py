@@ -89,15 +89,29 @@ class Compare:
         from carecontact.reports.compare.baselines import beside_baselines
         from carecontact.reports.compare.overview import overview, overview_json
 
-        named = zip(ascii_uppercase, scored, strict=False)
+        named = list(zip(ascii_uppercase, scored, strict=False))
         beside = {letter: beside_baselines(run, baselines) for letter, run in named if baselines}
         found = overview(scored) if len(scored) > 2 else None
         if found is not None:
             print_overview(found, self.runs)
         for letter, of_run in beside.items():
             print_baselines(of_run, letter if len(scored) > 1 else "")
+        # The comparison of two runs names theirs itself.
+        runs = named if found else [("", run) for run in scored if len(scored) == 1]
+        _print_crashed([*runs, *(("", run) for run in baselines)])
         if self.out is not None:
             print(f"overview: {_write(overview_json(found, beside), self.out / OVERVIEW)}")
+
+
+def _print_crashed(named: Sequence[tuple[str, RunScores]]) -> None:
+    """``named``: letter of a run, or nothing, and the run."""
+    from carecontact.reports.text import crashed_text
+
+    for letter, run in named:
+        crashed = [score.trial_id for score in run.scores if score.is_crash]
+        if crashed:
+            policy = run.scores[0].policy_title
+            print(f"{f'{letter} ({policy})' if letter else policy} {crashed_text(crashed)}")
 
 
 def _write(content: Mapping[str, Any], path: Path) -> Path:

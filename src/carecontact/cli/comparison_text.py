@@ -50,6 +50,8 @@ def print_comparison(comparison: Comparison, a: Path, b: Path) -> None:
 
 
 def _run_text(info: RunInfo, folder: Path) -> str:
+    from carecontact.reports.text import crashed_text
+
     counts = [f"{info.n_trials} trial{'s' * (info.n_trials != 1)}"]
     if info.n_harness_errors:
         counts.append(f"{info.n_harness_errors} left out because the harness failed")
@@ -59,7 +61,8 @@ def _run_text(info: RunInfo, folder: Path) -> str:
     if info.n_missing:
         n = info.n_missing
         counts.append(f"unfinished: {n} planned trial{'s have' if n != 1 else ' has'} no score")
-    return f"{info.policy} ({', '.join(info.language_backend)}), {folder}: {', '.join(counts)}"
+    crashed = f"; {crashed_text(info.crashed)}" if info.crashed else ""
+    return f"{info.policy} ({', '.join(info.language_backend)}), {folder}: {', '.join(counts)}{crashed}"
 
 
 def _alone_text(alone: dict[str, str]) -> str:

@@ -10,9 +10,11 @@ from carecontact.cli.groups import FLAT, JobsGroup, PhysicsGroup, PolicyGroup, R
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from carecontact.contract.protocol import Protocol
     from carecontact.runs.manifest import Purpose
-    from carecontact.trials.supervisor import RunSummary
+    from carecontact.trials.supervisor import RunSummary, TrialEvent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +92,7 @@ class Run:
                 policy=setup,
                 card=card,
                 weights=self.vision.weights and self.vision.weights.resolve(),
-                on_event=on_event,
+                on_event=lambda event: _show(event, on_event),
                 purpose=purpose,
             )
         status = self._finish(summary)
@@ -108,6 +110,7 @@ class Run:
         from carecontact.cli.failed_trials import failed_status, print_failed
         from carecontact.cli.report_page import write_page
         from carecontact.cli.rescoring import rescore
+        from carecontact.reports.text import clipped_text
 
         if not summary.ended:
             return 0
@@ -115,6 +118,8 @@ class Run:
         scores = rescore(self.out, compare=not summary.ran)
         write_page(self.out, scores)
         print_failed(summary.ended, out=self.out)
+        if clipped := clipped_text(scores.scores):
+            print(f"warning: {clipped}")
         return failed_status(summary.ended, allow_failures=self.allow_failures) if not scores.skipped else 1
 
     def _protocol(self) -> Protocol:
@@ -132,6 +137,12 @@ class Run:
         check_protocol(rules)
         check_rows(rules)
         return rules
+
+
+def _show(event: TrialEvent, on_event: Callable[[TrialEvent], None]) -> None:
+    on_event(event)
+    if event.kind == "warned":
+        print(f"warning: the first answer of {event.trial_id}, {event.message}", flush=True)
 
 
 def restart(out: Path) -> None:

@@ -22,7 +22,7 @@ from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
 from carecontact.trials.workers import WORKER_COMMAND, Workers
 
-EventKind = Literal["kept", "redo", "started", "waiting", "finished"]
+EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
 POLL_S = 0.05
 DEFAULT_TRIAL_LIMIT_S = 14400.0
 """Wall clock. Only a harness that hangs gets near it: a policy has an hour for all its calls (``BUDGET_S``), which
@@ -38,7 +38,8 @@ class TrialEvent:
     total: int
     ended: EndReason | None = None
     message: str | None = None
-    """The line of the failure that says why, why a file is run again, or for how long a policy has been silent."""
+    """The line of the failure that says why, why a file is run again, for how long a policy has been silent, or what is
+    suspect about the first answer of the run."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +70,8 @@ def run_trials(
     """Run what is missing in ``out``, ``jobs`` trials at once; every trial has a recording afterwards.
 
     A worker that dies without a recording gets one that says how it died. If a policy's server stays out of reach, no
-    further trial begins; those that run end, and those that did not begin have no recording. On KeyboardInterrupt the workers are killed
-    and finished trials stay.
+    further trial begins; those that run end, and those that did not begin have no recording. On KeyboardInterrupt the
+    workers are killed and finished trials stay.
 
     Args:
         policy: how the policy of all trials is reached; default: as its name in the trials alone says.
@@ -118,6 +119,7 @@ class _Run:
         self.unreached: str | None = None
         self._total, self._workers, self._on_event = len(specs), workers, on_event
         self._next_look = time.monotonic() + WAIT_REPORT_S
+        self._answered = False
         for trial_id, how in found.keep.items():
             self._report("kept", trial_id, ended=how)
         for trial_id, why in found.redo.items():
@@ -158,6 +160,10 @@ class _Run:
             self.ended[spec.trial_id] = header.ended
             why = reason_of(header.failure) if header.failure else None
             self._report("finished", spec.trial_id, ended=header.ended, message=why)
+            if done.warnings is not None and not self._answered:
+                self._answered = True
+                for text in done.warnings:
+                    self._report("warned", spec.trial_id, message=text)
 
     def _report(
         self, kind: EventKind, trial_id: str, *, ended: EndReason | None = None, message: str | None = None

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
@@ -26,6 +27,8 @@ class Look:
     """One observation as the audit is shown it, after the policy has answered."""
 
     observation: Observation
+    actions: list[Action]
+    """The answer."""
     raw: RawReadings
     sent: bytes
     """The message in which the policy received it."""
@@ -52,7 +55,7 @@ def run_trial(
         on_wait: called with a line every few seconds while the policy is silent, by another thread.
 
     Raises:
-        UnreachableError: the policy's server took no connection until the deadline of its start; the trial did not begin.
+        UnreachableError: the policy's server took no connection until the deadline of its start.
         CarecontactError: the harness itself failed (SceneError, SettleError, DependencyError and others).
     """
     setup = policy or setup_of(spec)
@@ -98,7 +101,7 @@ def _act(episode: Episode, policy: PolicyConversation, on_look: Callable[[Look],
         reply = policy.act(observation)
         episode.answered(sent_sha256=reply.sent_sha256, notes=reply.notes)
         if on_look is not None and episode.raw is not None:
-            on_look(Look(observation=observation, raw=episode.raw, sent=reply.sent))
+            on_look(Look(observation=observation, actions=reply.actions, raw=episode.raw, sent=reply.sent))
         observation = None
         for number, action in enumerate(reply.actions, start=1):
             try:

@@ -8,9 +8,14 @@ a recording.
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import traceback
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from carecontact.trials.trial import Look
 
 SINGLE_THREAD = {
     name: "1"
@@ -26,6 +31,8 @@ SINGLE_THREAD = {
 
 WAITING = "waiting.txt"
 """File beside the recording in which the worker says that it waits for its policy."""
+FIRST_ANSWER = "first_answer.json"
+"""File beside it with the warnings about the policy's first answer: a list of texts."""
 UNREACHED = "unreached.txt"
 """File beside it in which the worker says why it could not reach its policy's server; then there is no recording."""
 POLICY_RUNS, POLICY_GONE = b"+", b"-"
@@ -47,11 +54,19 @@ def main() -> int:
     def wait(line: str) -> None:
         request.out.with_name(WAITING).write_text(line)
 
+    def look(look: Look) -> None:
+        from carecontact.trials.first_answer import look_at
+
+        note = request.out.with_name(FIRST_ANSWER)
+        if not note.exists():
+            found = look_at(look.actions, look.observation)
+            note.write_text(json.dumps([f"{finding.topic}: {finding.text}" for finding in found]))
+
     try:
         from carecontact.trials.trial import run_trial
 
         recording = run_trial(
-            request.spec, policy=request.policy, weights=request.weights, on_policy=tell, on_wait=wait
+            request.spec, policy=request.policy, weights=request.weights, on_look=look, on_policy=tell, on_wait=wait
         )
         write_recording(recording, request.out)
     except UnreachableError as error:

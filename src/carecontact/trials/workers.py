@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -12,10 +13,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
-from carecontact.hosting.conversation import WAIT_REPORT_S
+from carecontact.hosting.conversation import WAIT_REPORT_S, readable
 from carecontact.hosting.descendants import kill_marked, marks_of
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, write_recording
@@ -23,7 +25,7 @@ from carecontact.recording.schema import Recording
 from carecontact.runs.manifest import FAILED
 from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, tail
 from carecontact.trials.request import TrialRequest
-from carecontact.trials.worker import POLICY_RUNS, SINGLE_THREAD, UNREACHED, WAITING
+from carecontact.trials.worker import FIRST_ANSWER, POLICY_RUNS, SINGLE_THREAD, UNREACHED, WAITING
 
 # -P: the folder a user happens to stand in must not shadow a module of the trial's process.
 WORKER_COMMAND = (sys.executable, "-P", "-X", "faulthandler", "-m", "carecontact.trials.worker")
@@ -47,6 +49,8 @@ class Ended:
     spec: TrialSpec
     recording: Recording | None
     """None: the trial has to run once more, or it did not begin."""
+    warnings: tuple[str, ...] | None = None
+    """About the policy's first answer; None: it gave none."""
     unreached: str | None = None
     """Why the policy's server could not be reached, so that the trial did not begin."""
 
@@ -116,7 +120,7 @@ class Workers:
             if recording is not None:
                 os.replace(worker.partial, self.out / f"{worker.spec.trial_id}.h5")
                 self._keep_log(worker, recording)
-            done.append(Ended(spec=worker.spec, recording=recording))
+            done.append(Ended(spec=worker.spec, recording=recording, warnings=_warnings(worker)))
         return done
 
     def waiting(self) -> dict[str, str]:
@@ -180,6 +184,15 @@ class Workers:
         printed = f"\nthe trial's process printed:\n{output}\n" if output else ""
         worker.output.write_text(head + printed, errors="replace")
         os.replace(worker.output, log)
+
+
+def _warnings(worker: _Worker) -> tuple[str, ...] | None:
+    # A policy of this machine could write there whatever it likes.
+    with suppress(OSError, ValueError):
+        found: object = json.loads(worker.partial.with_name(FIRST_ANSWER).read_text())
+        if isinstance(found, list):
+            return tuple(readable(str(text)) for text in cast(list[object], found))
+    return None
 
 
 def kill_tree(process: subprocess.Popen[bytes]) -> None:
