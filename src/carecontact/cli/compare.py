@@ -78,9 +78,10 @@ class Compare:
     def _compare_two(self, scored: Sequence[RunScores]) -> None:
         from carecontact.cli.comparison_text import print_comparison
         from carecontact.reports.compare.comparison import compare_runs, comparison_json
+        from carecontact.reports.text import crashed_text
 
         comparison = compare_runs(*scored, per_task=self.per_task)
-        print_comparison(comparison, *self.runs)
+        print_comparison(comparison, *self.runs, crashed=[crashed_text(run.scores) for run in scored])
         if self.out is not None:
             print(f"comparison: {_write(comparison_json(comparison), self.out / COMPARISON)}")
 
@@ -108,10 +109,9 @@ def _print_crashed(named: Sequence[tuple[str, RunScores]]) -> None:
     from carecontact.reports.text import crashed_text
 
     for letter, run in named:
-        crashed = [score.trial_id for score in run.scores if score.is_crash]
-        if crashed:
+        if crashed := crashed_text(run.scores):
             policy = run.scores[0].policy_title
-            print(f"{f'{letter} ({policy})' if letter else policy} {crashed_text(crashed)}")
+            print(f"{f'{letter} ({policy})' if letter else policy} {crashed}")
 
 
 def _write(content: Mapping[str, Any], path: Path) -> Path:

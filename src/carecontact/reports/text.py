@@ -70,6 +70,7 @@ def clipped_text(scores: Sequence[TrialScore]) -> str:
     )
 
 
-def crashed_text(crashed: Sequence[str]) -> str:
-    """``crashed``: the trials in which the policy crashed; empty text for none."""
+def crashed_text(scores: Sequence[TrialScore]) -> str:
+    """Return in which trials the policy crashed; empty if in none."""
+    crashed = [score.trial_id for score in scores if score.is_crash]
     return f"crashed in {len(crashed)}: {listed(crashed)}" if crashed else ""

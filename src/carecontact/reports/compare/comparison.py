@@ -35,8 +35,6 @@ class RunInfo:
     language_backend: tuple[str, ...]
     n_trials: int
     """That say something about the policy."""
-    crashed: tuple[str, ...]
-    """Of them, the trials in which the policy crashed: they count as failures."""
     n_harness_errors: int
     skipped: dict[str, str]
     n_missing: int
@@ -147,7 +145,6 @@ def _info(run: RunScores) -> RunInfo:
         policy=counted[0].policy_title,
         language_backend=tuple(sorted({s.language_backend for s in counted})),
         n_trials=len(counted),
-        crashed=tuple(s.trial_id for s in counted if s.is_crash),
         n_harness_errors=len(run.scores) - len(counted),
         skipped=run.skipped,
         n_missing=len(run.missing),
