@@ -110,6 +110,19 @@ def test_a_policy_ends_with_its_trial(server: tuple[int, subprocess.Popen[str]])
     assert _children(server[1].pid) == []
 
 
+def test_the_server_says_where_a_policy_hung(tmp_path: Path) -> None:
+    """The trial's host cannot know it."""
+    with served(POLICY, tmp_path) as (port, process):
+        failure(at(port, first_deadline_s=5), instruction="hang")
+        assert process.stdout is not None
+        told = [process.stdout.readline() for _ in range(4)]
+    begins, ended, here, frame = told
+    assert begins.endswith(": a trial begins\n")
+    assert ended.endswith(": the trial has ended\n")
+    assert here == "it hung here (most recent call last):\n"
+    assert frame.endswith('under_test.py", line 24, in act\n')
+
+
 def _children(pid: int) -> list[int]:
     tasks = Path(f"/proc/{pid}/task")
     if not tasks.is_dir():

@@ -81,6 +81,13 @@ class PolicyProcess(PolicyConversation):
         with self._evidence("start"):
             return self._launch(lambda: max(deadline - time.monotonic(), 0.0))
 
+    def hung(self) -> str:
+        """Where a launched policy stands that does not end although nobody speaks to it any more; empty if it ends."""
+        with suppress(subprocess.TimeoutExpired):
+            if self._child is not None:
+                self._child.wait(GRACE_S)
+        return self._shown(self._where("timeout"))
+
     def close(self) -> None:
         if self._client is not None and self._child is not None and self._child.poll() is None:
             self._client.say_goodbye(deadline_s=GRACE_S)
