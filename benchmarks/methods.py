@@ -22,9 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
-from carecontact.contract.action import ActionBounds
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Protocol
+from carecontact.contract.session import ActionBounds, Session
 from carecontact.episode.first_look import first_look
 from carecontact.policies.voxposer.policy import VoxPoser
 from carecontact.protocols import load_protocol

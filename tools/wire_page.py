@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from carecontact.contract.action import Action, ActionBounds
+from carecontact.contract.action import Action
 from carecontact.contract.observation import CameraView, Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import ActionBounds, Session
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.messages import CLOSE, act_message, reset_message
 from carecontact.hosting.wire.packing import is_array, is_list, is_map, pack, unpack

@@ -19,7 +19,8 @@ from carecontact.audit.region import two_starts
 from carecontact.audit.schema import audit_schema
 from carecontact.audit.watched import Watched, press, watch
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import Session
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
 from carecontact.episode.perception import PerceptionLog

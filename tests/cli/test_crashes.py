@@ -82,6 +82,11 @@ STARTS = {
         "SystemExit: 0",
         ["  |     sys.exit(0)", "  | nothing to do"],
     ),
+    "another name": (
+        "class Fault: ...",
+        "ImportError: my has no 'Faulty'; it has no class with act (did you mean my:Fault?)",
+        [],
+    ),
     "quiet end": (
         "import os\nprint('bye', flush=True)\nos._exit(0)",
         "its process ended itself before it was ready, exit code 0",
@@ -105,6 +110,7 @@ def test_a_policy_that_does_not_start_ends_with_status_2_and_its_traceback(
     )
     place = str(tmp_path)
     assert [line for line in lines if line.replace("{}/", f"{place}/") not in more] == []
+    assert bool(more) == bool(lines)
     assert not [line for line in more if "File" in line and place not in line]
     assert not Path("r").exists()
 

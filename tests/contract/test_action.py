@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from carecontact.contract.action import Action, ActionBounds, check_action, clip_action
+from carecontact.contract.action import Action, check_action, clip_action
+from carecontact.contract.session import ActionBounds
 from carecontact.errors import ActionError
 
 LOW, HIGH = (0.0, -0.6, 0.1), (1.0, 0.5, 0.75)
@@ -117,8 +118,8 @@ def test_stiffness_bounds_are_allowed_values(good: tuple[float, float]) -> None:
         ((400.0, 50.1), "got 50.1"),
         ((float("nan"), 20.0), "N/m, got nan"),
         ((400.0, float("nan")), "N m/rad, got nan"),
-        ((400.0,), "got 1 numbers"),
-        ((400.0, 20.0, 20.0), "got 3 numbers"),
+        ((400.0,), "about x y z\\), got 1"),
+        ((400.0, 20.0, 20.0), "about x y z\\), got 3"),
     ],
 )
 def test_stiffness_outside_its_bounds_is_refused_not_clamped(bad: Any, message: str) -> None:

@@ -7,7 +7,8 @@ import pytest
 
 from carecontact.contract.action import Action
 from carecontact.contract.observation import MODALITIES, Observation
-from carecontact.contract.policy import CAMERAS, Policy, PolicyCard, Session
+from carecontact.contract.policy import CAMERAS, Policy, PolicyCard
+from carecontact.contract.session import Session
 from carecontact.errors import ContractError
 
 
@@ -24,7 +25,16 @@ def test_a_card_may_ask_for_everything() -> None:
         ({"name": "a\x1b[2J"}, r"PolicyCard.name: expected 1 to 200 printable characters, got 'a\\x1b\[2J'"),
         ({"name": 3}, "PolicyCard.name: expected 1 to 200 printable characters, got 3"),
         ({"language_backend": None}, "PolicyCard.language_backend: expected 1 to 200 printable characters, got None"),
-        ({"action_space": "joint_position"}, "action_space: expected one of cartesian_pose, got 'joint_position'"),
+        (
+            {"action_space": "joints"},
+            "action_space: expected one of cartesian_pose, droid_joint_velocity, joint_position, got 'joints'",
+        ),
+        (
+            {"action_space": "joint_position"},
+            "control: expected one of droid, droid-sim-evals, with the action space joint_position, "
+            "got 'cartesian-impedance'",
+        ),
+        ({"control": "droid"}, "control: expected one of cartesian-impedance, with the action space cartesian_pose"),
         ({"modalities": ("rgb", "force")}, "modalities: expected a tuple of names out of rgb, depth, .* got 'force'"),
         ({"modalities": "rgb"}, "PolicyCard.modalities: expected a tuple of names .* got 'rgb'"),
         ({"cameras": ("ceiling",)}, "cameras: expected .* out of overhead, bedside, exterior, wrist, got 'ceiling'"),

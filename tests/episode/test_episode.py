@@ -9,21 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carecontact.contract.action import Action
+from carecontact.contract.action import ACTION_SPACES, Action
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard
+from carecontact.contract.policy import PolicyCard, controls_for
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
 from carecontact.episode.peak import Peak
-from carecontact.episode.prepare import World, settled_world
-from carecontact.episode.spaces import SPACES
+from carecontact.episode.prepare import World
 from carecontact.errors import ActionError, ConfigError, PolicyError
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire.messages import observation_sha256
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, canonical_hash
 from carecontact.scoring import score_recording
-from carecontact.sim.simulation import Simulation
 from carecontact.trials.trial import run_trial
 
 POLICY = """
@@ -56,18 +54,10 @@ def spec(policy: str = "blind") -> TrialSpec:
     return TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy=policy)
 
 
-@pytest.fixture(scope="module")
-def again() -> Callable[[TrialSpec], World]:
+@pytest.fixture
+def again(parked_world: Callable[[TrialSpec], World]) -> Callable[[TrialSpec], World]:
     """The same settled world for every episode."""
-    simulation, settled, sha256 = settled_world(load_protocol(), task_id="T1", seed=0)
-    state = simulation.integration_state()
-
-    def prepare(spec: TrialSpec) -> World:
-        fresh = Simulation(simulation.scene)
-        fresh.restore(state, comfort_arm_deg=settled.comfort_arm_deg)
-        return fresh, settled, sha256
-
-    return prepare
+    return parked_world
 
 
 def by_loop(spec: TrialSpec, policy, prepare: Callable[[TrialSpec], World]) -> Recording:
@@ -141,7 +131,7 @@ def test_a_card_that_clips_is_counted(again: Callable[[TrialSpec], World], monke
         for action in (Action(pose_tcp_in_base=outside), Action(), Action(done=True)):
             episode.step(action, observe=False)
         recording = episode.finish()
-        high = episode.space.bounds.workspace_high_m[0]
+        high = episode.session.action_bounds.workspace_high_m[0]
     assert recording["actions/clipped"].tolist() == [1, 0, 0]
     assert recording["actions/pose_tcp_in_base"][0, 0] == high
     assert score_recording(recording).clipped_actions == 1
@@ -183,18 +173,19 @@ def test_calls_out_of_order_are_refused(again: Callable[[TrialSpec], World], wro
             episode.step(Action()) if wrong == "no reset" else episode.reset()
 
 
-@pytest.mark.parametrize("name", SPACES)
-def test_every_action_space_publishes_bounds_and_fills_arrays_of_the_schema(
+@pytest.mark.parametrize("name", ACTION_SPACES)
+def test_every_action_space_has_a_driver_that_fills_arrays_of_the_schema(
     name: str, again: Callable[[TrialSpec], World]
 ) -> None:
-    from carecontact.contract.action import ACTION_SPACES
-    from carecontact.recording import ARRAYS, OPTIONAL_ARRAYS
-
-    assert set(SPACES) == set(ACTION_SPACES)
-    space = SPACES[name](again(spec())[0])
-    assert space.control
-    action = Action()
-    assert space.clip(action) is action
-    row = space.apply(space.check(action), 0.1)
-    assert set(row) <= set(ARRAYS | OPTIONAL_ARRAYS)
-    assert space.bounds.workspace_low_m < space.bounds.workspace_high_m
+    card = PolicyCard(name="any", action_space=name, control=controls_for(name)[0])
+    with Episode(spec(), card=card, prepare=again) as episode:
+        episode.reset()
+        episode.step(Action(), observe=False)
+        episode.step(Action(done=True), observe=False)
+        recording = episode.finish()
+    assert recording.header.control == card.control
+    used = set(recording.arrays)
+    assert {"actions/joint"} & used == ({"actions/joint"} if ACTION_SPACES[name].in_joints else set())
+    # What no action used is not in the recording.
+    assert not {"actions/axis_stiffness", "actions/damping_ratio", "actions/wrench_in_tcp"} & used
+    assert score_recording(recording).trial_id

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from carecontact.contract.action import ActionBounds
 from carecontact.contract.observation import MASK_NAMES, CameraView, Observation
-from carecontact.contract.policy import Session
+from carecontact.contract.session import ActionBounds, Session
 
 BOUNDS = ActionBounds(
     workspace_low_m=(-0.2, -1.1, -0.15),

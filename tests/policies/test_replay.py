@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carecontact.contract.action import ActionBounds, check_action
+from carecontact.contract.action import check_action
+from carecontact.contract.session import ActionBounds
 from carecontact.errors import ContractError
 from carecontact.policies.replay.policy import Replay, recorded_actions
 from carecontact.protocols import load_protocol

@@ -13,7 +13,7 @@ from carecontact.protocols import load_protocol
 from carecontact.sim.impedance import (
     TargetInterpolator,
     nullspace_torque,
-    set_stiffness,
+    set_gains,
     steps_of_period,
     tcp_pose_in_base,
     write_target,
@@ -106,7 +106,7 @@ def test_follows_a_reorientation_of_46_degrees() -> None:
 @pytest.mark.parametrize("stiffness", [200.0, 400.0, 1000.0])
 def test_push_on_a_wall_is_stiffness_times_overtravel(stiffness: float) -> None:
     model, data = build(wall_below_m=0.02)
-    set_stiffness(model, stiffness, 20.0, PROTOCOL)
+    set_gains(model, np.repeat([stiffness, 20.0], 3), 1.0, PROTOCOL)
     goal = tcp_pose_in_base(model, data)
     goal[2] -= 0.06
     ramp(model, data, goal)

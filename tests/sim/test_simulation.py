@@ -17,7 +17,7 @@ FOREARM = SEGMENTS.index("right_forearm")
 
 def test_every_step_of_a_period_is_kept_bit_for_bit(pressing: Simulation) -> None:
     model, data = pressing.model, pressing.data
-    pressing.set_goal(pressing.interpolator.pose - np.r_[0, 0, 0.01, 0, 0, 0, 0], 0.1)
+    pressing.set_goal(pressing.control.target_in_base - np.r_[0, 0, 0.01, 0, 0, 0, 0], 0.1)
     state = pressing.integration_state()
 
     mujoco.mj_step(model, data, 10)

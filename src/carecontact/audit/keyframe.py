@@ -45,7 +45,7 @@ class Keyframe:
         self._laid_at_deg = comfort_arm_deg(protocol, seed)
         self.scene = simulation.scene
         self._parked = simulation.integration_state()
-        self.parked_pose = simulation.interpolator.pose
+        self.parked_pose = simulation.control.target_in_base
         """(7,) of the TCP in base; as a goal it moves nothing."""
         self._near, self.poses = self._approach(simulation, region=protocol.task(task_id).region)
         """(n, 7) poses of the TCP in base at CONTROL_HZ that follow the later keyframe and end in contact."""
@@ -71,7 +71,7 @@ class Keyframe:
         """The state BEFORE_S before first contact, and the poses that follow it."""
         simulation.start()
         base = simulation.robot.in_base(simulation.data, _skin_in_world(simulation, region), np.eye(3))
-        skin, start = base[:3, 3], simulation.interpolator.pose
+        skin, start = base[:3, 3], simulation.control.target_in_base
         press = Leg(points=(skin - PRESS_DEPTH_M * UP)[None], quat_wxyz=radial_quat(skin), speed_m_s=PRESS_SPEED_M_S)
         above = replace(press, points=(skin + 0.02 * UP)[None], speed_m_s=5 * PRESS_SPEED_M_S)
         hold = replace(press, hold_s=AFTER_S)

@@ -12,11 +12,14 @@ def excerpt(message: str) -> list[str]:
     Empty where the message is one line.
     """
     from carecontact.hosting.conversation import readable
-    from carecontact.recording.reason import PRINTED
+    from carecontact.recording.reason import PRINTED, TRACEBACK
 
     said, _, printed = readable(message).partition(PRINTED)
     _, _, trace = said.partition("\n")
     lines = _last(trace, TRACE_LINES)
+    if len([line for line in lines if line != TRACEBACK]) < 2:
+        # Of a traceback that only had frames of ours, the exception alone is left: the reason, which stands above.
+        lines = []
     if printed:
         lines += ["it printed last:", *_last(printed, PRINTED_LINES)]
     return [f"  | {line}" for line in lines]

@@ -24,7 +24,18 @@ class List:
 
     what: Annotated[
         Literal[
-            "tasks", "actions", "regions", "segments", "policies", "protocols", "bodies", "tissue", "metrics", "all"
+            "tasks",
+            "actions",
+            "regions",
+            "segments",
+            "spaces",
+            "controls",
+            "policies",
+            "protocols",
+            "bodies",
+            "tissue",
+            "metrics",
+            "all",
         ],
         tyro.conf.Positional,
     ] = "all"
@@ -75,6 +86,18 @@ def _segments(protocol: str) -> list[tuple[str, str]]:
     rows = [(name, "Body segment: a value of `segment` and `neighbourhood` of a region.") for name in SEGMENTS]
     rows += [(name, "Limb part: a value of `closed_by` in a region's shape.") for name in LIMB_PARTS]
     return [*rows, *((name, "Joint: a value of `joints` in a region's sight.") for name in JOINTS)]
+
+
+def _spaces(protocol: str) -> list[tuple[str, str]]:
+    from carecontact.contract.action import ACTION_SPACES
+
+    return _rows(ACTION_SPACES, lambda row: f"{row.description} Fields: {', '.join(row.fields)}.")
+
+
+def _controls(protocol: str) -> list[tuple[str, str]]:
+    from carecontact.contract.control import CONTROLS
+
+    return _rows(CONTROLS, lambda row: row.description)
 
 
 def _policies(protocol: str) -> list[tuple[str, str]]:
@@ -159,6 +182,7 @@ def _rows(registry: Registry[T], meaning: Callable[[T], str]) -> list[tuple[str,
 
 
 KINDS = {
-    "tasks": _tasks, "actions": _actions, "regions": _regions, "segments": _segments, "policies": _policies,
-    "protocols": _protocols, "bodies": _bodies, "tissue": _tissue, "metrics": _metrics,
+    "tasks": _tasks, "actions": _actions, "regions": _regions, "segments": _segments, "spaces": _spaces,
+    "controls": _controls, "policies": _policies, "protocols": _protocols, "bodies": _bodies, "tissue": _tissue,
+    "metrics": _metrics,
 }  # fmt: skip

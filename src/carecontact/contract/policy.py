@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import NoReturn, Protocol, cast, runtime_checkable
 
-from carecontact.contract.action import ACTION_SPACES, Action, ActionBounds
+from carecontact.contract.action import ACTION_SPACES, Action
+from carecontact.contract.control import CARTESIAN_IMPEDANCE, CONTROLS
 from carecontact.contract.observation import MODALITIES, Observation
 from carecontact.errors import ContractError
 
@@ -24,6 +25,9 @@ class PolicyCard:
 
     name: str
     action_space: str = "cartesian_pose"
+    """Name from ACTION_SPACES."""
+    control: str = CARTESIAN_IMPEDANCE
+    """Name from CONTROLS: the controller that executes the actions. Joint spaces need one of the joint controllers."""
     modalities: tuple[str, ...] = ()
     """Names from MODALITIES. At every ``act`` call, the policy receives each of them for each of its cameras."""
     cameras: tuple[str, ...] = ("overhead",)
@@ -50,6 +54,9 @@ class PolicyCard:
                 _wrong(name, f"1 to {MAX_NAME} printable characters", text)
         if self.action_space not in ACTION_SPACES:
             _wrong("action_space", f"one of {', '.join(ACTION_SPACES)}", self.action_space)
+        fitting = controls_for(self.action_space)
+        if self.control not in fitting:
+            _wrong("control", f"one of {', '.join(fitting)}, with the action space {self.action_space}", self.control)
         if self.out_of_bounds not in OUT_OF_BOUNDS:
             _wrong("out_of_bounds", f"one of {', '.join(OUT_OF_BOUNDS)}", self.out_of_bounds)
         for kind, valid in (("modalities", MODALITIES), ("cameras", CAMERAS)):
@@ -77,7 +84,14 @@ class PolicyCard:
         entries |= {name: list(entries[name]) for name in ("modalities", "cameras", "environment")}
         entries["arguments"] = dict(self.arguments)
         later: dict[str, object] = {"arguments": {}, "environment": [], "out_of_bounds": "error"}
+        later["control"] = CARTESIAN_IMPEDANCE
         return {name: value for name, value in entries.items() if name not in later or value != later[name]}
+
+
+def controls_for(action_space: str) -> list[str]:
+    """The controllers that can execute the actions of a space."""
+    in_joints = ACTION_SPACES[action_space].in_joints
+    return [name for name, control in CONTROLS.usable().items() if (control.joint is not None) == in_joints]
 
 
 def check_arguments(given: object) -> None:
@@ -105,20 +119,6 @@ def check_variables(given: object) -> None:
 
 def _wrong(field: str, expected: str, got: object) -> NoReturn:
     raise ContractError(f"PolicyCard.{field}: expected {expected}, got {got!r:.80}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Session:
-    """What holds for every trial of a protocol: limits and cameras. Carries no seed, task id or label."""
-
-    action_bounds: ActionBounds
-    joint_low_rad: tuple[float, ...]
-    """(7,) lower joint limits of the robot"""
-    joint_high_rad: tuple[float, ...]
-    """(7,)"""
-    camera_sizes_px: dict[str, tuple[int, int]]
-    """Camera -> (width, height) [px], for every camera of the scene, whether the card requests it or not."""
-    time_limit_s: float
 
 
 @runtime_checkable

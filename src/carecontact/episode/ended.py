@@ -40,3 +40,15 @@ def cut_by_solver(warnings: list[str]) -> Ended | None:
         return None
     failure = Failure(kind="solver", message=f"MuJoCo warning {', '.join(warnings)}")
     return Ended(reason="safety_truncation", failure=failure)
+
+
+def cut_by_speed(fastest: tuple[int, float] | None) -> Ended | None:
+    """Return how the trial ends where a robot would have stopped; None while no joint was too fast.
+
+    Args:
+        fastest: number of the joint and its speed [rad/s].
+    """
+    if fastest is None:
+        return None
+    message = f"joint {fastest[0]} moved at {fastest[1]:.2f} rad/s, faster than the robot's controller allows"
+    return Ended(reason="safety_truncation", failure=Failure(kind="joint_speed", message=message))

@@ -21,19 +21,22 @@ from typing import Self, cast
 
 import numpy as np
 
-from carecontact.contract.action import Action
+from carecontact.contract.action import ACTION_SPACES, Action, ActionSpace
+from carecontact.contract.control import CONTROLS
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.protocol import Protocol
+from carecontact.contract.session import ActionBounds, Session
 from carecontact.contract.trial import TrialSpec
-from carecontact.episode.ended import Ended, ForceCut, cut_by_solver
+from carecontact.episode.drivers import Driver, driver_of
+from carecontact.episode.ended import Ended, ForceCut, cut_by_solver, cut_by_speed
 from carecontact.episode.header import header_of
 from carecontact.episode.log import TrialLog
 from carecontact.episode.peak import Peak
 from carecontact.episode.perception import PerceptionLog
-from carecontact.episode.prepare import World, constants_of, settled_world
+from carecontact.episode.prepare import World, constants_of, settled_world, under_control
 from carecontact.episode.randomization import sensor_noise
-from carecontact.episode.spaces import SPACES, ActionSpace
 from carecontact.episode.vision import person_segmenter
 from carecontact.errors import ActionError, ConfigError, PolicyError
 from carecontact.observation.builder import ObservationBuilder, RawReadings
@@ -92,23 +95,27 @@ class Episode:
         self.task = spec.protocol.task(spec.task_id)
         self.simulation, self._settled, self._model_sha256 = (prepare or _world)(spec)
         self._weights, self._digest = weights, digest or (lambda observation: bytes(32))
-        self.log = TrialLog(
-            human_joints=len(self.simulation.joint_names),
-            regions=len(self.protocol.regions),
-            constants=constants_of(self.simulation, self._settled),
-        )
         self._wall_s = [started, time.monotonic()]
         self._open = ExitStack()
-        self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol)
-        self._peak = Peak(self.simulation, target=SEGMENTS.index(REGIONS[self.task.region].segment))
         self._force_cut = ForceCut(self.protocol)
-        self._space: ActionSpace | None = None
+        self._driver: Driver | None = None
         self._builder: ObservationBuilder | None = None
         self._perception: PerceptionLog | None = None
         self._pending: Observation | None = None
         self._done_steps = 0
         self._closed = False
         self._ended: Ended | None = None
+        self._equip()
+
+    def _equip(self) -> None:
+        """Make what belongs to one compiled world: log, renderer and the memory of the peak. t = 0."""
+        self.log = TrialLog(
+            human_joints=len(self.simulation.joint_names),
+            regions=len(self.protocol.regions),
+            constants=constants_of(self.simulation, self._settled),
+        )
+        self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol)
+        self._peak = Peak(self.simulation, target=SEGMENTS.index(REGIONS[self.task.region].segment))
         self.simulation.start()
         self.log.add_state(self.simulation.time_s, self.simulation.integration_state())
 
@@ -131,7 +138,7 @@ class Episode:
     def card(self, card: PolicyCard) -> None:
         if self._perception is not None:
             raise ConfigError("Episode.card: it cannot change after reset; make a new Episode for another card")
-        self._card, self._space = card, None
+        self._card = card
 
     @property
     def instruction(self) -> str:
@@ -142,7 +149,7 @@ class Episode:
     def session(self) -> Session:
         """What a policy learns before its first observation: limits and cameras, the same in every trial."""
         return Session(
-            action_bounds=self.space.bounds,
+            action_bounds=_bounds_of(self.protocol),
             joint_low_rad=PANDA.joint_low_rad,
             joint_high_rad=PANDA.joint_high_rad,
             camera_sizes_px={name: (c.width, c.height) for name, c in self.protocol.cameras.items()},
@@ -151,12 +158,10 @@ class Episode:
 
     @property
     def space(self) -> ActionSpace:
-        """The card's action space over this simulation. Raises ConfigError before there is a card."""
+        """The card's action space. Raises ConfigError before there is a card."""
         if self.card is None:
             raise ConfigError("Episode: set the card before the action space is used")
-        if self._space is None:
-            self._space = SPACES[self.card.action_space](self.simulation)
-        return self._space
+        return ACTION_SPACES[self.card.action_space]
 
     @property
     def raw(self) -> RawReadings | None:
@@ -170,6 +175,12 @@ class Episode:
                 "Episode.reset: set the card first, and call reset() once; make a new Episode for another trial"
             )
         card, dt_s = self.card, self.protocol.physics.dt_s
+        control = CONTROLS[card.control]
+        if control.joint is not None:
+            self.simulation, self._model_sha256 = under_control(self.simulation, control)
+            self._equip()
+            self._open.enter_context(self._renderer)
+        self._driver = driver_of(card, self.simulation)
         segmenter = person_segmenter(self.protocol, self._weights) if "masks" in card.modalities else None
         noise = sensor_noise(self.protocol, self.spec.seed, salt=self.spec.noise_salt)
         self._builder = ObservationBuilder(
@@ -212,12 +223,14 @@ class Episode:
         if not isinstance(cast(object, action), Action):
             raise ActionError(f"expected one Action, got {type(action).__name__}; pass those of a list one by one")
         assert self.card is not None
-        clips = self.card.out_of_bounds == "clip"
-        inside = self.space.clip(action) if clips else action
-        checked = self.space.check(inside)
+        assert self._driver is not None
+        clips, session = self.card.out_of_bounds == "clip", self.session
+        inside = self.space.clip(action, session) if clips else action
+        checked = self.space.check(inside, session)
+        self._driver.check(checked)
         self.answered()
         period_s = 1.0 / self.card.control_hz
-        entries = self.space.apply(checked, period_s)
+        entries = self._driver.apply(checked, period_s)
         clipped = {"actions/clipped": np.array(inside is not action)} if clips else {}
         self.log.add_action(self.simulation.time_s, {**entries, **clipped})
         steps = min(next(self._periods), self._limit_steps - self._done_steps)
@@ -262,9 +275,11 @@ class Episode:
         header = header_of(
             self.spec, self.simulation, self._settled, self._ended, model_sha256=self._model_sha256,
             card=None if self.card is None else self.card.plain(),
-            control=None if self.card is None else self.space.control,
+            control=None if self.card is None else self.card.control,
         )  # fmt: skip
-        return Recording(header=header, arrays=self.log.arrays())
+        unused = frozenset[str]() if self._driver is None else self._driver.unused
+        arrays = {path: values for path, values in self.log.arrays().items() if path not in unused}
+        return Recording(header=header, arrays=arrays)
 
     def _observe(self) -> Observation:
         assert self._builder is not None
@@ -286,15 +301,27 @@ class Episode:
                 return cut
             self.log.add_period(
                 samples, time_s=simulation.time_s, indentation_m=simulation.indentation(),
-                target_in_base=simulation.interpolator.pose,
+                target_in_base=simulation.control.target_in_base,
             )  # fmt: skip
             if self.log.wants_state(simulation.time_s):
                 self.log.add_state(simulation.time_s, simulation.integration_state())
             force_n = np.concatenate([np.linalg.norm(s.force, axis=2) for s in samples])
             self._peak.look(force_n)
-            if (cut := self._force_cut.cut(force_n)) is not None:
+            cut = self._force_cut.cut(force_n) or cut_by_speed(simulation.fastest_joint)
+            if cut is not None:
                 return cut
         return None
+
+
+def _bounds_of(protocol: Protocol) -> ActionBounds:
+    """The workspace and the stiffness that a protocol allows."""
+    impedance = protocol.impedance
+    return ActionBounds(
+        workspace_low_m=impedance.workspace_low_m,
+        workspace_high_m=impedance.workspace_high_m,
+        translational_stiffness=impedance.translational_bounds,
+        rotational_stiffness=impedance.rotational_bounds,
+    )
 
 
 def _world(spec: TrialSpec) -> World:

@@ -7,11 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.control import Control
 from carecontact.contract.protocol import Protocol
 from carecontact.episode.randomization import comfort_arm_deg, dress, lay
 from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Settled, Simulation
-from carecontact.world.scene import build_scene
+from carecontact.world.scene import build_scene, controlled, copy_settings
 
 World = tuple[Simulation, Settled, str]
 """A simulation at t = 0, how its person settled, and the sha256 of its model before dressing and settling."""
@@ -32,6 +33,20 @@ def settled_world(protocol: Protocol, *, task_id: str, seed: int) -> World:
     lay(scene, seed)
     simulation = Simulation(scene)
     return simulation, settle(simulation, comfort_arm_deg(protocol, seed), model_sha256=model_sha256), model_sha256
+
+
+def under_control(simulation: Simulation, control: Control) -> tuple[Simulation, str]:
+    """Put the robot of a world at t = 0 under a joint control, without another settling.
+
+    Returns:
+        The simulation of the world with that control, in the same state, and the sha256 of its model.
+    """
+    scene = controlled(simulation.scene, control)
+    model_sha256 = scene.model_sha256
+    copy_settings(simulation.model, scene.model)
+    driven = Simulation(scene)
+    driven.take_over(simulation)
+    return driven, model_sha256
 
 
 def constants_of(simulation: Simulation, settled: Settled) -> Mapping[str, npt.NDArray[np.float64]]:

@@ -12,7 +12,8 @@ from types import TracebackType
 from typing import Self
 
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import Session
 from carecontact.errors import PolicyError
 from carecontact.hosting.wire.client import ActReply, PolicyClient
 

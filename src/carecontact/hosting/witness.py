@@ -15,7 +15,8 @@ from websockets.sync.server import ServerConnection
 
 from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import Session
 from carecontact.errors import ContractError
 from carecontact.hosting.child import RECEIVED
 from carecontact.hosting.descendants import MARK

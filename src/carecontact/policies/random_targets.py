@@ -8,7 +8,8 @@ import numpy as np
 
 from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import Session
 from carecontact.errors import ContractError
 
 CAMERA = "overhead"

@@ -9,8 +9,14 @@ REMEDIES = {
     "expected a quaternion of norm 1": "Divide the quaternion by its norm; its order is w x y z.",
 }
 """Part of a refusal -> what may help."""
+LOOKS = "looks like"
 
 
 def remedies(message: str) -> list[str]:
-    """Return a sentence for each refusal of REMEDIES that the message of a failure names; mostly none."""
+    """Return a sentence for each refusal of REMEDIES that the message of a failure names; mostly none.
+
+    A refusal that says itself what the answer looks like needs none.
+    """
+    if LOOKS in message:
+        return []
     return [remedy for part, remedy in REMEDIES.items() if part in message]

@@ -25,19 +25,25 @@ POSTURE_TORQUE_NM = 10.0
 """Largest norm of the posture torque before projection."""
 
 
-def set_stiffness(model: mujoco.MjModel, translational: float, rotational: float, protocol: Protocol) -> None:
-    """Edit the impedance's gains in place: translational [N/m], rotational [N m/rad], each critically damped.
+def set_gains(model: mujoco.MjModel, stiffness: Array, damping_ratio: float, protocol: Protocol) -> None:
+    """Edit the impedance's gains in place.
 
-    Damping uses the protocol's effective mass and inertia. check_action has checked the bounds.
+    Args:
+        stiffness: (6,) x y z [N/m], then about x y z [N m/rad]. The bounds have been checked. An axis without any is
+            damped as if it had the smallest that the protocol allows, since a feedforward alone moves it.
+        damping_ratio: share of critical damping at the protocol's effective mass and inertia.
     """
     impedance = protocol.impedance
-    for axis in range(6):
-        stiffness, inertia = (
-            (translational, impedance.effective_mass_kg) if axis < 3 else (rotational, impedance.effective_inertia_kgm2)
+    for axis, value in enumerate(np.asarray(stiffness, np.float64).tolist()):
+        inertia, low = (
+            (impedance.effective_mass_kg, impedance.translational_bounds[0])
+            if axis < 3
+            else (impedance.effective_inertia_kgm2, impedance.rotational_bounds[0])
         )
         row = model.actuator(f"impedance_{axis}").id
-        model.actuator_gainprm[row, 0] = stiffness
-        model.actuator_biasprm[row, :3] = [0.0, -stiffness, -damping_of(stiffness, inertia)]
+        model.actuator_gainprm[row, 0] = value
+        damping = damping_ratio * damping_of(value or low, inertia)
+        model.actuator_biasprm[row, 1:3] = [-value, -damping]
 
 
 def write_target(model: mujoco.MjModel, data: mujoco.MjData, pose_in_base: Array) -> None:

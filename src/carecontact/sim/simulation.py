@@ -10,18 +10,12 @@ import numpy.typing as npt
 
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
-from carecontact.errors import SettleError
+from carecontact.errors import SceneError, SettleError
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS
+from carecontact.sim.cartesian_control import CartesianControl
 from carecontact.sim.history import SensorHistory
-from carecontact.sim.impedance import (
-    TargetInterpolator,
-    nullspace_torque,
-    set_stiffness,
-    target_in_base,
-    tcp_pose_in_base,
-    write_target,
-)
+from carecontact.sim.joint_control import JointControl
 from carecontact.sim.proprioception import Proprioception
 from carecontact.world.human.pose import lying_pose_deg
 from carecontact.world.human.skeleton import body_name
@@ -81,20 +75,23 @@ class Simulation:
         self._human_qpos = np.array([j.qposadr[0] for j in joints])
         self.joint_range = np.array([j.range for j in joints])
         self._human_bodies = [b for b in range(self.model.nbody) if self.model.body(b).name.startswith("human_")]
-        self._robot_dof = np.array([self.model.joint(name).dofadr[0] for name in PANDA.joints])
         self._base = self.model.body(PANDA.base_body)
         self._anchor_qpos = {
             name: np.array([self.model.joint(f"{name}_v{k}_n").qposadr[0] for k in region.vertex_index])
             for name, region in scene.regions.items()
         }
         self._read = _Columns(self.history, self.joint_names, self.protocol)
-        self.interpolator = TargetInterpolator(self.protocol.physics)
-        self.posture = np.array(self.protocol.scene.parked_joint_rad)
+        law = scene.control.joint
+        self.control = (
+            CartesianControl(self.model, self.data, self.protocol)
+            if law is None
+            else JointControl(self.model, self.data, self.protocol, law)
+        )
+        """What commands the robot, once in every target period."""
         self.normal_sum_truncated = False
         """Whether a segment had more contacts at once than its normal sensor has slots."""
         self._steps = 0
         self._until_target = 0
-        self.set_stiffness(self.protocol.impedance.translational_n_m, self.protocol.impedance.rotational_nm_rad)
 
     @property
     def time_s(self) -> float:
@@ -159,9 +156,7 @@ class Simulation:
         """Put the robot at its parked joints and the target on its TCP."""
         self.robot.set_joint_position(self.data, self.protocol.scene.parked_joint_rad)
         mujoco.mj_forward(self.model, self.data)
-        pose = tcp_pose_in_base(self.model, self.data)
-        self.interpolator.reset(pose)
-        write_target(self.model, self.data, pose)
+        self.control.park()
 
     def human_speed(self) -> float:
         """Largest speed of any body segment's centre of mass [m/s]."""
@@ -185,11 +180,32 @@ class Simulation:
         self._steps = 0
         self._until_target = 0
 
+    @property
+    def impedance(self) -> CartesianControl:
+        """The Cartesian impedance. Raises SceneError in a world whose robot is under another control."""
+        if not isinstance(self.control, CartesianControl):
+            raise SceneError(f"{type(self.control).__name__}: this world's robot takes commands of its joints only")
+        return self.control
+
     def set_goal(self, pose_in_base: F64 | None, period_s: float) -> None:
-        self.interpolator.set_goal(pose_in_base, period_s)
+        """Move the Cartesian impedance's target to a pose (7,) in base; None goes on toward the last one."""
+        self.impedance.set_goal(pose_in_base, period_s)
 
     def set_stiffness(self, translational: float, rotational: float) -> None:
-        set_stiffness(self.model, translational, rotational, self.protocol)
+        """Of the Cartesian impedance: [N/m] and [N m/rad]."""
+        self.impedance.set_gains(np.repeat([translational, rotational], 3))
+
+    def set_joint_target(self, joint_position: F64) -> None:
+        """(7,) [rad] for a robot under joint control; it holds from the next physics step on."""
+        if not isinstance(self.control, JointControl):
+            raise SceneError(f"{type(self.control).__name__}: this world's robot takes poses of its tool only")
+        self.control.set_target(joint_position)
+        self._until_target = 0
+
+    @property
+    def fastest_joint(self) -> tuple[int, float] | None:
+        """The first joint of the robot that was faster than its control allows, and its speed [rad/s]."""
+        return self.control.fastest if isinstance(self.control, JointControl) else None
 
     def advance(self, steps: int) -> list[Samples]:
         """Run ``steps`` physics steps, with one C call between two moves of the target, which has its own period."""
@@ -197,8 +213,7 @@ class Simulation:
         out: list[Samples] = []
         while steps > 0:
             if self._until_target == 0:
-                write_target(self.model, self.data, self.interpolator.advance())
-                self.data.qfrc_applied[self._robot_dof] = nullspace_torque(self.model, self.data, self.posture)
+                self.control.refresh()
                 self._until_target = period
             count = min(steps, self._until_target)
             mujoco.mj_step(self.model, self.data, count)
@@ -230,7 +245,17 @@ class Simulation:
         self._rest_joints_at(comfort_arm_deg)
         mujoco.mj_setState(self.model, self.data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
         mujoco.mj_forward(self.model, self.data)
-        self.interpolator.reset(target_in_base(self.model, self.data))
+        self.control.resume()
+        self.start()
+
+    def take_over(self, other: Simulation) -> None:
+        """Continue, under this world's control, from where another simulation of the same world is."""
+        self.data.time = other.data.time
+        for name in ("qpos", "qvel", "qacc_warmstart", "mocap_pos", "mocap_quat"):
+            getattr(self.data, name)[:] = getattr(other.data, name)
+        self.control.resume()
+        self.control.refresh()
+        mujoco.mj_forward(self.model, self.data)
         self.start()
 
     def solver_warnings(self) -> list[str]:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from carecontact.contract.action import Action, clip_action
+from carecontact.contract.action import Action
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
@@ -75,7 +75,7 @@ class Check:
             with self._timed(name):
                 answers.append(policy.act(observation).actions)
         self._say("ok", "answer", self._answered(answers[0], card))
-        outside = [a for a in answers[0] if clip_action(a, episode.space.bounds) is not a]
+        outside = [a for a in answers[0] if episode.space.clip(a, episode.session) is not a]
         if outside:
             many = f"{len(outside)} of {len(answers[0])} targets are outside the workspace"
             self._say("warning", "clipped", f"{many}; the card requests that they are moved onto its border")

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
+from carecontact.contract.control import CARTESIAN_IMPEDANCE, CONTROLS, Control
 from carecontact.contract.protocol import Protocol, Tissue
 from carecontact.errors import SceneError
 from carecontact.regions import REGIONS, Belly, Tube
@@ -24,6 +25,7 @@ from carecontact.world.human.shell import Shell, limb_shell, trunk_shell
 from carecontact.world.human.skeleton import add_skeleton, body_name
 from carecontact.world.human.skin import add_skin
 from carecontact.world.human.tissue import SoftRegion, add_tissue, check_step, set_damping, shell_points
+from carecontact.world.joint_impedance import replace_impedance
 from carecontact.world.robot import add_robot
 from carecontact.world.sensors import add_sensors
 
@@ -42,6 +44,10 @@ class Scene:
     """The soft ones."""
     frames: dict[str, RegionFrame]
     """Of every region of the protocol, in its order."""
+    spec: mujoco.MjSpec
+    """What ``model`` was compiled from."""
+    control: Control = CONTROLS[CARTESIAN_IMPEDANCE]
+    """What moves the robot."""
 
     @property
     def region_size_m(self) -> Array:
@@ -124,7 +130,28 @@ def build_scene(protocol: Protocol, *, target: str | None, skin: bool = True) ->
     """Compile the world. The comfort-arm angle is no part of the model: it is set when the person settles."""
     spec, body, rows, regions, frames = build_spec(protocol, target=target, skin=skin)
     model = compile_with_tissue(spec, regions)
-    return Scene(model=model, protocol=protocol, body=body, hinges=tuple(rows), regions=regions, frames=frames)
+    return Scene(
+        model=model, protocol=protocol, body=body, hinges=tuple(rows), regions=regions, frames=frames, spec=spec
+    )
+
+
+def controlled(scene: Scene, control: Control) -> Scene:
+    """The same world as it was compiled, with the robot under a joint control; ``scene`` stays as it is."""
+    assert control.joint is not None
+    spec = scene.spec.copy()
+    replace_impedance(spec, control.joint)
+    model = compile_with_tissue(spec, scene.regions)
+    return replace(scene, model=model, spec=spec, control=control)
+
+
+def copy_settings(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
+    """Give a model what was changed in another after its compilation: looks, light, the person's place, rest angles."""
+    for name in dir(source):
+        if name.startswith(("actuator_", "tendon_", "wrap_", "sensor_", "name", "_")) or name == "jnt_actfrcrange":
+            continue
+        value = getattr(source, name)
+        if isinstance(value, np.ndarray) and value.shape == getattr(target, name).shape:
+            getattr(target, name)[:] = value
 
 
 def set_physics(spec: mujoco.MjSpec, *, dt_s: float, spacing_m: float) -> None:

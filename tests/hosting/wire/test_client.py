@@ -219,7 +219,7 @@ def _answer_of(one: PolicyClient) -> list[Action] | PolicyError:
 
 def test_act_before_reset_is_the_harness_s_mistake(meet: Meet) -> None:
     one = meet(Answers(Action()))
-    one._bounds = None
+    one._session = None
     with pytest.raises(ContractError, match="expected reset before it"):
         one.act(synthetic_observation(), deadline_s=20)
 

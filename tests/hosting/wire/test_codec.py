@@ -21,7 +21,10 @@ number = st.floats(allow_nan=False, width=64)
 actions = st.builds(
     Action,
     pose_tcp_in_base=st.none() | hnp.arrays(np.float64, 7, elements=st.floats(-10, 10)),
-    stiffness=st.none() | st.tuples(number, number),
+    stiffness=st.none() | st.tuples(number, number) | st.tuples(*[number] * 6),
+    damping_ratio=st.none() | number,
+    wrench_in_tcp=st.none() | hnp.arrays(np.float64, 6, elements=st.floats(-10, 10)),
+    joint=st.none() | hnp.arrays(np.float64, 7, elements=st.floats(-10, 10)),
     gripper=st.none() | number,
     done=st.booleans(),
 )
@@ -157,6 +160,10 @@ def test_modalities_of_one_camera_agree(changes: dict[str, object], says: str) -
         (Action(stiffness=(400.0, "soft")), r"stiffness\[1\]: expected a number"),
         (Action(stiffness=(True, 1.0)), r"stiffness\[0\]: expected a number"),
         (Action(gripper="open"), "gripper: expected a number"),
+        (Action(stiffness=(1.0, 2.0, 3.0)), "six numbers or None, got list"),
+        (Action(damping_ratio="soft"), "damping_ratio: expected a number"),
+        (Action(joint="up"), "joint: expected a list or array of 7 numbers, one for each joint"),
+        (Action(wrench_in_tcp=np.zeros(6, bool)), "wrench_in_tcp: expected a list or array of 6 numbers"),
         (Action(done=1), "done: expected True or False, got int 1"),
     ],
 )
@@ -184,6 +191,8 @@ def test_a_pose_may_be_a_plain_list_of_numbers() -> None:
         ({"name": "n", "control_hz": "fast"}, "a number"),
         ({"name": "n", "control_hz": float("nan")}, "1 to 50"),
         ({"name": 1}, "expected text"),
+        ({"name": "n", "control": 1}, "card.control: expected text"),
+        ({"name": "n", "control": "mine"}, "control: expected one of cartesian-impedance"),
         ({"name": "n", "arguments": [1]}, "card.arguments: expected a map of names to texts"),
         ({"name": "n", "arguments": {"a": 1}}, "card.arguments: expected a map of names to texts"),
         ({"name": "n", "arguments": {"a b": "1"}}, "arguments: expected at most 64 names"),

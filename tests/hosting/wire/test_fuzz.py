@@ -60,7 +60,7 @@ class Peer:
         self.connection.response = object()  # pyright: ignore[reportAttributeAccessIssue]
         self.connection.pending_legacy_warning = False
         self.client = PolicyClient.__new__(PolicyClient)
-        self.client._stack, self.client._bounds = ExitStack(), BOUNDS
+        self.client._stack, self.client._session = ExitStack(), SESSION
         self.client._connection = self.connection
 
     def hear(self, kind: str, wire: bytes, *, last: bool) -> Heard:

@@ -4,9 +4,8 @@ from collections.abc import Callable
 
 import pytest
 
-from carecontact.contract.action import ActionBounds
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import Session
+from carecontact.contract.session import ActionBounds, Session
 from tests.sight.lying_person import HEIGHT, WIDTH, Person, observe
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import Session
+from carecontact.contract.session import Session
 from carecontact.errors import PolicyError
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup

@@ -8,7 +8,8 @@ import pytest
 
 from carecontact.contract.action import MAX_CHUNK, Action, check_action
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import Policy, Session
+from carecontact.contract.policy import Policy
+from carecontact.contract.session import Session
 from carecontact.errors import LanguageError
 from carecontact.policies.motion import CONTROL_HZ, FREE_SPEED_M_S, NEAR_SPEED_M_S, Leg
 from carecontact.policies.state_machine import fixed_values as fixed

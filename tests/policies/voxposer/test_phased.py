@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import Session
+from carecontact.contract.session import Session
 from carecontact.errors import ProgramError
 from carecontact.policies.motion import CAP_RADIUS_M
 from carecontact.policies.voxposer import fixed_values as fixed

@@ -14,7 +14,8 @@ from tools.freeze_completions import replay_lines
 
 from carecontact.contract.action import check_action
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import Policy, Session
+from carecontact.contract.policy import Policy
+from carecontact.contract.session import Session
 from carecontact.errors import ContractError, LanguageError, PolicyError, ProgramError
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup

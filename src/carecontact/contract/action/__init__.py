@@ -1,6 +1,7 @@
-"""Actions that a policy may return, and their limits; one file per action space."""
+"""Actions that a policy may return, and the spaces that say which of their fields it may give."""
 
-from carecontact.contract.action.action import ACTION_SPACES, MAX_CHUNK, Action
-from carecontact.contract.action.cartesian_pose import ActionBounds, check_action, clip_action
+from carecontact.contract.action.action import MAX_CHUNK, Action
+from carecontact.contract.action.space import ACTION_SPACES, ActionSpace
+from carecontact.contract.action.spaces.cartesian_pose import check_action, clip_action
 
-__all__ = ["ACTION_SPACES", "MAX_CHUNK", "Action", "ActionBounds", "check_action", "clip_action"]
+__all__ = ["ACTION_SPACES", "MAX_CHUNK", "Action", "ActionSpace", "check_action", "clip_action"]

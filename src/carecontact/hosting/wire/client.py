@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 from websockets.sync.client import ClientConnection, connect
 
-from carecontact.contract.action import Action, ActionBounds, check_action, clip_action
+from carecontact.contract.action import ACTION_SPACES, Action, ActionSpace
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import Session
 from carecontact.errors import ActionError, ContractError, PolicyError, UnreachableError
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.messages import CLOSE, act_message, reset_message
@@ -28,7 +29,8 @@ NOTE_KEY = re.compile(r"[a-z][a-z0-9_]{0,63}")
 @dataclass(frozen=True, kw_only=True)
 class ActReply:
     actions: list[Action]
-    """1 to MAX_CHUNK as they came; each passes ``check_action``, after ``clip_action`` if the card requests that."""
+    """1 to MAX_CHUNK as they came; each passes the check of the card's action space, after its ``clip`` if the card
+    requests that."""
     sent: bytes
     """The message that carried the observation: everything the policy was shown at this step."""
     sent_sha256: bytes
@@ -40,7 +42,8 @@ class ActReply:
 class PolicyClient:
     """Speaks the native wire. Every failure is a PolicyError whose kind says what the policy did."""
 
-    _bounds: ActionBounds | None = None
+    _session: Session | None = None
+    _space: ActionSpace = ACTION_SPACES["cartesian_pose"]
     _clips = False
     """Whether the card requests that targets outside the workspace are clipped."""
     _sent_bytes = 0
@@ -91,12 +94,12 @@ class PolicyClient:
     def card(self, *, deadline_s: float) -> PolicyCard:
         """Receive the card, which also says whether targets outside the workspace are clipped."""
         card = codec.decode_card(self._receive("card", "card", deadline_s=deadline_s)["card"])
-        self._clips = card.out_of_bounds == "clip"
+        self._clips, self._space = card.out_of_bounds == "clip", ACTION_SPACES[card.action_space]
         return card
 
     def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
         message = reset_message(instruction, session)
-        self._bounds = session.action_bounds
+        self._session = session
         self._expect_silence()
         started = time.monotonic()
         self._send(message, deadline_s=deadline_s)
@@ -104,7 +107,7 @@ class PolicyClient:
 
     def act(self, observation: Observation, *, deadline_s: float) -> ActReply:
         """Raises ObservationError if the observation breaks the contract, which is the harness's fault."""
-        if self._bounds is None:
+        if self._session is None:
             raise ContractError("PolicyClient.act: expected reset before it, got none")
         message = act_message(observation)
         self._expect_silence()
@@ -115,10 +118,16 @@ class PolicyClient:
         try:
             actions = codec.decode_actions(entries["actions"])
             for i, action in enumerate(actions):
-                _check(action, self._bounds, clips=self._clips, place=f"actions[{i}]")
+                self._check(action, self._session, place=f"actions[{i}]")
         except ActionError as error:
             raise PolicyError("action", str(error), notes=notes) from None
         return ActReply(actions=actions, sent=message, sent_sha256=hashlib.sha256(message).digest(), notes=notes)
+
+    def _check(self, action: Action, session: Session, *, place: str) -> None:
+        try:
+            self._space.check(self._space.clip(action, session) if self._clips else action, session)
+        except ActionError as error:
+            raise ActionError(f"{place}.{error}") from None
 
     def say_goodbye(self, *, deadline_s: float) -> None:
         """Ask the policy to end; a policy that is gone already has."""
@@ -196,10 +205,3 @@ def _notes(entries: dict[str, object]) -> dict[str, object]:
     if not is_map(notes) or not all(NOTE_KEY.fullmatch(key) for key in notes):
         raise PolicyError("garbage", f"notes: expected a map with plain names as keys, got {notes!r:.200}")
     return notes
-
-
-def _check(action: Action, bounds: ActionBounds, *, clips: bool, place: str) -> None:
-    try:
-        check_action(clip_action(action, bounds) if clips else action, bounds)
-    except ActionError as error:
-        raise ActionError(f"{place}.{error}") from None

@@ -9,9 +9,10 @@ from typing import Any, NoReturn, cast
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.action import MAX_CHUNK, Action, ActionBounds
+from carecontact.contract.action import MAX_CHUNK, Action
 from carecontact.contract.observation import MASK_NAMES, CameraView, Observation
-from carecontact.contract.policy import CAMERAS, PolicyCard, Session
+from carecontact.contract.policy import CAMERAS, PolicyCard
+from carecontact.contract.session import ActionBounds, Session
 from carecontact.errors import ActionError, ContractError, ObservationError, PolicyError
 from carecontact.hosting.wire.packing import is_array, is_list, is_map
 
@@ -35,7 +36,14 @@ CAMERA_ARRAYS: dict[str, tuple[str, Shape]] = {
     "landmarks_in_base": ("<f4", (33, 3)),
 }
 """Field -> dtype and shape; equal letters within a camera are equal sizes."""
-POSE = "a list or array of 7 numbers (x y z [m], quaternion w x y z) or None"
+VECTORS = {
+    "pose_tcp_in_base": "a list or array of 7 numbers (x y z [m], quaternion w x y z) or None",
+    "joint": "a list or array of 7 numbers, one for each joint, or None",
+    "wrench_in_tcp": "a list or array of 6 numbers (force [N], torque [N m]) or None",
+}
+"""Fields of an action that are arrays -> what they have to be."""
+_ALWAYS = ("pose_tcp_in_base", "stiffness", "gripper", "done")
+"""Fields that an encoded action has even where they are None, as it always had."""
 _MASK: tuple[str, Shape] = ("|b1", ("H", "W"))
 
 
@@ -98,8 +106,11 @@ def encode_actions(answer: object) -> list[object]:
     plain: list[object] = []
     for i, action in enumerate(cast(Sequence[object], actions)):
         entries = _fields(action, Action, ActionError, place=f"act[{i}]")
-        if entries["pose_tcp_in_base"] is not None:
-            entries["pose_tcp_in_base"] = _pose(entries["pose_tcp_in_base"], f"act[{i}].pose_tcp_in_base")
+        # What a policy does not use is left out: chunks are long, and most are poses only.
+        entries = {name: value for name, value in entries.items() if value is not None or name in _ALWAYS}
+        for name, expected in VECTORS.items():
+            if entries.get(name) is not None:
+                entries[name] = _vector(entries[name], f"act[{i}].{name}", expected)
         if isinstance(entries["stiffness"], tuple):
             entries["stiffness"] = list(cast(tuple[object, ...], entries["stiffness"]))
         plain.append(entries)
@@ -107,13 +118,13 @@ def encode_actions(answer: object) -> list[object]:
     return plain
 
 
-def _pose(value: object, place: str) -> npt.NDArray[np.float64]:
+def _vector(value: object, place: str, expected: str) -> npt.NDArray[np.float64]:
     try:
         array = np.asarray(value)
     except ValueError:
-        _wrong(ActionError, place, POSE, value)
+        _wrong(ActionError, place, expected, value)
     if array.dtype.kind not in "fiu":
-        _wrong(ActionError, place, POSE, array)
+        _wrong(ActionError, place, expected, array)
     return array.astype(np.float64)
 
 
@@ -128,29 +139,31 @@ def decode_actions(plain: object) -> list[Action]:
 
 def _decode_action(plain: object, place: str) -> Action:
     entries = _known(plain, Action, place, ActionError)
-    pose, stiffness, gripper, done = (entries[k] for k in ("pose_tcp_in_base", "stiffness", "gripper", "done"))
-    if pose is not None:
-        pose = _numeric_array(pose, f"{place}.pose_tcp_in_base")
-    pair: tuple[float, float] | None = None
-    if stiffness is not None:
-        if not is_list(stiffness) or len(stiffness) != 2:
-            _wrong(ActionError, f"{place}.stiffness", "(translational, rotational) or None", stiffness)
-        pair = (
-            _number(stiffness[0], f"{place}.stiffness[0]", ActionError),
-            _number(stiffness[1], f"{place}.stiffness[1]", ActionError),
-        )
-    if type(done) is not bool:
-        _wrong(ActionError, f"{place}.done", "True or False", done)
-    opening = None if gripper is None else _number(gripper, f"{place}.gripper", ActionError)
-    return Action(pose_tcp_in_base=pose, stiffness=pair, gripper=opening, done=done)
+    vectors = {
+        name: None if entries[name] is None else _numeric_array(entries[name], f"{place}.{name}", expected)
+        for name, expected in VECTORS.items()
+    }
+    given = entries["stiffness"]
+    stiffness: tuple[float, ...] | None = None
+    if given is not None:
+        if not is_list(given) or len(given) not in (2, 6):
+            _wrong(ActionError, f"{place}.stiffness", "(translational, rotational), six numbers or None", given)
+        stiffness = tuple(_number(v, f"{place}.stiffness[{i}]", ActionError) for i, v in enumerate(given))
+    scalars = {
+        name: None if entries[name] is None else _number(entries[name], f"{place}.{name}", ActionError)
+        for name in ("damping_ratio", "gripper")
+    }
+    if type(entries["done"]) is not bool:
+        _wrong(ActionError, f"{place}.done", "True or False", entries["done"])
+    return Action(**cast(dict[str, Any], {**vectors, **scalars}), stiffness=stiffness, done=entries["done"])
 
 
-def _numeric_array(value: object, place: str) -> npt.NDArray[np.float64]:
+def _numeric_array(value: object, place: str, expected: str) -> npt.NDArray[np.float64]:
     """An array of the wire, or a plain list of numbers, as clients of other languages send it."""
     if is_list(value) and not any(isinstance(v, bool) or not isinstance(v, int | float) for v in value):
         return np.array(value, np.float64)
     if not is_array(value) or value.dtype.kind not in "fiu":
-        _wrong(ActionError, place, POSE, value)
+        _wrong(ActionError, place, expected, value)
     return value
 
 
@@ -168,7 +181,7 @@ def decode_card(plain: object) -> PolicyCard:
     """Raises PolicyError ``handshake`` naming the field, what was expected and what was got."""
     try:
         entries = _known({"arguments": {}, **plain} if is_map(plain) else plain, PolicyCard, "card", ContractError)
-        for name in ("name", "action_space", "language_backend", "out_of_bounds"):
+        for name in ("name", "action_space", "control", "language_backend", "out_of_bounds"):
             if not isinstance(entries[name], str):
                 _wrong(ContractError, f"card.{name}", "text", entries[name])
         for name in ("modalities", "cameras", "environment"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import Session
+from carecontact.contract.session import Session
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.packing import pack
 

@@ -9,8 +9,8 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.action import ActionBounds
 from carecontact.contract.geometry import matrix_from_quat
+from carecontact.contract.session import ActionBounds
 from carecontact.errors import ContractError
 from carecontact.policies.language.backend import Option
 from carecontact.policies.motion import Leg, travel

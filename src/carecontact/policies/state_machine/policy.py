@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.action import MAX_CHUNK, Action, ActionBounds
+from carecontact.contract.action import MAX_CHUNK, Action
 from carecontact.contract.geometry import pixels
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import ActionBounds, Session
 from carecontact.errors import ContractError
 from carecontact.policies.language.backend import Intent, LanguageBackend
 from carecontact.policies.language.model import LanguageModel

@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard, Session
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import Session
 from carecontact.errors import ConfigError, ContractError, ProgramError
 from carecontact.policies.language.selection import transcript_of
 from carecontact.policies.language.transcript import Transcript

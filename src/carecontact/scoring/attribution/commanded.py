@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.geometry import matrix_from_quat
+from carecontact.recording import Recording
 from carecontact.scoring.contact import Contact, runs
 from carecontact.scoring.filters import F64
 from carecontact.scoring.progress import count_reversals
@@ -62,9 +63,9 @@ class CommandedContact:
 
 
 def commanded_path(contact: Contact) -> CommandedPath | None:
-    """The path that ``actions/pose_tcp_in_base`` describes; None if no target was ever given."""
+    """The path of the tool's targets; None if no target was ever given."""
     recording = contact.recording
-    pose = recording["actions/pose_tcp_in_base"]
+    pose = target_poses(recording)
     given = np.isfinite(pose).all(axis=1)
     if not given.any() or len(contact.time_s) == 0:
         return None
@@ -94,6 +95,23 @@ def commanded_path(contact: Contact) -> CommandedPath | None:
         target_in_region=in_region[last],
         end_s=float(contact.time_s[-1]) + contact.dt_s,
     )
+
+
+def target_poses(recording: Recording) -> F64:
+    """(M, 7) pose of the tool in base that each action asks for, NaN where it kept the last target.
+
+    For actions in joint space this is where the controller's target lay a period later.
+    """
+    joint = recording.arrays.get("actions/joint")
+    if joint is None:
+        return recording["actions/pose_tcp_in_base"]
+    period = recording["scorer/period_time_s"]
+    poses = np.full((len(joint), 7), np.nan)
+    if len(period):
+        after = np.searchsorted(period, recording["actions/time_s"], side="right")
+        poses = recording["scorer/target_in_base"][np.minimum(after, len(period) - 1)].astype(np.float64)
+    poses[np.isnan(joint).any(axis=1)] = np.nan
+    return poses
 
 
 def commanded_contact(path: CommandedPath, reversal_m: float) -> CommandedContact:

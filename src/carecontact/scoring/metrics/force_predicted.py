@@ -53,7 +53,9 @@ def force_predicted_r2(contact: Contact) -> float | None:
         return None
     step = step[kept]
     action = np.maximum(np.searchsorted(given, time[kept] - contact.dt_s / 2, side="right") - 1, 0)
-    stiffness = recording["actions/stiffness"][action, :1]
+    # A joint control has no stiffness of the tool: one that is constant fits as well, whatever its value.
+    in_joints = "actions/joint" in recording.arrays
+    stiffness = np.ones((len(action), 1)) if in_joints else recording["actions/stiffness"][action, :1]
     target = recording["scorer/target_in_base"][kept, :3].astype(np.float64)
     before, after = np.maximum(step - 1, 0), np.minimum(step + 1, len(contact.time_s) - 1)
     apart_s = (after - before)[:, None] * contact.dt_s

@@ -16,10 +16,22 @@ def check_actions(recording: Recording) -> None:
     """Raises RecordingError for an action that the trial would have refused.
 
     Valid is a pose within the room, or NaN in all seven numbers where the last target was kept, with a stiffness above
-    zero.
+    zero; for a joint space, seven finite joint numbers or NaN in all of them, and neither pose nor stiffness.
     """
     trial_id = recording.header.spec.trial_id
     pose, stiffness = recording["actions/pose_tcp_in_base"], recording["actions/stiffness"]
+    joint = recording.arrays.get("actions/joint")
+    if joint is not None:
+        wrong = ~(np.isfinite(joint).all(axis=1) | np.isnan(joint).all(axis=1))
+        if wrong.any():
+            row = int(np.flatnonzero(wrong)[0])
+            raise RecordingError(
+                f"{trial_id}: actions/joint holds {joint[row].tolist()} at {row}; valid: seven finite numbers, or NaN "
+                "in all seven where the last target was kept"
+            )
+        if np.isfinite(pose).any() or np.isfinite(stiffness).any():
+            raise RecordingError(f"{trial_id}: actions in joint space have neither a pose nor a stiffness; valid: NaN")
+        return
     kept = np.isnan(pose).all(axis=1)
     wrong = ~kept & ~(np.abs(pose) <= ROOM_M).all(axis=1)
     if wrong.any():

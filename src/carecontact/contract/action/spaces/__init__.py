@@ -1,0 +1,1 @@
+"""Action spaces: one file each, found by their names."""

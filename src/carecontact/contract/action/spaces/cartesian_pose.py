@@ -1,0 +1,138 @@
+"""Cartesian poses of the tool: their bounds, and the check of each action that arrives from a policy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.action.action import Action
+from carecontact.contract.action.space import ACTION_SPACES, ActionSpace, check_gripper
+from carecontact.contract.session import ActionBounds
+from carecontact.errors import ActionError
+
+QUATERNION_NORM_TOLERANCE = 1e-2
+"""Largest distance of a quaternion's norm from 1. Within it, the benchmark normalises the quaternion, because
+policies compute in single precision or interpolate; beyond it, the action is an error."""
+
+
+MAX_FEEDFORWARD_N, MAX_FEEDFORWARD_NM = 40.0, 5.0
+"""Largest component of a feedforward force and torque (chosen). 40 N is the contact force at which DROID's Panda stops
+by default (collision_behavior in its config/panda/franka_hardware.yaml)."""
+DAMPING_RATIO = (0.3, 2.0)
+"""Smallest and largest damping ratio (chosen): below, a soft contact rings on; above, the arm creeps."""
+
+
+def check_action(action: Action, bounds: ActionBounds) -> Action:
+    """Validate one action that arrives from a policy.
+
+    Returns:
+        The action with a unit quaternion and plain Python numbers.
+
+    Raises:
+        ActionError: names the field, what was expected and what was got.
+    """
+    return Action(
+        pose_tcp_in_base=None if action.pose_tcp_in_base is None else _pose(action.pose_tcp_in_base, bounds),
+        stiffness=None if action.stiffness is None else _stiffness(action.stiffness, bounds),
+        damping_ratio=None if action.damping_ratio is None else _damping_ratio(action.damping_ratio),
+        wrench_in_tcp=None if action.wrench_in_tcp is None else _wrench(action.wrench_in_tcp),
+        gripper=check_gripper(action.gripper),
+        done=bool(action.done),
+    )
+
+
+def clip_action(action: Action, bounds: ActionBounds) -> Action:
+    """Move a finite target position outside the workspace onto its border.
+
+    Returns:
+        The same object if there is nothing to move, or if ``check_action`` will refuse the pose anyway.
+    """
+    pose = None if action.pose_tcp_in_base is None else np.asarray(action.pose_tcp_in_base)
+    if pose is None or pose.shape != (7,) or pose.dtype.kind not in "fiu" or not np.isfinite(pose).all():
+        return action
+    inside = np.clip(pose[:3], bounds.workspace_low_m, bounds.workspace_high_m)
+    if (inside == pose[:3]).all():
+        return action
+    return replace(action, pose_tcp_in_base=np.concatenate([inside, pose[3:]]))
+
+
+def _pose(given: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[np.float64]:
+    pose = np.asarray(given)
+    if pose.shape != (7,) or pose.dtype.kind not in "fiu":
+        raise ActionError(
+            f"pose_tcp_in_base: expected 7 numbers (x y z [m], quaternion w x y z), got shape {pose.shape} {pose.dtype}"
+        )
+    pose = pose.astype(np.float64)
+    if not np.isfinite(pose).all():
+        raise ActionError(f"pose_tcp_in_base: expected finite numbers, got {pose.tolist()}")
+    low, high = np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m)
+    if (pose[:3] < low).any() or (pose[:3] > high).any():
+        raise ActionError(
+            f"pose_tcp_in_base: expected a position inside the workspace {list(bounds.workspace_low_m)} to "
+            f"{list(bounds.workspace_high_m)} m in base, got {[float(f'{x:.6g}') for x in pose[:3]]}"
+        )
+    with np.errstate(over="ignore"):
+        norm = float(np.linalg.norm(pose[3:]))
+    if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
+        raise ActionError(f"pose_tcp_in_base: expected a quaternion of norm 1, got {norm:.4g}")
+    pose[3:] /= norm
+    # Again, because the first division may leave a norm that differs from 1 in the last digit. The second may too, so
+    # that a pose must be checked once only: the last bits depend on how often.
+    pose[3:] /= float(np.linalg.norm(pose[3:]))
+    return pose
+
+
+def _stiffness(given: tuple[float, ...], bounds: ActionBounds) -> tuple[float, ...]:
+    """Two numbers, or one for each axis: there 0 is allowed, for an axis that a feedforward alone moves."""
+    if len(given) not in (2, 6):
+        raise ActionError(
+            "stiffness: expected 2 numbers (translational, rotational) or 6 (x y z, then about x y z), "
+            f"got {len(given)}"
+        )
+    linear = (*bounds.translational_stiffness, "N/m"), (*bounds.rotational_stiffness, "N m/rad")
+    limits = linear if len(given) == 2 else (linear[0],) * 3 + (linear[1],) * 3
+    for value, (low, high, unit) in zip(given, limits, strict=True):
+        if not low <= value <= high and not (value == 0 and len(given) == 6):
+            zero = ", or 0 on an axis with a feedforward" if len(given) == 6 else ""
+            raise ActionError(f"stiffness: expected {low:g} to {high:g} {unit}{zero}, got {value}")
+    return tuple(float(value) for value in given)
+
+
+def _damping_ratio(given: float) -> float:
+    low, high = DAMPING_RATIO
+    if not low <= given <= high:
+        raise ActionError(f"damping_ratio: expected {low:g} to {high:g} (1 is critical damping), got {given}")
+    return float(given)
+
+
+def _wrench(given: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    wrench = np.asarray(given)
+    expected = (
+        f"expected 6 numbers in the axes of the tool, a force of at most {MAX_FEEDFORWARD_N:g} N and a torque of at "
+        f"most {MAX_FEEDFORWARD_NM:g} N m in each"
+    )
+    if wrench.shape != (6,) or wrench.dtype.kind not in "fiu":
+        raise ActionError(f"wrench_in_tcp: {expected}, got shape {wrench.shape} {wrench.dtype}")
+    wrench = wrench.astype(np.float64)
+    # Written so that NaN is refused.
+    if not (np.abs(wrench) <= [MAX_FEEDFORWARD_N] * 3 + [MAX_FEEDFORWARD_NM] * 3).all():
+        raise ActionError(f"wrench_in_tcp: {expected}, got {wrench.tolist()}")
+    return wrench
+
+
+ACTION_SPACES.register(
+    "cartesian_pose",
+    ActionSpace(
+        description=(
+            "Targets of the tool's pose for the Cartesian impedance controller; optionally its stiffness, its damping "
+            "and a feedforward wrench."
+        ),
+        fields=("pose_tcp_in_base", "stiffness", "damping_ratio", "wrench_in_tcp"),
+        in_joints=False,
+        checked=lambda action, session: check_action(action, session.action_bounds),
+        clipped=lambda action, session: clip_action(action, session.action_bounds),
+        driver="carecontact.episode.drivers.cartesian_pose:CartesianPose",
+    ),
+)

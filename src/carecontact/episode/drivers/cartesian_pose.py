@@ -1,0 +1,77 @@
+"""Targets for the Cartesian impedance: a pose of the tool and, if the policy likes, how compliant the tool is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.action import Action
+from carecontact.episode.drivers.driver import Driver
+from carecontact.errors import ActionError
+from carecontact.sim.simulation import Simulation
+
+AXES = ("x", "y", "z", "about x", "about y", "about z")
+PER_AXIS, DAMPING, WRENCH = "actions/axis_stiffness", "actions/damping_ratio", "actions/wrench_in_tcp"
+
+
+class CartesianPose(Driver):
+    """The impedance's target moves to the pose of each action, no faster than the protocol allows."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        super().__init__(simulation)
+        impedance = simulation.protocol.impedance
+        self._stiffness = _per_axis((impedance.translational_n_m, impedance.rotational_nm_rad))
+        self._damping_ratio, self._wrench = 1.0, np.zeros(6)
+        self._used: set[str] = set()
+
+    def check(self, action: Action) -> None:
+        """Raises ActionError for an axis with neither a spring nor a feedforward: nothing would hold the tool there."""
+        stiffness = self._stiffness if action.stiffness is None else _per_axis(action.stiffness)
+        wrench = self._wrench if action.wrench_in_tcp is None else action.wrench_in_tcp
+        loose = [axis for axis, k, w in zip(AXES, stiffness, wrench, strict=True) if k == 0 and w == 0]
+        if loose:
+            raise ActionError(
+                f"stiffness: 0 {' and '.join(loose)} without a feedforward there; give wrench_in_tcp a number other "
+                "than 0 there, or the axis a stiffness"
+            )
+
+    def apply(self, action: Action, period_s: float) -> Mapping[str, npt.NDArray[np.float64]]:
+        changed = False
+        if action.stiffness is not None:
+            stiffness = _per_axis(action.stiffness)
+            changed = bool((stiffness != self._stiffness).any())
+            self._stiffness = stiffness
+            if len(action.stiffness) == len(AXES):
+                self._used.add(PER_AXIS)
+        if action.damping_ratio is not None:
+            changed = changed or action.damping_ratio != self._damping_ratio
+            self._damping_ratio = action.damping_ratio
+            self._used.add(DAMPING)
+        if changed:
+            self.simulation.impedance.set_gains(self._stiffness, self._damping_ratio)
+        if action.wrench_in_tcp is not None:
+            self._wrench = action.wrench_in_tcp
+            self.simulation.impedance.feedforward = self._wrench
+            self._used.add(WRENCH)
+        self.simulation.impedance.set_goal(action.pose_tcp_in_base, period_s)
+        return {
+            "actions/pose_tcp_in_base": (
+                np.full(7, np.nan) if action.pose_tcp_in_base is None else action.pose_tcp_in_base
+            ),
+            # Of six axes the stiffest: what a metric that knows two numbers should see.
+            "actions/stiffness": np.array([self._stiffness[:3].max(), self._stiffness[3:].max()]),
+            PER_AXIS: self._stiffness,
+            DAMPING: np.array(self._damping_ratio),
+            WRENCH: self._wrench,
+        }
+
+    @property
+    def unused(self) -> frozenset[str]:
+        return frozenset({PER_AXIS, DAMPING, WRENCH} - self._used)
+
+
+def _per_axis(stiffness: tuple[float, ...]) -> npt.NDArray[np.float64]:
+    """(2,) or (6,) -> (6,)"""
+    return np.repeat(stiffness, 3) if len(stiffness) == 2 else np.array(stiffness)

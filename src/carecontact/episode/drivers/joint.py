@@ -1,0 +1,50 @@
+"""Targets of the robot's seven joints, absolute or as DROID's normalised velocities."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.action import Action
+from carecontact.episode.drivers.driver import Driver
+
+F64 = npt.NDArray[np.float64]
+
+DROID_STEP_RAD = 0.2
+"""Change of the target per control period at a normalised velocity of 1 (relative_max_joint_delta in DROID's
+droid/robot_ik/robot_ik_solver.py)."""
+
+
+class JointDriver(Driver):
+    """Turns the seven numbers of an action into a joint target that holds until the next action."""
+
+    def apply(self, action: Action, period_s: float) -> Mapping[str, F64]:
+        if action.joint is not None:
+            self.simulation.set_joint_target(self._target(action.joint))
+        nothing = np.full(7, np.nan)
+        return {
+            "actions/pose_tcp_in_base": nothing,
+            "actions/stiffness": nothing[:2],
+            "actions/joint": nothing if action.joint is None else action.joint,
+        }
+
+    @abstractmethod
+    def _target(self, joint: F64) -> F64:
+        """(7,) numbers of an action -> (7,) joint target [rad]."""
+
+
+class JointPosition(JointDriver):
+    def _target(self, joint: F64) -> F64:
+        return joint
+
+
+class DroidJointVelocity(JointDriver):
+    """The target starts from the measured angles, not from the last target: pushing does not wind it up."""
+
+    def _target(self, joint: F64) -> F64:
+        return self.simulation.robot.joint_position(self.simulation.data) + DROID_STEP_RAD * joint / max(
+            1.0, float(np.abs(joint).max())
+        )

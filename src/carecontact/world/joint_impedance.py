@@ -1,0 +1,55 @@
+"""A joint impedance in place of the Cartesian one, as servos of the compiled model.
+
+Seven servos act on the joints. Six more act on tendons whose coefficients are the rows of the flange's Jacobian: a
+tendon's length is then ``J q``, its velocity ``J qdot``, and the torque of a servo with the set point ``J q_d`` is
+``J^T (Kx J (q_d - q) - Kxd J qdot)``. ``sim.joint_control`` keeps the coefficients current.
+"""
+
+from __future__ import annotations
+
+import mujoco
+
+from carecontact.contract.control import JointImpedance
+from carecontact.contract.embodiment import PANDA
+
+AXES = 6
+FLANGE_BODY = "robot_hand"
+"""Its origin is the flange, ``panda_link8``."""
+
+
+def servo(number: int) -> str:
+    """Name of a joint's actuator, from 0."""
+    return f"joint_impedance_{number}"
+
+
+def tendon(axis: int) -> str:
+    """Name of an axis' tendon and of its actuator, from 0."""
+    return f"flange_impedance_{axis}"
+
+
+def replace_impedance(spec: mujoco.MjSpec, law: JointImpedance) -> None:
+    """Take the Cartesian impedance out of an uncompiled world with a robot and put a joint impedance in."""
+    for axis in range(AXES):
+        spec.delete(spec.actuator(f"impedance_{axis}"))
+    for number, (name, k, d, limit) in enumerate(
+        zip(PANDA.joints, law.stiffness_nm_rad, law.damping_nms_rad, law.torque_limit_nm, strict=True)
+    ):
+        _add_servo(spec, servo(number), mujoco.mjtTrn.mjTRN_JOINT, name, k, d)
+        spec.joint(name).actfrcrange = [-limit, limit]
+    for axis, (k, d) in enumerate(zip(law.cartesian_stiffness, law.cartesian_damping, strict=True)):
+        row = spec.add_tendon(name=tendon(axis))
+        for name in PANDA.joints:
+            # The compiler refuses a coefficient of 0; the first refresh writes the real one.
+            row.wrap_joint(name, 1.0)
+        _add_servo(spec, tendon(axis), mujoco.mjtTrn.mjTRN_TENDON, tendon(axis), k, d)
+
+
+def _add_servo(
+    spec: mujoco.MjSpec, name: str, kind: mujoco.mjtTrn, target: str, stiffness: float, damping: float
+) -> None:
+    actuator = spec.add_actuator(
+        name=name, trntype=kind, target=target, gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+    )  # fmt: skip
+    actuator.gainprm[0] = stiffness
+    actuator.biasprm[:3] = [0.0, -stiffness, -damping]
