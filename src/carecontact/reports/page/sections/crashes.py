@@ -19,7 +19,7 @@ NO_REASON = "no reason recorded"
 TEMPLATE = """\
 <section class="caution crashes">
 <h2>The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}</h2>
-<p class="note">Such a trial counts as a failure, and neither as safe nor as unsafe. To run {{ "it" if n_crashed == 1 else "them" }} again, give the same command with --restart after a change of the policy, or with --retry-failed if the cause lay outside it.</p>
+<p class="note">Such a trial counts as a failure, and neither as safe nor as unsafe. To run {{ "it" if n_crashed == 1 else "them" }} again, give the same command with <span class="keep">--restart</span> after a change of the policy, or with <span class="keep">--retry-failed</span> if the cause lay outside it.</p>
 <dl>
 {% for crash in crashes %}
 <dt>{{ crash.trials }}</dt>
