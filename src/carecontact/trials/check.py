@@ -9,8 +9,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from carecontact.contract.action import Action
+from carecontact.contract.action.hints import looks_like_millimetres
 from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import ActionBounds
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
 from carecontact.episode.prepare import settled_world
@@ -18,7 +22,7 @@ from carecontact.errors import PolicyError
 from carecontact.hosting.conversation import BUDGET_S, PolicyConversation
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
-from carecontact.recording.reason import reason
+from carecontact.recording.reason import TRACEBACK, reason
 from carecontact.recording.remedies import remedies
 from carecontact.trials.first_answer import Finding, Level, look_at
 
@@ -60,7 +64,7 @@ class Check:
     def _fail(self, error: PolicyError) -> None:
         topic = "connection" if self.policy.ref.kind == "remote" and error.kind == "start" else error.kind
         why, whole = reason(str(error)), str(error)
-        text = whole if why in whole.partition("\n")[0] else f"{why}\n{whole}"
+        text = whole if why in whole.partition("\n")[0] else f"{why}\n{whole}" if _says_more(whole) else why
         self._say("error", _TOPICS.get(topic, topic), text)
         for remedy in remedies(whole):
             self._say("hint", "", remedy)
@@ -78,7 +82,8 @@ class Check:
         outside = [a for a in answers[0] if episode.space.clip(a, episode.session) is not a]
         if outside:
             many = f"{len(outside)} of {len(answers[0])} targets are outside the workspace"
-            self._say("warning", "clipped", f"{many}; the card requests that they are moved onto its border")
+            text = f"{many}; the card requests that they are moved onto its border"
+            self._say("warning", "clipped", f"{text}{_unit(outside[0], episode.session.action_bounds)}")
         for finding in look_at(answers[0], observation):
             self._say(finding.level, finding.topic, finding.text)
         return self._keeps_pace(len(answers[1]), card)
@@ -117,6 +122,19 @@ class Check:
 
 _TOPICS = {"handshake": "card", "action": "answer", "timeout": "slow answer", "start": "import"}
 """Kind of a policy's failure -> topic, where the kind itself would not do."""
+
+
+def _unit(outside: Action, bounds: ActionBounds) -> str:
+    if outside.pose_tcp_in_base is None:
+        return ""
+    position = np.asarray(outside.pose_tcp_in_base)[:3]
+    meant = looks_like_millimetres(position, np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m))
+    return f"; the first of them {meant}" if meant else ""
+
+
+def _says_more(failure: str) -> bool:
+    """Whether a failure tells more than its reason: it holds a frame of the policy's, or what the policy printed."""
+    return len([line for line in failure.splitlines()[1:] if line != TRACEBACK]) > 1
 
 
 def _described(card: PolicyCard) -> str:
