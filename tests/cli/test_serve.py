@@ -104,7 +104,7 @@ def test_a_server_that_stays_away_ends_the_run_with_status_2_and_says_how_to_go_
     ("options", "says"),
     [
         (["nobody"], "no policy named 'nobody'"),
-        (["ws://host:80"], "ws://host:80: a ws:// policy is served already"),
+        (["ws://host:80"], "ws://host:80: a policy with an address is served already"),
         (["hover", "--port", "70000"], "--port 70000: expected 0 to 65535"),
         (["hover", "--at-once", "0"], "--at-once 0: must be at least 1"),
         (["hover", "--host", "192.0.2.1"], "cannot listen on 192.0.2.1, port 8765: "),

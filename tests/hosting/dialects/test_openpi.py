@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import tracemalloc
 import uuid
 from dataclasses import replace
 
@@ -21,6 +22,7 @@ from carecontact.hosting.dialects.images import cropped_16_9, padded, stretched
 from carecontact.hosting.dialects.openpi import digest
 from carecontact.hosting.dialects.packing_openpi import unpack
 from carecontact.hosting.dialects.requests import cartesian_position
+from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
 from tests.hosting.dialects.fakes import OMNI_PATH, Fake, Omni, Openpi, OpenpiPositions, RoboArena, unmark
 from tests.hosting.dialects.given import picture
 from tests.hosting.dialects.talking import INSTRUCTION, JOINTS, joints, policy_at, seen, talk
@@ -312,6 +314,27 @@ class Huge(Fake):
         connection.socket.sendall(b"\x82\x7f" + (1 << 30).to_bytes(8, "big") + bytes(64))  # pyright: ignore[reportAttributeAccessIssue]
         for _ in connection:  # pyright: ignore[reportGeneralTypeIssues]
             pass
+
+
+class Pieces(Fake):
+    """Answers with an endless message in pieces of 1 MiB."""
+
+    def converse(self, connection: object) -> None:
+        connection.send(msgpack.packb({}))  # pyright: ignore[reportAttributeAccessIssue]
+        connection.recv()  # pyright: ignore[reportAttributeAccessIssue]
+        connection.send(bytes(1 << 20) for _ in range(1000))  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize("server", [Huge(), Pieces()], ids=["one frame", "pieces"])
+def test_no_more_is_kept_of_a_reply_than_its_bound(server: Fake) -> None:
+    tracemalloc.start()
+    with server.running() as port, pytest.raises(PolicyError, match="at most 4194304 bytes") as caught:
+        talk(VELOCITY.format(port), calls=1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert caught.value.kind == "oversize"
+    # Both ends and their two pictures live in this process; a thousandth of the reply would be 1 MB.
+    assert peak < 8 * MAX_REPLY_BYTES
 
 
 @pytest.mark.parametrize(
