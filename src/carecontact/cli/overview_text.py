@@ -40,7 +40,7 @@ def _print_rows(overview: Overview) -> None:
     table = plain_table()
     table.add_column("")
     heads = [metric.label for metric in headlines()]
-    for header in (*(f"{name} [95 %]" for name in RATE_NAMES.values()), *heads):
+    for header in (*(name.replace("-", "-\n") + " [95 %]" for name in RATE_NAMES.values()), *heads):
         table.add_column(header, justify="right")
     for letter, row in overview.rows.items():
         rates = [wilson_interval(k, row.n) for k in (row.success, row.region_correct, row.safety_gated)]

@@ -401,7 +401,7 @@ def test_harm_before_a_crash_is_told_everywhere(run_of_7: Run, tmp_path: Path) -
     ],
 )
 def test_the_label_of_a_crash_names_what_there_is(message: str, label: str) -> None:
-    told = {"evidence": "killed", "failure_message": message}
+    told = {"evidence": "the process failed: killed", "failure_message": message}
     assert [row.held for row in crashes([make_score("T1", 0, **CRASHED | told)])] == [label]
 
 

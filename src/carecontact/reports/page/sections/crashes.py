@@ -81,7 +81,7 @@ def crashes(scores: Sequence[TrialScore]) -> list[Crash]:
 
 
 def _held(message: str, reason: str) -> str:
-    if message.strip() in ("", reason):
+    if message.strip() in reason:
         return ""
     said, printed, _ = message.partition(PRINTED)
     held = ["traceback" if TRACEBACK in said else "stack"] if "(most recent call last)" in said else []
