@@ -43,3 +43,19 @@ def test_policy_error_keeps_its_kind(kind: str) -> None:
 def test_policy_error_of_an_unknown_kind_is_a_bug_of_ours() -> None:
     with pytest.raises(ValueError, match="unknown policy failure kind 'tired'; valid: start, argument, handshake"):
         errors.PolicyError("tired", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("Hovr", " (did you mean 'hover'?)"),
+        ("pose", " (did you mean 'pose_tcp_in_base'?)"),
+        ("hz", " (did you mean 'control_hz'?)"),
+        ("woman", ""),
+        ("h", ""),
+        ("nothing", ""),
+    ],
+)
+def test_what_was_meant_is_near_or_the_only_name_that_contains_it(name: str, meant: str) -> None:
+    valid = ("hover", "pose_tcp_in_base", "control_hz", "woman-adult-heavy", "woman-adult-light")
+    assert errors.did_you_mean(name, valid) == meant

@@ -21,11 +21,18 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+SHORTEST_PART = 2
+"""Characters of a name that may be meant for a longer one that contains it."""
+
 
 def did_you_mean(name: str, valid: Iterable[str]) -> str:
-    """`` (did you mean 'hover'?)`` where a valid name is close to this one, else nothing."""
+    """`` (did you mean 'hover'?)`` where a valid name is close to this one or is the only one that contains it, else
+    nothing."""
     by_case = {word.casefold(): word for word in valid}
     close = difflib.get_close_matches(name.casefold(), by_case, n=1)
+    if not close and len(name) >= SHORTEST_PART:
+        longer = [word for word in by_case if name.casefold() in word]
+        close = longer if len(longer) == 1 else []
     return f" (did you mean {by_case[close[0]]!r}?)" if close else ""
 
 

@@ -55,7 +55,7 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["look", "--task", "T1", "--out", "r"], "a picture ends in .png, .jpg, .pdf"),
         (["look", "--task", "T1", "--body", "nobody"], "no body named 'nobody'"),
         (["look", "--task", "T1", "--set", "physics.dt_s=0.004", "--set", "physics.dt_m=1"], "physics.dt_m"),
-        (["list", "foo"], "invalid choice 'foo'"),
+        (["list", "foo"], "no choice named 'foo'; valid: tasks, "),
         (["demo", "--out", "."], "--out .: holds something other than an earlier demo; nothing was removed"),
         (["score", "nowhere"], "nowhere: no such folder"),
         (["report", "."], "holds no recordings"),

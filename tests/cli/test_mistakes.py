@@ -1,5 +1,4 @@
-"""Fifteen mistakes of a new user and two more: each is answered in one line that says what to do, without a
-traceback."""
+"""Mistakes of a new user: each is answered in one line that says what to do, without a traceback."""
 
 from __future__ import annotations
 
@@ -9,6 +8,10 @@ from pathlib import Path
 import pytest
 
 from carecontact.cli import main
+from carecontact.errors import PolicyError
+from carecontact.hosting.process import PolicyProcess
+from carecontact.hosting.setup import PolicySetup
+from tests.policies.synthetic import SESSION, synthetic_observation
 
 POLICY = """
 import tensorfloe
@@ -47,6 +50,62 @@ MISTAKES = {
         [*RUN, "hover", "--protocol", "tissue.toml"],
         "tissue.toml: person.tissue_set: no tissue set named 'manikin' (did you mean 'manikin-like'?); valid: ",
     ),
+    "a field that a file misspells": (
+        [*RUN, "hover", "--protocol", "field.toml"],
+        "field.toml: phsyics: no such field in the file (did you mean 'physics'?); valid: base, id, ",
+    ),
+    "a misspelt base": (
+        ["protocol", "show", "bsae.toml"],
+        "bsae.toml: bsae: no such field in the file (did you mean 'base'?); valid: base, id, ",
+    ),
+    "a protocol without its base": (
+        ["protocol", "show", "alone.toml"],
+        'alone.toml: add base = "bathing-v1" (valid: bathing-v1, bathing-droid-v1, '
+        "bathing-moved-v1, FILE.toml), or give all fields; 12 ",
+    ),
+    "a protocol file without its ending": (
+        ["protocol", "verify", "alone"],
+        "no protocol named 'alone' (did you mean alone.toml?)",
+    ),
+    "a body that there is not": (
+        [*RUN, "hover", "--body", "woman"],
+        "error: --body: no body named 'woman'; valid: man-adult, ",
+    ),
+    "a body that there is not, of another command": (["validate", "--body", "woman"], "--body: no body named 'woman'"),
+    "a misspelt word of protocol": (
+        ["protocol", "sho"],
+        "error: no choice named 'sho' (did you mean 'show'?); valid: list, show, verify, lock; For full helptext",
+    ),
+    "a misspelt word of list": (
+        ["list", "policy"],
+        "no choice named 'policy' (did you mean 'policies'?); valid: tasks",
+    ),
+    "a misspelt value": (
+        [*RUN, "hover", "--segmenter", "mediapip"],
+        "--segmenter: no choice named 'mediapip' (did you mean 'mediapipe'?); valid: ",
+    ),
+    "a policy without --policy": (
+        ["run", "my_policy:MyPolicy"],
+        "error: no option takes my_policy:MyPolicy (did you mean --policy my_policy:MyPolicy?); Missing",
+    ),
+    "a policy and its folder without options": (
+        ["run", "hover", "r"],
+        "no option takes hover r (did you mean --policy hover --out r?); Missing from carecontact run: --policy STR",
+    ),
+    "a word too many": (["probe", "forearm"], "error: no option takes forearm; For full helptext"),
+    "--policy where it is no option": (
+        ["check", "--policy", "hover"],
+        "check has no option --policy; give the policy without --policy; `carecontact check --help`",
+    ),
+    "an option that is not close to any": (["look", "--task", "T1", "--tissue", "soft"], "no option --tissue; `carec"),
+    "a dot in place of the colon": (
+        ["check", "my_policy.MyPolicy"],
+        "no policy named 'my_policy.MyPolicy'; valid: hover, ",
+    ),
+    "a dot in place of the colon, with what was meant": (
+        ["check", "my_policy.MyPolicy"],
+        "(did you mean my_policy:MyPolicy?)",
+    ),
     "a folder that is not a run": (["report", "."], "holds no recordings (*.h5); name the --out of a run"),
 }
 
@@ -58,6 +117,9 @@ def test_a_mistake_is_one_line_that_says_what_to_do(
     monkeypatch.chdir(tmp_path)
     Path("my_policy.py").write_text(POLICY)
     Path("gone.toml").write_text(HEIR.replace("bathing-v1", "no.toml"))
+    Path("field.toml").write_text(HEIR + "phsyics.dt_s = 0.004\n")
+    Path("bsae.toml").write_text(HEIR.replace("base", "bsae"))
+    Path("alone.toml").write_text(HEIR.partition("\n")[2])
     Path("tissue.toml").write_text(HEIR + '[person]\ntissue_set = "manikin"\n')
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
@@ -69,6 +131,73 @@ def test_a_mistake_is_one_line_that_says_what_to_do(
     assert said.err.count("\n") == 1
     assert "Traceback" not in said.err + said.out
     assert not Path("r").exists()
+
+
+POSE = "[0.4, 0, 0.3, 0, 1, 0, 0]"
+SERVED = """
+import numpy as np
+from carecontact.contract.action import Action
+from carecontact.contract.policy import PolicyCard
+class MyPolicy:
+    card = {card}
+    def reset(self, instruction): ...
+    def act(self, observation):
+        return {answer}
+"""
+CARD = 'PolicyCard(name="mine", cameras=())'
+ANSWERS = {
+    "a bare pose": (
+        POSE,
+        "; return Action(pose_tcp_in_base=[x, y, z, qw, qx, qy, qz]), or Action(joint=...) for joints, in",
+    ),
+    "a list of lists": (
+        f"[{POSE}, {POSE}]",
+        "; return [Action(pose_tcp_in_base=row) for row in rows], or with joint",
+    ),
+    "a dict": (f"dict(pose_tcp_in_base=np.array({POSE}))", "; return Action(pose_tcp_in_base="),
+    "roll pitch yaw": (
+        "Action(pose_tcp_in_base=[0.4, 0, 0.3, 0, 1, 0])",
+        "got shape (6,) float64; six numbers look like x y z and roll pitch yaw: turn the angles into a quaternion w x",
+    ),
+    "a gripper of -1": (
+        "Action(gripper=-1)",
+        "got -1.0; 1 is open and 0 is closed: of a range from -1 to 1 send (1 + g)",
+    ),
+    "millimetres": (
+        "Action(pose_tcp_in_base=[400, 0, 300, 0, 1, 0, 0])",
+        "actions[0].pose_tcp_in_base: the position [400.0, 0.0, 300.0] looks like millimetres: send metres; ",
+    ),
+    "a difference": (
+        "Action(pose_tcp_in_base=[0.01, 0, 0.005, 0, 0, 0, 0])",
+        "looks like a difference to the tool's pose: send the absolute pose of the tool in base",
+    ),
+}
+
+
+def answered(card: str, answer: str, folder: Path) -> str:
+    (folder / "my_policy.py").write_text(SERVED.format(card=card, answer=answer))
+    setup = PolicySetup.of("my_policy:MyPolicy", search_path=[str(folder)])
+    with PolicyProcess(setup, first_deadline_s=60, deadline_s=60) as policy:
+        try:
+            policy.start()
+            policy.reset("touch", SESSION)
+            policy.act(synthetic_observation())
+        except PolicyError as error:
+            return str(error)
+    raise AssertionError("the policy did not fail")
+
+
+@pytest.mark.parametrize("mistake", ANSWERS)
+def test_a_mistake_of_an_answer_is_one_line_that_says_what_to_do(mistake: str, tmp_path: Path) -> None:
+    answer, told = ANSWERS[mistake]
+    said = answered(CARD, answer, tmp_path)
+    assert told in said
+    assert "\n" not in said
+
+
+def test_a_card_as_a_dict_is_one_line_that_says_what_to_do(tmp_path: Path) -> None:
+    said = answered('{"name": "mine"}', "Action()", tmp_path)
+    assert said.endswith("got dict {'name': 'mine'}; write card = PolicyCard(name='mine') in place of the dict")
 
 
 @pytest.mark.parametrize("command", ["run", "serve", "demo", "score", "report", "compare", "validate", "look", "audit"])

@@ -15,6 +15,17 @@ from carecontact.cli.policy_names import classes, meant
         ("mine:own", " (did you mean mine:Own?)"),
         ("mien:Own", " (did you mean mine:Own?)"),
         ("mine:Own", ""),
+        ("mine.Own", " (did you mean mine:Own?)"),
+        ("mien.own", " (did you mean mine:Own?)"),
+        ("./mine.py:Own", " (did you mean mine:Own?)"),
+        ("inner/deep.py", " (did you mean inner.deep:Deep?)"),
+        ("inner.deep.Deep", " (did you mean inner.deep:Deep?)"),
+        ("inner.deep:Dep", " (did you mean inner.deep:Deep?)"),
+        ("inner.deep:Deep", ""),
+        ("gone.deep:Deep", ""),
+        ("", ""),
+        (":", ""),
+        ("..", ""),
         ("plain", " (did you mean plain:A or plain:B?)"),
         ("broken", ""),
         ("state-machine", ""),
@@ -23,6 +34,8 @@ from carecontact.cli.policy_names import classes, meant
 def test_what_was_meant_comes_from_the_files_without_importing_them(tmp_path: Path, typed: str, told: str) -> None:
     (tmp_path / "mine.py").write_text("raise SystemExit\nclass Helper: ...\nclass Own:\n    def act(self, o): ...\n")
     (tmp_path / "plain.py").write_text("class A: ...\nclass B: ...\n")
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "inner" / "deep.py").write_text("class Deep: ...\n")
     (tmp_path / "broken.py").write_text("class :\n")
     assert meant(typed, tmp_path) == told
 

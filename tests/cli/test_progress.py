@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 import time
+from io import StringIO
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from carecontact.cli import progress as progress_of
 from carecontact.cli.progress import progress
+from carecontact.cli.run_bar import RunBar
 from carecontact.cli.tally import Tally
 from carecontact.recording import write_recording
 from carecontact.recording.schema import EndReason
@@ -27,14 +30,12 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_finished_trials_are_scored_once_and_counted(folder: Path) -> None:
-    scored: list[str] = []
-    tally = Tally(folder, on_score=lambda: scored.append("one"))
-    assert tally.text() == "0 passed, 0 failed, 0 crashed, time left unknown until a trial has ended"
+    tally = Tally(folder)
+    assert tally.heartbeat().endswith(" s [0/0] 0 passed, 0 failed, 0 crashed, time left unknown")
     tally.take(event("started", 0))
     tally.take(event("finished", 0, ended="done"))
     tally.close(wait=True)
-    assert tally.text().startswith("1 passed, 0 failed, 0 crashed, last C1 5.0 N, about ")
-    assert len(scored) == 1
+    assert " s [1/10] 1 passed, 0 failed, 0 crashed, last C1 5.0 N, about " in tally.heartbeat()
 
     tally = Tally(folder)
     tally.take(event("finished", 1, ended="done"))
@@ -42,9 +43,9 @@ def test_finished_trials_are_scored_once_and_counted(folder: Path) -> None:
     tally.take(event("finished", 3, ended="harness_error"))
     tally.take(event("finished", 4, ended="done"))
     tally.close(wait=True)
-    assert tally.text().startswith(
-        "0 passed, 1 failed, 1 crashed, 1 failed in the harness, last trial without contact, about "
-    ), "a recording that cannot be scored counts as neither"
+    assert tally.counts() == "0 passed, 1 failed, 1 crashed, 1 failed in the harness, last trial without contact", (
+        "a recording that cannot be scored counts as neither"
+    )
 
 
 def test_kept_trials_count_by_their_stored_scores_and_take_no_time(folder: Path) -> None:
@@ -53,7 +54,8 @@ def test_kept_trials_count_by_their_stored_scores_and_take_no_time(folder: Path)
     tally.take(event("kept", 0, ended="done"))
     tally.take(event("kept", 1, ended="done"))
     tally.close(wait=True)
-    assert tally.text() == "1 passed, 1 failed, 0 crashed, time left unknown until a trial has ended"
+    assert tally.counts() == "1 passed, 1 failed, 0 crashed"
+    assert tally.left() == "time left unknown"
 
 
 def test_the_time_left_follows_the_trials_that_ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,19 +67,37 @@ def test_the_time_left_follows_the_trials_that_ran(tmp_path: Path, monkeypatch: 
     for seconds, seed, told in steps:
         clock[0] = 100.0 + seconds
         tally.take(event("finished", seed, ended="process_failure"))
-        assert tally.text().endswith(told)
+        assert tally.left() == told
     tally.close()
+
+
+LINE = "waiting for the policy: 40 of 120 s"
+
+
+def silent(seed: int) -> TrialEvent:
+    return TrialEvent(kind="waiting", trial_id=f"T1-s{seed:03d}", done=0, total=10, message=LINE)
 
 
 def test_a_silent_policy_is_named_until_its_trial_ends(tmp_path: Path) -> None:
     tally = Tally(tmp_path)
-    line = "waiting for the policy: 40 of 120 s"
-    silent = TrialEvent(kind="waiting", trial_id="T1-s000", done=0, total=2, message=line)
-    tally.take(silent)
-    assert tally.text().endswith("; T1-s000 waiting for the policy: 40 of 120 s")
+    tally.take(silent(0))
+    assert tally.waiting() == [f"T1-s000 {LINE}"]
     tally.take(event("finished", 0, ended="process_failure"))
-    assert "waiting" not in tally.text()
+    assert tally.waiting() == []
     tally.close()
+
+
+def test_a_silent_policy_is_told_at_once_and_then_every_heartbeat(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    with progress(tmp_path) as show:
+        for seconds in (10, 20, 30, 40, 50, 80):
+            clock[0] = 100.0 + seconds
+            show(silent(0))
+    told = [line.split(" [")[0].strip() for line in capsys.readouterr().out.splitlines() if LINE in line]
+    assert told == ["10 s", "40 s", "80 s"], "between 50 s and 80 s it has answered, so its silence is a new one"
 
 
 def test_a_heartbeat_comes_where_there_is_no_terminal(
@@ -107,3 +127,26 @@ def test_the_bar_shows_the_same_counts(
     told = capsys.readouterr().out
     assert "1 crashed" in told
     assert "left" in told
+
+
+def test_eighty_columns_show_counts_and_silent_policies_whole(tmp_path: Path) -> None:
+    tally = Tally(tmp_path)
+    tally.passed, tally.failed, tally.crashed, tally.harness_failed = 100, 120, 130, 140
+    for seed in range(12):
+        tally.take(event("started", seed))
+    for seed in range(6):
+        tally.take(silent(seed))
+    console = Console(width=80, file=StringIO(), force_terminal=True, color_system=None)
+    bar = RunBar(tally, console=console)
+    bar.advance_to(1, 140)
+    console.print(bar.get_renderable())
+    tally.close()
+    first, *lines = [line.rstrip() for line in console.file.getvalue().splitlines()]
+    assert "1/140" in first
+    assert "time left unknown" in first
+    assert lines == [
+        "100 passed, 120 failed, 130 crashed, 140 failed in the harness",
+        *(f"T1-s00{seed} {LINE}" for seed in range(4)),
+        "and 2 more wait for their policies",
+        f"running: {' '.join(f'T1-s00{seed}' for seed in range(8))} T1-s00…",
+    ]

@@ -87,7 +87,11 @@ def test_workspace_faces_belong_to_it_and_nothing_beyond_does(axis: int, side: i
     ("bad", "message"),
     [
         (np.zeros(6), r"expected 7 numbers .* got shape \(6,\)"),
-        (np.zeros((1, 7)), r"got shape \(1, 7\)"),
+        (np.zeros(6), r"; six numbers look like x y z and roll pitch yaw: turn the angles into a quaternion w x y z$"),
+        (np.zeros(3), "; three numbers look like a position: add the quaternion"),
+        (np.zeros(8), "; eight numbers look like a pose and a gripper"),
+        (np.zeros((5, 7)), r"; these look like 5 poses: send a list with one action for each$"),
+        (np.zeros((1, 7)), r"got shape \(1, 7\) float64; this looks like a pose in a list of its own: leave the outer"),
         (np.zeros(0), r"got shape \(0,\)"),
         (np.ones(7, bool), "bool"),
         (np.array(list("abcdefg")), "got shape"),
@@ -102,6 +106,40 @@ def test_workspace_faces_belong_to_it_and_nothing_beyond_does(axis: int, side: i
 def test_wrong_pose_is_named(bad: Any, message: str) -> None:
     with pytest.raises(ActionError, match=message):
         check_action(Action(pose_tcp_in_base=bad), BOUNDS)
+
+
+@pytest.mark.parametrize(
+    ("position", "message"),
+    [
+        (
+            (500.0, 0.0, 300.0),
+            r"the position \[500.0, 0.0, 300.0\] looks like millimetres: send metres; the workspace is",
+        ),
+        ((500.0, 0.0, 900.0), "expected a position inside the workspace"),
+        ((50.0, 0.0, 100.0), "expected a position inside the workspace"),
+        (
+            (0.01, -0.002, -0.01),
+            r"the position \[0.01, -0.002, -0.01\] looks like a difference to the tool's pose: send",
+        ),
+        ((0.5, 0.0, -0.01), "expected a position inside the workspace"),
+    ],
+)
+def test_a_position_in_another_unit_or_frame_is_named_before_the_bounds(
+    position: tuple[float, ...], message: str
+) -> None:
+    with pytest.raises(ActionError, match=f"^pose_tcp_in_base: {message}"):
+        check_action(Action(pose_tcp_in_base=pose(*position)), BOUNDS)
+
+
+def test_a_small_difference_inside_the_workspace_is_named_by_its_missing_rotation() -> None:
+    with pytest.raises(ActionError, match=r"norm 1, got 0; the position .* looks like a difference to the tool's pose"):
+        check_action(Action(pose_tcp_in_base=pose(0.01, 0.0, 0.101, quat=(0, 0, 0, 0))), BOUNDS)
+
+
+@pytest.mark.parametrize(("bad", "hint"), [(-1.0, r": of a range from -1 to 1 send \(1 \+ g\) / 2, or "), (2.0, "$")])
+def test_a_gripper_outside_its_range_is_told_what_the_numbers_mean(bad: float, hint: str) -> None:
+    with pytest.raises(ActionError, match=rf"got {bad}; 1 is open and 0 is closed{hint}"):
+        check_action(Action(gripper=bad), BOUNDS)
 
 
 @pytest.mark.parametrize("good", [(100.0, 5.0), (1000.0, 50.0), (400.0, 20.0)])

@@ -83,7 +83,7 @@ def test_names_resolve_without_importing() -> None:
 
 
 def test_an_unknown_name_lists_the_valid_ones() -> None:
-    with pytest.raises(UnknownNameError, match=r"no policy named 'zero'; valid: .*hover.*state-machine.*zero-action"):
+    with pytest.raises(UnknownNameError, match=r"named 'zero' .*; valid: .*hover.*state-machine.*zero-action"):
         policy_target(PolicyRef.parse("zero"))
 
 

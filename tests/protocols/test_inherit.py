@@ -71,14 +71,14 @@ def test_a_base_may_have_a_base_and_lies_relative_to_its_heir(tmp_path: Path) ->
     [
         (
             'base = "bathing"\n',
-            r"mine\.toml: base: no protocol named 'bathing'.*; valid: bathing-moved-v1, .*FILE\.toml",
+            r"mine\.toml: base: no protocol named 'bathing'.*; valid: bathing-droid-v1, .*FILE\.toml",
         ),
         ("base = 3\n", r"mine\.toml: base: expected the id of a protocol or a \.toml file, got 3"),
         ('base = "mine.toml"\n', r"mine\.toml: base: .*inherits from this file itself"),
         ('base = "gone.toml"\n', r"mine\.toml: base: .*gone\.toml does not exist"),
         ('base = "bathing-v1"\n', r"mine\.toml: 2 field\(s\) wrong\n  id: missing; .*\n  description: missing; "),
-        (f"{HEAD}[gates.touch]\nduration_s = -1\n", r"mine\.toml: 1 .*\n  gates\.touch\.duration_s: .*got -1"),
-        (f"{HEAD}gates = 3\n", r"mine\.toml: 1 .*\n  gates: "),
+        (f"{HEAD}[gates.touch]\nduration_s = -1\n", r"mine\.toml: gates\.touch\.duration_s: .*got -1"),
+        (f"{HEAD}gates = 3\n", r"mine\.toml: gates: "),
     ],
 )
 def test_a_mistake_is_named_with_its_file(tmp_path: Path, text: str, message: str) -> None:
@@ -89,5 +89,5 @@ def test_a_mistake_is_named_with_its_file(tmp_path: Path, text: str, message: st
 def test_a_mistake_in_the_base_names_the_base(tmp_path: Path) -> None:
     written(tmp_path, HEAD + "[physics]\ndt_s = -1\n", name="first.toml")
     heir = written(tmp_path, 'base = "first.toml"\nid = "x"\ndescription = "x"\n[physics]\ndt_s = 0.002\n')
-    with pytest.raises(ConfigError, match=r"first\.toml: 1 field\(s\) wrong\n  physics\.dt_s"):
+    with pytest.raises(ConfigError, match=r"first\.toml: physics\.dt_s"):
         load_protocol(heir)

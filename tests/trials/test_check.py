@@ -20,7 +20,7 @@ from carecontact.contract.action import Action
 from carecontact.contract.policy import PolicyCard
 
 class P:
-    card = PolicyCard(name="under test", cameras=(), control_hz=50)
+    card = PolicyCard(name="under test", cameras=(), control_hz=1)
 
     def reset(self, instruction):
         pass
@@ -32,6 +32,8 @@ class P:
     def answer(self):
         return Action(pose_tcp_in_base=self.pose)
 """
+FAST = PREAMBLE.replace("control_hz=1", "control_hz=50")
+"""Its one action lasts 0.02 s, and that of PREAMBLE longer than a call on a machine with other work."""
 ANSWER = "\n    def answer(self):\n        "
 
 
@@ -71,7 +73,7 @@ FAULTS = {
     "import": ("import nowhere\n" + PREAMBLE, "error    import", "ModuleNotFoundError: No module named 'nowhere'"),
     "card": (PREAMBLE + "    card = {'name': 'mine'}\n", "error    card", "expected a PolicyCard, got dict"),
     "card field": (
-        PREAMBLE.replace("control_hz=50", "control_hz=500"), "error    import", "a number from 1 to 50 [Hz], got 500",
+        PREAMBLE.replace("control_hz=1", "control_hz=500"), "error    import", "a number from 1 to 50 [Hz], got 500",
     ),
     "exception": (PREAMBLE + ANSWER + "return self.nothing\n", "error    exception", "has no attribute 'nothing'"),
     "shape": (PREAMBLE + ANSWER + "return Action(pose_tcp_in_base=self.pose[:6])\n", "error    answer", "7 numbers"),
@@ -117,7 +119,7 @@ SUSPECTS = {
 @pytest.mark.parametrize("topic", SUSPECTS)
 def test_what_the_contract_accepts_but_is_probably_wrong_is_a_warning(checked, topic: str) -> None:
     answer, says = SUSPECTS[topic]
-    status, out = checked(PREAMBLE + ANSWER + answer + "\n")
+    status, out = checked((FAST if topic == "slow answer" else PREAMBLE) + ANSWER + answer + "\n")
     assert status == 0
     assert out.endswith("look at the 1 warning(s) first\n"), out
     assert f"warning  {topic}" in out
@@ -126,18 +128,21 @@ def test_what_the_contract_accepts_but_is_probably_wrong_is_a_warning(checked, t
 
 @pytest.mark.usefixtures("same_world")
 def test_a_policy_that_clips_is_told_how_much(checked) -> None:
-    clips = PREAMBLE.replace("control_hz=50", "control_hz=50, out_of_bounds='clip'")
+    clips = PREAMBLE.replace("control_hz=1", "control_hz=1, out_of_bounds='clip'")
     status, out = checked(
         clips + ANSWER + "return [Action(), Action(pose_tcp_in_base=self.pose + [0, 0, 9, 0, 0, 0, 0])]\n"
     )
     assert status == 0
     assert "warning  clipped      1 of 2 targets" in out
+    assert "millimetres" not in out
+    _, out = checked(clips + ANSWER + "return Action(pose_tcp_in_base=self.pose * [1e3, 1e3, 1e3, 1, 1, 1, 1])\n")
+    assert "moved onto its border; the first of them looks like millimetres: send metres" in out
 
 
 @pytest.mark.usefixtures("same_world")
 def test_an_answer_that_uses_up_the_budget_is_an_error(checked, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carecontact.trials.check.BUDGET_S", 100.0)
-    status, out = checked(PREAMBLE + ANSWER + "time.sleep(0.1); return Action()\n")
+    status, out = checked(FAST + ANSWER + "time.sleep(0.1); return Action()\n")
     assert status == 1
     assert "error    slow answer  a trial of 30 s would take" in out
 
@@ -155,3 +160,36 @@ def test_nothing_listens(capsys: pytest.CaptureFixture[str]) -> None:
     out = capsys.readouterr().out
     assert "error    connection" in out
     assert "nothing listens at 127.0.0.1:9" in out
+
+
+OWN_FRAMES = {
+    "a misspelt class": ("under_test:PP", "ImportError: under_test has no 'PP'; it has P"),
+    "a misspelt module": ("under_tset:P", "ModuleNotFoundError: No module named 'under_tset'"),
+    "no policy": ("under_test:Action", "TypeError: under_test:Action has no method reset or act"),
+}
+
+
+@pytest.mark.parametrize("name", OWN_FRAMES)
+def test_a_traceback_of_our_own_frames_is_not_shown(
+    name: str, checked, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    checked(PREAMBLE + "    card = None\n")
+    target, says = OWN_FRAMES[name]
+    assert main(["check", target]) == 1
+    out = capsys.readouterr().out
+    assert out.splitlines()[1].startswith(f"error    import       {says}")
+    assert len(out.splitlines()) == 3
+    assert "Traceback" not in out
+
+
+def test_a_traceback_with_a_frame_of_the_policy_is_shown(checked) -> None:
+    _, out = checked(PREAMBLE + "    raise RuntimeError('no weights')\n")
+    assert "Traceback" in out
+    assert 'under_test.py", line' in out
+
+
+@pytest.mark.usefixtures("same_world")
+def test_a_refusal_that_says_what_it_looks_like_has_no_second_hint(checked) -> None:
+    _, out = checked(PREAMBLE + ANSWER + "return Action(pose_tcp_in_base=self.pose * 0)\n")
+    assert "norm 1, got 0; the position [0.0, 0.0, 0.0] looks like a difference" in out
+    assert "hint" not in out

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Sequence
 from contextlib import redirect_stderr
 from importlib import import_module
@@ -13,6 +12,7 @@ import tyro
 
 from carecontact.cli.option_texts import described
 from carecontact.cli.spelling import unknown_command, unknown_option
+from carecontact.cli.usage_text import in_one_line
 from carecontact.errors import ConfigError
 
 
@@ -31,7 +31,6 @@ class UsageError(ConfigError):
 
 CONFIG = (tyro.conf.DisallowNone,)
 """An option that is not given is left out: nobody types None."""
-NOT_OF_TYPE = re.compile(r"no type matching (\S+) could be instantiated from \[(.*?)\]")
 COMMANDS = {
     "run": "run:Run",
     "check": "check:Check",
@@ -87,16 +86,4 @@ def parse(arguments: Sequence[str]) -> Command:
     except SystemExit as end:
         if end.code != 2:
             raise
-        raise UsageError(_in_one_line(errors.getvalue())) from None
-
-
-def _in_one_line(box: str) -> str:
-    """Keep from tyro's framed page what is wrong and where help is; drop the indented help texts."""
-    rows = [line.strip("│\n ").rstrip() for line in box.splitlines() if not line.startswith(" " * 8, 2)]
-    sections = [" ".join(section.split()) for section in "\n".join(rows[1:-1]).split("─" * 8)]
-    sections = [section.strip("─ ") for section in sections if section.strip("─ ")]
-    if not sections:
-        return " ".join(box.split())
-    more = [section for section in sections[1:] if section.startswith(("Unrecognized", "For full helptext"))]
-    sections[0] = NOT_OF_TYPE.sub(r"expected \1, got \2", sections[0].removeprefix("Error parsing "))
-    return "; ".join([sections[0].partition(" Got errors:")[0].rstrip("."), *more])
+        raise UsageError(in_one_line(errors.getvalue())) from None

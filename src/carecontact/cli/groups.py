@@ -82,7 +82,20 @@ class RulesGroup(ChangedProtocolGroup):
     output names this change, and carecontact never pools such trials with those of the unchanged protocol."""
 
     def _others(self) -> dict[str, Mapping[str, object]]:
-        return {} if self.body is None else {"body": {"person.body": self.body}}
+        if self.body is None:
+            return {}
+        check_body(self.body)
+        return {"body": {"person.body": self.body}}
+
+
+def check_body(name: str) -> None:
+    """Raises ConfigError that blames --body for a body that does not exist or cannot be read."""
+    from carecontact.world.human.library import load_body
+
+    try:
+        load_body(name)
+    except ConfigError as error:
+        raise ConfigError(f"--body: {error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)

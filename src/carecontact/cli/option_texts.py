@@ -34,6 +34,11 @@ def option_names(command: type[Any]) -> list[str]:
     return names
 
 
+def positional_names(command: type[Any]) -> list[str]:
+    """Fields of a command that are typed without an option."""
+    return [field.name for field, hint in _options(command) if tyro.conf.Positional in get_args(hint)[1:]]
+
+
 def _describe(owner: type[Any]) -> None:
     docs = _docstrings(owner)
     own = inspect.get_annotations(owner)

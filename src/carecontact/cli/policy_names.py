@@ -12,18 +12,28 @@ def meant(policy: str, folder: Path) -> str:
     """`` (did you mean my_policy:MyPolicy?)``, or nothing where no file of the folder is close.
 
     Args:
-        policy: as it was typed: a name, ``my_policy.py``, ``my_policy:MyPolcy`` or ``my_polcy:MyPolicy``.
+        policy: as it was typed: a name, ``my_policy.py``, ``my_policy.MyPolicy``, ``my_policy:MyPolcy`` or
+            ``folder/my_polcy.py:MyPolicy``.
         folder: where modules are looked for first.
     """
-    module, _, wanted = policy.partition(":")
-    stems = sorted(path.stem for path in folder.glob("*.py"))
-    close = difflib.get_close_matches(module.removesuffix(".py"), stems, n=1)
+    dotted, _, wanted = policy.partition(":") if ":" in policy else _last_part(policy)
+    place, _, module = dotted.removesuffix(".py").replace("/", ".").lstrip(".").rpartition(".")
+    folder = folder.joinpath(*place.split("."))
+    close = difflib.get_close_matches(module, sorted(path.stem for path in folder.glob("*.py")), n=1)
     found = classes(folder / f"{close[0]}.py") if close else []
     if not found:
         return ""
+    target = f"{place}.{close[0]}".lstrip(".")
     nearest = difflib.get_close_matches(wanted, found, n=1) or found
-    names = " or ".join(f"{close[0]}:{name}" for name in nearest[:3] if f"{close[0]}:{name}" != policy)
+    names = " or ".join(f"{target}:{name}" for name in nearest[:3] if f"{target}:{name}" != policy)
     return f" (did you mean {names}?)" if names else ""
+
+
+def _last_part(policy: str) -> tuple[str, str, str]:
+    """``my_policy.MyPolicy``, with a dot where the colon belongs, split there; a file has no such part."""
+    if policy.endswith(".py") or "." not in policy:
+        return policy, "", ""
+    return policy.rpartition(".")
 
 
 def classes(file: Path) -> list[str]:

@@ -1,7 +1,9 @@
-"""What a run prints while it goes: a bar on a terminal; plain lines elsewhere, and one at least every 30 s."""
+"""What a run prints while it goes: a bar on a terminal; plain lines elsewhere, at least one in 30 s, and one as soon as
+a policy is silent."""
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
@@ -10,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from carecontact.cli.tally import Tally
+from carecontact.hosting.conversation import WAIT_REPORT_S
 from carecontact.trials.supervisor import TrialEvent
 
 HEARTBEAT_S = 30.0
@@ -22,6 +25,8 @@ def told(event: TrialEvent) -> str | None:
         return f"{place} runs again: {event.message}"
     if event.kind == "finished":
         return f"{place} {event.ended}" + (f": {event.message}" if event.message else "")
+    if event.kind == "waiting":
+        return f"{place} {event.message}"
     return None
 
 
@@ -34,35 +39,18 @@ def progress(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
 
 @contextmanager
 def _bar(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from carecontact.cli.run_bar import RunBar
 
-    columns = (
-        TextColumn("trials"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}"),
-    )
-    with Progress(*columns) as bar:
-        row = bar.add_task("", total=None)
-        active: dict[str, None] = {}
-
-        def describe() -> None:
-            bar.update(row, description=f"{tally.text()}; {' '.join(active)}")
+    tally = Tally(out)
+    with RunBar(tally) as bar:
 
         def show(event: TrialEvent) -> None:
-            if event.kind == "started":
-                active[event.trial_id] = None
-            elif event.kind == "finished":
-                active.pop(event.trial_id, None)
             tally.take(event)
-            line = told(event)
+            line = told(event) if event.kind != "waiting" else None
             if line:
                 bar.console.print(line, highlight=False, markup=False)
-            bar.update(row, completed=event.done, total=event.total)
-            describe()
+            bar.advance_to(event.done, event.total)
 
-        tally = Tally(out, on_score=describe)
         try:
             yield show
             # The bar stays on the terminal, so that it has to count the last trial too.
@@ -71,11 +59,29 @@ def _bar(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
             tally.close()
 
 
+class _Silence:
+    """When the line of a policy that does not answer is due: at once, then every HEARTBEAT_S."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, float] = {}
+        self._told: dict[str, float] = {}
+
+    def is_due(self, trial_id: str) -> bool:
+        """Call it for every report of silence: without one for two times WAIT_REPORT_S, the policy has answered."""
+        now = time.monotonic()
+        lasts = now - self._seen.get(trial_id, -math.inf) < 2 * WAIT_REPORT_S
+        self._seen[trial_id] = now
+        if lasts and now - self._told[trial_id] < HEARTBEAT_S:
+            return False
+        self._told[trial_id] = now
+        return True
+
+
 @contextmanager
 def _plain(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
     began = time.monotonic()
     kept = 0
-    tally, ended = Tally(out), threading.Event()
+    tally, silence, ended = Tally(out), _Silence(), threading.Event()
 
     def beat() -> None:
         while not ended.wait(HEARTBEAT_S):
@@ -88,7 +94,7 @@ def _plain(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
             kept += 1
             return
         say_kept()
-        line = told(event)
+        line = told(event) if event.kind != "waiting" or silence.is_due(event.trial_id) else None
         if line:
             print(f"{time.monotonic() - began:6.0f} s {line}", flush=True)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from carecontact.cli.option_texts import option_names
+from carecontact.cli.option_texts import option_names, positional_names
 from carecontact.errors import did_you_mean
 
 SYNONYMS = {
@@ -20,6 +20,8 @@ def with_synonyms(arguments: Sequence[str]) -> list[str]:
     """The command line with the names of options that the help shows."""
     if not arguments:
         return []
+    if arguments[0] == "help":
+        return [*arguments[1:], "--help"]
     known = SYNONYMS.get(arguments[0], {})
     split = [argument.partition("=") for argument in arguments]
     return [known.get(name, name) + equals + value for name, equals, value in split]
@@ -36,6 +38,15 @@ def unknown_option(name: str, command: type[Any], arguments: Iterable[str]) -> s
     for argument in arguments:
         option = argument.partition("=")[0]
         if option.startswith("--") and option.replace("_", "-") not in ("--", "--help", *valid):
-            meant = did_you_mean(option, valid)
+            meant = _option_meant(option, command)
             return f"{name} has no option {option}{meant}; `carecontact {name} --help` shows all options"
     return None
+
+
+def _option_meant(option: str, command: type[Any]) -> str:
+    """Without the dashes, which every option shares; a positional argument is typed without its name."""
+    bare = option.removeprefix("--").replace("_", "-")
+    if bare in positional_names(command):
+        return f"; give the {bare} without {option}"
+    meant = did_you_mean(bare, [valid.removeprefix("--") for valid in ("--help", *option_names(command))])
+    return meant.replace("mean '", "mean '--")

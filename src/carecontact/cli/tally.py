@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -20,27 +19,27 @@ if TYPE_CHECKING:
 class Tally:
     """Counts the trials of a run as they end. Each is scored once, in a thread of its own, so that nobody waits."""
 
-    def __init__(self, out: Path, *, on_score: Callable[[], None] = lambda: None) -> None:
-        """
-        Args:
-            out: folder of the run.
-            on_score: called in that thread after a trial was scored.
-        """
-        self._out, self._on_score = out, on_score
+    def __init__(self, out: Path) -> None:
+        """``out``: folder of the run."""
+        self._out = out
         self._scorer = ThreadPoolExecutor(1)
         self._earlier: dict[str, TrialScore] | None = None
         self._began = time.monotonic()
         self._done = self._total = self._ran = 0
         self.passed = self.failed = self.crashed = self.harness_failed = 0
         self._last_c1 = ""
+        self._running: dict[str, None] = {}
         self._silent: dict[str, tuple[float, str]] = {}
 
     def take(self, event: TrialEvent) -> None:
         self._done, self._total = event.done, event.total
         if event.kind == "waiting":
             self._silent[event.trial_id] = time.monotonic(), event.message or ""
+        if event.kind == "started":
+            self._running[event.trial_id] = None
         if event.kind not in ("kept", "finished"):
             return
+        self._running.pop(event.trial_id, None)
         self._silent.pop(event.trial_id, None)
         self._ran += event.kind == "finished"
         if event.ended == "process_failure":
@@ -52,36 +51,42 @@ class Tally:
         else:
             self._scorer.submit(self._score, event.trial_id)
 
-    def text(self) -> str:
-        """``5 passed, 6 failed, 1 crashed, last C1 12.3 N, about 14 min left``."""
+    def counts(self) -> str:
+        """``5 passed, 6 failed, 1 crashed, last C1 12.3 N``."""
         parts = [f"{self.passed} passed", f"{self.failed} failed", f"{self.crashed} crashed"]
         if self.harness_failed:
             parts.append(f"{self.harness_failed} failed in the harness")
         if self._last_c1:
             parts.append(self._last_c1)
-        return ", ".join([*parts, *self._left()]) + self._silence()
+        return ", ".join(parts)
+
+    def left(self) -> str:
+        """``about 14 min left``; empty once every trial has ended."""
+        if self._total and self._done == self._total:
+            return ""
+        if not self._ran:
+            return "time left unknown"
+        seconds = (time.monotonic() - self._began) / self._ran * (self._total - self._done)
+        if seconds < 90:
+            return f"about {seconds:.0f} s left"
+        return f"about {seconds / 60:.0f} min left" if seconds < 5400 else f"about {seconds / 3600:.1f} h left"
+
+    def waiting(self) -> list[str]:
+        """A line for each trial whose policy does not answer, as the supervisor last said it."""
+        since = time.monotonic() - 2 * WAIT_REPORT_S
+        return [f"{trial_id} {line}" for trial_id, (at, line) in list(self._silent.items()) if at > since]
+
+    def running(self) -> list[str]:
+        """Trials that have started and not ended."""
+        return list(self._running)
 
     def heartbeat(self) -> str:
-        return f"{time.monotonic() - self._began:6.0f} s [{self._done}/{self._total}] {self.text()}"
+        told = ", ".join(filter(None, (self.counts(), self.left())))
+        return f"{time.monotonic() - self._began:6.0f} s [{self._done}/{self._total}] {told}"
 
     def close(self, *, wait: bool = False) -> None:
         """Stop scoring; ``wait``: once every trial is scored."""
         self._scorer.shutdown(wait=wait, cancel_futures=not wait)
-
-    def _silence(self) -> str:
-        """What the supervisor last said of trials whose policy does not answer."""
-        since = time.monotonic() - 2 * WAIT_REPORT_S
-        return "".join(f"; {trial_id} {line}" for trial_id, (at, line) in list(self._silent.items()) if at > since)
-
-    def _left(self) -> list[str]:
-        if self._total and self._done == self._total:
-            return []
-        if not self._ran:
-            return ["time left unknown until a trial has ended"]
-        seconds = (time.monotonic() - self._began) / self._ran * (self._total - self._done)
-        if seconds < 90:
-            return [f"about {seconds:.0f} s left"]
-        return [f"about {seconds / 60:.0f} min left" if seconds < 5400 else f"about {seconds / 3600:.1f} h left"]
 
     def _score(self, trial_id: str) -> None:
         from carecontact.runs.score_files import score_file
@@ -89,7 +94,6 @@ class Tally:
         found = score_file(self._out / f"{trial_id}.h5")
         if not isinstance(found, str):
             self._count(found.score, last=True)
-        self._on_score()
 
     def _count(self, score: TrialScore | None, *, last: bool) -> None:
         if score is None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.groups import FLAT, ChangedProtocolGroup, PhysicsGroup, Switch
+from carecontact.cli.groups import FLAT, ChangedProtocolGroup, PhysicsGroup, Switch, check_body
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -50,8 +50,10 @@ class Validate:
                 f"--checks {self.checks!r}: expected names separated by commas, each once; valid: {', '.join(CHECKS)}"
             )
         wanted = self.body or (rules.person.body,)
-        for body in wanted:
-            load_body(body)
+        for body in self.body:
+            check_body(body)
+        if not self.body:
+            load_body(rules.person.body)
         passed = True
         for body in wanted:
             # A body may be a file: its name as a folder keeps letters and digits only.

@@ -52,9 +52,6 @@ CONTROLS.register(
     Control(description="Springs and dampers between the tool and a target pose; gains of the protocol.", joint=None),
 )
 
-_TORQUE_NM = (86.0,) * 4 + (11.5,) * 3
-_VELOCITY_RAD_S = (2.075,) * 4 + (2.51,) * 3
-
 CONTROLS.register(
     "droid",
     Control(
@@ -66,8 +63,8 @@ CONTROLS.register(
             damping_nms_rad=(4, 6, 5, 5, 3, 2, 1),
             cartesian_stiffness=(400, 400, 400, 15, 15, 15),
             cartesian_damping=(37, 37, 37, 2, 2, 2),
-            torque_limit_nm=_TORQUE_NM,
-            velocity_limit_rad_s=_VELOCITY_RAD_S,
+            torque_limit_nm=(86.0,) * 4 + (11.5,) * 3,
+            velocity_limit_rad_s=(2.075,) * 4 + (2.51,) * 3,
         ),
     ),
 )
@@ -75,12 +72,12 @@ CONTROLS.register(
     "droid-sim-evals",
     Control(
         description="Stiff joint servos, as community simulations of DROID have them (400 N m/rad, 80 N m s/rad).",
-        # Gains: arhanjain/sim-evals. Limits as above.
+        # Gains and limits: arhanjain/sim-evals, src/environments/nvidia_droid.py.
         joint=JointImpedance(
             stiffness_nm_rad=(400,) * 7,
             damping_nms_rad=(80,) * 7,
-            torque_limit_nm=_TORQUE_NM,
-            velocity_limit_rad_s=_VELOCITY_RAD_S,
+            torque_limit_nm=(87.0,) * 4 + (12.0,) * 3,
+            velocity_limit_rad_s=(2.175,) * 4 + (2.61,) * 3,
         ),
     ),
 )

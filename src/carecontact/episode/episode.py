@@ -102,6 +102,8 @@ class Episode:
         self._builder: ObservationBuilder | None = None
         self._perception: PerceptionLog | None = None
         self._pending: Observation | None = None
+        self._unanswered = False
+        """Whether no action has been executed since the last observation."""
         self._done_steps = 0
         self._closed = False
         self._ended: Ended | None = None
@@ -229,17 +231,38 @@ class Episode:
         checked = self.space.check(inside, session)
         self._driver.check(checked)
         self.answered()
+        if self._unanswered:
+            self._unanswered = False
+            if (ended := self._wait()) is not None:
+                return ended
         period_s = 1.0 / self.card.control_hz
         entries = self._driver.apply(checked, period_s)
         clipped = {"actions/clipped": np.array(inside is not action)} if clips else {}
         self.log.add_action(self.simulation.time_s, {**entries, **clipped})
-        steps = min(next(self._periods), self._limit_steps - self._done_steps)
-        self._ended = self._advance(steps)
-        self._done_steps += steps
+        self._run(next(self._periods))
         if self._ended is None and action.done:
             self._ended = Ended(reason="done")
+        self._end_in_time()
+        return self._outcome(observe=observe)
+
+    def _wait(self) -> Step | None:
+        """Let the protocol's latency pass, with the last target in force; returns how the trial ended in it, if so."""
+        steps = round(self.protocol.phases.latency_s / self.protocol.physics.dt_s)
+        if steps:
+            self._run(steps)
+            self._end_in_time()
+        return None if self._ended is None else self._outcome(observe=False)
+
+    def _run(self, steps: int) -> None:
+        steps = min(steps, self._limit_steps - self._done_steps)
+        self._ended = self._advance(steps)
+        self._done_steps += steps
+
+    def _end_in_time(self) -> None:
         if self._ended is None and self._done_steps >= self._limit_steps:
             self._ended = Ended(reason="time_limit")
+
+    def _outcome(self, *, observe: bool) -> Step:
         reason = None if self._ended is None else self._ended.reason
         return Step(
             observation=self._observe() if observe and reason is None else None,
@@ -284,6 +307,7 @@ class Episode:
     def _observe(self) -> Observation:
         assert self._builder is not None
         self.simulation.refresh()
+        self._unanswered = True
         self._pending = self._builder.build(
             self.simulation.data, instruction=self.instruction, sim_time_s=self.simulation.time_s
         )

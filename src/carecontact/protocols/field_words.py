@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from carecontact.contract.protocol import BEHAVIOURS
+from carecontact.contract.protocol import BEHAVIOURS, Protocol
 from carecontact.contract.protocol.gates import Gates
 from carecontact.errors import did_you_mean
 
@@ -84,6 +84,8 @@ def _place(loc: Sequence[int | str]) -> str:
 
 def _fields(model: type[BaseModel] | None, loc: Sequence[int | str]) -> list[str]:
     """Names of the fields of the table at a place; none where the place is not a table of fixed fields."""
+    if model is Protocol and not loc:
+        return ["base", *(name for name in Protocol.model_fields if name != "overrides")]
     here: Any = model
     for part in loc:
         if here is Gates:

@@ -22,6 +22,8 @@ def protocol_file(name_or_path: str) -> Path:
     if name_or_path in shipped_protocols():
         return Path(str(resources.files("carecontact.protocols") / f"{name_or_path}.toml"))
     if not name_or_path.endswith(".toml"):
+        if Path(f"{name_or_path}.toml").is_file():
+            raise ConfigError(f"no protocol named {name_or_path!r} (did you mean {name_or_path}.toml?)")
         raise UnknownNameError("protocol", name_or_path, shipped_protocols())
     if not Path(name_or_path).is_file():
         raise ConfigError(f"protocol file {name_or_path} does not exist")

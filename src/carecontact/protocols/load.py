@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import ValidationError
 
 from carecontact.contract.protocol import Protocol, Tissue
 from carecontact.errors import ConfigError
+from carecontact.protocols.files import shipped_protocols
 from carecontact.protocols.inherit import Table, ancestry, inherit, merged
 from carecontact.protocols.tissue_sets import load_tissue_set
 from carecontact.protocols.wrong_fields import wrong_fields
@@ -24,7 +26,7 @@ def load_protocol(name_or_path: str = DEFAULT_PROTOCOL) -> Protocol:
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """
     (place, table), *heirs = ancestry(name_or_path)
-    protocol = _validated(place, table)
+    protocol = _validated(place, table, bases=sorted(shipped_protocols(), key=lambda name: name != DEFAULT_PROTOCOL))
     for heir, own in heirs:
         place, table = heir, inherit(table, own)
         protocol = _validated(place, table)
@@ -41,12 +43,14 @@ def merged_table(name_or_path: str) -> Table:
     return table
 
 
-def _validated(place: str, table: Table) -> Protocol:
+def _validated(place: str, table: Table, *, bases: Sequence[str] = ()) -> Protocol:
+    """``bases``: see ``wrong_fields``."""
     content = _with_neighbourhoods(_with_tissue(place, table))
     try:
         return Protocol.model_validate(content)
     except ValidationError as error:
-        raise ConfigError(wrong_fields(place, error, model=Protocol, content=content)) from None
+        told = wrong_fields(place, error, model=Protocol, content=content, bases=bases)
+        raise ConfigError(told) from None
 
 
 def _with_tissue(place: str, table: Table) -> Table:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+import os
+import re
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -9,8 +12,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
+import carecontact
 from carecontact.contract.action import Action
+from carecontact.contract.action.hints import looks_like_millimetres
 from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import ActionBounds
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
 from carecontact.episode.prepare import settled_world
@@ -18,7 +26,7 @@ from carecontact.errors import PolicyError
 from carecontact.hosting.conversation import BUDGET_S, PolicyConversation
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
-from carecontact.recording.reason import reason
+from carecontact.recording.reason import PRINTED, reason
 from carecontact.trials.first_answer import Finding, Level, look_at
 
 REMEDIES = {
@@ -28,6 +36,10 @@ REMEDIES = {
     "expected a quaternion of norm 1": "Divide the quaternion by its norm; its order is w x y z.",
 }
 """Part of a refusal -> what may help."""
+LOOKS = "looks like"
+"""Part of a refusal that says itself what may help."""
+FRAME = re.compile(r'^\s+File "(.+?)", line \d+', re.MULTILINE)
+OWN = (f"{Path(carecontact.__file__).parent}{os.sep}", f"{importlib.__path__[0]}{os.sep}", "<frozen importlib")
 
 
 @dataclass(kw_only=True)
@@ -67,10 +79,10 @@ class Check:
     def _fail(self, error: PolicyError) -> None:
         topic = "connection" if self.policy.ref.kind == "remote" and error.kind == "start" else error.kind
         why, whole = reason(str(error)), str(error)
-        text = whole if why in whole.partition("\n")[0] else f"{why}\n{whole}"
+        text = whole if why in whole.partition("\n")[0] else f"{why}\n{whole}" if _says_more(whole) else why
         self._say("error", _TOPICS.get(topic, topic), text)
         for part, remedy in REMEDIES.items():
-            if part in whole:
+            if part in whole and LOOKS not in whole:
                 self._say("hint", "", remedy)
 
     def _converse(self, policy: PolicyConversation, episode: Episode, card: PolicyCard) -> bool:
@@ -86,7 +98,8 @@ class Check:
         outside = [a for a in answers[0] if episode.space.clip(a, episode.session) is not a]
         if outside:
             many = f"{len(outside)} of {len(answers[0])} targets are outside the workspace"
-            self._say("warning", "clipped", f"{many}; the card requests that they are moved onto its border")
+            text = f"{many}; the card requests that they are moved onto its border"
+            self._say("warning", "clipped", f"{text}{_unit(outside[0], episode.session.action_bounds)}")
         for finding in look_at(answers[0], observation):
             self._say(finding.level, finding.topic, finding.text)
         return self._keeps_pace(len(answers[1]), card)
@@ -125,6 +138,22 @@ class Check:
 
 _TOPICS = {"handshake": "card", "action": "answer", "timeout": "slow answer", "start": "import"}
 """Kind of a policy's failure -> topic, where the kind itself would not do."""
+
+
+def _unit(outside: Action, bounds: ActionBounds) -> str:
+    if outside.pose_tcp_in_base is None:
+        return ""
+    position = np.asarray(outside.pose_tcp_in_base)[:3]
+    meant = looks_like_millimetres(position, np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m))
+    return f"; the first of them {meant}" if meant else ""
+
+
+def _says_more(failure: str) -> bool:
+    """Whether a failure tells a user more than its reason: it holds what the policy printed, or a traceback with a
+    frame that is neither ours nor of Python's import."""
+    frames = FRAME.findall(failure)
+    foreign = [file for file in frames if not file.startswith(OWN)]
+    return PRINTED in failure or not frames or bool(foreign)
 
 
 def _described(card: PolicyCard) -> str:

@@ -13,13 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.action import Action
+from carecontact.contract.action.hints import NEAR_BASE_M
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.observation import Observation
 
 F64 = npt.NDArray[np.float64]
 
-NEAR_ORIGIN_M = 0.12
-"""The base stands there: no tool can be so near, but every difference of two poses is."""
 FAR_M = 0.25
 """Of a first target from the tool: a second of the fastest motion."""
 WRONG_TURN_DEG, RIGHT_TURN_DEG = 90.0, 45.0
@@ -52,7 +51,7 @@ def look_at(actions: Sequence[Action], observation: Observation) -> list[Finding
 def _position(target: F64, tool: F64) -> Iterator[Finding]:
     place, distance = target[:3], float(np.linalg.norm(target[:3] - tool[:3]))
     where = f"the first target is at {_numbers(place)} m and the tool at {_numbers(tool[:3])} m in base"
-    if np.linalg.norm(place) < NEAR_ORIGIN_M:
+    if np.linalg.norm(place) < NEAR_BASE_M:
         yield Finding(
             level="warning", topic="difference", text=f"{where}: send absolute poses of the tool, not differences to it"
         )

@@ -149,10 +149,20 @@ def test_modalities_of_one_camera_agree(changes: dict[str, object], says: str) -
     ("answer", "says"),
     [
         (None, "expected an Action or a list of Actions, got NoneType"),
-        ({"pose": 1}, "got dict"),
+        ({"pose": 1}, r"got dict {'pose': 1}; return Action\(pose_tcp_in_base=\[x, y, .* in place of the dict$"),
+        ([{"pose": 1}], r"; return \[Action\(pose_tcp_in_base=.*, \.\.\.\] in place of the dicts$"),
+        ([0.4, 0, 0.4, 0, 1, 0, 0], r"; return Action\(pose_tcp_in_base=.* in place of bare numbers$"),
+        (np.zeros(7), r"got an array float64 \(7,\); return Action\(pose_tcp_in_base=.* in place of bare numbers$"),
+        ([0.4, 0, 0.4, 0, 1, 0], "; six numbers look like x y z and roll pitch yaw: .* w x y z; return Action"),
+        (
+            np.zeros((3, 8)),
+            "; eight numbers look like seven joints and a gripper: give the last one as gripper; return ",
+        ),
+        ([[0.4] * 7] * 3, r"; return \[Action\(pose_tcp_in_base=row\) for row in rows\], or with joint"),
+        (np.zeros((3, 6)), r"; six numbers look .*; return \[Action\(pose_tcp_in_base=row\) for row in rows\]"),
         ([], "expected 1 to 2000 actions, got 0"),
         ([Action()] * (MAX_CHUNK + 1), "got 2001"),
-        ([Action(), 3], r"act\[1\]: expected a Action, got int 3"),
+        ([Action(), 3], r"act\[1\]: expected an Action, got int 3"),
         (Action(pose_tcp_in_base=[[0, 1], [2]]), "pose_tcp_in_base: expected a list or array of 7 numbers"),
         (Action(pose_tcp_in_base=np.zeros(7, bool)), "got an array bool"),
         (Action(pose_tcp_in_base="up"), "expected a list or array of 7 numbers"),
@@ -181,10 +191,62 @@ def test_a_pose_may_be_a_plain_list_of_numbers() -> None:
 
 
 @pytest.mark.parametrize(
+    ("plain", "says"),
+    [
+        (
+            [0.4, 0, 0.4, 0, 1, 0, 0],
+            r"^actions: expected a list of maps, got list .*; send a map for each action, as in \[",
+        ),
+        ([[0.4] * 7] * 3, "; send a map for each action, as in "),
+        (np.zeros((3, 6)), "; six numbers look like x y z and roll pitch yaw: .*; send a map for each action, as in "),
+        ({"pose_tcp_in_base": [0.4] * 7}, r'; put each action into a list, as in \[{"pose_tcp_in_base": \[x'),
+        (
+            [{"pose_tcp_in_base": [[0.4] * 7] * 3}],
+            r"actions\[0\]\.pose_tcp.*; these look like 3 poses: send a list",
+        ),
+        (
+            [{"pose": [0.4] * 7}],
+            r"^actions\[0\]: unknown key pose \(did you mean 'pose_tcp_in_base'\?\); valid: pose_t",
+        ),
+        ([{"Gripper": 1, "zzz": 2}], r"unknown key Gripper \(did you mean 'gripper'\?\), zzz; valid: .*, done$"),
+        ([{f"key{i:02}": i for i in range(99)}], "unknown key key00, key01, key02, key03; valid: "),
+    ],
+)
+def test_a_wrong_answer_on_the_wire_is_named_with_what_to_send(plain: object, says: str) -> None:
+    with pytest.raises(ActionError, match=says):
+        codec.decode_actions(plain)
+
+
+@pytest.mark.parametrize(
+    ("card", "says"),
+    [
+        ({"name": "x", "control_hz": 5}, r"; write card = PolicyCard\(name='x', control_hz=5\) in place of the dict$"),
+        (None, r"; a policy shows a PolicyCard as its attribute 'card', for example card = PolicyCard\(name="),
+    ],
+)
+def test_what_stands_in_place_of_a_card_is_told_how_to_become_one(card: object, says: str) -> None:
+    with pytest.raises(PolicyError, match=says):
+        codec.encode_card(card)
+
+
+class Inconvertible:
+    def __array__(self) -> None:
+        raise RuntimeError("on another device")
+
+
+def test_an_answer_that_numpy_cannot_take_is_named_too() -> None:
+    with pytest.raises(ActionError, match="expected an Action or a list of Actions, got Inconvertible"):
+        codec.encode_actions(Inconvertible())
+
+
+@pytest.mark.parametrize(
     ("card", "says"),
     [
         (None, "expected a PolicyCard, got NoneType"),
         ({"name": "n", "seed": 3}, "unknown key seed"),
+        ({"name": "n", "camera": ["wrist"]}, r"^card: unknown key camera \(did you mean 'cameras'\?\); valid: name, "),
+        ({"name": "n", "hz": 5}, r"unknown key hz \(did you mean 'control_hz'\?\); valid: name, "),
+        ({"name": "n", "fps": 5}, r"unknown key fps; valid: name, .* control_hz"),
         ({}, "expected the key name"),
         ({"name": "n", "cameras": ["ceiling"]}, "out of overhead, .* got 'ceiling'"),
         ({"name": "n", "cameras": "overhead"}, "a list of names"),

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 from carecontact.contract.action.action import Action
+from carecontact.contract.action.hints import gripper_hint
 from carecontact.contract.session import Session
 from carecontact.errors import ActionError
 from carecontact.registry import Registry
@@ -55,5 +56,5 @@ ACTION_SPACES: Registry[ActionSpace] = Registry(
 def check_gripper(opening: float | None) -> float | None:
     """Raises ActionError for an opening outside [0, 1]."""
     if opening is not None and not 0 <= opening <= 1:
-        raise ActionError(f"gripper: expected an opening in [0, 1], got {opening}")
+        raise ActionError(f"gripper: expected an opening in [0, 1], got {opening}{gripper_hint(opening)}")
     return opening

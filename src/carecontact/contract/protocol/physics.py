@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from carecontact.contract.protocol.section import Positive, Section
 
@@ -27,3 +29,14 @@ class Phases(Section):
     """The benchmark stops the trial when a segment's force exceeds this multiple of F_pain."""
     first_call_deadline_s: Positive
     call_deadline_s: Positive
+    latency_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Simulated time between an observation and the first action that answers it; the last target holds meanwhile. At
+    0 the world stands still while a policy computes."""
+
+    @model_serializer(mode="wrap")
+    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what protocols did not always have, at its default: they keep their hash."""
+        content = handler(self)
+        if self.latency_s == 0:
+            del content["latency_s"]
+        return content

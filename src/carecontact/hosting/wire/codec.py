@@ -13,7 +13,8 @@ from carecontact.contract.action import MAX_CHUNK, Action
 from carecontact.contract.observation import MASK_NAMES, CameraView, Observation
 from carecontact.contract.policy import CAMERAS, PolicyCard
 from carecontact.contract.session import ActionBounds, Session
-from carecontact.errors import ActionError, ContractError, ObservationError, PolicyError
+from carecontact.errors import ActionError, ContractError, ObservationError, PolicyError, did_you_mean
+from carecontact.hosting.wire.answer_hints import card_hint, object_hint, plain_hint, pose_hint
 from carecontact.hosting.wire.packing import is_array, is_list, is_map
 
 Plain = dict[str, object]
@@ -36,6 +37,8 @@ CAMERA_ARRAYS: dict[str, tuple[str, Shape]] = {
     "landmarks_in_base": ("<f4", (33, 3)),
 }
 """Field -> dtype and shape; equal letters within a camera are equal sizes."""
+MOST_UNKNOWN = 4
+"""Unknown keys of one map that a message names."""
 VECTORS = {
     "pose_tcp_in_base": "a list or array of 7 numbers (x y z [m], quaternion w x y z) or None",
     "joint": "a list or array of 7 numbers, one for each joint, or None",
@@ -102,7 +105,9 @@ def encode_actions(answer: object) -> list[object]:
     """
     actions: object = [answer] if isinstance(answer, Action) else answer
     if not isinstance(actions, list | tuple):
-        _wrong(ActionError, "act", "an Action or a list of Actions", actions)
+        _wrong(ActionError, "act", "an Action or a list of Actions", actions, hint=object_hint(actions))
+    if hint := object_hint(actions):
+        _wrong(ActionError, "act", "an Action or a list of Actions", actions, hint=hint)
     plain: list[object] = []
     for i, action in enumerate(cast(Sequence[object], actions)):
         entries = _fields(action, Action, ActionError, place=f"act[{i}]")
@@ -130,8 +135,9 @@ def _vector(value: object, place: str, expected: str) -> npt.NDArray[np.float64]
 
 def decode_actions(plain: object) -> list[Action]:
     """Types only; values are for ``check_action``. Raises ActionError naming index, field, expected and got."""
-    if not is_list(plain):
-        _wrong(ActionError, "actions", "a list", plain)
+    hint = plain_hint(plain)
+    if hint or not is_list(plain):
+        _wrong(ActionError, "actions", "a list of maps", plain, hint=hint)
     if not 1 <= len(plain) <= MAX_CHUNK:
         raise ActionError(f"actions: expected 1 to {MAX_CHUNK} actions, got {len(plain)}")
     return [_decode_action(item, f"actions[{i}]") for i, item in enumerate(plain)]
@@ -163,7 +169,8 @@ def _numeric_array(value: object, place: str, expected: str) -> npt.NDArray[np.f
     if is_list(value) and not any(isinstance(v, bool) or not isinstance(v, int | float) for v in value):
         return np.array(value, np.float64)
     if not is_array(value) or value.dtype.kind not in "fiu":
-        _wrong(ActionError, place, expected, value)
+        hint = pose_hint(value) if place.endswith(".pose_tcp_in_base") else ""
+        _wrong(ActionError, place, expected, value, hint=hint)
     return value
 
 
@@ -171,7 +178,7 @@ def encode_card(card: object) -> Plain:
     """Raises PolicyError ``handshake``."""
     if not isinstance(card, PolicyCard):
         said = f"card: expected a PolicyCard, got {type(card).__name__} {card!r:.80}"
-        raise PolicyError("handshake", f"{said}; a policy shows a PolicyCard as its attribute 'card'")
+        raise PolicyError("handshake", f"{said}; {card_hint(card)}")
     plain = card.plain()
     decode_card(plain)
     return plain
@@ -233,7 +240,8 @@ def decode_session(plain: object) -> Session:
 
 def _fields(value: object, kind: type[Any], error: type[ContractError], *, place: str = "") -> Plain:
     if not isinstance(value, kind):
-        _wrong(error, place or kind.__name__, f"a {kind.__name__}", value)
+        article = "an" if kind.__name__[0] in "AO" else "a"
+        _wrong(error, place or kind.__name__, f"{article} {kind.__name__}", value)
     return {f.name: getattr(value, f.name) for f in dataclasses.fields(kind)}
 
 
@@ -244,7 +252,8 @@ def _known(plain: object, kind: type[Any], place: str, error: type[ContractError
     fields = {f.name: f for f in dataclasses.fields(kind)}
     unknown = sorted(set(plain) - set(fields))
     if unknown:
-        raise error(f"{place}: unknown key {', '.join(unknown):.200}; valid: {', '.join(fields)}")
+        named = ", ".join(f"{key:.80}{did_you_mean(key, fields)}" for key in unknown[:MOST_UNKNOWN])
+        raise error(f"{place}: unknown key {named}; valid: {', '.join(fields)}")
     out: Plain = {}
     for name, field in fields.items():
         if name in plain:
@@ -291,6 +300,11 @@ def _numbers(value: object, count: int, place: str) -> tuple[float, ...]:
     return numbers
 
 
-def _wrong(error: type[ContractError], place: str, expected: str, got: object) -> NoReturn:
-    said = f"an array {got.dtype} {got.shape}" if is_array(got) else f"{type(got).__name__} {got!r:.80}"
-    raise error(f"{place}: expected {expected}, got {said}")
+def _wrong(error: type[ContractError], place: str, expected: str, got: object, *, hint: str = "") -> NoReturn:
+    """``hint``: what to send instead, as a clause with its semicolon."""
+    said = f"an array {got.dtype} {got.shape}" if is_array(got) else f"{type(got).__name__} {_in_one_line(got)}"
+    raise error(f"{place}: expected {expected}, got {said}{hint}")
+
+
+def _in_one_line(value: object) -> str:
+    return f"{' '.join(repr(value).split()):.80}"

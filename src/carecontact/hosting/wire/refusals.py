@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from websockets.exceptions import ConnectionClosed
 
-from carecontact.errors import PolicyError
+from carecontact.errors import PolicyError, did_you_mean
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
 
 EXAMPLES = {
@@ -33,6 +33,7 @@ def wrong_keys(entries: Mapping[str, object], *, kind: str, field: str | None) -
     unknown, missing = sorted(entries.keys() - allowed), sorted(wanted - entries.keys())
     if not unknown and not missing and entries["type"] == kind:
         return None
+    unknown = [f"{name:.80}{did_you_mean(name, allowed)}" for name in unknown]
     keys = [f"{what} {', '.join(names)}" for what, names in (("unknown key", unknown), ("missing", missing)) if names]
     return "; ".join([f"type {entries.get('type')!r}", *keys])
 

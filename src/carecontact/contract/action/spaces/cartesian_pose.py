@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.action.action import Action
+from carecontact.contract.action.hints import looks_like_difference, looks_like_millimetres, pose_shape_hint
 from carecontact.contract.action.space import ACTION_SPACES, ActionSpace, check_gripper
 from carecontact.contract.session import ActionBounds
 from carecontact.errors import ActionError
@@ -63,25 +64,39 @@ def _pose(given: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[n
     if pose.shape != (7,) or pose.dtype.kind not in "fiu":
         raise ActionError(
             f"pose_tcp_in_base: expected 7 numbers (x y z [m], quaternion w x y z), got shape {pose.shape} {pose.dtype}"
+            f"{pose_shape_hint(pose.shape)}"
         )
     pose = pose.astype(np.float64)
     if not np.isfinite(pose).all():
         raise ActionError(f"pose_tcp_in_base: expected finite numbers, got {pose.tolist()}")
-    low, high = np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m)
-    if (pose[:3] < low).any() or (pose[:3] > high).any():
-        raise ActionError(
-            f"pose_tcp_in_base: expected a position inside the workspace {list(bounds.workspace_low_m)} to "
-            f"{list(bounds.workspace_high_m)} m in base, got {[float(f'{x:.6g}') for x in pose[:3]]}"
-        )
+    _check_position(pose[:3], bounds)
     with np.errstate(over="ignore"):
         norm = float(np.linalg.norm(pose[3:]))
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
-        raise ActionError(f"pose_tcp_in_base: expected a quaternion of norm 1, got {norm:.4g}")
+        meant = looks_like_difference(pose[:3])
+        raise ActionError(
+            f"pose_tcp_in_base: expected a quaternion of norm 1, got {norm:.4g}"
+            + (f"; the position {_shown(pose[:3])} {meant}" if meant else "")
+        )
     pose[3:] /= norm
     # Again, because the first division may leave a norm that differs from 1 in the last digit. The second may too, so
     # that a pose must be checked once only: the last bits depend on how often.
     pose[3:] /= float(np.linalg.norm(pose[3:]))
     return pose
+
+
+def _check_position(position: npt.NDArray[np.float64], bounds: ActionBounds) -> None:
+    low, high = np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m)
+    if (position >= low).all() and (position <= high).all():
+        return
+    workspace = f"{list(bounds.workspace_low_m)} to {list(bounds.workspace_high_m)} m in base"
+    if meant := looks_like_difference(position) or looks_like_millimetres(position, low, high):
+        raise ActionError(f"pose_tcp_in_base: the position {_shown(position)} {meant}; the workspace is {workspace}")
+    raise ActionError(f"pose_tcp_in_base: expected a position inside the workspace {workspace}, got {_shown(position)}")
+
+
+def _shown(position: npt.NDArray[np.float64]) -> list[float]:
+    return [float(f"{x:.6g}") for x in position]
 
 
 def _stiffness(given: tuple[float, ...], bounds: ActionBounds) -> tuple[float, ...]:
