@@ -11,12 +11,16 @@ import tyro
 from carecontact.cli.groups import FLAT, PolicyGroup, RulesGroup, VisionGroup
 
 if TYPE_CHECKING:
-    from carecontact.trials.first_answer import Finding
+    from carecontact.trials.finding import Finding
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Try a policy on one real observation: start, card, answer, limits and latency. No trial is recorded."""
+    """Try a policy on one real observation: start, card, answer, limits and latency. No trial is recorded.
+
+    For a policy's server, or with --deep, it also prints what the server says of itself, what it is sent and what each
+    column of its answer holds, writes the pictures that it is sent into a file, and asks again with each input blanked,
+    to name those that have no effect."""
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
     """One of: a name from `carecontact list policies`; a module:Class that can be imported from the current folder; or
@@ -27,6 +31,10 @@ class Check:
     """Task whose instruction and first observation the policy is given; default: the protocol's first."""
     seed: int | None = None
     """Seed of the protocol; default: its first."""
+    deep: bool | None = None
+    """Check deeply, or not; default: only a policy's server. A policy that starts here can be checked so, too."""
+    pictures: Path = Path("check-pictures.png")
+    """PNG file for the pictures that are sent, of the deep check."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
     vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
 
@@ -41,6 +49,7 @@ class Check:
         from carecontact.runs.plan import plan_trials
         from carecontact.runs.preflight import check_protocol
         from carecontact.trials.check import Check as Checked
+        from carecontact.trials.deep.sheet import check_sheet_path
 
         setup = policy_setup(self.policy, self.given)
         rules = with_vision(self.rules.load(), self.vision)
@@ -48,12 +57,14 @@ class Check:
         task = self.task or rules.tasks[0].id
         seed = rules.randomization.seeds[0] if self.seed is None else self.seed
         check_trial(rules, task=task, seed=seed)
+        deep = setup.ref.kind == "remote" if self.deep is None else self.deep
+        pictures = check_sheet_path(self.pictures) if deep else None
         (spec, *_) = plan_trials(
             protocol=rules, policy=setup.ref.text, tasks=[task], seeds=[seed], arguments=setup.arguments,
             environment=setup.environment,
         )  # fmt: skip
         print(f"{setup.ref}: the first observation of {spec.trial_id}, {rules.title}, twice", flush=True)
-        check = Checked(spec=spec, policy=setup, weights=self.vision.weights, on_finding=_show)
+        check = Checked(spec=spec, policy=setup, weights=self.vision.weights, pictures=pictures, on_finding=_show)
         works = check.run()
         if not works:
             print(f"a run would fail in every trial{meant(self.policy, Path.cwd())}")
