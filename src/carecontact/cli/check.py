@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, PolicyGroup, RulesGroup, VisionGroup
+from carecontact.cli.groups import FLAT, PolicyGroup, RulesGroup, Switch, VisionGroup
 
 if TYPE_CHECKING:
     from carecontact.trials.finding import Finding
@@ -31,8 +31,10 @@ class Check:
     """Task whose instruction and first observation the policy is given; default: the protocol's first."""
     seed: int | None = None
     """Seed of the protocol; default: its first."""
-    deep: bool | None = None
-    """Check deeply, or not; default: only a policy's server. A policy that starts here can be checked so, too."""
+    deep: Switch = False
+    """Check a policy that starts here as deeply as a policy's server."""
+    quick: Switch = False
+    """Check a policy's server no deeper than a policy that starts here."""
     pictures: Path = Path("check-pictures.png")
     """PNG file for the pictures that are sent, of the deep check."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
@@ -46,6 +48,7 @@ class Check:
         from carecontact.cli.policy import policy_setup
         from carecontact.cli.policy_names import meant
         from carecontact.cli.vision import with_vision
+        from carecontact.errors import ConfigError
         from carecontact.runs.plan import plan_trials
         from carecontact.runs.preflight import check_protocol
         from carecontact.trials.check import Check as Checked
@@ -57,7 +60,9 @@ class Check:
         task = self.task or rules.tasks[0].id
         seed = rules.randomization.seeds[0] if self.seed is None else self.seed
         check_trial(rules, task=task, seed=seed)
-        deep = setup.ref.kind == "remote" if self.deep is None else self.deep
+        if self.deep and self.quick:
+            raise ConfigError("--deep and --quick exclude each other; give one of them")
+        deep = self.deep or (setup.ref.kind == "remote" and not self.quick)
         pictures = check_sheet_path(self.pictures) if deep else None
         (spec, *_) = plan_trials(
             protocol=rules, policy=setup.ref.text, tasks=[task], seeds=[seed], arguments=setup.arguments,

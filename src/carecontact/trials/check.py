@@ -133,7 +133,8 @@ class Check:
         self._say("ok", "answer", self._answered(answers[0], card))
         outside = [a for a in answers[0] if episode.space.clip(a, episode.session) is not a]
         if outside:
-            many = f"{len(outside)} of {len(answers[0])} targets are outside the workspace"
+            place = "joint limits" if episode.space.in_joints else "workspace"
+            many = f"{len(outside)} of {len(answers[0])} targets are outside the {place}"
             text = f"{many}; the card requests that they are moved onto its border"
             self._say("warning", "clipped", f"{text}{_unit(outside[0], episode.session.action_bounds)}")
         for finding in look_at(answers[0], observation):

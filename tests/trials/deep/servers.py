@@ -1,4 +1,4 @@
-"""Servers that look at what they are shown, good ones and spoilt ones, on the wires of `tests.hosting.dialects.fakes`."""
+"""Servers that look at what they are shown, good ones and spoilt ones, on the wires of the fakes of dialects."""
 
 from __future__ import annotations
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from os.path import commonprefix
 
 import numpy as np
 
@@ -55,7 +54,7 @@ def inputs_of(observation: Observation, card: PolicyCard, session: Session, *, s
         if not changed:
             continue
         what = f"camera {candidate.name}" if candidate.name in cameras.values() else candidate.name
-        shown = commonprefix(changed).rstrip(".")
+        shown = changed[0] if len(changed) == 1 else changed[0].rpartition(".")[0]
         found.append(replace(candidate, name=f"{shown} ({what})"))
     return found
 
