@@ -96,7 +96,9 @@ FAULTS: dict[str, tuple[Callable[[], Fake], str, int, str, str]] = {
         lambda: Seeing(blind=(EXTERIOR,), noise=0.02), VELOCITY, 0, "warning  input",
         f"{EXTERIOR} (camera exterior): no effect",
     ),
-    "ignored instruction": (lambda: Seeing(blind=("prompt",), targets=True), POSITION, 0, "warning  input", "prompt (instr"),
+    "ignored instruction": (
+        lambda: Seeing(blind=("prompt",), targets=True), POSITION, 0, "warning  input", "prompt (instruction): no",
+    ),
     "ignored picture, vla-eval": (
         lambda: SeeingVla(blind=("wrist_camera",)), VLA, 0, "warning  input", "wrist_camera (camera wrist): no effect",
     ),
