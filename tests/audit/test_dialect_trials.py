@@ -33,6 +33,7 @@ def test_every_dialect_passes(keyframe: Keyframe, spec: TrialSpec, tmp_path: Pat
     assert [len(trial.sent) for trial in seen] == [1, 3, 5], "with resets, HELLO, start and end"
     part = audit_schema(seen)
     assert part.passed, part.findings
+    assert part.counts["messages"] == 9
     part = audit_derivation(tmp_path / "logs", [])
     assert not part.findings
     assert part.counts["observations"] == 4

@@ -18,14 +18,14 @@ from carecontact.trials.trial import run_trial
 from tests.hosting.dialects.fakes import OMNI_PATH, Fake, Omni, Openpi, OpenpiPositions, RoboArena, VlaEval
 
 SECONDS = 1.2
-"""18 actions at 15 Hz: three chunks of eight, or of seven, the last one cut by the time."""
+"""18 actions at 15 Hz: three chunks of eight, or of seven, the last one cut by the time. Slow tests run all of T1."""
 Run = Callable[[Fake, str], Recording]
 
 
-@pytest.fixture(scope="module")
-def run() -> Run:
+@pytest.fixture(scope="module", params=[SECONDS, pytest.param(30.0, marks=pytest.mark.slow)])
+def run(request: pytest.FixtureRequest) -> Run:
     """``run(server, address)``: a trial of T1 from one settled world; the address has {} for the port."""
-    protocol = overridden(load_protocol(), {"phases.time_limit_s": SECONDS})
+    protocol = overridden(load_protocol(), {"phases.time_limit_s": request.param})
     simulation, settled, sha256 = settled_world(protocol, task_id="T1", seed=0)
     state = simulation.integration_state()
 
@@ -79,8 +79,8 @@ def test_what_is_executed_is_what_the_server_sent(run: Run, name: str) -> None:
     assert recording.header.control == case.control
     sent = np.concatenate([chunk[: case.executed, :7].astype(np.float64) for chunk in server.answered])
     executed = recording["actions/joint"]
-    assert len(executed) == 18
-    np.testing.assert_array_equal(executed, sent[:18])
+    count = round(15 * recording.header.spec.protocol.phases.time_limit_s)
+    np.testing.assert_array_equal(executed, sent[:count], strict=True)
     assert len(recording["policy/observation_time_s"]) == len(server.answered)
 
 
@@ -89,7 +89,7 @@ def test_equal_trials_have_equal_recordings_although_the_session_id_differs(run:
     one, other = (run(server, "roboarena://127.0.0.1:{}") for server in servers)
     assert servers[0].heard[0]["session_id"] != servers[1].heard[0]["session_id"]
     name = "policy/observation_sha256"
-    assert len(one[name]) == 3
+    assert len(one[name]) >= 3
     np.testing.assert_array_equal(one[name], other[name])
 
 

@@ -35,23 +35,26 @@ error."""
 def audit_schema(trials: list[Watched]) -> Part:
     """``trials``: real trials of the audited policies, with their observations still in memory."""
     findings: list[Finding] = []
+    messages = 0
     for trial in trials:
         if trial.error:
             told = f"the trial failed, so the audit did not see all of its messages: {reason(trial.error)}"
             findings += [Finding(policy=trial.policy, place=place, told=told) for place in failed_at(trial.error)]
         card = trial.card
         if card is not None and dialect_of(card.arguments):
-            messages = [message for message in trial.sent if message]
-            found = check_conversation(messages, card, instruction=trial.instruction)
+            sent = [message for message in trial.sent if message]
+            messages += len(sent)
+            found = check_conversation(sent, card, instruction=trial.instruction)
             findings += [Finding(policy=trial.policy, place=place, told=told) for place, told in found]
             continue
+        messages += len(trial.looks)
         for look in trial.looks:
             findings += [
                 Finding(policy=trial.policy, place=place, told=told) for place, told in check_message(look.sent, card)
             ]
     return Part(
         name=NAME, title=TITLE,
-        counts={"policies": len(trials), "messages": sum(len(trial.looks) for trial in trials)},
+        counts={"policies": len(trials), "messages": messages},
         findings=tuple(dict.fromkeys(findings)),
     )  # fmt: skip
 

@@ -13,8 +13,10 @@ from typing import TypedDict, cast
 
 from carecontact.contract.policy import Policy
 from carecontact.hosting.arguments import ArgumentError, bind, load_factory
+from carecontact.hosting.stack import give_stack
 from carecontact.hosting.wall import raise_wall
-from carecontact.hosting.wire.server import serve_policy, told
+from carecontact.hosting.wire.server import serve_policy
+from carecontact.hosting.wire.tracebacks import told
 
 _PR_SET_PDEATHSIG = 1
 """linux/prctl.h"""
@@ -38,6 +40,8 @@ class Options(TypedDict):
     """Where this process writes one JSON line: ``{"port": n}`` or ``{"error": text, "kind": kind}``."""
     lifeline_fd: int
     """Ends when the parent does."""
+    stack_fd: int
+    """Where this process writes its stack when it is asked to, and when the interpreter crashes."""
 
 
 RECEIVED: dict[str, object] = {}
@@ -47,6 +51,7 @@ RECEIVED: dict[str, object] = {}
 def main(options: Options) -> None:
     """Construct the policy behind the wall and serve it."""
     RECEIVED.update(options)
+    give_stack(options["stack_fd"])
     _die_with_parent()
     threading.Thread(target=_end_with_parent, args=(options["lifeline_fd"],), daemon=True).start()
     arguments = options["arguments"]

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from carecontact.contract.policy_ref import API_KEY, PolicyRef
+from carecontact.errors import UnreachableError
 from carecontact.hosting.client import Client
 from carecontact.hosting.conversation import PolicyConversation
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire.client import PolicyClient, basic_authorization
 from carecontact.hosting.wire.connection import Connection
 
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
+"""Between two attempts to reach a server that takes no connection; each pause is twice the one before."""
 HIDDEN = "***"
 
 
@@ -23,11 +27,19 @@ class RemotePolicy(PolicyConversation):
         self._ref = setup.ref
 
     def _open(self, left: Callable[[], float]) -> Client:
-        ref = self._ref
-        connection = Connection.open(
-            host=ref.host, port=ref.port, path=ref.path, deadline_s=left(), authorization=_authorization(ref)
-        )
-        return _client(ref, connection)
+        ref, pause_s = self._ref, FIRST_PAUSE_S
+        while True:
+            try:
+                connection = Connection.open(
+                    host=ref.host, port=ref.port, path=ref.path, deadline_s=left(), authorization=_authorization(ref)
+                )
+            except UnreachableError:
+                if not self.patient or left() <= pause_s:
+                    raise
+            else:
+                return _client(ref, connection)
+            time.sleep(pause_s)
+            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
 
     def _shown(self, text: str) -> str:
         secret = self._ref.credentials

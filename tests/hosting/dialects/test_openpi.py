@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import re
+import tracemalloc
 import uuid
 from dataclasses import replace
 
 import msgpack
 import numpy as np
 import pytest
+from websockets.sync.server import ServerConnection
 
 from carecontact.audit.cell_geometry import pose_hand_in_base
 from carecontact.contract.embodiment import PANDA
@@ -20,9 +22,11 @@ from carecontact.hosting.dialects.images import cropped_16_9, padded, stretched
 from carecontact.hosting.dialects.openpi import digest
 from carecontact.hosting.dialects.packing_openpi import unpack
 from carecontact.hosting.dialects.requests import cartesian_position
+from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
 from tests.hosting.dialects.fakes import OMNI_PATH, Fake, Omni, Openpi, OpenpiPositions, RoboArena, unmark
 from tests.hosting.dialects.given import picture
 from tests.hosting.dialects.talking import INSTRUCTION, JOINTS, joints, policy_at, seen, talk
+from tests.hosting.test_remote import speaking
 from tests.policies.synthetic import SESSION
 
 ARENA = "roboarena://127.0.0.1:{}"
@@ -312,6 +316,27 @@ class Huge(Fake):
             pass
 
 
+class Pieces(Fake):
+    """Answers with an endless message in pieces of 1 MiB."""
+
+    def converse(self, connection: object) -> None:
+        connection.send(msgpack.packb({}))  # pyright: ignore[reportAttributeAccessIssue]
+        connection.recv()  # pyright: ignore[reportAttributeAccessIssue]
+        connection.send(bytes(1 << 20) for _ in range(1000))  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize("server", [Huge(), Pieces()], ids=["one frame", "pieces"])
+def test_no_more_is_kept_of_a_reply_than_its_bound(server: Fake) -> None:
+    tracemalloc.start()
+    with server.running() as port, pytest.raises(PolicyError, match="at most 4194304 bytes") as caught:
+        talk(VELOCITY.format(port), calls=1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert caught.value.kind == "oversize"
+    # Both ends and their two pictures live in this process; a thousandth of the reply would be 1 MB.
+    assert peak < 8 * MAX_REPLY_BYTES
+
+
 @pytest.mark.parametrize(
     ("server", "kind", "says"),
     [
@@ -325,6 +350,23 @@ def test_a_lost_connection_is_the_trials_failure_and_never_a_new_one(server: Fak
         talk(VELOCITY.format(port), deadline_s=0.5 if kind == "timeout" else 20)
     assert caught.value.kind == kind
     assert len(server.paths) == 1
+
+
+@pytest.mark.parametrize(
+    ("status", "says"),
+    [
+        (401, "HTTP 401; the server wants a key: put it into the variable CARECONTACT_API_KEY"),
+        (404, "HTTP 404; the server speaks WebSocket on another path: add it to the address"),
+    ],
+)
+def test_a_refused_handshake_says_what_to_add(status: int, says: str) -> None:
+    def refuse(connection: ServerConnection, request: object) -> object:
+        return connection.respond(status, "no")
+
+    with speaking(lambda connection: None, process_request=refuse) as port:
+        with pytest.raises(PolicyError, match=says) as caught:
+            talk(VELOCITY.format(port))
+    assert caught.value.kind == "handshake"
 
 
 def test_nothing_listens() -> None:

@@ -11,7 +11,7 @@ from typing import Self
 
 from websockets.sync.client import ClientConnection, connect
 
-from carecontact.errors import PolicyError
+from carecontact.errors import PolicyError, UnreachableError
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
 from carecontact.hosting.wire.refusals import closed
 
@@ -37,18 +37,20 @@ class Connection:
     ) -> Self:
         """Connect and read nothing yet. ``authorization``: value of the header of that name, or nothing.
 
-        Raises PolicyError ``start`` if nothing listens there, ``handshake`` or ``timeout``.
+        Raises UnreachableError if nothing there takes a connection, PolicyError ``handshake`` or ``timeout``.
         """
         place, until = f"[{host}]:{port}" if ":" in host else f"{host}:{port}", time.monotonic() + deadline_s
         try:
             # A socket of our own: no proxy from the environment may come between the harness and the policy.
             sock = socket.create_connection((host, port), timeout=deadline_s)
         except TimeoutError:
-            raise PolicyError("timeout", f"{place} took no connection within {deadline_s:g} s") from None
+            raise UnreachableError("timeout", f"{place} took no connection within {deadline_s:g} s") from None
         except ConnectionRefusedError:
-            raise PolicyError("start", f"nothing listens at {place}; start the policy's server there first") from None
+            raise UnreachableError(
+                "start", f"nothing listens at {place}; start the policy's server there first"
+            ) from None
         except OSError as error:
-            raise PolicyError("start", f"no connection to {place}: {error.strerror or error}") from None
+            raise UnreachableError("start", f"no connection to {place}: {error.strerror or error}") from None
         try:
             sock.settimeout(None)
             stack = ExitStack()
