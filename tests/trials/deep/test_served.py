@@ -195,6 +195,16 @@ def test_a_server_that_refuses_a_blanked_input_uses_it(checked: Checked) -> None
     assert server.paths == ["/healthz", "/", "/"]
 
 
+def test_a_key_that_the_server_repeats_is_not_shown(checked: Checked, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CARECONTACT_API_KEY", "very-secret")
+    server = Seeing(metadata={"key": "very-secret", "checkpoint": "mine"})
+    _, out = checked(server, VELOCITY)
+    assert "Api-Key very-secret" in server.headers
+    assert "very-secret" not in out
+    assert "key         '***'" in out
+    assert "checkpoint  'mine'" in out
+
+
 def test_a_server_that_fails_later_is_an_error(checked: Checked) -> None:
     @dataclass
     class Failing(Seeing):

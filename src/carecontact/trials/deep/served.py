@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.contract.session import Session
 from carecontact.contract.trial import TrialSpec
 from carecontact.hosting.conversation import PolicyConversation
+from carecontact.hosting.remote import HIDDEN
 from carecontact.hosting.setup import PolicySetup
 from carecontact.trials.deep import columns, messages
 from carecontact.trials.deep.ablation import Ablation, Effect
@@ -58,7 +60,7 @@ class DeepCheck:
             pictures: PNG file to write.
             reopen: makes another conversation with the policy, not started, after it refused an observation.
         """
-        self._spec, self._policy, self._pictures, self._say, self._reopen = spec, policy, pictures, say, reopen
+        self._spec, self._policy, self._pictures, self._tell, self._reopen = spec, policy, pictures, say, reopen
         self._scheme = policy.ref.scheme
         self._card: PolicyCard | None = None
         self._greeting: bytes | str | None = None
@@ -145,6 +147,11 @@ class DeepCheck:
     def _known(self) -> PolicyCard:
         assert self._card is not None
         return self._card
+
+    def _say(self, finding: Finding) -> None:
+        """A server may repeat the key that it was sent."""
+        secret = self._policy.ref.credentials
+        self._tell(replace(finding, text=finding.text.replace(secret, HIDDEN)) if secret else finding)
 
     def _found(self, level: Level, topic: str, text: str) -> None:
         self._say(Finding(level=level, topic=topic, text=text))

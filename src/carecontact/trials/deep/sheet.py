@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from carecontact.errors import ConfigError
 
 U8 = npt.NDArray[np.uint8]
+Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 MARGIN_PX, LINE_PX, TEXT_PX, ROW_PX = 16, 18, 14, 1400
 PAPER, INK, FRAME = (255, 255, 255), (31, 42, 54), (220, 0, 160)
@@ -59,7 +60,7 @@ def save_sheet(pictures: Mapping[str, U8], path: Path, *, names: Mapping[str, st
 
 
 def _places(
-    pictures: Mapping[str, U8], labels: Mapping[str, tuple[str, str]], title: str, font: ImageFont.ImageFont
+    pictures: Mapping[str, U8], labels: Mapping[str, tuple[str, str]], title: str, font: Font
 ) -> tuple[dict[str, tuple[int, int]], tuple[int, int]]:
     """Key -> top left of its label, row after row; and the width and height of the sheet [px]."""
     x, y, row_px, place = MARGIN_PX, 2 * MARGIN_PX + LINE_PX, 0, {}
