@@ -74,7 +74,7 @@ def _candidates(card: PolicyCard, session: Session, *, joints_needed: bool) -> I
         blank=lambda seen: replace(seen, gripper_position=np.full(1, OPENING)),
     )  # fmt: skip
     yield Input(
-        name="pose", needed=False,
+        name="pose of the tool", needed=False,
         blank=lambda seen: replace(seen, pose_tcp_in_base=np.r_[box.mean(0), seen.pose_tcp_in_base[3:]]),
     )  # fmt: skip
     yield Input(

@@ -22,7 +22,9 @@ from carecontact.trials.deep.ablation import Ablation, Effect
 from carecontact.trials.deep.asking import Asking
 from carecontact.trials.deep.health import health
 from carecontact.trials.deep.inputs import inputs_of
+from carecontact.trials.deep.latency import latency_findings
 from carecontact.trials.deep.sheet import save_sheet
+from carecontact.trials.deep.verdicts import effect_finding
 from carecontact.trials.finding import Finding, Level
 
 F64 = npt.NDArray[np.float64]
@@ -98,11 +100,8 @@ class DeepCheck:
         card, count = self._known, len(actions) if chunk is None else len(chunk)
         executed = "all of them are" if count == len(actions) else f"the first {len(actions)} are"
         seconds = len(actions) / card.control_hz
-        self._found(
-            "ok",
-            "chunk",
-            f"{count} step{'' if count == 1 else 's'}; {executed} executed, {seconds:.2f} s at {card.control_hz:g} Hz",
-        )
+        steps = f"{count} step{'' if count == 1 else 's'}"
+        self._found("ok", "chunk", f"{steps}; {executed} executed, {seconds:.2f} s at {card.control_hz:g} Hz")
         if joints is None:
             poses = [a.pose_tcp_in_base for a in actions if a.pose_tcp_in_base is not None]
             if poses:
@@ -131,10 +130,12 @@ class DeepCheck:
             ablation = Ablation(numbers, observation, inputs_of(observation, self._known, session, sent=self._sent))
             effects = []
             for effect in ablation.run(self._plan):
-                self._effect(effect)
+                self._say(effect_finding(effect))
                 effects.append(effect)
         self._polarity(ablation.plain, effects)
-        self._latency(len(asking.last))
+        seconds = len(asking.last) / self._known.control_hz
+        for found in latency_findings(self._took_s, seconds=seconds, limit_s=self._spec.protocol.phases.time_limit_s):
+            self._say(found)
 
     def _on_sent(self, message: bytes) -> None:
         self._sent, self._answer = message, None
@@ -204,27 +205,6 @@ class DeepCheck:
         text = f"answers to one request differ: {calls} more calls, about {seconds:.0f} s"
         self._found("wait", "inputs", text)
 
-    def _effect(self, effect: Effect) -> None:
-        name = effect.input.name
-        if effect.refused:
-            self._found("ok", "input", f"{name}: used; the policy refuses it blanked")
-            return
-        by = f"blanked, the answer moves by {effect.moved:.2g}"
-        repeats = "repeats are equal" if not effect.spread else f"repeats differ by {effect.spread:.2g}"
-        seen = f"{by}, {repeats} ({effect.calls} call{'' if effect.calls == 1 else 's'})"
-        if effect.verdict == "used":
-            self._found("ok", "input", f"{name}: used; {seen}")
-        elif effect.verdict == "unclear":
-            self._found("hint", "input", f"{name}: no effect seen in too few calls to tell; {seen}")
-        elif not effect.input.needed:
-            self._found("hint", "input", f"{name}: no effect; {seen}. Many policies do without it")
-        else:
-            text = (
-                f"{name}: no effect; {seen}: the server does not read this key, expects it under another name, or "
-                "ignores it"
-            )
-            self._found("warning", "input", text)
-
     def _polarity(self, plain: Sequence[F64], effects: Sequence[Effect]) -> None:
         told = [effect for effect in effects if effect.input.is_gripper and effect.answers]
         if self._scheme not in ("openpi", "roboarena") or not told or plain[0].shape[1] <= columns.JOINTS:
@@ -232,16 +212,3 @@ class DeepCheck:
         closed, opened = (np.concatenate([chunk[:, -1] for chunk in chunks]) for chunks in (plain, told[0].answers))
         for found in columns.look_at_polarity(closed, opened):
             self._say(found)
-
-    def _latency(self, executed: int) -> None:
-        half, most = np.percentile(self._took_s, [50, 95])
-        seconds, limit_s = executed / self._known.control_hz, self._spec.protocol.phases.time_limit_s
-        calls = int(np.ceil(limit_s / seconds))
-        text = (
-            f"p50 {1000 * half:.0f} ms, p95 {1000 * most:.0f} ms over {len(self._took_s)} calls; each gives "
-            f"{seconds:.2f} s of motion, so a trial of {limit_s:g} s makes {calls} of them and waits "
-            f"{calls * half:.0f} s"
-        )
-        self._found("ok", "latency", text)
-        if most > seconds >= half:
-            self._found("hint", "latency", "some calls take longer than their motion: a real robot would wait for them")
