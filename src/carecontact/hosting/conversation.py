@@ -43,6 +43,8 @@ class PolicyConversation(ABC):
 
     on_wait: Callable[[str], None] | None = None
     """Called every WAIT_REPORT_S seconds while the policy is silent, with one line; another thread calls it."""
+    isolation: str | None = None
+    """How far the policy's process is isolated (``isolation.fence``); None before it has started, or on another host."""
 
     def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S) -> None:
         """``first_deadline_s`` holds for the start, each reset and the first act, when models load; ``deadline_s`` for

@@ -26,6 +26,14 @@ class PolicySetup:
     stand in recordings: the card's ``language_backend`` names it, by a file's content and not by its place."""
     record: str | None = None
     """For the argument ``record``: file to which the completions of a live model are added. In no recording either."""
+    readable: tuple[str, ...] = ()
+    """Files and folders that its isolated process may read besides what programs need and what belongs to it."""
+    writable: tuple[str, ...] = ()
+    """Files and folders that it may read and write besides its own temporary folder."""
+    closed: tuple[str, ...] = ()
+    """Folders that stay closed to it wherever they lie: those of runs."""
+    isolated: bool = True
+    """False only to measure what isolation costs and closes."""
 
     @classmethod
     def of(cls, policy: str, *, search_path: Sequence[str] = (), arguments: Mapping[str, str] | None = None) -> Self:
@@ -34,8 +42,9 @@ class PolicySetup:
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a remote policy that is given anything."""
-        if self.ref.kind == "remote" and (self.arguments or self.environment or self.language or self.record):
+        given = self.arguments or self.environment or self.language or self.record or self.readable or self.writable
+        if self.ref.kind == "remote" and given:
             raise ConfigError(
-                f"policy {self.ref}: --policy-arg, --policy-env, --language and --record do not reach another host; "
-                "give them to `carecontact serve` there"
+                f"policy {self.ref}: --policy-arg, --policy-env, --policy-read, --policy-write, --language and "
+                "--record do not reach another host; give them to `carecontact serve` there"
             )

@@ -85,6 +85,7 @@ def _converse(
                 # What it printed may hold times and paths, so it is evidence but no part of the recording's hash.
                 policy.close()
                 episode.log.extra["wall/policy_output"] = np.frombuffer(policy.printed.encode(), "u1")
+                episode.log.extra["wall/isolation"] = np.frombuffer((policy.isolation or "").encode(), "u1")
     except PolicyError as error:
         episode.fail(error)
 
