@@ -13,6 +13,7 @@ CarecontactError
 ├── LanguageError            a language backend is out of reach, refuses, or answers outside its schema
 ├── ProgramError             a program that a language model wrote was stopped or is wrong
 ├── PolicyError              the policy process died, hung or answered wrongly: its process failure
+│   └── UnreachableError     no server takes a connection at the policy's address: says nothing about the policy
 └── RecordingError           a trial file is corrupt, truncated or foreign
 """
 
@@ -121,6 +122,10 @@ class PolicyError(CarecontactError):
             raise ValueError(f"unknown policy failure kind {kind!r}; valid: {', '.join(self.KINDS)}")
         self.kind, self.notes = kind, notes or {}
         super().__init__(message)
+
+
+class UnreachableError(PolicyError):
+    """Of kind ``start`` or ``timeout``."""
 
 
 class RecordingError(CarecontactError):

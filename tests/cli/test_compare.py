@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from carecontact.cli import main
-from carecontact.recording import write_recording
+from carecontact.recording import Failure, write_recording
 from carecontact.runs import RunScores, score_run, write_scores
 from tests.reports.synthetic_run import NO_CONTACT, make_score
 from tests.scoring.synthetic import make_recording, push, touch
@@ -277,3 +277,24 @@ def test_an_unfinished_run_says_so(runs: Path, capsys: pytest.CaptureFixture[str
     assert "A: a (rules-v1), a: 3 trials, unfinished: 2 planned trials have no score" in told
     assert "B: b (rules-v1), b: 4 trials, unfinished: 1 planned trial has no score; 1 without a partner" in told
     assert json.loads(Path("both/comparison.json").read_text())["a"]["n_missing"] == 2
+
+
+def test_crashed_trials_are_named_on_either_side(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, seed in (("a", 0), ("c", 1)):
+        path = Path(name) / f"T1-s{seed:03d}.h5"
+        path.unlink()
+        failure = Failure(kind="exception", message="ValueError: no grip")
+        crashed = touch(seed=seed, policy=name)
+        header = crashed.header.model_copy(update={"ended": "process_failure", "failure": failure})
+        write_recording(replace(crashed, header=header), path)
+        scored(Path(name))
+    assert main(["compare", "a", "b", "--baseline", "c"]) == 0
+    told = capsys.readouterr().out
+    (a,) = [line for line in told.splitlines() if line.startswith("A: ")]
+    (b,) = [line for line in told.splitlines() if line.startswith("B: ")]
+    assert "; crashed in 1: T1-s000" in a
+    assert "crashed" not in b
+    assert "\nc crashed in 1: T1-s001\n" in told
+    for command, name in ((["a", "b", "c"], "A (a)"), (["a", "--baseline", "c"], "a")):
+        assert main(["compare", *command]) == 0
+        assert f"\n{name} crashed in 1: T1-s000\n" in capsys.readouterr().out

@@ -38,7 +38,8 @@ def test_run_scores_reports_and_goes_on(fake: pytest.MonkeyPatch, capsys: pytest
     assert main(command) == 1
     told = capsys.readouterr().out
     assert "T2-s000 harness_error" in told
-    assert "1 trial(s) failed in the harness; see r/T2-s000.log" in told
+    assert "1 trial(s) failed in the harness; logs are in r\n1 trial(s): " in told
+    assert "; see r/T2-s000.log\n" in told
     assert "--retry-failed" in told
     assert "harness failed, not counted: 1 trial(s): T2-s000 (first: " in told
     assert [line.split()[:4] for line in told.splitlines() if line.startswith("T2 ")] == [
@@ -60,7 +61,7 @@ def test_a_policys_failure_is_a_result(fake: pytest.MonkeyPatch, capsys: pytest.
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
     assert main(command) == 3
     told = capsys.readouterr().out
-    assert "the policy crashed in 1 of 1 trial(s); see r/T1-s000.log" in told
+    assert "the policy crashed in 1 of 1 trial(s); logs and report.html are in r\n" in told
     assert "  | NoGrip: nothing there" in told
     assert "  | ValueError: only printed" in told
     assert "1 crashed" in next(line for line in told.splitlines() if line.startswith("T1 "))

@@ -62,6 +62,29 @@ def test_a_server_that_is_not_there_is_told_before_anything_runs(
     assert not Path("r").exists()
 
 
+def test_a_server_that_stays_away_ends_the_run_with_status_2_and_says_how_to_go_on(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    fake.setenv("FAKE_PLAN", json.dumps({"T1-s001": "unreached", "T1-s000": "policy"}))
+    with served("class P(Base): pass", tmp_path) as (port, _):
+        run = ["run", "--tasks", "T1", "--seeds", "0-2", "--jobs", "1", "--policy", f"ws://127.0.0.1:{port}", "--out"]
+        assert main([*run, "r", "--restart"]) == 2
+        told = capsys.readouterr()
+        assert told.err.splitlines() == [
+            "error: the run stops with 1 of 3 trial(s) done: nothing listens there; then give the same command again "
+            "without --restart to continue"
+        ]
+        assert "the policy crashed in 1 of 1 trial(s)" in told.out
+        assert "1 of 3 planned trials scored" in told.out
+        assert "Unfinished, 2 of 3 planned trials have no score" in Path("r/report.html").read_text()
+        fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "unreached"}))
+        assert main([*run, "none"]) == 2
+        assert "the run stops with 0 of 3 trial(s) done: " in capsys.readouterr().err
+        fake.setenv("FAKE_PLAN", "{}")
+        assert main([*run, "r"]) == 3
+    assert sorted(path.name for path in Path("r").glob("*.h5")) == ["T1-s000.h5", "T1-s001.h5", "T1-s002.h5"]
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [

@@ -13,11 +13,13 @@ from tests.hosting.conftest import PREAMBLE
 
 
 @contextmanager
-def served(source: str, folder: Path, *, at_once: int = 2) -> Iterator[tuple[int, subprocess.Popen[str]]]:
-    """Port and process of a server of class P of a module with that source."""
+def served(
+    source: str, folder: Path, *, at_once: int = 2, port: int = 0
+) -> Iterator[tuple[int, subprocess.Popen[str]]]:
+    """Port and process of a server of class P of a module with that source. ``port`` 0: one that is free."""
     (folder / "under_test.py").write_text(PREAMBLE + textwrap.dedent(source))
     command = [
-        sys.executable, "-m", "carecontact.cli", "serve", "under_test:P", "--port", "0", "--at-once", str(at_once)
+        sys.executable, "-m", "carecontact.cli", "serve", "under_test:P", "--port", str(port), "--at-once", str(at_once)
     ]  # fmt: skip
     server = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     assert server.stdout is not None

@@ -103,8 +103,18 @@ def test_a_conversation(launch: Launch) -> None:
 @pytest.mark.parametrize(
     ("act", "kind", "says"),
     [
-        ("print('last words'); os._exit(3)", "died", r"exit code 3(?s:.*)last words"),
-        ("os.kill(os.getpid(), 11)", "died", "killed by SIGSEGV"),
+        (
+            "print('last words'); os._exit(0)",
+            "died",
+            r"act: its process ended itself without an answer, exit code 0\nit printed last:\nlast words$",
+        ),
+        ("os.kill(os.getpid(), 9)", "died", "act: its process was killed by SIGKILL without an answer$"),
+        (
+            "os.kill(os.getpid(), 11)",
+            "died",
+            r"killed by SIGSEGV without an answer\nit crashed here \(most recent call last\):\n"
+            r'  File ".*/under_test\.py", line \d+, in act$',
+        ),
         ("raise ValueError('no plan ' + 'x' * 9)", "exception", "ValueError: no plan xxx"),
         ("raise ValueError(chr(0xD800))", "exception", "ValueError"),
         ("raise ValueError('boom ' * 99999)", "exception", r"in act\n(?s:.*)\nValueError: boom boom .*\[\.\.\.\]$"),
@@ -143,7 +153,7 @@ def test_a_failing_act(launch: Launch, act: str, kind: str, says: str) -> None:
         ("class Q(Base): pass", "start", "start", "has no 'P'; it has Base, Q"),
         ("class P:\n    card = Base.card", "start", "start", "no method reset or act"),
         ("def broken(:", "start", "start", "SyntaxError"),
-        ("os._exit(0)", "start", "start", r"ended before it was ready \(exit code 0\)"),
+        ("os._exit(0)", "start", "start", r"ended itself before it was ready, exit code 0"),
         ("class P(Base):\n    card = None", "start", "handshake", "expected a PolicyCard, got NoneType"),
         (
             "class P(Base):\n    def reset(self, instruction): raise KeyError(instruction)",
@@ -188,6 +198,54 @@ def test_a_hanging_act_is_killed(launch: Launch, act: str) -> None:
     assert caught.value.kind == "timeout"
     assert len(str(caught.value)) < 10_000
     assert _children() == []
+
+
+def test_a_policy_that_hangs_is_asked_for_its_stack(launch: Launch) -> None:
+    """Without the frames of the harness, most recent call last; what it printed comes after it."""
+    process = launch(
+        """
+        class P(Base):
+            def act(self, observation):
+                if observation.sim_time_s == 0:
+                    return Action()
+                print("waiting for the GPU")
+                self.wait()
+            def wait(self):
+                time.sleep(60)
+        """,
+        deadline_s=1.0,
+    )
+    process.start()
+    process.reset("touch", SESSION)
+    process.act(synthetic_observation())
+    with pytest.raises(PolicyError) as caught:
+        process.act(synthetic_observation(sim_time_s=0.1))
+    assert re.search(
+        r"within 1 s\nit hung here \(most recent call last\):\n"
+        r'  File ".*/under_test\.py", line 19, in act\n  File ".*/under_test\.py", line 21, in wait\n'
+        r"it printed last:\nwaiting for the GPU$",
+        str(caught.value),
+    ), str(caught.value)
+    assert _children() == []
+
+
+def test_a_traceback_is_the_policys_own(launch: Launch) -> None:
+    """Neither what called the policy nor what refused its value says where its mistake is."""
+    source = """
+    class P(Base):
+        def act(self, observation):
+            try:
+                PolicyCard(name="x", control_hz=-1)
+            except Exception as error:
+                raise ValueError("no card") from error
+    """
+    told = str(_failure(launch(source), at="act"))
+    assert [line for line in told.splitlines() if "File" in line and "under_test.py" not in line] == []
+    assert told.count("under_test.py") == 2
+    assert "control_hz" in told
+    broken = str(_failure(launch("import no_such_library"), at="start"))
+    assert [line for line in broken.splitlines() if "File" in line and "under_test.py" not in line] == []
+    assert 'under_test.py", line 13, in <module>\n    import no_such_library\nModuleNotFoundError' in broken
 
 
 def test_a_policy_that_does_not_read_is_killed(launch: Launch) -> None:

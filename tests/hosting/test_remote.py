@@ -7,8 +7,9 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from websockets.sync.server import ServerConnection, basic_auth, serve
 
 from carecontact.contract.observation import CameraView
 from carecontact.contract.policy import PolicyCard
-from carecontact.errors import PolicyError
+from carecontact.errors import PolicyError, UnreachableError
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.remote import RemotePolicy
@@ -109,6 +110,19 @@ def test_a_policy_ends_with_its_trial(server: tuple[int, subprocess.Popen[str]])
     assert _children(server[1].pid) == []
 
 
+def test_the_server_says_where_a_policy_hung(tmp_path: Path) -> None:
+    """The trial's host cannot know it."""
+    with served(POLICY, tmp_path) as (port, process):
+        failure(at(port, first_deadline_s=5), instruction="hang")
+        assert process.stdout is not None
+        told = [process.stdout.readline() for _ in range(4)]
+    begins, ended, here, frame = told
+    assert begins.endswith(": a trial begins\n")
+    assert ended.endswith(": the trial has ended\n")
+    assert here == "it hung here (most recent call last):\n"
+    assert frame.endswith('under_test.py", line 24, in act\n')
+
+
 def _children(pid: int) -> list[int]:
     tasks = Path(f"/proc/{pid}/task")
     if not tasks.is_dir():
@@ -124,8 +138,38 @@ def test_nothing_listens() -> None:
     assert f"nothing listens at 127.0.0.1:{port}; start the policy's server there first" in str(error)
 
 
+def test_a_trial_waits_for_a_server_that_is_not_there_yet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    with pytest.raises(UnreachableError, match=f"failed at start: nothing listens at 127.0.0.1:{port}"):
+        at(port).start()
+    pauses: list[float] = []
+    with ExitStack() as stack:
+
+        def sleep(pause_s: float) -> None:
+            pauses.append(pause_s)
+            if len(pauses) == 6:
+                stack.enter_context(served("class P(Base): pass", tmp_path, port=port))
+
+        monkeypatch.setattr("carecontact.hosting.remote.time", SimpleNamespace(sleep=sleep))
+        with at(port, first_deadline_s=60) as policy:
+            policy.patient = True
+            assert policy.start() == PolicyCard(name="under-test")
+    assert pauses == [0.5, 1, 2, 4, 5, 5]
+
+
+def test_a_trial_waits_no_longer_than_its_deadline() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    policy = at(port, first_deadline_s=0.6)
+    policy.patient = True
+    with pytest.raises(UnreachableError, match="nothing listens"):
+        policy.start()
+
+
 def test_a_host_that_there_is_not() -> None:
     error = failure(RemotePolicy(PolicySetup.of("ws://no-such-host.invalid:1"), first_deadline_s=20, deadline_s=20))
+    assert isinstance(error, UnreachableError)
     assert error.kind in ("start", "timeout")
     assert "no-such-host.invalid:1" in str(error)
 

@@ -41,7 +41,13 @@ def test_it_asks_for_what_the_other_asks_for_and_plays_its_poses(made: Witness) 
 def test_it_writes_down_what_it_was_told(made: Witness, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CARECONTACT_SEED", "3")
     monkeypatch.setattr(sys, "orig_argv", ["python", "-c", "code"])
-    for name, value in {"target": "a:B", "arguments": {"seed": "3"}, "report_fd": 7, "lifeline_fd": 8}.items():
+    for name, value in {
+        "target": "a:B",
+        "arguments": {"seed": "3"},
+        "report_fd": 7,
+        "lifeline_fd": 8,
+        "stack_fd": 9,
+    }.items():
         monkeypatch.setitem(child.RECEIVED, name, value)
     made.configure(SESSION)
     with (tmp_path / "held").open("w"):

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from carecontact.recording.reason import reason, reason_of
+from carecontact.recording.reason import alike, reason, reason_of
 from carecontact.recording.schema import Failure
 
 
@@ -43,3 +43,10 @@ def test_who_chooses_words_of_a_failure_does_not_choose_its_reason(kind: str) ->
 def test_of_an_exception_it_is_the_reason() -> None:
     message = "failed at act: Traceback (most recent call last):\n  File x\nValueError: boom\n (exit code 0)"
     assert reason_of(Failure(kind="exception", message=message)) == "ValueError: boom"
+
+
+def test_failures_alike_differ_only_in_their_values() -> None:
+    one, other = (f"actions[0].pose: expected finite numbers, got [nan, {x}] after {x} s" for x in (0.31, -4e-05))
+    assert alike(one) == alike(other)
+    assert alike(one) != alike("actions[0].pose: expected a quaternion of norm 1, got [1, 2] after 3.1 s")
+    assert alike("its process ended itself, exit code 1") != alike("its process ended itself, exit code 2")

@@ -108,6 +108,18 @@ def main() -> int:
     elif does == "hang":
         note(f"child {subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']).pid}")
         time.sleep(600)
+    elif does == "unreached":
+        from carecontact.trials.worker import UNREACHED
+
+        out.with_name(UNREACHED).write_text("nothing listens there")
+    elif does == "answers":
+        from carecontact.trials.worker import FIRST_ANSWER
+
+        out.with_name(FIRST_ANSWER).write_text(json.dumps(["quaternion: as of " + trial_id, "done: \x1b[2J"]))
+        write(spec, out, "good")
+    elif does == "slow":
+        time.sleep(3)
+        write(spec, out, "good")
     elif does != "nothing":
         write(spec, out, does)
     return 0

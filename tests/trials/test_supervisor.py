@@ -123,6 +123,13 @@ def test_crashes_cost_one_trial_each_and_leave_evidence(bench: Bench) -> None:
     assert policys.message in (bench.out / "T1-s007.log").read_text()
 
 
+def test_the_first_answer_of_a_run_is_warned_about_once(bench: Bench) -> None:
+    does = {"T1-s000": "policy", "T1-s001": "answers", "T1-s002": "answers"}
+    bench.run(specs(3), does, jobs=1)
+    told = [(event.trial_id, event.message) for event in bench.events if event.kind == "warned"]
+    assert told == [("T1-s001", "quaternion: as of T1-s001"), ("T1-s001", "done: \\x1b[2J")]
+
+
 def test_nothing_that_a_policy_can_read_names_the_trial_or_holds_a_secret(bench: Bench) -> None:
     setup = PolicySetup(
         ref=PolicyRef.parse("mine:Own"), arguments={"steps": "argument-3"}, environment={"TOKEN": "secret-4"},

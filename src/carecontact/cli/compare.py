@@ -78,9 +78,10 @@ class Compare:
     def _compare_two(self, scored: Sequence[RunScores]) -> None:
         from carecontact.cli.comparison_text import print_comparison
         from carecontact.reports.compare.comparison import compare_runs, comparison_json
+        from carecontact.reports.text import crashed_text
 
         comparison = compare_runs(*scored, per_task=self.per_task)
-        print_comparison(comparison, *self.runs)
+        print_comparison(comparison, *self.runs, crashed=[crashed_text(run.scores) for run in scored])
         if self.out is not None:
             print(f"comparison: {_write(comparison_json(comparison), self.out / COMPARISON)}")
 
@@ -89,15 +90,28 @@ class Compare:
         from carecontact.reports.compare.baselines import beside_baselines
         from carecontact.reports.compare.overview import overview, overview_json
 
-        named = zip(ascii_uppercase, scored, strict=False)
+        named = list(zip(ascii_uppercase, scored, strict=False))
         beside = {letter: beside_baselines(run, baselines) for letter, run in named if baselines}
         found = overview(scored) if len(scored) > 2 else None
         if found is not None:
             print_overview(found, self.runs)
         for letter, of_run in beside.items():
             print_baselines(of_run, letter if len(scored) > 1 else "")
+        # The comparison of two runs names theirs itself.
+        runs = named if found else [("", run) for run in scored if len(scored) == 1]
+        _print_crashed([*runs, *(("", run) for run in baselines)])
         if self.out is not None:
             print(f"overview: {_write(overview_json(found, beside), self.out / OVERVIEW)}")
+
+
+def _print_crashed(named: Sequence[tuple[str, RunScores]]) -> None:
+    """``named``: letter of a run, or nothing, and the run."""
+    from carecontact.reports.text import crashed_text
+
+    for letter, run in named:
+        if crashed := crashed_text(run.scores):
+            policy = run.scores[0].policy_title
+            print(f"{f'{letter} ({policy})' if letter else policy} {crashed}")
 
 
 def _write(content: Mapping[str, Any], path: Path) -> Path:

@@ -17,7 +17,14 @@ WIDTH = 174
 """A narrower terminal gets no table."""
 
 
-def print_comparison(comparison: Comparison, a: Path, b: Path) -> None:
+def print_comparison(comparison: Comparison, a: Path, b: Path, *, crashed: Sequence[str] = ("", "")) -> None:
+    """
+    Args:
+        comparison: of the runs in ``a`` and ``b``.
+        a: where the run A lies.
+        b: where the run B lies.
+        crashed: for A and for B, in which trials the policy crashed; empty for none.
+    """
     from carecontact.contract.protocol import protocol_title
     from carecontact.protocols.frozen_state import drifted_sha256
     from carecontact.reports.compare.paired_lines import FEWEST_PAIRS
@@ -27,11 +34,11 @@ def print_comparison(comparison: Comparison, a: Path, b: Path) -> None:
     print(f"{protocol_title(comparison.protocol_id, comparison.overrides)} ({comparison.protocol_sha256[:12]})")
     if not comparison.overrides and (why := drifted_sha256(comparison.protocol_id, comparison.protocol_sha256)):
         print(f"protocol: {why}")
-    for name, folder, info, alone in (
-        ("A", a, comparison.a, pairing.unpaired_a),
-        ("B", b, comparison.b, pairing.unpaired_b),
+    for name, folder, info, alone, of_run in (
+        ("A", a, comparison.a, pairing.unpaired_a, crashed[0]),
+        ("B", b, comparison.b, pairing.unpaired_b, crashed[1]),
     ):
-        print(f"{name}: {_run_text(info, folder)}{_alone_text(alone)}")
+        print(f"{name}: {_run_text(info, folder)}{f'; {of_run}' if of_run else ''}{_alone_text(alone)}")
     n_tasks, n_seeds = len(pairing.tasks), len(pairing.seeds)
     print(f"{pairing.n} trials paired, {n_tasks} task{'s' * (n_tasks != 1)}, {n_seeds} seed{'s' * (n_seeds != 1)}")
     _print_lines(comparison.overall)

@@ -5,21 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from carecontact.cli.excerpt import excerpt
 from carecontact.errors import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
-    from carecontact.recording.schema import EndReason
+    from carecontact.recording.schema import EndReason, Failure
 
 HARNESS_FAILED, POLICY_CRASHED = 1, 3
 """Exit status."""
-TRACE_LINES, PRINTED_LINES = 6, 4
-"""Last lines of a traceback and of what the policy printed that a terminal shows; the report has all of them."""
+SHOWN, LOGS = 3, 3
+"""Different failures that a terminal shows with their tracebacks, and logs that it names for each."""
 
 
 def print_failed(ended: Mapping[str, EndReason], *, out: Path) -> None:
-    """Name what failed, with the end of the first crash's traceback and output.
+    """Name what failed and where its logs are; of crashes also the end of the traceback and output.
 
     Args:
         ended: trial -> how it ended.
@@ -27,12 +28,11 @@ def print_failed(ended: Mapping[str, EndReason], *, out: Path) -> None:
     """
     crashed, harness = _of(ended, "process_failure"), _of(ended, "harness_error")
     if crashed:
-        print(f"the policy crashed in {len(crashed)} of {len(ended)} trial(s){_log(crashed, out)}")
-        for line in _excerpt(out / f"{crashed[0]}.h5"):
-            print(f"  | {line}")
-        print(f"the whole traceback and output: {out / 'report.html'}")
+        print(f"the policy crashed in {len(crashed)} of {len(ended)} trial(s); logs and report.html are in {out}")
+        _print_groups(crashed, out, whole=True)
     if harness:
-        print(f"{len(harness)} trial(s) failed in the harness{_log(harness, out)}")
+        print(f"{len(harness)} trial(s) failed in the harness; logs are in {out}")
+        _print_groups(harness, out, whole=False)
     if crashed or harness:
         print("to run them again: --restart after a change of the policy, --retry-failed if the cause lay outside it")
 
@@ -48,25 +48,36 @@ def _of(ended: Mapping[str, EndReason], end: EndReason) -> list[str]:
     return [trial_id for trial_id, how in ended.items() if how == end]
 
 
-def _log(trials: list[str], out: Path) -> str:
-    found = next((log for trial_id in trials if (log := out / f"{trial_id}.log").is_file()), None)
-    return f"; see {found}" if found else ""
+def _print_groups(trials: Sequence[str], out: Path, *, whole: bool) -> None:
+    """``whole``: whether to print more of a failure than its reason."""
+    from carecontact.recording.reason import alike, reason_of
+    from carecontact.recording.remedies import remedies
+
+    groups: dict[str, list[tuple[str, Failure]]] = {}
+    for trial_id in sorted(trials):
+        failure = _failure(out / f"{trial_id}.h5")
+        groups.setdefault(alike(reason_of(failure)), []).append((trial_id, failure))
+    for number, group in enumerate(sorted(groups.values(), key=len, reverse=True)):
+        first = group[0][1]
+        print(f"{len(group)} trial(s): {reason_of(first)}; see {_logs([trial_id for trial_id, _ in group], out)}")
+        for line in excerpt(first.message) if whole and number < SHOWN else ():
+            print(line)
+        for remedy in remedies(first.message) if whole else ():
+            print(f"  hint: {remedy}")
 
 
-def _excerpt(recording: Path) -> list[str]:
-    from carecontact.hosting.conversation import readable
+def _logs(trials: Sequence[str], out: Path) -> str:
+    more = len(trials) - LOGS
+    names = ", ".join(str(out / f"{trial_id}.log") for trial_id in trials[:LOGS])
+    return names + (f" and {more} more" if more > 0 else "")
+
+
+def _failure(recording: Path) -> Failure:
     from carecontact.recording import read_header
-    from carecontact.recording.reason import PRINTED
+    from carecontact.recording.schema import Failure
 
     try:
-        failure = read_header(recording).failure
+        found = read_header(recording).failure
     except RecordingError as error:
-        return [str(error)]
-    said, _, printed = readable(failure.message if failure else "no reason recorded").partition(PRINTED)
-    lines = [recording.stem + ":", *_last(said, TRACE_LINES)]
-    return [*lines, "it printed last:", *_last(printed, PRINTED_LINES)] if printed else lines
-
-
-def _last(text: str, most: int) -> list[str]:
-    lines = [line for line in text.splitlines() if line.strip()]
-    return lines if len(lines) <= most else ["...", *lines[-most:]]
+        return Failure(kind="unread", message=str(error))
+    return found or Failure(kind="unknown", message="no reason recorded")

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from carecontact.cli.excerpt import excerpt
 from carecontact.cli.groups import PolicyGroup
 from carecontact.cli.language import chosen_language
 from carecontact.cli.policy_names import meant
@@ -69,7 +70,8 @@ def _setup(ref: PolicyRef, options: PolicyGroup) -> PolicySetup:
 def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
     """Start the policy once, just as a trial does, and return its card; None for a shipped one that is given nothing.
 
-    Raises UnknownNameError, or ConfigError saying in one line why a policy does not start or a server shows no card.
+    Raises UnknownNameError, or ConfigError that says in its first line why a policy does not start or a server shows no
+    card, followed by the end of the policy's traceback and output.
     """
     conversation = open_policy(setup, first_deadline_s=deadline_s, deadline_s=deadline_s)
     shipped = setup.ref.kind == "registered" and POLICIES.package(setup.ref.text) is None
@@ -84,9 +86,15 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
             raise ConfigError(reason(str(error))) from None
         place = f" (looked in {setup.search_path[0]} first)" if setup.ref.kind == "importable" else ""
         where = "does not answer as a policy server" if setup.ref.kind == "remote" else f"does not start{place}"
+        why = reason(str(error)).removeprefix(f"policy {setup.ref.text!r} failed at start: ")
         nearest = meant(setup.ref.text, Path.cwd()) if NOT_FOUND.search(str(error)) else ""
         raise ConfigError(
-            f"--policy {setup.ref} {where}: {reason(str(error))}{nearest}; `carecontact check` shows all of it"
+            "\n".join(
+                [
+                    f"--policy {setup.ref} {where}: {why}{nearest}; `carecontact check` shows all of it",
+                    *excerpt(str(error)),
+                ]
+            )
         ) from None
 
 

@@ -10,8 +10,11 @@ from carecontact.cli.groups import FLAT, JobsGroup, PhysicsGroup, PolicyGroup, R
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from carecontact.contract.protocol import Protocol
     from carecontact.runs.manifest import Purpose
+    from carecontact.trials.supervisor import RunSummary, TrialEvent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,12 +59,9 @@ class Run:
     def execute(self, *, purpose: Purpose) -> int:
         """Return 1 if the harness failed in any trial or a recording was skipped, else 3 if the policy crashed in one.
 
-        A policy that fails its tasks is a result."""
-        from carecontact.cli.failed_trials import failed_status, print_failed
+        A policy that fails its tasks is a result. Raises ConfigError if the policy's server stays out of reach."""
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.cli.progress import progress
-        from carecontact.cli.report_page import write_page
-        from carecontact.cli.rescoring import rescore
         from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
         from carecontact.trials.supervisor import check_jobs, run_trials
 
@@ -92,13 +92,34 @@ class Run:
                 policy=setup,
                 card=card,
                 weights=self.vision.weights and self.vision.weights.resolve(),
-                on_event=on_event,
+                on_event=lambda event: _show(event, on_event),
                 purpose=purpose,
             )
+        status = self._finish(summary)
+        if summary.unreached is not None:
+            again = "the same command again" + (" without --restart" if self.restart else "")
+            why = summary.unreached.removeprefix(f"policy {setup.ref.text!r} failed at start: ")
+            raise ConfigError(
+                f"the run stops with {len(summary.ended)} of {len(specs)} trial(s) done: {why}; then give {again} to "
+                "continue"
+            )
+        return status
+
+    def _finish(self, summary: RunSummary) -> int:
+        """Score and report what there is; returns the exit status."""
+        from carecontact.cli.failed_trials import failed_status, print_failed
+        from carecontact.cli.report_page import write_page
+        from carecontact.cli.rescoring import rescore
+        from carecontact.reports.text import clipped_text
+
+        if not summary.ended:
+            return 0
         # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
         scores = rescore(self.out, compare=not summary.ran)
         write_page(self.out, scores)
         print_failed(summary.ended, out=self.out)
+        if clipped := clipped_text(scores.scores):
+            print(f"warning: {clipped}")
         return failed_status(summary.ended, allow_failures=self.allow_failures) if not scores.skipped else 1
 
     def _protocol(self) -> Protocol:
@@ -116,6 +137,12 @@ class Run:
         check_protocol(rules)
         check_rows(rules)
         return rules
+
+
+def _show(event: TrialEvent, on_event: Callable[[TrialEvent], None]) -> None:
+    on_event(event)
+    if event.kind == "warned":
+        print(f"warning: the first answer of {event.trial_id}, {event.message}", flush=True)
 
 
 def restart(out: Path) -> None:

@@ -16,6 +16,8 @@ WIDTH = 120
 def print_table(scores: Sequence[TrialScore]) -> None:
     """Counts by task, medians of every metric, and the counts that a success rate hides."""
     from carecontact.cli.console import console, plain_table
+    from carecontact.reports.failures import only_crashes
+    from carecontact.runs.pooling import judged
 
     table = plain_table()
     for header in ("task", "trials", "success", "region-correct", "safety-gated", "peak force [N]", "failures"):
@@ -23,7 +25,10 @@ def print_table(scores: Sequence[TrialScore]) -> None:
     for task in sorted({s.task_id for s in scores}):
         table.add_row(*_task_cells([s for s in scores if s.task_id == task]))
     console(WIDTH).print(table)
-    _print_medians(scores)
+    if only_crashes(judged(scores)):
+        print("\nthe policy crashed in every trial before any contact, so that there are no medians")
+    else:
+        _print_medians(scores)
     _print_counts(scores)
 
 

@@ -12,8 +12,10 @@ from typing import NotRequired, TypedDict, cast
 
 from carecontact.contract.policy import Policy
 from carecontact.hosting.arguments import ArgumentError, bind, load_factory
+from carecontact.hosting.stack import give_stack
 from carecontact.hosting.wall import raise_wall
-from carecontact.hosting.wire.server import serve_policy, told
+from carecontact.hosting.wire.server import serve_policy
+from carecontact.hosting.wire.tracebacks import told
 
 
 class Options(TypedDict):
@@ -45,6 +47,8 @@ class Options(TypedDict):
     isolated: bool
     isolation: NotRequired[str]
     """How far this process isolated itself, as recordings hold it."""
+    stack_fd: int
+    """Where this process writes its stack when it is asked to, and when the interpreter crashes."""
 
 
 RECEIVED: dict[str, object] = {}
@@ -54,6 +58,7 @@ RECEIVED: dict[str, object] = {}
 def main(options: Options) -> None:
     """Construct the policy behind the wall and serve it."""
     RECEIVED.update(options)
+    give_stack(options["stack_fd"])
     threading.Thread(target=_end_with_parent, args=(options["lifeline_fd"],), daemon=True).start()
     arguments = options["arguments"]
     with os.fdopen(options["report_fd"], "w") as report:

@@ -45,6 +45,8 @@ class PolicyConversation(ABC):
     """Called every WAIT_REPORT_S seconds while the policy is silent, with one line; another thread calls it."""
     isolation: str | None = None
     """How far the policy's process is isolated (``isolation.fence``); None before it has started, or on another host."""
+    patient = False
+    """Whether ``start`` waits, within its deadline, for a server that takes no connection."""
 
     def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S) -> None:
         """``first_deadline_s`` holds for the start, each reset and the first act, when models load; ``deadline_s`` for
@@ -69,7 +71,7 @@ class PolicyConversation(ABC):
         return ""
 
     def start(self) -> PolicyCard:
-        """Connect; returns the policy's card."""
+        """Connect; returns the policy's card. Raises UnreachableError where no server takes a connection."""
         with self._evidence("start"), self._within(self._first_deadline_s) as allowed_s:
             deadline = time.monotonic() + allowed_s
 
@@ -109,7 +111,11 @@ class PolicyConversation(ABC):
         return ""
 
     def _how_it_ended(self) -> str:
-        """To follow the message of a policy that is gone."""
+        """In place of the message of a policy that is gone, where more is known than that."""
+        return ""
+
+    def _where(self, kind: str) -> str:
+        """To follow the message of a failure of this kind: the stack of a policy that hangs or crashed."""
         return ""
 
     def _drop(self) -> None:
@@ -167,13 +173,13 @@ class PolicyConversation(ABC):
         try:
             yield
         except PolicyError as error:
-            ended = self._how_it_ended() if error.kind in ("died", "start") else ""
+            said = (self._how_it_ended() if error.kind == "died" else "") or str(error)[:EVIDENCE_CHARS].rstrip()
+            where = self._where(error.kind)[:EVIDENCE_CHARS]
             self._drop()
-            said = str(error)[:EVIDENCE_CHARS].rstrip()
-            message = f"policy {self.policy!r} failed at {doing}: {said}{self._hint(said)}{ended}"
+            message = f"policy {self.policy!r} failed at {doing}: {said}{self._hint(said)}{where}"
             if self.printed:
                 message += f"\nit printed last:\n{self.printed[-EVIDENCE_CHARS // 2 :]}"
-            raise PolicyError(error.kind, self._shown(message), notes=error.notes) from None
+            raise type(error)(error.kind, self._shown(message), notes=error.notes) from None
         except BaseException:
             self._drop()
             raise

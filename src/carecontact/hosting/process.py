@@ -23,6 +23,7 @@ from carecontact.hosting.descendants import MARK, kill_marked, new_mark
 from carecontact.hosting.isolation.blocked import remedy
 from carecontact.hosting.isolation.private_folder import PrivateFolder, private_folder
 from carecontact.hosting.setup import PolicySetup
+from carecontact.hosting.stack import ASK, PATIENCE_S, read_stack
 from carecontact.hosting.wire.client import PolicyClient
 from carecontact.policies.registry import policy_target
 
@@ -69,6 +70,7 @@ class PolicyProcess(PolicyConversation):
         self._mark = new_mark()
         self._lifeline: int | None = None
         self._folder: PrivateFolder | None = None
+        self._stack: int | None = None
         self._output = b""
         self._reader: threading.Thread | None = None
 
@@ -84,6 +86,13 @@ class PolicyProcess(PolicyConversation):
         deadline = time.monotonic() + self._first_deadline_s
         with self._evidence("start"):
             return self._launch(lambda: max(deadline - time.monotonic(), 0.0))
+
+    def hung(self) -> str:
+        """Where a launched policy stands that does not end although nobody speaks to it any more; empty if it ends."""
+        with suppress(subprocess.TimeoutExpired):
+            if self._child is not None:
+                self._child.wait(GRACE_S)
+        return self._shown(self._where("timeout"))
 
     def close(self) -> None:
         if self._client is not None and self._child is not None and self._child.poll() is None:
@@ -105,6 +114,7 @@ class PolicyProcess(PolicyConversation):
             raise PolicyError("start", f"no temporary folder could be made for its process: {error}") from None
         report_read, report_write = os.pipe()
         lifeline_read, self._lifeline = os.pipe()
+        self._stack, stack_write = os.pipe()
         try:
             # -s -P and no PYTHON* variable isolate as -I does, but leave PYTHONHASHSEED, without which the order of a
             # set, and so a policy's answer, may differ from run to run.
@@ -116,18 +126,20 @@ class PolicyProcess(PolicyConversation):
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
-                pass_fds=(report_write, lifeline_read),
+                pass_fds=(report_write, lifeline_read, stack_write),
                 start_new_session=True,
             )
         except OSError as error:
             os.close(report_read)
             raise PolicyError("start", f"no process could be started: {error}") from None
         finally:
-            os.close(report_write)
-            os.close(lifeline_read)
+            for end in (report_write, lifeline_read, stack_write):
+                os.close(end)
         self._reader = threading.Thread(target=self._drain, args=(self._child,), daemon=True)
         self._reader.start()
-        options = _options(self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline_read)
+        options = _options(
+            self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline_read, stack_fd=stack_write
+        )
         # Not on the command line, which every user of the machine can read.
         assert self._child.stdin is not None
         with suppress(BrokenPipeError), self._child.stdin as stdin:
@@ -144,7 +156,7 @@ class PolicyProcess(PolicyConversation):
                     )
                 piece = report.read(65536)
                 if not piece:
-                    raise PolicyError("start", "the process ended before it was ready")
+                    raise PolicyError("start", self._how_it_ended("before it was ready"))
                 line += piece
         report_line: dict[str, Any] = json.loads(line)
         self.isolation = report_line["isolation"]
@@ -163,17 +175,26 @@ class PolicyProcess(PolicyConversation):
                 text = text.replace(value, "[secret removed]")
         return super()._shown(text)
 
-    def _how_it_ended(self) -> str:
+    def _how_it_ended(self, when: str = "without an answer") -> str:
         if self._child is None:
             return ""
         try:
             code = self._child.wait(GRACE_S)
         except subprocess.TimeoutExpired:
-            return " (its process still runs)"
+            return f"it closed its connection {when}, and its process still runs"
         if code < 0:
             with suppress(ValueError):
-                return f" (killed by {signal.Signals(-code).name})"
-        return f" (exit code {code})"
+                return f"its process was killed by {signal.Signals(-code).name} {when}"
+        return f"its process ended itself {when}, exit code {code}"
+
+    def _where(self, kind: str) -> str:
+        if self._child is None or self._stack is None or kind not in ("timeout", "died", "start"):
+            return ""
+        hangs = kind == "timeout" and self._child.poll() is None
+        if hangs:
+            self._child.send_signal(ASK)
+        frames = read_stack(self._stack, patience_s=PATIENCE_S if hangs else 0.0)
+        return f"\nit {'hung' if hangs else 'crashed'} here (most recent call last):\n{frames}" if frames else ""
 
     def _hint(self, message: str) -> str:
         """A policy that misses a variable or a file cannot know that the caller has it."""
@@ -193,21 +214,22 @@ class PolicyProcess(PolicyConversation):
 
     def _drop(self) -> None:
         self._kill()
-        child, lifeline = self._child, self._lifeline
-        self._child = self._lifeline = None
+        child, ends = self._child, (self._lifeline, self._stack)
+        self._child = self._lifeline = self._stack = None
         if child is not None:
             child.wait()
         if self._reader is not None:
             self._reader.join(GRACE_S)
-        if lifeline is not None:
-            os.close(lifeline)
         if self._folder is not None:
             self._folder.remove()
             self._folder = None
+        for end in ends:
+            if end is not None:
+                os.close(end)
         super()._drop()
 
 
-def _options(setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: int) -> Options:
+def _options(setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: int, stack_fd: int) -> Options:
     return {
         "root": str(Path(carecontact.__file__).resolve().parents[1]),
         "target": target,
@@ -222,6 +244,7 @@ def _options(setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: in
         "writable": [os.path.abspath(place) for place in setup.writable],
         "closed": [os.path.abspath(place) for place in setup.closed],
         "isolated": setup.isolated,
+        "stack_fd": stack_fd,
     }
 
 

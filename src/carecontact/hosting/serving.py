@@ -62,11 +62,12 @@ def _serve_one(connection: socket.socket, peer: str, *, setup: PolicySetup, on_e
     try:
         with process, socket.create_connection(("127.0.0.1", process.launch())) as inner:
             _relay(connection, inner)
+            where = process.hung()
     except (PolicyError, OSError) as error:
         on_event(f"{peer}: {error}")
         return
     printed = f"; the policy printed last:\n{process.printed}" if process.printed else ""
-    on_event(f"{peer}: the trial has ended{printed}")
+    on_event(f"{peer}: the trial has ended{where}{printed}")
 
 
 def _relay(outer: socket.socket, inner: socket.socket) -> None:

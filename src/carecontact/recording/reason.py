@@ -8,9 +8,18 @@ from carecontact.recording.schema import Failure
 
 _PLAIN = ("action", "language", "program")
 """Kinds of failure whose messages are not tracebacks, but may hold words that a program or a language model chose."""
-_TRACEBACK = "Traceback (most recent call last):"
+TRACEBACK = "Traceback (most recent call last):"
 PRINTED = "\nit printed last:\n"
 _RAISED = re.compile(r"^[A-Za-z_][\w.]*(Error|Exception|Exit|Interrupt|Warning)\b")
+
+_VALUE = re.compile(r"\[[^\]]*\]|-?\d+(\.\d+(e[-+]?\d+)?|e[-+]?\d+)")
+"""What may differ between two trials that failed alike: a list, or a number that is no integer, as codes and signals
+are."""
+
+
+def alike(why: str) -> str:
+    """A reason without its values, the same for trials that failed in the same way."""
+    return _VALUE.sub("#", why)
 
 
 def reason_of(failure: Failure) -> str:
@@ -26,7 +35,7 @@ def reason(message: str) -> str:
     What a policy printed is not a reason, whatever it looks like.
     """
     said = message.partition(PRINTED)[0]
-    _, trace, after = said.rpartition(_TRACEBACK)
+    _, trace, after = said.rpartition(TRACEBACK)
     lines = after.splitlines() if trace else said.splitlines()[1:]
     # Everything in a traceback is indented but the exception. One that was cut at its start is known by the name alone.
     raised = [line for line in lines if line[:1].strip() and (trace or _RAISED.match(line))]

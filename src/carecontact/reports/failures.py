@@ -57,6 +57,11 @@ class AnatomyRow:
     success: int
 
 
+def only_crashes(scores: Sequence[TrialScore]) -> bool:
+    """Whether the policy crashed in every trial before any contact, so that nothing of the contact can be said."""
+    return bool(scores) and all(s.is_crash and not s.valid_contact for s in scores)
+
+
 def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
     """One row per failure mode, most frequent first, with what the failures were attributed to."""
     failed = [s for s in judged(scores) if s.failure_mode is not None]

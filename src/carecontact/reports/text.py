@@ -56,3 +56,21 @@ def listed(names: Sequence[str]) -> str:
     """The first NAMED, and how many more there are."""
     more = len(names) - NAMED
     return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def clipped_text(scores: Sequence[TrialScore]) -> str:
+    """Return how often the benchmark moved a target onto the border of the workspace; empty if never."""
+    trials = [s for s in scores if s.clipped_actions]
+    if not trials:
+        return ""
+    return (
+        f"In {len(trials)} of {len(scores)} trials the benchmark moved targets outside the workspace onto its border "
+        f"({sum(s.clipped_actions for s in trials)} actions in all), as the policy's card requests. "
+        "The robot did not do there what the policy commanded."
+    )
+
+
+def crashed_text(scores: Sequence[TrialScore]) -> str:
+    """Return in which trials the policy crashed; empty if in none."""
+    crashed = [score.trial_id for score in scores if score.is_crash]
+    return f"crashed in {len(crashed)}: {listed(crashed)}" if crashed else ""

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import os
-import re
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-import carecontact
 from carecontact.contract.action import Action
 from carecontact.contract.action.hints import looks_like_millimetres
 from carecontact.contract.policy import PolicyCard
@@ -26,20 +22,9 @@ from carecontact.errors import PolicyError
 from carecontact.hosting.conversation import BUDGET_S, PolicyConversation
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
-from carecontact.recording.reason import PRINTED, reason
+from carecontact.recording.reason import TRACEBACK, reason
+from carecontact.recording.remedies import remedies
 from carecontact.trials.first_answer import Finding, Level, look_at
-
-REMEDIES = {
-    "expected a position inside the workspace": "Check frame (base of the robot) and unit (metres). A card with "
-    "out_of_bounds clip has such targets moved onto the border.",
-    "expected finite numbers": "Look for a division by 0 or an unset value in the policy's output.",
-    "expected a quaternion of norm 1": "Divide the quaternion by its norm; its order is w x y z.",
-}
-"""Part of a refusal -> what may help."""
-LOOKS = "looks like"
-"""Part of a refusal that says itself what may help."""
-FRAME = re.compile(r'^\s+File "(.+?)", line \d+', re.MULTILINE)
-OWN = (f"{Path(carecontact.__file__).parent}{os.sep}", f"{importlib.__path__[0]}{os.sep}", "<frozen importlib")
 
 
 @dataclass(kw_only=True)
@@ -81,9 +66,8 @@ class Check:
         why, whole = reason(str(error)), str(error)
         text = whole if why in whole.partition("\n")[0] else f"{why}\n{whole}" if _says_more(whole) else why
         self._say("error", _TOPICS.get(topic, topic), text)
-        for part, remedy in REMEDIES.items():
-            if part in whole and LOOKS not in whole:
-                self._say("hint", "", remedy)
+        for remedy in remedies(whole):
+            self._say("hint", "", remedy)
 
     def _converse(self, policy: PolicyConversation, episode: Episode, card: PolicyCard) -> bool:
         observation = episode.reset()
@@ -149,11 +133,8 @@ def _unit(outside: Action, bounds: ActionBounds) -> str:
 
 
 def _says_more(failure: str) -> bool:
-    """Whether a failure tells a user more than its reason: it holds what the policy printed, or a traceback with a
-    frame that is neither ours nor of Python's import."""
-    frames = FRAME.findall(failure)
-    foreign = [file for file in frames if not file.startswith(OWN)]
-    return PRINTED in failure or not frames or bool(foreign)
+    """Whether a failure tells more than its reason: it holds a frame of the policy's, or what the policy printed."""
+    return len([line for line in failure.splitlines()[1:] if line != TRACEBACK]) > 1
 
 
 def _described(card: PolicyCard) -> str:

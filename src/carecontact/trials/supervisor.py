@@ -22,7 +22,7 @@ from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
 from carecontact.trials.workers import WORKER_COMMAND, Workers
 
-EventKind = Literal["kept", "redo", "started", "waiting", "finished"]
+EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
 POLL_S = 0.05
 DEFAULT_TRIAL_LIMIT_S = 14400.0
 """Wall clock. Only a harness that hangs gets near it: a policy has an hour for all its calls (``BUDGET_S``), which
@@ -38,15 +38,18 @@ class TrialEvent:
     total: int
     ended: EndReason | None = None
     message: str | None = None
-    """The line of the failure that says why, why a file is run again, or for how long a policy has been silent."""
+    """The line of the failure that says why, why a file is run again, for how long a policy has been silent, or what is
+    suspect about the first answer of the run."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunSummary:
     ended: dict[str, EndReason]
-    """Every planned trial."""
+    """Every planned trial that has a recording."""
     ran: tuple[str, ...]
     kept: tuple[str, ...]
+    unreached: str | None
+    """Why the policy's server could not be reached, so that the run stopped before its end; None: it is complete."""
     wall_s: float
 
 
@@ -66,8 +69,9 @@ def run_trials(
 ) -> RunSummary:
     """Run what is missing in ``out``, ``jobs`` trials at once; every trial has a recording afterwards.
 
-    A worker that dies without a recording gets one that says how it died. On KeyboardInterrupt the workers are killed
-    and finished trials stay.
+    A worker that dies without a recording gets one that says how it died. If a policy's server stays out of reach, no
+    further trial begins; those that run end, and those that did not begin have no recording. On KeyboardInterrupt the
+    workers are killed and finished trials stay.
 
     Args:
         policy: how the policy of all trials is reached; default: as its name in the trials alone says.
@@ -96,7 +100,13 @@ def run_trials(
             run.to_the_end(available_cores() if jobs is None else jobs)
         finally:
             workers.kill_all()
-    return RunSummary(ended=run.ended, ran=run.ran, kept=tuple(found.keep), wall_s=time.monotonic() - began)
+    return RunSummary(
+        ended=run.ended,
+        ran=tuple(trial_id for trial_id in run.ended if trial_id not in found.keep),
+        kept=tuple(found.keep),
+        unreached=run.unreached,
+        wall_s=time.monotonic() - began,
+    )
 
 
 class _Run:
@@ -106,14 +116,15 @@ class _Run:
         self, specs: Sequence[TrialSpec], found: Survey, workers: Workers, on_event: Callable[[TrialEvent], None]
     ) -> None:
         self.ended: dict[str, EndReason] = dict(found.keep)
+        self.unreached: str | None = None
         self._total, self._workers, self._on_event = len(specs), workers, on_event
         self._next_look = time.monotonic() + WAIT_REPORT_S
+        self._answered = False
         for trial_id, how in found.keep.items():
             self._report("kept", trial_id, ended=how)
         for trial_id, why in found.redo.items():
             self._report("redo", trial_id, message=why)
         self._waiting = [spec for spec in specs if spec.trial_id not in found.keep]
-        self.ran = tuple(spec.trial_id for spec in self._waiting)
 
     def to_the_end(self, jobs: int) -> None:
         while self._waiting or self._workers.running:
@@ -135,7 +146,12 @@ class _Run:
             self._report("waiting", trial_id, message=line)
 
     def _take_finished(self) -> None:
-        for spec, recording in self._workers.finished():
+        for done in self._workers.finished():
+            spec, recording = done.spec, done.recording
+            if done.unreached is not None:
+                self.unreached = done.unreached
+                self._waiting.clear()
+                continue
             if recording is None:
                 self._waiting.insert(0, spec)
                 self._report("redo", spec.trial_id, message="its process was lost while the policy was running")
@@ -144,6 +160,10 @@ class _Run:
             self.ended[spec.trial_id] = header.ended
             why = reason_of(header.failure) if header.failure else None
             self._report("finished", spec.trial_id, ended=header.ended, message=why)
+            if done.warnings is not None and not self._answered:
+                self._answered = True
+                for text in done.warnings:
+                    self._report("warned", spec.trial_id, message=text)
 
     def _report(
         self, kind: EventKind, trial_id: str, *, ended: EndReason | None = None, message: str | None = None

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
 from carecontact.episode.prepare import World
-from carecontact.errors import ActionError, PolicyError
+from carecontact.errors import ActionError, PolicyError, UnreachableError
 from carecontact.hosting.conversation import PolicyConversation
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
@@ -26,6 +27,8 @@ class Look:
     """One observation as the audit is shown it, after the policy has answered."""
 
     observation: Observation
+    actions: list[Action]
+    """The answer."""
     raw: RawReadings
     sent: bytes
     """The message in which the policy received it."""
@@ -52,6 +55,7 @@ def run_trial(
         on_wait: called with a line every few seconds while the policy is silent, by another thread.
 
     Raises:
+        UnreachableError: the policy's server took no connection until the deadline of its start.
         CarecontactError: the harness itself failed (SceneError, SettleError, DependencyError and others).
     """
     setup = policy or setup_of(spec)
@@ -76,7 +80,7 @@ def _converse(
         with open_policy(
             setup, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s
         ) as policy:
-            policy.on_wait = on_wait
+            policy.on_wait, policy.patient = on_wait, True
             try:
                 episode.card = policy.start()
                 policy.reset(episode.instruction, episode.session)
@@ -86,6 +90,8 @@ def _converse(
                 policy.close()
                 episode.log.extra["wall/policy_output"] = np.frombuffer(policy.printed.encode(), "u1")
                 episode.log.extra["wall/isolation"] = np.frombuffer((policy.isolation or "").encode(), "u1")
+    except UnreachableError:
+        raise
     except PolicyError as error:
         episode.fail(error)
 
@@ -96,7 +102,7 @@ def _act(episode: Episode, policy: PolicyConversation, on_look: Callable[[Look],
         reply = policy.act(observation)
         episode.answered(sent_sha256=reply.sent_sha256, notes=reply.notes)
         if on_look is not None and episode.raw is not None:
-            on_look(Look(observation=observation, raw=episode.raw, sent=reply.sent))
+            on_look(Look(observation=observation, actions=reply.actions, raw=episode.raw, sent=reply.sent))
         observation = None
         for number, action in enumerate(reply.actions, start=1):
             try:

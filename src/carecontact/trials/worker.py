@@ -1,15 +1,21 @@
 """One trial in its own process: ``python -m carecontact.trials.worker`` with a ``TrialRequest`` on standard input.
 
 The worker writes POLICY_RUNS to the request's ``phase_fd`` when the process of a local policy is about to start, and
-POLICY_GONE when it is gone. Exit status 0 means that the recording was written, whatever happened to the trial. A crash
-of the interpreter itself writes nothing; then the supervisor writes a recording.
+POLICY_GONE when it is gone. Exit status 0 means that the recording was written, whatever happened to the trial, or that
+UNREACHED says why the trial did not begin. A crash of the interpreter itself writes nothing; then the supervisor writes
+a recording.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import traceback
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from carecontact.trials.trial import Look
 
 SINGLE_THREAD = {
     name: "1"
@@ -25,12 +31,16 @@ SINGLE_THREAD = {
 
 WAITING = "waiting.txt"
 """File beside the recording in which the worker says that it waits for its policy."""
+FIRST_ANSWER = "first_answer.json"
+"""File beside it with the warnings about the policy's first answer: a list of texts."""
+UNREACHED = "unreached.txt"
+"""File beside it in which the worker says why it could not reach its policy's server; then there is no recording."""
 POLICY_RUNS, POLICY_GONE = b"+", b"-"
 
 
 def main() -> int:
     os.environ.update(SINGLE_THREAD)
-    from carecontact.errors import CarecontactError
+    from carecontact.errors import CarecontactError, UnreachableError
     from carecontact.recording import write_recording
     from carecontact.trials.failed import harness_error_recording, tail
     from carecontact.trials.request import TrialRequest
@@ -44,13 +54,23 @@ def main() -> int:
     def wait(line: str) -> None:
         request.out.with_name(WAITING).write_text(line)
 
+    def look(look: Look) -> None:
+        from carecontact.trials.first_answer import look_at
+
+        note = request.out.with_name(FIRST_ANSWER)
+        if not note.exists():
+            found = look_at(look.actions, look.observation)
+            note.write_text(json.dumps([f"{finding.topic}: {finding.text}" for finding in found]))
+
     try:
         from carecontact.trials.trial import run_trial
 
         recording = run_trial(
-            request.spec, policy=request.policy, weights=request.weights, on_policy=tell, on_wait=wait
+            request.spec, policy=request.policy, weights=request.weights, on_look=look, on_policy=tell, on_wait=wait
         )
         write_recording(recording, request.out)
+    except UnreachableError as error:
+        request.out.with_name(UNREACHED).write_text(str(error))
     except Exception as error:
         trace = traceback.format_exc()
         sys.stderr.write(trace)

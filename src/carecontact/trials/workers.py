@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -12,10 +13,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
-from carecontact.hosting.conversation import WAIT_REPORT_S
+from carecontact.hosting.conversation import WAIT_REPORT_S, readable
 from carecontact.hosting.descendants import kill_marked, marks_of
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, write_recording
@@ -23,7 +25,7 @@ from carecontact.recording.schema import Recording
 from carecontact.runs.manifest import FAILED
 from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, tail
 from carecontact.trials.request import TrialRequest
-from carecontact.trials.worker import POLICY_RUNS, SINGLE_THREAD, WAITING
+from carecontact.trials.worker import FIRST_ANSWER, POLICY_RUNS, SINGLE_THREAD, UNREACHED, WAITING
 
 # -P: the folder a user happens to stand in must not shadow a module of the trial's process.
 WORKER_COMMAND = (sys.executable, "-P", "-X", "faulthandler", "-m", "carecontact.trials.worker")
@@ -38,6 +40,19 @@ class _Worker:
     phase: int
     """End of the pipe in which the worker reports when its policy runs."""
     started: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ended:
+    """A trial whose process has ended."""
+
+    spec: TrialSpec
+    recording: Recording | None
+    """None: the trial has to run once more, or it did not begin."""
+    warnings: tuple[str, ...] | None = None
+    """About the policy's first answer; None: it gave none."""
+    unreached: str | None = None
+    """Why the policy's server could not be reached, so that the trial did not begin."""
 
 
 @dataclass(kw_only=True)
@@ -86,12 +101,9 @@ class Workers:
             _Worker(spec=spec, process=process, partial=partial, output=output, phase=phase, started=time.monotonic())
         )
 
-    def finished(self) -> list[tuple[TrialSpec, Recording | None]]:
-        """Reap the workers that have ended, were stopped or ran out of time; their recordings are then in ``out``.
-
-        None in place of a recording: the trial has to run once more.
-        """
-        done: list[tuple[TrialSpec, Recording | None]] = []
+    def finished(self) -> list[Ended]:
+        """Reap the workers that have ended, were stopped or ran out of time; their recordings are then in ``out``."""
+        done: list[Ended] = []
         for worker in list(self.running):
             stopped = _is_stopped(worker.process)
             timed_out = time.monotonic() - worker.started > self.trial_limit_s
@@ -101,11 +113,14 @@ class Workers:
             kill_tree(worker.process)
             with os.fdopen(worker.phase, "rb") as pipe:
                 policy_ran = (pipe.read() or b"").endswith(POLICY_RUNS)
+            if (unreached := self._unreached(worker)) is not None:
+                done.append(Ended(spec=worker.spec, recording=None, unreached=unreached))
+                continue
             recording = self._collected(worker, timed_out=timed_out, stopped=stopped, policy_ran=policy_ran)
             if recording is not None:
                 os.replace(worker.partial, self.out / f"{worker.spec.trial_id}.h5")
                 self._keep_log(worker, recording)
-            done.append((worker.spec, recording))
+            done.append(Ended(spec=worker.spec, recording=recording, warnings=_warnings(worker)))
         return done
 
     def waiting(self) -> dict[str, str]:
@@ -123,6 +138,11 @@ class Workers:
             kill_tree(worker.process)
             os.close(worker.phase)
         self.running.clear()
+
+    def _unreached(self, worker: _Worker) -> str | None:
+        # A policy of this machine could write the file itself, to leave out a trial.
+        note = worker.partial.with_name(UNREACHED)
+        return note.read_text() if self.policy.ref.kind == "remote" and note.is_file() else None
 
     def _collected(self, worker: _Worker, *, timed_out: bool, stopped: bool, policy_ran: bool) -> Recording | None:
         """Return the recording in ``worker.partial``, writing one if the worker left none; None to run it again."""
@@ -164,6 +184,15 @@ class Workers:
         printed = f"\nthe trial's process printed:\n{output}\n" if output else ""
         worker.output.write_text(head + printed, errors="replace")
         os.replace(worker.output, log)
+
+
+def _warnings(worker: _Worker) -> tuple[str, ...] | None:
+    # A policy of this machine could write there whatever it likes.
+    with suppress(OSError, ValueError):
+        found: object = json.loads(worker.partial.with_name(FIRST_ANSWER).read_text())
+        if isinstance(found, list):
+            return tuple(readable(str(text)) for text in cast(list[object], found))
+    return None
 
 
 def kill_tree(process: subprocess.Popen[bytes]) -> None:

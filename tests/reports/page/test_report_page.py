@@ -332,6 +332,42 @@ def test_crashes_stand_apart_with_traceback_and_output_one_click_away(run_of_7: 
     assert "No crash" not in whole
 
 
+def test_a_crash_has_a_column_by_task(run_of_7: Run, tmp_path: Path) -> None:
+    (table,) = re.findall(r'aria-label="Table by task">.*?</table>', write(run_of_7, tmp_path), re.DOTALL)
+    assert ">crashed<" in table
+    assert table.count(">1/1</td>") > table.count(">1/7</td>") == 1
+    run_of_7.scores.pop()
+    (table,) = re.findall(r'aria-label="Table by task">.*?</table>', write(run_of_7, tmp_path), re.DOTALL)
+    assert ">crashed<" not in table
+
+
+def test_a_run_of_crashes_alone_has_no_tables_of_nothing(run_of_7: Run, tmp_path: Path) -> None:
+    left_out = ("Safe, and successful?", "How hard, how long", "How much depends on the gates", "Where contact fell")
+    run_of_7.scores[:] = [s.model_copy(update={"additional": {"impulse@1": 1.0}}) for s in run_of_7.scores]
+    whole = write(run_of_7, tmp_path)
+    assert [title for title in left_out if title not in whole] == []
+    only = Run(scores=run_of_7.scores[-1:], recordings=run_of_7.recordings)
+    page = write(only, tmp_path)
+    assert [title for title in left_out if title in page] == []
+    assert "The policy crashed in every trial before any contact. Therefore, this page has no medians" in page
+    (table,) = re.findall(r'aria-label="Table by task">.*?</table>', page, re.DOTALL)
+    assert ">crashed<" in table
+    assert "C1 [N]" not in table
+    assert "NA" not in table
+
+
+def test_what_may_help_stands_with_the_crash(tmp_path: Path) -> None:
+    told = {"evidence": "expected finite numbers, got [nan, 1.0]", "failure_message": "expected finite numbers, got"}
+    scores = [make_score("T1", 0, **CRASHED | told)]
+    assert [row.hints for row in crashes(scores)] == [
+        ("Look for a division by 0 or an unset value in the policy's output.",)
+    ]
+    other = scores[0].model_copy(
+        update={"trial_id": "T1-s001", "seed": 1, "evidence": "expected finite numbers, got [0.5, nan]"}
+    )
+    assert [row.trials for row in crashes([*scores, other])] == ["T1-s000, T1-s001"]
+
+
 def test_crashes_of_one_reason_are_one_row() -> None:
     scores = [make_score("T1", seed, **CRASHED | {"evidence": f"reason {seed % 2}"}) for seed in range(4)]
     found = crashes([*scores, make_score("T2", 0)])

@@ -17,7 +17,7 @@ from carecontact.contract.action import ACTION_SPACES, Action, ActionSpace
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.session import Session
-from carecontact.errors import ActionError, ContractError, PolicyError
+from carecontact.errors import ActionError, ContractError, PolicyError, UnreachableError
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.messages import CLOSE, act_message, reset_message
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, is_map, unpack
@@ -52,7 +52,7 @@ class PolicyClient:
     def __init__(self, *, port: int, deadline_s: float, host: str = "127.0.0.1", credentials: str = "") -> None:
         """Connect and read nothing yet. ``credentials``: ``USER:PASSWORD`` for HTTP basic authorization, or nothing.
 
-        Raises PolicyError ``start`` if nothing listens there, ``handshake`` or ``timeout``.
+        Raises UnreachableError if nothing there takes a connection, PolicyError ``handshake`` or ``timeout``.
         """
         self._stack = ExitStack()
         place, until = f"[{host}]:{port}" if ":" in host else f"{host}:{port}", time.monotonic() + deadline_s
@@ -61,11 +61,13 @@ class PolicyClient:
             # A socket of our own: no proxy from the environment may come between the harness and the policy.
             sock = socket.create_connection((host, port), timeout=deadline_s)
         except TimeoutError:
-            raise PolicyError("timeout", f"{place} took no connection within {deadline_s:g} s") from None
+            raise UnreachableError("timeout", f"{place} took no connection within {deadline_s:g} s") from None
         except ConnectionRefusedError:
-            raise PolicyError("start", f"nothing listens at {place}; start the policy's server there first") from None
+            raise UnreachableError(
+                "start", f"nothing listens at {place}; start the policy's server there first"
+            ) from None
         except OSError as error:
-            raise PolicyError("start", f"no connection to {place}: {error.strerror or error}") from None
+            raise UnreachableError("start", f"no connection to {place}: {error.strerror or error}") from None
         try:
             sock.settimeout(None)
             self._connection: ClientConnection = self._stack.enter_context(

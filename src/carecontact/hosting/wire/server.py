@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -17,9 +16,7 @@ from carecontact.contract.policy import Policy, PolicyCard
 from carecontact.errors import ActionError, ContractError, LanguageError, PolicyError, ProgramError
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.packing import MAX_MESSAGE_BYTES, MAX_REPLY_BYTES, is_map, pack, unpack
-
-TRACEBACK_CHARS = 2000
-"""Of a traceback or message; all of it could be the policy's whole input."""
+from carecontact.hosting.wire.tracebacks import TRACEBACK_CHARS, told
 
 
 def serve_policy(
@@ -86,18 +83,6 @@ def _converse(
 
 
 _KINDS: dict[type[Exception], str] = {ActionError: "action", LanguageError: "language", ProgramError: "program"}
-
-
-def told(error: BaseException) -> str:
-    """Its traceback in TRACEBACK_CHARS: of the stack the end says most, of what the exception says the beginning."""
-    whole = "".join(traceback.format_exception(error))
-    if len(whole) <= TRACEBACK_CHARS:
-        return whole
-    said = "".join(traceback.format_exception_only(error))
-    stack, half = whole.removesuffix(said), TRACEBACK_CHARS // 2
-    if len(said) > half:
-        said = f"{said[: half - 6]} [...]"
-    return stack[-(TRACEBACK_CHARS - len(said)) :] + said
 
 
 def _report(connection: ServerConnection, policy: Policy, kind: str, message: str) -> None:

@@ -10,7 +10,7 @@ from carecontact.protocols.frozen_state import frozen_state
 from carecontact.recording.schema import Header
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.page.sections.funnel import funnel
-from carecontact.reports.text import listed, percent
+from carecontact.reports.text import clipped_text, listed, percent
 from carecontact.scoring.result import TrialScore
 
 Caveat = tuple[str, str]
@@ -160,15 +160,8 @@ def _extrapolation(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
 
 
 def _clipped(scores: Sequence[TrialScore]) -> list[Caveat]:
-    trials = [s for s in scores if s.clipped_actions]
-    if not trials:
-        return []
-    text = (
-        f"In {len(trials)} of {len(scores)} trials the benchmark moved targets outside the workspace onto its border "
-        f"({sum(s.clipped_actions for s in trials)} actions in all), as the policy's card requests. "
-        "The robot did not do there what the policy commanded."
-    )
-    return [("Clipped actions", text)]
+    text = clipped_text(scores)
+    return [("Clipped actions", text)] if text else []
 
 
 def _task_counts(scores: Sequence[TrialScore]) -> str:

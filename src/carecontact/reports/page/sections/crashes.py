@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from carecontact.recording.reason import alike
+from carecontact.recording.remedies import remedies
 from carecontact.reports.page.paths import shortened
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.text import listed
@@ -13,14 +15,15 @@ from carecontact.scoring.result import TrialScore
 
 MOST = 12
 """Different crashes that the page shows."""
+NO_REASON = "no reason recorded"
 TEMPLATE = """\
 <section class="caution crashes">
-<h2>The policy crashed in {{ n_crashed }} of {{ n }} trials</h2>
-<p class="note">Such a trial counts as a failure, and neither as safe nor as unsafe. To run {{ "it" if n_crashed == 1 else "them" }} again, give the same command with --restart after a change of the policy, or with --retry-failed if the cause lay outside it.</p>
+<h2>The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}</h2>
+<p class="note">Such a trial counts as a failure, and neither as safe nor as unsafe. To run {{ "it" if n_crashed == 1 else "them" }} again, give the same command with <span class="keep">--restart</span> after a change of the policy, or with <span class="keep">--retry-failed</span> if the cause lay outside it.</p>
 <dl>
 {% for crash in crashes %}
 <dt>{{ crash.trials }}</dt>
-<dd>{{ crash.reason }}<details><summary>Traceback and last output of {{ crash.first }}</summary><pre>{{ crash.message }}</pre></details></dd>
+<dd>{{ crash.reason }}{% for hint in crash.hints %}<br>{{ hint }}{% endfor %}<details><summary>Traceback and last output of {{ crash.first }}</summary><pre>{{ crash.message }}</pre></details></dd>
 {% endfor %}
 </dl>
 {% if more %}
@@ -37,6 +40,8 @@ class Crash:
     trials: str
     first: str
     reason: str
+    hints: tuple[str, ...]
+    """What may help."""
     message: str
 
 
@@ -58,13 +63,14 @@ def crashes(scores: Sequence[TrialScore]) -> list[Crash]:
     groups: dict[str, list[TrialScore]] = {}
     for score in scores:
         if score.is_crash:
-            groups.setdefault(score.evidence or "no reason recorded", []).append(score)
+            groups.setdefault(alike(score.evidence or NO_REASON), []).append(score)
     return [
         Crash(
             trials=listed([score.trial_id for score in group]),
             first=group[0].trial_id,
-            reason=shortened(why),
+            reason=shortened(group[0].evidence or NO_REASON),
+            hints=tuple(remedies(group[0].failure_message or "")),
             message=group[0].failure_message or "",
         )
-        for why, group in groups.items()
+        for group in groups.values()
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from carecontact.reports.failures import anatomy, causes, failure_modes
+from carecontact.reports.failures import anatomy, causes, failure_modes, only_crashes
 from carecontact.reports.page.paths import shortened
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.table import POOLED
@@ -13,7 +13,7 @@ TEMPLATE = """\
 <section>
 <h2>Why trials failed</h2>
 {% if modes %}
-<p class="note">{{ failed }} of {{ n }} trials did not succeed on the named region. Each has exactly one failure mode and one cause (attribution); shares are of these {{ failed }}.</p>
+<p class="note">{{ failed }} of {{ n }} trial{{ "" if n == 1 else "s" }} did not succeed on the named region. Each has exactly one failure mode and one cause (attribution); shares are of these {{ failed }}.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of failure modes">
 <table>
 <thead><tr><th scope="col">mode</th><th scope="col">meaning</th><th scope="col" class="num">trials</th><th scope="col" class="num">share</th><th scope="col">attributed to</th></tr></thead>
@@ -37,6 +37,7 @@ TEMPLATE = """\
 {% else %}
 <p>No trial failed: every one succeeded on the named region.</p>
 {% endif %}
+{% if anatomy %}
 <h3 class="after">Where contact fell</h3>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of where contact fell">
 <table>
@@ -48,6 +49,7 @@ TEMPLATE = """\
 </tbody>
 </table>
 </div>
+{% endif %}
 </section>
 """
 
@@ -61,7 +63,7 @@ def failures(page: Page) -> dict[str, Any] | None:
         "failed": sum(not score.region_correct for score in page.judged),
         "modes": failure_modes(page.judged),
         "causes": causes(page.judged),
-        "anatomy": anatomy(page.judged),
+        "anatomy": [] if only_crashes(page.judged) else anatomy(page.judged),
         "pooled": POOLED,
         "shortened": shortened,
     }

@@ -17,7 +17,7 @@ WIDTH, ROW, BAR, BOTTOM = 680, 58, 16, 30
 TEMPLATE = """\
 <section>
 <h2>From success to safe success</h2>
-<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trials. {% endif %}Each bar is a part of the one above it. Whiskers are Wilson 95 % intervals over {{ n }} trials of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.</p>
+<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}. {% endif %}Each bar is a part of the one above it. Whiskers are Wilson 95 % intervals over {{ n }} trial{{ "" if n == 1 else "s" }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.</p>
 {{ svg|safe }}
 </section>
 """

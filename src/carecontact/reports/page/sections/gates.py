@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from carecontact.reports.failures import only_crashes
 from carecontact.reports.page.gate_figures import gamma_svg, gate_panels
 from carecontact.reports.page.section import Page, section
 
@@ -29,7 +30,7 @@ TEMPLATE = """\
 
 @section("gates", order=60, template=TEMPLATE)
 def gates(page: Page) -> dict[str, Any] | None:
-    if not page.judged:
+    if not page.judged or only_crashes(page.judged):
         return None
     return {
         "gamma_svg": gamma_svg(page.judged, gamma=page.gamma),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from carecontact.reports.failures import only_crashes
 from carecontact.reports.load import load
 from carecontact.reports.page.section import Page, section
 
@@ -31,5 +32,7 @@ TEMPLATE = """\
 @section("load", order=50, template=TEMPLATE)
 def load_section(page: Page) -> dict[str, Any] | None:
     """The metrics that have no column in the table by task."""
+    if only_crashes(page.judged):
+        return None
     found = load(page.judged)
     return {"load": found} if found.rows else None

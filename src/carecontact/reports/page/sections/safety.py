@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from carecontact.reports.failures import only_crashes
 from carecontact.reports.limit_rows import limit_rows
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.text import rounded
@@ -40,7 +41,7 @@ TEMPLATE = """\
 
 @section("safety", order=40, template=TEMPLATE)
 def safety(page: Page) -> dict[str, Any] | None:
-    if not page.judged:
+    if not page.judged or only_crashes(page.judged):
         return None
     return {
         "n": len(page.judged),

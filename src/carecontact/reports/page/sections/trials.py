@@ -22,7 +22,7 @@ NEAR_LIMIT = 0.5
 TEMPLATE = """\
 <section>
 <h2>Trial by trial</h2>
-<p class="note">{% if all_shown %}All {{ n }} trials.{% else %}{{ details|length }} of {{ n }} trials: the first of each task, and up to {{ failures_shown }} that did not pass, taken from all tasks in turn.{% endif %} "Gate" is the safety gate of the named region. Every other touched segment has to stay below its own safety gate, or below the strictest one if it has none; the table names a segment without its own if its peak was at least half of the strictest one.</p>
+<p class="note">{% if n == 1 %}The only trial.{% elif all_shown %}All {{ n }} trials.{% else %}{{ details|length }} of {{ n }} trials: the first of each task, and up to {{ failures_shown }} that did not pass, taken from all tasks in turn.{% endif %} "Gate" is the safety gate of the named region. Every other touched segment has to stay below its own safety gate, or below the strictest one if it has none; the table names a segment without its own if its peak was at least half of the strictest one.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of trials">
 <table>
 <thead><tr><th scope="col">task</th><th scope="col" class="num">seed</th><th scope="col">result</th><th scope="col" class="num">gate [N]</th>{% for label in labels %}<th scope="col" class="num">{{ label }}</th>{% endfor %}<th scope="col" class="wide">progress</th></tr></thead>

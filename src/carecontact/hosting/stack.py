@@ -1,0 +1,57 @@
+"""Where a policy's process stands: its Python stack, which the interpreter writes on a signal and when it crashes."""
+
+from __future__ import annotations
+
+import faulthandler
+import importlib
+import os
+import re
+import select
+import signal
+from pathlib import Path
+
+import carecontact
+
+ASK = signal.SIGQUIT
+"""As elsewhere, for example in Java and Go: the signal that asks a process for its stack."""
+PATIENCE_S = 1.0
+"""Until the stack comes; a process that somebody stopped gives none."""
+PAUSE_S = 0.1
+"""Without a further line, after which the stack is complete."""
+MOST_BYTES = 65536
+PLUMBING = tuple(f"{Path(carecontact.__file__).parent / folder}{os.sep}" for folder in ("hosting", "contract"))
+"""Folders whose code calls every policy, or refuses its values, and explains none of its mistakes."""
+_FRAME = re.compile(r'  File "(.+)", line (\d+) in (.+)')
+_BEGINS = "(most recent call first)"
+
+
+def is_plumbing(file: str) -> bool:
+    """Whether a frame of this file is no policy's: it calls the policy, checks its values or imports its module."""
+    return file.startswith((*PLUMBING, "<frozen importlib")) or file in (importlib.__file__, "<string>")
+
+
+def give_stack(fd: int) -> None:
+    """Have this process write the stack of its main thread to ``fd`` when it crashes or receives ASK."""
+    os.set_inheritable(fd, False)
+    faulthandler.enable(fd, all_threads=False)
+    faulthandler.register(ASK, fd, all_threads=False)
+
+
+def read_stack(fd: int, *, patience_s: float) -> str:
+    """Return the frames that came through the pipe, one a line, most recent call last; empty if none came.
+
+    Args:
+        patience_s: how long to wait for the first of them.
+    """
+    written, wait_s = b"", patience_s
+    while len(written) < MOST_BYTES and select.select([fd], [], [], wait_s)[0]:
+        piece = os.read(fd, MOST_BYTES)
+        if not piece:
+            break
+        written, wait_s = written + piece, PAUSE_S
+    # Without the lines of source: the process chose these names, and what they name may block whoever reads it.
+    last = written.decode(errors="replace").rpartition(_BEGINS)[2]
+    frames = [found.groups() for line in last.splitlines() if (found := _FRAME.fullmatch(line))]
+    return "\n".join(
+        f'  File "{file}", line {number}, in {name}' for file, number, name in reversed(frames) if not is_plumbing(file)
+    )
