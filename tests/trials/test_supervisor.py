@@ -143,7 +143,8 @@ def test_nothing_that_a_policy_can_read_names_the_trial_or_holds_a_secret(bench:
     assert not [word for word in ("T1", "s000", "s001", "seed", *given) if word in told]
     requests = (bench.folder / "requests.jsonl").read_text().splitlines()
     assert all(word in request for request in requests for word in given)
-    assert [TrialRequest.model_validate_json(request).policy for request in requests] == [setup, setup]
+    closed = replace(setup, closed=(str(bench.out),))
+    assert [TrialRequest.model_validate_json(request).policy for request in requests] == [closed, closed]
 
 
 def test_other_arguments_or_variables_need_another_folder(bench: Bench) -> None:

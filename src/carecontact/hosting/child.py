@@ -1,5 +1,5 @@
-"""What the policy's process does: isolate itself, raise the wall, construct the policy, report the port, serve, end with
-its parent."""
+"""What the policy's isolated process does: raise the wall, construct the policy, report the port, serve, end with its
+parent."""
 
 from __future__ import annotations
 

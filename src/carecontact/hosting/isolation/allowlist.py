@@ -133,4 +133,3 @@ def _paths(given: Iterable[str]) -> Iterator[str]:
             with suppress(ValueError, OSError):
                 if part and os.path.exists(place):
                     yield place
-

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 
-_DENIED = re.compile(r"Permission denied:? *['\"]?(/[^'\"\n]+)|['\"]?(/[^'\"\n:]+)['\"]?: Permission denied")
+_DENIED = re.compile(r"Permission denied: *['\"]([^'\"\n]+)|(/[^'\"\n:]+)['\"]?: Permission denied")
 
 
 def remedy(message: str, *, isolation: str | None) -> str:

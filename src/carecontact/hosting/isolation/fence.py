@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from carecontact.hosting.isolation.allowlist import rights
@@ -47,6 +48,10 @@ def isolate(options: Options) -> None:
 
 def _enclose(options: Options) -> str:
     search_path, record = options["search_path"], options["language"].get("record")
+    if record is not None:
+        # A file alone can be opened to the policy only where it exists.
+        with suppress(OSError):
+            open(record, "ab").close()
     allowed = rights(
         search_path=search_path,
         target=options["target"],
