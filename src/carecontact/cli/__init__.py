@@ -6,8 +6,8 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from types import FrameType
+from typing import TextIO
 
 from carecontact import __version__
 from carecontact.errors import CarecontactError, ConfigError
@@ -53,9 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(_error_line(f"{place}: {error.strerror}" if place and error.strerror else str(error)), file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        # The terminal may be what is gone.
-        with suppress(OSError):
-            print(f"\ninterrupted{left}", file=sys.stderr)
+        print(f"\ninterrupted{left}", file=sys.stderr)
         return INTERRUPTED
 
 
@@ -74,7 +72,19 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     # A closed terminal tells it twice, and the second time must not interrupt the cleaning up. Ctrl-C still may.
     for each in _stopping():
         signal.signal(each, signal.SIG_IGN)
+    for stream in (sys.__stdout__, sys.__stderr__):
+        _drop_if_gone(stream)
     raise KeyboardInterrupt
+
+
+def _drop_if_gone(stream: TextIO | None) -> None:
+    """What is still printed must not fail where the terminal is gone, which refuses even nothing."""
+    if stream is None:
+        return
+    try:
+        os.write(stream.fileno(), b"")
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _stopping() -> list[signal.Signals]:
