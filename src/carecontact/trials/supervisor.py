@@ -93,7 +93,7 @@ def run_trials(
     found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
     specs = salted(specs, out=out)
     _prepare(out, specs, identity=identity, purpose=purpose)
-    setup = replace(setup, closed=(*setup.closed, *_runs_beside(out)))
+    setup = replace(setup, closed=(*setup.closed, *runs_beside(out)))
     kill_abandoned()
     remove_abandoned_folders()
     with work_folder(out) as work:
@@ -189,8 +189,8 @@ def _prepare(out: Path, specs: Sequence[TrialSpec], *, identity: Identity, purpo
         raise ConfigError(f"--out {out}: cannot be written to: {error.strerror}") from None
 
 
-def _runs_beside(out: Path) -> list[str]:
-    """This run's folder, and those of other runs in the same place: none of them is the policy's business."""
+def runs_beside(out: Path) -> list[str]:
+    """Return this run's folder and those of other runs in the same place: none of them is the policy's business."""
     here = out.resolve()
     return sorted({str(here), *(str(manifest.parent) for manifest in here.parent.glob(f"*/{MANIFEST}"))})
 

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 
-from carecontact.hosting.isolation.landlock import DEVICE, READ, READ_FILE, WRITE, WRITE_FILE
+from carecontact.hosting.isolation.landlock import DEVICE, READ, READ_FILE, TRUNCATE, WRITE, WRITE_FILE
 
 SYSTEM = (
     "/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/opt", "/nix/store", "/sys", "/run/systemd/resolve",
@@ -68,7 +68,8 @@ def rights(
             allow(path, READ)
     for path in (path for pattern in DEVICES for path in glob.glob(pattern)):
         allow(path, READ | DEVICE)
-    allow(f"/proc/{os.getpid()}", READ | WRITE_FILE)
+    # CUDA names its threads there, and does not start without emptying the file that it writes the name to.
+    allow(f"/proc/{os.getpid()}", READ | WRITE_FILE | TRUNCATE)
     for place in (tempfile.gettempdir(), SHARED_MEMORY):
         if list(without(place, shut)) == [place]:
             allow(place, READ | WRITE)

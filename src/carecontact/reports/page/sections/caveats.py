@@ -118,11 +118,14 @@ def _incomplete(page: Page) -> list[Caveat]:
 
 def _isolation(page: Page) -> list[Caveat]:
     """Trials whose policy ran with less isolation than there is, or was opened more than it needs."""
-    less = sorted({text for text in page.kept["caveats"].values() if text != "full"})
-    if not less:
-        return []
-    text = f"The policy's process was not fully isolated from the benchmark ({' / '.join(less)}); see the threat model."
-    return [("Isolation", text)]
+    reached = {tuple(text.split("; ", 1)) for text in page.kept.get("caveats", {}).values()}
+    less = sorted({level for level, *_ in reached if level != "full"})
+    opened = sorted({option for _, *options in reached for option in options})
+    said = [f"The policy's process was not fully isolated from the benchmark ({' / '.join(less)})."] if less else []
+    said += (
+        [f"The user opened more files to the policy than it has by itself ({' / '.join(opened)})."] if opened else []
+    )
+    return [("Isolation", f"{' '.join(said)} See docs/threat-model.md.")] if said else []
 
 
 def _variation(headers: Sequence[Header]) -> list[tuple[str, str]]:
