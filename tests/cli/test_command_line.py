@@ -35,13 +35,12 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     [
         (["run", "--policy", "nobody", "--out", "r"], "no policy named 'nobody'; valid: hover"),
         (["run", "--policy", "no_such:Thing", "--out", "r"], "No module named 'no_such'"),
-        (["run", "--policy", "broken:Broken", "--out", "r"], "no weights here"),
         (["run", "--policy", "a b:C", "--out", "r"], "expected module:Class"),
         (["run", "--policy", "hover", "--out", "r", "--tasks", "T9"], "valid: T1, T2, T3, T4, T5, T6, T7"),
         (["run", "--policy", "hover", "--out", "r", "--seeds", "44"], "valid: 0-19"),
         (
             ["run", "--policy", "hover", "--out", "r", "--protocol", "p"],
-            "no protocol named 'p'; valid: bathing-moved-v1, bathing-v1",
+            "no protocol named 'p'; valid: bathing-droid-v1, bathing-moved-v1, bathing-v1",
         ),
         (["run", "--policy", "hover", "--out", "r", "--jobs", "0"], "must be at least 1"),
         (["run", "--policy", "hover", "--out", "broken.py"], "this is a file"),
@@ -86,7 +85,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     ("what", "expected"),
     [
         ("tasks", ["T1", "T2", "T3", "T4", "T5", "T6", "T7"]),
-        ("protocols", ["bathing-moved-v1", "bathing-v1"]),
+        ("protocols", ["bathing-droid-v1", "bathing-moved-v1", "bathing-v1"]),
         ("metrics", sorted(METRICS)),
         ("segments", [*SEGMENTS, *LIMB_PARTS, *JOINTS]),
     ],

@@ -24,7 +24,8 @@ class Run:
 
     policy: str
     """One of: a name from `carecontact list policies`; a module:Class that can be imported from the current folder; or
-    ws://HOST:PORT, the address of a policy's server (see docs/wire.md)."""
+    ws://HOST:PORT, the address of a policy's server (see docs/wire.md; docs/dialects.md for other projects'
+    servers)."""
     given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
     out: Path
     """Folder for recordings, results.json and report.html."""
@@ -38,6 +39,10 @@ class Run:
     """Translational stiffness of the robot's impedance control [N/m], in place of the protocol's; every output names
     this change. If the policy commands a stiffness itself, that one applies."""
     vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
+    latency_ms: float | None = None
+    """Simulated time between an observation and the first action that answers it [ms], in place of the protocol's (0:
+    the world stands still while the policy computes). The last target holds meanwhile; every output names this
+    change."""
     unfrozen: Switch = False
     """Run a frozen protocol even if it differs from its lock (see `carecontact protocol verify`). Every output then
     names the difference."""
@@ -134,7 +139,8 @@ class Run:
         name = self.rules.protocol
         loaded = check_frozen(name, load_protocol(name), unfrozen=self.unfrozen)
         stiffness = {} if self.stiffness is None else {"impedance.translational_n_m": self.stiffness}
-        changed = self.rules.changed(loaded, **self.physics.changes(), stiffness=stiffness)
+        latency = {} if self.latency_ms is None else {"phases.latency_s": self.latency_ms / 1000}
+        changed = self.rules.changed(loaded, **self.physics.changes(), stiffness=stiffness, **{"latency-ms": latency})
         rules = with_vision(changed, self.vision)
         check_protocol(rules)
         check_rows(rules)

@@ -25,6 +25,7 @@ from carecontact.hosting.isolation.private_folder import PrivateFolder, private_
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.stack import ASK, PATIENCE_S, read_stack
 from carecontact.hosting.wire.client import PolicyClient
+from carecontact.hosting.wire.connection import Connection
 from carecontact.policies.registry import policy_target
 
 if TYPE_CHECKING:
@@ -104,7 +105,7 @@ class PolicyProcess(PolicyConversation):
     def _open(self, left: Callable[[], float]) -> PolicyClient:
         """Launch, import, connect."""
         port = self._launch(left)
-        return PolicyClient(port=port, deadline_s=left())
+        return PolicyClient(Connection.open(port=port, deadline_s=left()))
 
     def _launch(self, left: Callable[[], float]) -> int:
         """Return the port on which the child listens."""
