@@ -1,2 +1,1 @@
-"""What the kernel keeps from a policy's process: files, memory, signals, privileges. Standard library only, because it
-is in force before anything else is imported."""
+"""What the kernel keeps from a policy's process: files, signals, memory, privileges."""
