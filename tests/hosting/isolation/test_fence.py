@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+import carecontact
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.hosting.isolation.fence import level
 from carecontact.hosting.isolation.landlock import version
@@ -78,8 +79,11 @@ def test_a_policy_gets_nothing_of_what_is_said_to_be_closed(attempt: Try, tmp_pa
 def test_without_isolation_it_gets_all_of_it(attempt: Try, tmp_path: Path) -> None:
     """So that the test above can fail."""
     told = attempt(isolated=False)
-    may_trace = os.geteuid() == 0
-    expected = set(leaks.tries(tmp_path, "")) - (set() if may_trace else TRACING)
+    expected = set(leaks.tries(tmp_path, ""))
+    if os.geteuid() != 0:
+        expected -= TRACING
+    if not os.access(Path(carecontact.__file__).parent, os.W_OK):
+        expected -= {"write into the package", "add a module to the package"}
     assert {name for name in expected if told["said"][name] != "open"} == set()
     assert told["isolation"] == "none: switched off"
 
