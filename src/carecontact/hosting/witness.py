@@ -20,12 +20,13 @@ from carecontact.contract.session import Session
 from carecontact.errors import ContractError
 from carecontact.hosting.child import RECEIVED
 from carecontact.hosting.descendants import MARK
+from carecontact.hosting.isolation.fence import CACHES
 from carecontact.hosting.wire import codec
 
 TASK, TOLD = "witness.json", "told.json"
 """In the witness's folder: what it shall do, and what it was told."""
 CHANCE_OPTIONS = ("report_fd", "lifeline_fd", "stack_fd", "parent")
-CHANCE_VARIABLES = (MARK, "TMPDIR")
+CHANCE_VARIABLES = (MARK, "TMPDIR", *CACHES)
 CHANCE_HEADERS = ("host", "sec-websocket-key")
 """Numbers that the operating system or a random generator gave: no trial chooses them."""
 

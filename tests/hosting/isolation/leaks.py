@@ -15,6 +15,7 @@ from pathlib import Path
 
 from carecontact.contract.action import Action
 from carecontact.contract.policy import PolicyCard
+from carecontact.hosting.isolation.fence import CACHES
 
 SEIZE = 0x4206
 """linux/ptrace.h"""
@@ -91,7 +92,8 @@ class Leaks:
         lines = [dict(line.split(":\t") for line in text.splitlines() if ":\t" in line) for text in status]
         threads = [{name: fields[name] for name in ("NoNewPrivs", "CapEff")} for fields in lines]
         files = [str(p.readlink()) for p in Path("/proc/self/fd").iterdir() if p.is_symlink() and p.is_file()]
-        sys.stdout.write(json.dumps({"said": said, "threads": threads, "files": files}))
+        caches = [os.environ.get(name, "").startswith(f"{tempfile.gettempdir()}/") for name in CACHES]
+        sys.stdout.write(json.dumps({"said": said, "threads": threads, "files": files, "caches": caches}))
 
     def act(self, observation: object) -> Action:
         return Action(done=True)

@@ -70,6 +70,7 @@ def test_a_policy_gets_nothing_of_what_is_said_to_be_closed(attempt: Try, tmp_pa
     assert {name for name, said in told["said"].items() if said == "open"} & expected == set()
     assert told["isolation"] == level(version())
     assert not [path for path in told["files"] if not path.startswith("/proc/")], "descriptors of the harness"
+    assert all(told["caches"]), "libraries keep what they compile where the policy may write"
     # Every thread: a policy could otherwise let one that is free act for it.
     assert {thread["NoNewPrivs"] for thread in told["threads"]} == {"1"}
     if os.geteuid() == 0:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     from carecontact.hosting.child import Options
 
 TRUNCATE_SINCE = 3
+CACHES = ("TRITON_HOME", "TRITON_CACHE_DIR", "CUPY_CACHE_DIR", "CUDA_CACHE_PATH", "MPLCONFIGDIR", "NUMBA_CACHE_DIR")
+"""Variables that say where libraries keep what they compiled: else in the home folder, and some fail where they cannot
+write there."""
 NAME_FILES = ("LD_LIBRARY_PATH", "SSL_CERT_FILE")
 
 
@@ -61,6 +65,8 @@ def _enclose(options: Options) -> str:
         writable=options["writable"],
         closed=options["closed"],
     )
+    for name in CACHES:
+        os.environ.setdefault(name, os.path.join(tempfile.gettempdir(), name.lower()))
     drop_capabilities()
     reached = level(restrict(allowed))
     if unlisted := [folder for folder in (*search_path, *sys.path) if os.path.isdir(folder) and not _listed(folder)]:
