@@ -270,7 +270,11 @@ def test_targets_in_degrees_are_named() -> None:
             {"action_space": "joint_velocity", "needs_stereo_camera": True}, ARENA,
             "needs_stereo_camera: no camera of this benchmark has two pictures",
         ),
-        ({"action_space": "joint_velocity", "n_external_cameras": 3}, ARENA, r"expected 0 to 2 \(exterior, bedside\), got 3"),
+        (
+            {"action_space": "joint_velocity", "n_external_cameras": 3},
+            ARENA,
+            r"expected 0 to 2 \(exterior, bedside\), got 3",
+        ),
         ({"action_space": "joint_velocity", "image_resolution": [1 << 20, 9]}, ARENA, "16 to 2048"),
         ({"action_space": "joint_velocity", "needs_session_id": 1}, ARENA, "expected true or false"),
     ],
