@@ -16,6 +16,8 @@ from carecontact.recording.schema import Recording
 
 HEADER, CHECKSUM = "header_json", "sha256"
 """Datasets of bytes at the file's root: the header, and the canonical hash of everything else."""
+TEMPORARY = ".tmp"
+"""Ending of a hidden file that is not whole yet."""
 CHUNKED_FROM_BYTES = 1024
 CHUNK_BYTES = 1 << 18
 """Of whole rows: h5py's own guess cuts columns apart, and reading a trial takes twice as long."""
@@ -50,7 +52,7 @@ def write_recording(recording: Recording, path: Path | str) -> Path:
 
 def replace_file(path: Path, content: bytes) -> None:
     """Atomic on POSIX: a reader sees the old file or the new one, also after a crash."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY)
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)

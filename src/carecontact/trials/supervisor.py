@@ -16,6 +16,7 @@ from carecontact.hosting.conversation import WAIT_REPORT_S
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import EndReason
+from carecontact.runs.alone import alone
 from carecontact.runs.identity import Identity, identity_of
 from carecontact.runs.manifest import Purpose, Survey, salted, survey, write_manifest
 from carecontact.trials.request import check_setup, setup_of
@@ -78,7 +79,7 @@ def run_trials(
         card: what the policy showed; of a policy on another host it decides whether this is the same run.
         weights: folder with the weights of the protocol's segmenter.
 
-    Raises ConfigError for a folder that holds another run, that another command is writing to, or that cannot be
+    Raises ConfigError for a folder that holds another run, that another command is at work in, or that cannot be
     written to.
     """
     began = time.monotonic()
@@ -88,18 +89,19 @@ def run_trials(
     setup = policy or setup_of(specs[0])
     check_setup(specs[0], setup)
     identity = identity_of(specs[0], search_path=setup.search_path, language=setup.language, card=card)
-    found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
-    specs = salted(specs, out=out)
-    _prepare(out, specs, identity=identity, purpose=purpose)
-    with work_folder(out) as work:
-        workers = Workers(
-            out=out, work=work, policy=setup, weights=weights, command=worker_command, trial_limit_s=trial_limit_s
-        )
-        try:
-            run = _Run(specs, found, workers, on_event)
-            run.to_the_end(available_cores() if jobs is None else jobs)
-        finally:
-            workers.kill_all()
+    with alone(out, make=True):
+        found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
+        specs = salted(specs, out=out)
+        _prepare(out, specs, identity=identity, purpose=purpose)
+        with work_folder(out) as work:
+            workers = Workers(
+                out=out, work=work, policy=setup, weights=weights, command=worker_command, trial_limit_s=trial_limit_s
+            )
+            try:
+                run = _Run(specs, found, workers, on_event)
+                run.to_the_end(available_cores() if jobs is None else jobs)
+            finally:
+                workers.kill_all()
     return RunSummary(
         ended=run.ended,
         ran=tuple(trial_id for trial_id in run.ended if trial_id not in found.keep),
@@ -177,7 +179,6 @@ class _Run:
 
 def _prepare(out: Path, specs: Sequence[TrialSpec], *, identity: Identity, purpose: Purpose) -> None:
     try:
-        out.mkdir(parents=True, exist_ok=True)
         remove_abandoned(out)
         write_manifest(specs, out=out, identity=identity, purpose=purpose)
     except OSError as error:
