@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -27,8 +28,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     # A polite kill must stop the trials' processes as Ctrl-C does; they live in sessions of their own.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A name out of a file or of a policy may hold what no terminal can show.
+        sys.stdout.reconfigure(errors="backslashreplace")
     left = ""
     try:
+        _readable(arguments)
         arguments = with_synonyms(arguments)
         _once(arguments)
         command = parse(arguments)
@@ -44,12 +49,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except OSError as error:
+        from carecontact.recording.storage import REMEDY, is_full
+
         place = error.filename2 or error.filename
-        print(_error_line(f"{place}: {error.strerror}" if place and error.strerror else str(error)), file=sys.stderr)
+        told = f"{place}: {error.strerror}" if place and error.strerror else str(error)
+        print(_error_line(f"{told}; {REMEDY}" if is_full(error) else told), file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"\ninterrupted{left}", file=sys.stderr)
         return INTERRUPTED
+
+
+def _readable(arguments: Sequence[str]) -> None:
+    """Refuse a name that is no text: recordings, reports and messages could not hold it. Raises ConfigError."""
+    for text in (*arguments, os.getcwd()):
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            what = "argument" if text in arguments else "name of the current folder"
+            raise ConfigError(f"the {what} {text!a} holds bytes that are not UTF-8; rename it") from None
 
 
 def _once(arguments: Sequence[str]) -> None:

@@ -19,7 +19,7 @@ _held = set[tuple[int, int]]()
 
 @contextmanager
 def alone(folder: Path, *, make: bool = False) -> Generator[None]:
-    """Keep every other command out of a folder inside the block. The kernel ends this with the process, however it ends.
+    """Keep every other command out of a folder inside the block; the kernel ends this in every exit of the process.
 
     The commands of one process may nest. A folder that was made for this and stays empty goes again.
 

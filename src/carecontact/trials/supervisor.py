@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -11,17 +12,18 @@ from typing import Literal
 
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, StorageError
 from carecontact.hosting.conversation import WAIT_REPORT_S
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import EndReason
+from carecontact.recording.storage import no_space
 from carecontact.runs.alone import alone
 from carecontact.runs.identity import Identity, identity_of
 from carecontact.runs.manifest import Purpose, Survey, salted, survey, write_manifest
 from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
-from carecontact.trials.workers import WORKER_COMMAND, Workers
+from carecontact.trials.workers import ROOM_BYTES, WORKER_COMMAND, Workers
 
 EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
 POLL_S = 0.05
@@ -80,7 +82,7 @@ def run_trials(
         weights: folder with the weights of the protocol's segmenter.
 
     Raises ConfigError for a folder that holds another run, that another command is at work in, or that cannot be
-    written to.
+    written to, and StorageError where there is no space for a recording; those that are there stay.
     """
     began = time.monotonic()
     check_jobs(jobs)
@@ -95,7 +97,13 @@ def run_trials(
         _prepare(out, specs, identity=identity, purpose=purpose)
         with work_folder(out) as work:
             workers = Workers(
-                out=out, work=work, policy=setup, weights=weights, command=worker_command, trial_limit_s=trial_limit_s
+                out=out,
+                work=work,
+                policy=setup,
+                weights=weights,
+                command=worker_command,
+                trial_limit_s=trial_limit_s,
+                repeated=found.repeated,
             )
             try:
                 run = _Run(specs, found, workers, on_event)
@@ -119,6 +127,7 @@ class _Run:
     ) -> None:
         self.ended: dict[str, EndReason] = dict(found.keep)
         self.unreached: str | None = None
+        self._full: str | None = None
         self._total, self._workers, self._on_event = len(specs), workers, on_event
         self._next_look = time.monotonic() + WAIT_REPORT_S
         self._answered = False
@@ -131,6 +140,9 @@ class _Run:
     def to_the_end(self, jobs: int) -> None:
         while self._waiting or self._workers.running:
             while self._waiting and len(self._workers.running) < jobs:
+                if not self._workers.has_room():
+                    self._stop_full(f"less than {ROOM_BYTES >> 20} MB are free for each trial")
+                    break
                 spec = self._waiting.pop(0)
                 self._workers.start(spec)
                 self._report("started", spec.trial_id)
@@ -138,6 +150,14 @@ class _Run:
             self._report_silence()
             if self._workers.running:
                 time.sleep(POLL_S)
+        if self._full is not None:
+            done = f"the run stops with {len(self.ended)} of {self._total} trial(s) done"
+            raise StorageError(f"{done}: {no_space(self._workers.out, self._full)} to continue")
+
+    def _stop_full(self, why: str) -> None:
+        """Begin no trial that cannot be stored; those that run may end."""
+        self._full = why
+        self._waiting.clear()
 
     def _report_silence(self) -> None:
         """At most once every WAIT_REPORT_S: each look reads a file for every trial that runs."""
@@ -154,9 +174,13 @@ class _Run:
                 self.unreached = done.unreached
                 self._waiting.clear()
                 continue
+            if done.unstored:
+                self._stop_full(os.strerror(errno.ENOSPC))
+                continue
             if recording is None:
-                self._waiting.insert(0, spec)
-                self._report("redo", spec.trial_id, message="its process was lost while the policy was running")
+                if self._full is None:
+                    self._waiting.insert(0, spec)
+                self._report("redo", spec.trial_id, message=f"{done.lost} while the policy was running")
                 continue
             header = recording.header
             self.ended[spec.trial_id] = header.ended
