@@ -20,6 +20,9 @@ INTERRUPTED, BROKEN_PIPE = 130, 141
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line; returns its exit status. Errors that the user can fix give one message and status 2."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A name out of a file or of a policy may hold what no terminal can show.
+        sys.stdout.reconfigure(errors="backslashreplace")
     if arguments == ["--version"]:
         print(f"carecontact {__version__}")
         return 0
@@ -28,9 +31,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     # A polite kill must stop the trials' processes as Ctrl-C does; they live in sessions of their own.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        # A name out of a file or of a policy may hold what no terminal can show.
-        sys.stdout.reconfigure(errors="backslashreplace")
     left = ""
     try:
         _readable(arguments)
