@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -72,7 +72,7 @@ class Run:
         from carecontact.cli.policy import check_policy, policy_setup
         from carecontact.runs.alone import alone
         from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
-        from carecontact.trials.supervisor import check_jobs
+        from carecontact.trials.supervisor import check_jobs, runs_beside
 
         check_jobs(self.parallel.jobs)
         if self.restart and self.retry_failed:
@@ -82,7 +82,8 @@ class Run:
         tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
         with ExitStack() as held:
             held.enter_context(alone(self.out, make=True))
-            card = check_policy(setup, deadline_s=rules.phases.first_call_deadline_s)
+            closed = replace(setup, closed=tuple(runs_beside(self.out)))
+            card = check_policy(closed, deadline_s=rules.phases.first_call_deadline_s)
             specs = plan_trials(
                 protocol=rules,
                 policy=setup.ref.text,

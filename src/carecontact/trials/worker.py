@@ -14,6 +14,8 @@ import sys
 import traceback
 from typing import TYPE_CHECKING
 
+from carecontact.hosting.isolation.kernel import die_with_parent, hide_memory
+
 if TYPE_CHECKING:
     from carecontact.trials.trial import Look
 
@@ -42,6 +44,7 @@ UNSTORED = 74
 
 def main() -> int:
     os.environ.update(SINGLE_THREAD)
+    hide_memory()
     from carecontact.recording.storage import is_full
 
     try:
@@ -62,6 +65,8 @@ def _run() -> None:
     from carecontact.trials.request import TrialRequest
 
     request = TrialRequest.model_validate_json(sys.stdin.buffer.read())
+    if request.supervisor is not None:
+        die_with_parent(request.supervisor)
 
     def tell(running: bool) -> None:
         if request.phase_fd is not None:
