@@ -76,11 +76,12 @@ class Attack:
             self.commands += 1
             while running.poll() is None:
                 with suppress(subprocess.TimeoutExpired):
-                    running.wait(self.rng.uniform(0.3, 3.0))
+                    running.wait(self.rng.uniform(0.3, 2.0))
                 if running.poll() is None and kills > 0 and (found := tree(running.pid)):
                     seen |= set(found)
-                    # One of four is the command itself.
-                    victim = found[0] if self.rng.random() < 0.25 else self.rng.choice(found)
+                    if len(found) == 1 and self.rng.random() < 0.8:
+                        continue  # more often while it has workers than while it begins
+                    victim = self.rng.choice(found)
                     with suppress(ProcessLookupError):
                         os.kill(victim[0], signal.SIGKILL)
                         self.killed, kills = self.killed + 1, kills - 1
