@@ -38,11 +38,15 @@ class Check:
         from carecontact.cli.policy import policy_setup
         from carecontact.cli.policy_names import meant
         from carecontact.cli.vision import with_vision
+        from carecontact.protocols import load_protocol
+        from carecontact.runs.freeze import check_frozen
         from carecontact.runs.plan import plan_trials
         from carecontact.runs.preflight import check_protocol
         from carecontact.trials.check import Check as Checked
 
         setup = policy_setup(self.policy, self.given)
+        # The world of another release cannot be trusted to be built, let alone to be that of a run.
+        check_frozen(self.rules.protocol, load_protocol(self.rules.protocol), unfrozen=False)
         rules = with_vision(self.rules.load(), self.vision)
         check_protocol(rules)
         task = self.task or rules.tasks[0].id
