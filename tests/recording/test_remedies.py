@@ -35,11 +35,11 @@ def test_common_mistakes_in_a_policys_own_code_have_one(said: str, may_help: str
 
 def test_the_words_of_python_are_what_this_python_says() -> None:
     """The parts of REMEDIES are Python's own words, which another release may change."""
-    observation, action = synthetic_observation(), Action
+    observation, action, nothing = synthetic_observation(), Action, [None]
     for fault, part in (
         (lambda: observation["image"], "'Observation' object is not subscriptable"),
         (lambda: action(pose=1), "Action.__init__() got an unexpected keyword argument"),
-        (lambda: None[0], "'NoneType' object is not subscriptable"),
+        (lambda: nothing[0][0], "'NoneType' object is not subscriptable"),
     ):
         with pytest.raises(TypeError) as raised:
             fault()
