@@ -19,6 +19,7 @@ from carecontact.recording import read_recording
 from carecontact.recording.reader import read_verified
 
 TRIALS, KILLS = 12, 15
+"""Even: half of the trials are of one task, half of another."""
 GONE_S = 1.0
 """After the death of the command."""
 
@@ -53,8 +54,8 @@ def alive(process: Process) -> bool:
 
 def command(out: Path, trials: int) -> list[str]:
     return [
-        sys.executable, "-m", "carecontact.cli", "run", "--policy", "zero-action", "--tasks", "T1", "--seeds",
-        f"0-{trials - 1}", "--set", "phases.time_limit_s=1", "--jobs", "2", "--out", str(out),
+        sys.executable, "-m", "carecontact.cli", "run", "--policy", "zero-action", "--tasks", "T1,T2",
+        "--seeds", f"0-{trials // 2 - 1}", "--set", "phases.time_limit_s=1", "--jobs", "2", "--out", str(out),
     ]  # fmt: skip
 
 

@@ -28,6 +28,8 @@ class Connection:
 
     on_sent: Callable[[bytes], None] | None = None
     """Called with every message that has been sent: for the audit."""
+    on_received: Callable[[bytes | str], None] | None = None
+    """Called with every frame that was awaited, before anybody decodes it."""
     _sent_bytes = 0
     """Length of the last message."""
 
@@ -127,12 +129,15 @@ class Connection:
         try:
             with cut_off(self._websocket.socket, deadline_s) as expired:
                 # The cut ends the wait, because only a line that is closed tells why websockets had given it up.
-                return self._websocket.recv(timeout=deadline_s + CLOSE_S)
+                frame = self._websocket.recv(timeout=deadline_s + CLOSE_S)
         except Exception as error:
             failure = closed(error, sent_bytes=self._sent_bytes)
             if failure.kind == "died" and expired.is_set():
                 raise PolicyError("timeout", f"no {what} message within {deadline_s:.3g} s{late}") from None
             raise failure from None
+        if self.on_received is not None:
+            self.on_received(frame)
+        return frame
 
     def ask(self, message: bytes, what: str, *, deadline_s: float) -> bytes | str:
         """Send a message and receive its answer, both within one deadline; nothing may have come before."""
