@@ -43,6 +43,8 @@ UNSTORED = 74
 
 
 def main() -> int:
+    # Before the imports below, which take half a second; the request then tells whether it was too late even here.
+    die_with_parent(os.getppid())
     os.environ.update(SINGLE_THREAD)
     hide_memory()
     from carecontact.recording.storage import is_full
