@@ -105,7 +105,8 @@ FAULTS: dict[str, tuple[Callable[[], Fake], str, int, str, str]] = {
         lambda: SeeingVla(blind=("wrist_camera",)), VLA, 0, "warning  input", "wrist_camera (camera wrist): no effect",
     ),
     "more cameras than there are": (
-        lambda: SeeingArena(external=3), ARENA, 1, "error    card", "n_external_cameras: expected 0 to 2 (exterior, bedside), got 3",
+        lambda: SeeingArena(external=3), ARENA, 1, "error    card",
+        "n_external_cameras: expected 0 to 2 (exterior, bedside), got 3",
     ),
     "stereo camera": (AsksForStereo, ARENA, 1, "error    card", "no camera of this benchmark has two pictures"),
 }  # fmt: skip
