@@ -12,6 +12,8 @@ import pytest
 from carecontact.cli import main
 from carecontact.cli.groups import PolicyGroup
 from carecontact.cli.policy import CREDENTIALS, policy_setup
+from carecontact.contract.policy_ref import API_KEY
+from carecontact.errors import ConfigError
 from carecontact.recording import read_recording
 from carecontact.trials.request import TrialRequest
 from tests.cli.test_run_and_demo import fake
@@ -45,6 +47,19 @@ def test_credentials_may_come_from_a_variable(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv(CREDENTIALS, "user:secret")
     assert policy_setup("ws://h:80", PolicyGroup()).ref.credentials == "user:secret"
     assert policy_setup("ws://me:mine@h:80", PolicyGroup()).ref.credentials == "me:mine"
+
+
+def test_a_dialects_key_comes_from_its_own_variable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CREDENTIALS, "user:secret")
+    assert policy_setup("openpi://h:80", PolicyGroup()).ref.credentials == ""
+    monkeypatch.setenv(API_KEY, "sk-key")
+    setup = policy_setup("openpi://h:80?profile=pi05-droid", PolicyGroup())
+    assert setup.ref.credentials == "sk-key"
+    assert "sk-key" not in repr(setup)
+    monkeypatch.setenv(API_KEY, "sk-key\r\nX: y")
+    with pytest.raises(ConfigError, match="CARECONTACT_API_KEY: expected one line of printable ASCII") as caught:
+        policy_setup("openpi://h:80", PolicyGroup())
+    assert "sk-key" not in str(caught.value)
 
 
 def test_a_server_that_is_not_there_is_told_before_anything_runs(
@@ -89,7 +104,7 @@ def test_a_server_that_stays_away_ends_the_run_with_status_2_and_says_how_to_go_
     ("options", "says"),
     [
         (["nobody"], "no policy named 'nobody'"),
-        (["ws://host:80"], "ws://host:80: a ws:// policy is served already"),
+        (["ws://host:80"], "ws://host:80: a policy with an address is served already"),
         (["hover", "--port", "70000"], "--port 70000: expected 0 to 65535"),
         (["hover", "--at-once", "0"], "--at-once 0: must be at least 1"),
         (["hover", "--host", "192.0.2.1"], "cannot listen on 192.0.2.1, port 8765: "),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,8 @@ class Meta:
     tcp_in_hand_m: tuple[float, float, float]
     cell: dict[str, Any]
     """Calibration of the cell: ``robot_base_m``, ``robot_yaw_deg`` and the ``cameras`` of the protocol."""
+    arguments: dict[str, str] = field(default_factory=dict[str, str])
+    """Of the card; those of a dialect's card say how its messages are made."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,7 @@ from carecontact.audit.differences import differences
 from carecontact.audit.no_simulator import within_reach
 from carecontact.audit.raw_log import LoggedLook, Meta, read_looks, read_meta
 from carecontact.errors import CarecontactError
-from carecontact.hosting.wire import codec
-from carecontact.hosting.wire.packing import pack, unpack
+from carecontact.hosting.dialects.again import dialect_of, observation_again, unpacked
 from carecontact.observation.builder import RawReadings, derive
 from carecontact.observation.keypoints import KeypointEstimator, MediaPipePose
 
@@ -65,12 +64,13 @@ def _changed(look: LoggedLook, meta: Meta, keypoints: KeypointEstimator) -> list
             keypoints=keypoints,
             bed_height_in_base_m=meta.bed_height_in_base_m,
         )
-        again = pack({"type": "act", "observation": codec.encode_observation(observation)})
+        again = observation_again(observation, meta.arguments, meta.cameras, sent=look.sent)
     except CarecontactError as error:
         return [("observation", f"could not be recomputed: {error}")]
     if again == look.sent:
         return []
-    told = differences(unpack(again), unpack(look.sent), "message")
+    dialect = dialect_of(meta.arguments)
+    told = differences(unpacked(again, dialect), unpacked(look.sent, dialect), "message")
     # Nothing may hide in the packing either, such as another order of keys.
     return [(place.removeprefix("message."), what) for place, what in told] or [
         ("message", "the same values are packed in other bytes")

@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from carecontact.audit.dialects import check_conversation
 from carecontact.audit.finding import Finding, Part
 from carecontact.audit.watched import Watched
+from carecontact.audit.words import PRIVILEGED
 from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError
+from carecontact.hosting.dialects.again import dialect_of
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.packing import unpack
 from carecontact.recording.reason import reason
@@ -24,12 +27,6 @@ FIELDS_OF = {
 """Modality -> fields of a camera's view."""
 ALWAYS = {"intrinsics", "pose_camera_in_base"}
 MESSAGE = {"type", "observation"}
-PRIVILEGED = (
-    "force", "torque", "wrench", "stiffness", "tissue", "anchor", "shell", "human_joint", "qpos", "seed", "trial",
-    "label", "score", "gate", "comfort", "protocol", "task",
-)  # fmt: skip
-"""No key of a message may contain one of these words, whatever the contract's classes say."""
-
 _REFUSED = re.compile(r"\b(observation(?:\.\w+)*): unknown key (\w+(?:, \w+)*)")
 """Matches the codec's error at the policy's end. Such a message never comes back, so its keys are read from the
 error."""
@@ -38,18 +35,26 @@ error."""
 def audit_schema(trials: list[Watched]) -> Part:
     """``trials``: real trials of the audited policies, with their observations still in memory."""
     findings: list[Finding] = []
+    messages = 0
     for trial in trials:
         if trial.error:
             told = f"the trial failed, so the audit did not see all of its messages: {reason(trial.error)}"
             findings += [Finding(policy=trial.policy, place=place, told=told) for place in failed_at(trial.error)]
         card = trial.card
+        if card is not None and dialect_of(card.arguments):
+            sent = [message for message in trial.sent if message]
+            messages += len(sent)
+            found = check_conversation(sent, card, instruction=trial.instruction)
+            findings += [Finding(policy=trial.policy, place=place, told=told) for place, told in found]
+            continue
+        messages += len(trial.looks)
         for look in trial.looks:
             findings += [
                 Finding(policy=trial.policy, place=place, told=told) for place, told in check_message(look.sent, card)
             ]
     return Part(
         name=NAME, title=TITLE,
-        counts={"policies": len(trials), "messages": sum(len(trial.looks) for trial in trials)},
+        counts={"policies": len(trials), "messages": messages},
         findings=tuple(dict.fromkeys(findings)),
     )  # fmt: skip
 
@@ -66,9 +71,7 @@ def check_message(sent: bytes, card: PolicyCard | None) -> list[tuple[str, str]]
     if not isinstance(message, dict) or set(message) != MESSAGE:
         keys = sorted(message) if isinstance(message, dict) else type(message).__name__
         return [("message", f"expected the keys {sorted(MESSAGE)}, got {keys}")]
-    told = (
-        "this key contains a word of privileged information (PRIVILEGED in audit/schema.py); no policy may receive it"
-    )
+    told = "this key contains a word of privileged information (PRIVILEGED in audit/words.py); no policy may receive it"
     found = [(place, told) for place in _keys(message["observation"], "observation")
              if any(word in place.rpartition(".")[2] for word in PRIVILEGED)]  # fmt: skip
     try:

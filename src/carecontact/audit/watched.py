@@ -57,6 +57,9 @@ class Watched:
     """Why the harness could not run it, or why the policy's process failed."""
     looks: list[Message] = field(default_factory=list["Message"])
     """The first MAX_KEPT_BYTES: see ``forget``."""
+    sent: list[bytes] = field(default_factory=list[bytes])
+    """Every message that left for the policy, in its order; what lies beyond MAX_KEPT_BYTES is empty."""
+    instruction: str = ""
     look_steps: list[int] = field(default_factory=list[int])
     """Physics steps before each of all observations, counted by the simulator's own clock."""
     look_times_s: list[float] = field(default_factory=list[float])
@@ -87,6 +90,7 @@ class Watched:
     def forget(self) -> None:
         """Free the memory of the observations; their times stay known."""
         self.looks.clear()
+        self.sent.clear()
 
 
 def watch(
@@ -96,7 +100,7 @@ def watch(
 
     ``setup``: how the policy is reached; by default as its name in ``spec`` alone says.
     """
-    watched = Watched(policy=policy)
+    watched = Watched(policy=policy, instruction=spec.protocol.task(spec.task_id).prompt)
     readers: list[StateReader] = []
     kept = 0
 
@@ -104,6 +108,10 @@ def watch(
         world = prepare(spec)
         readers.append(StateReader(world[0]))
         return world
+
+    def on_sent(message: bytes) -> None:
+        # The same object that its look will hold: no second copy.
+        watched.sent.append(message if kept + len(message) <= MAX_KEPT_BYTES else b"")
 
     def on_look(look: Look) -> None:
         nonlocal kept
@@ -118,7 +126,9 @@ def watch(
             write_look(log, number, observation=look.observation, raw=look.raw, sent=look.sent, state=state)
 
     try:
-        recording = watched.recording = run_trial(spec, policy=setup, prepare=prepared, on_look=on_look)
+        recording = watched.recording = run_trial(
+            spec, policy=setup, prepare=prepared, on_look=on_look, on_sent=on_sent
+        )
     except CarecontactError as error:
         watched.error = str(error)
         return watched
@@ -131,8 +141,9 @@ def watch(
         write_meta(
             log,
             Meta(
-                policy=policy, instruction=protocol.task(spec.task_id).prompt, modalities=card.modalities,
-                cameras=card.cameras, bed_height_in_base_m=scene.mattress_top_m - scene.robot_base_m[2],
+                policy=policy, instruction=watched.instruction, arguments=dict(card.arguments),
+                modalities=card.modalities, cameras=card.cameras,
+                bed_height_in_base_m=scene.mattress_top_m - scene.robot_base_m[2],
                 tcp_in_hand_m=(0.0, 0.0, PANDA.tcp_z_m),
                 cell={
                     "robot_base_m": scene.robot_base_m, "robot_yaw_deg": scene.robot_yaw_deg,

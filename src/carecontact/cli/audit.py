@@ -24,7 +24,8 @@ class Audit:
     """Check that the benchmark leaks nothing to a policy: no message may depend on what the policy must not know."""
 
     policy: tuple[str, ...] = ()
-    """Policies to audit: names from `carecontact list policies`, or module:Class; default: every registered one."""
+    """Policies to audit: names from `carecontact list policies`, module:Class, or addresses of
+    servers; default: every registered one."""
     given: Annotated[ArgumentsGroup, FLAT] = field(default_factory=ArgumentsGroup)
     quick: Switch = False
     """Audit a single region with short trials. The full audit takes minutes."""

@@ -20,7 +20,8 @@ class Check:
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
     """One of: a name from `carecontact list policies`; a module:Class that can be imported from the current folder; or
-    ws://HOST:PORT, the address of a policy's server (see docs/wire.md)."""
+    ws://HOST:PORT, the address of a policy's server (see docs/wire.md; docs/dialects.md for other projects'
+    servers)."""
     given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
     task: str | None = None
     """Task whose instruction and first observation the policy is given; default: the protocol's first."""

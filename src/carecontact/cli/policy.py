@@ -13,7 +13,7 @@ from carecontact.cli.groups import PolicyGroup
 from carecontact.cli.language import chosen_language
 from carecontact.cli.policy_names import meant
 from carecontact.contract.policy import PolicyCard, check_arguments, check_variables
-from carecontact.contract.policy_ref import PolicyRef
+from carecontact.contract.policy_ref import API_KEY, PolicyRef
 from carecontact.errors import ConfigError, ContractError, PolicyError, UnknownNameError
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
@@ -49,7 +49,7 @@ def _setup(ref: PolicyRef, options: PolicyGroup) -> PolicySetup:
     if ref.kind == "remote":
         # Refuses whatever else was given.
         return PolicySetup(
-            ref=ref if ref.credentials else replace(ref, credentials=os.environ.get(CREDENTIALS, "")),
+            ref=ref if ref.credentials else replace(ref, credentials=_secret(ref)),
             arguments=_arguments(options.policy_arg),
             environment=dict.fromkeys(options.policy_env, ""),
             language=options.language,
@@ -65,6 +65,16 @@ def _setup(ref: PolicyRef, options: PolicyGroup) -> PolicySetup:
         language=language,
         record=record,
     )
+
+
+def _secret(ref: PolicyRef) -> str:
+    """What a remote policy's server may ask for, from the variable that is there for its scheme."""
+    if ref.scheme == "ws":
+        return os.environ.get(CREDENTIALS, "")
+    key = os.environ.get(API_KEY, "")
+    if not key.isascii() or not key.isprintable():
+        raise ConfigError(f"{API_KEY}: expected one line of printable ASCII characters")
+    return key
 
 
 def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:

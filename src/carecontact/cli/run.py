@@ -24,7 +24,8 @@ class Run:
 
     policy: str
     """One of: a name from `carecontact list policies`; a module:Class that can be imported from the current folder; or
-    ws://HOST:PORT, the address of a policy's server (see docs/wire.md)."""
+    ws://HOST:PORT, the address of a policy's server (see docs/wire.md; docs/dialects.md for other projects'
+    servers)."""
     given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
     out: Path
     """Folder for recordings, results.json and report.html."""

@@ -40,7 +40,9 @@ class Serve:
             raise ConfigError(f"--at-once {self.at_once}: must be at least 1")
         setup = policy_setup(self.policy, self.given)
         if setup.ref.kind == "remote":
-            raise ConfigError(f"{setup.ref}: a ws:// policy is served already; give a registered name or module:Class")
+            raise ConfigError(
+                f"{setup.ref}: a policy with an address is served already; give a registered name or module:Class"
+            )
         check_policy(setup, deadline_s=LOAD_DEADLINE_S)
         name = f"{setup.ref}{arguments_text(setup)}"
         serve_trials(

@@ -21,7 +21,7 @@ class TrialSpec(BaseModel):
     task_id: str
     seed: int
     policy: str
-    """Text of its ``PolicyRef``: a registered name, ``module:Class`` or ``ws://HOST:PORT``."""
+    """Text of its ``PolicyRef``: a registered name, ``module:Class`` or an address."""
     policy_arguments: dict[str, str] = {}
     """Arguments of --policy-arg: name -> text. A language backend that --language named stands in the policy's card."""
     policy_environment: tuple[str, ...] = ()

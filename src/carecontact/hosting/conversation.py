@@ -15,7 +15,7 @@ from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.session import Session
 from carecontact.errors import PolicyError
-from carecontact.hosting.wire.client import ActReply, PolicyClient
+from carecontact.hosting.client import ActReply, Client
 
 GRACE_S = 1.0
 """Between being asked to end and being cut off."""
@@ -46,6 +46,9 @@ class PolicyConversation(ABC):
     patient = False
     """Whether ``start`` waits, within its deadline, for a server that takes no connection."""
 
+    on_sent: Callable[[bytes], None] | None = None
+    """Called with every message that has been sent to the policy."""
+
     def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S) -> None:
         """``first_deadline_s`` holds for the start, each reset and the first act, when models load; ``deadline_s`` for
         every later act; ``budget_s`` for all of them together."""
@@ -53,7 +56,7 @@ class PolicyConversation(ABC):
         self._first_deadline_s, self._deadline_s = first_deadline_s, deadline_s
         self._budget_s = self._left_s = budget_s
         self._acted = False
-        self._client: PolicyClient | None = None
+        self._client: Client | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -77,6 +80,7 @@ class PolicyConversation(ABC):
                 return max(deadline - time.monotonic(), 0.0)
 
             self._client = self._open(left)
+            self._client.connection.on_sent = self.on_sent
             return self._client.card(deadline_s=left())
 
     def reset(self, instruction: str, session: Session) -> None:
@@ -97,7 +101,7 @@ class PolicyConversation(ABC):
         self._drop()
 
     @abstractmethod
-    def _open(self, left: Callable[[], float]) -> PolicyClient:
+    def _open(self, left: Callable[[], float]) -> Client:
         """Reach the policy within the seconds that are ``left``."""
 
     def _shown(self, text: str) -> str:
@@ -124,7 +128,7 @@ class PolicyConversation(ABC):
             with suppress(Exception):
                 client.disconnect()
 
-    def _connected(self) -> PolicyClient:
+    def _connected(self) -> Client:
         if self._client is None:
             raise RuntimeError(f"{type(self).__name__}: call start() first, and nothing after a failure or close()")
         return self._client

@@ -23,6 +23,7 @@ from carecontact.hosting.descendants import MARK, kill_marked, new_mark
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.stack import ASK, PATIENCE_S, read_stack
 from carecontact.hosting.wire.client import PolicyClient
+from carecontact.hosting.wire.connection import Connection
 from carecontact.policies.registry import policy_target
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ class PolicyProcess(PolicyConversation):
     def _open(self, left: Callable[[], float]) -> PolicyClient:
         """Launch, import, connect."""
         port = self._launch(left)
-        return PolicyClient(port=port, deadline_s=left())
+        return PolicyClient(Connection.open(port=port, deadline_s=left()))
 
     def _launch(self, left: Callable[[], float]) -> int:
         """Return the port on which the child listens."""

@@ -8,6 +8,7 @@ from typing import Self
 
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.errors import ConfigError
+from carecontact.hosting.dialects.options import check_options
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +34,11 @@ class PolicySetup:
         return cls(ref=PolicyRef.parse(policy), search_path=tuple(search_path), arguments=arguments or {})
 
     def __post_init__(self) -> None:
-        """Raises ConfigError for a remote policy that is given anything."""
+        """Raises ConfigError for a remote policy that is given anything, and for unknown options of its address."""
         if self.ref.kind == "remote" and (self.arguments or self.environment or self.language or self.record):
+            where = "`carecontact serve` there" if self.ref.scheme == "ws" else "the server itself"
             raise ConfigError(
                 f"policy {self.ref}: --policy-arg, --policy-env, --language and --record do not reach another host; "
-                "give them to `carecontact serve` there"
+                f"give them to {where}"
             )
+        check_options(self.ref)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from carecontact.contract.policy_ref import IMPORTABLE, REMOTE, PolicyRef
+from carecontact.contract.policy_ref import IMPORTABLE, SCHEMES, PolicyRef
 from carecontact.errors import UnknownNameError
 from carecontact.registry import Registry
 
@@ -95,4 +95,6 @@ def policy_target(ref: PolicyRef) -> str:
     try:
         return POLICIES[ref.text].target
     except UnknownNameError as error:
-        raise UnknownNameError("policy", ref.text, (*error.valid, IMPORTABLE, REMOTE)) from None
+        raise UnknownNameError(
+            "policy", ref.text, (*error.valid, IMPORTABLE, *(f"{scheme}://HOST:PORT" for scheme in SCHEMES))
+        ) from None

@@ -43,6 +43,7 @@ def run_trial(
     on_look: Callable[[Look], None] | None = None,
     on_policy: Callable[[bool], None] | None = None,
     on_wait: Callable[[str], None] | None = None,
+    on_sent: Callable[[bytes], None] | None = None,
 ) -> Recording:
     """Run the trial to its end; a policy's failure is part of the recording.
 
@@ -53,6 +54,7 @@ def run_trial(
         on_look: called after every answer with what the policy was shown and what it was made of.
         on_policy: called with True when the process of a local policy is about to start, with False when it is gone.
         on_wait: called with a line every few seconds while the policy is silent, by another thread.
+        on_sent: called with every message that is sent to the policy.
 
     Raises:
         UnreachableError: the policy's server took no connection until the deadline of its start.
@@ -63,7 +65,7 @@ def run_trial(
     report = on_policy if on_policy is not None and setup.ref.kind != "remote" else _report_to_nobody
     with Episode(spec, prepare=prepare, weights=weights) as episode:
         report(True)
-        _converse(episode, setup, on_look, on_wait)
+        _converse(episode, setup, on_look, on_wait, on_sent)
         report(False)
         return episode.finish()
 
@@ -73,14 +75,18 @@ def _report_to_nobody(running: bool) -> None:
 
 
 def _converse(
-    episode: Episode, setup: PolicySetup, on_look: Callable[[Look], None] | None, on_wait: Callable[[str], None] | None
+    episode: Episode,
+    setup: PolicySetup,
+    on_look: Callable[[Look], None] | None,
+    on_wait: Callable[[str], None] | None,
+    on_sent: Callable[[bytes], None] | None,
 ) -> None:
     phases = episode.protocol.phases
     try:
         with open_policy(
             setup, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s
         ) as policy:
-            policy.on_wait, policy.patient = on_wait, True
+            policy.on_wait, policy.on_sent, policy.patient = on_wait, on_sent, True
             try:
                 episode.card = policy.start()
                 policy.reset(episode.instruction, episode.session)

@@ -67,13 +67,16 @@ def requests() -> dict[str, Plain]:
     }
 
 
-def spoilt(message: Plain, layer: str, rng: random.Random) -> bytes:
-    """The packed message with one fault at a layer above the transport."""
-    if layer == "msgpack":
-        return _spoilt_bytes(pack(message), rng)
+def spoilt(message: Plain, layer: str, rng: random.Random, *, packer: Callable[[Any], bytes] = msgpack.packb) -> bytes:
+    """The packed message with one fault at a layer above the transport.
+
+    ``packer``: of a message in which arrays are maps as the native wire has them.
+    """
     plain = _maps_for_arrays(copy.deepcopy(message))
+    if layer == "msgpack":
+        return _spoilt_bytes(packer(plain), rng)
     {"schema": _spoil_schema, "dtype": _spoil_dtype, "shape": _spoil_shape, "value": _spoil_value}[layer](plain, rng)
-    return msgpack.packb(plain)
+    return packer(plain)
 
 
 def framed(payload: bytes, opcode: Opcode = Opcode.BINARY, *, fin: bool = True) -> bytes:

@@ -22,6 +22,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError, PolicyError
 from carecontact.hosting.wire import client, server
 from carecontact.hosting.wire.client import PolicyClient
+from carecontact.hosting.wire.connection import Connection
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, pack
 from tests.hosting.wire.fuzz import LAYERS, replies, spoilt, spoilt_transport
 from tests.policies.synthetic import BOUNDS, SESSION, synthetic_observation
@@ -55,7 +56,7 @@ def meet() -> Iterator[Meet]:
         thread = threading.Thread(target=server.serve_policy, args=(policy,), kwargs={"on_port": port.put})
         thread.start()
         threads.append(thread)
-        clients.append(PolicyClient(port=port.get(timeout=20), deadline_s=20))
+        clients.append(PolicyClient(Connection.open(port=port.get(timeout=20), deadline_s=20)))
         clients[-1].card(deadline_s=20)
         clients[-1].reset("touch", SESSION, deadline_s=20)
         return clients[-1]
@@ -169,7 +170,7 @@ def test_a_second_answer_is_not_taken_for_the_next_one(meet: Meet, monkeypatch: 
     one.act(synthetic_observation(), deadline_s=20)
     assert twice.wait(20)
     # The second one has left the other end; once it is here it is seen.
-    waiting = one._connection.recv_messages.frames
+    waiting = one.connection._websocket.recv_messages.frames
     assert any(waiting.qsize() or time.sleep(0.01) for _ in range(2000))
     with pytest.raises(PolicyError, match="expected no message before the next request, got one of") as caught:
         one.act(synthetic_observation(), deadline_s=20)
@@ -246,7 +247,7 @@ def test_bytes_that_are_no_websocket(monkeypatch: pytest.MonkeyPatch, frame: byt
     port: SimpleQueue[int] = SimpleQueue()
     thread = threading.Thread(target=server.serve_policy, args=(Answers(),), kwargs={"on_port": port.put})
     thread.start()
-    one = PolicyClient(port=port.get(timeout=20), deadline_s=20)
+    one = PolicyClient(Connection.open(port=port.get(timeout=20), deadline_s=20))
     assert written.wait(20)
     with pytest.raises(PolicyError) as caught:
         one.card(deadline_s=20)
@@ -272,7 +273,7 @@ def test_a_port_that_speaks_something_else(says: bytes, kind: str) -> None:
         thread = threading.Thread(target=speak)
         thread.start()
         with pytest.raises(PolicyError) as caught:
-            PolicyClient(port=listener.getsockname()[1], deadline_s=0.3 if kind == "timeout" else 20)
+            Connection.open(port=listener.getsockname()[1], deadline_s=0.3 if kind == "timeout" else 20)
         ended.set()
         thread.join()
     assert caught.value.kind == kind

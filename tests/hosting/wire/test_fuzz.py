@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import random
 import socket
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -24,7 +24,9 @@ from carecontact.contract.action import MAX_CHUNK, Action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError, PolicyError
+from carecontact.hosting.client import Client
 from carecontact.hosting.wire.client import PolicyClient
+from carecontact.hosting.wire.connection import Connection
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, pack
 from carecontact.hosting.wire.server import _answer
 from tests.hosting.wire.fuzz import LAYERS, Plain, framed, replies, requests, spoilt, spoilt_transport
@@ -52,16 +54,18 @@ Heard = list[Action] | PolicyCard | PolicyError | None
 class Peer:
     """A client as the harness has it, on a line whose other end the test holds."""
 
-    def __init__(self) -> None:
+    unasked = True
+    """Whether the other end sends its card before it is asked."""
+
+    def __init__(self, make: Callable[[Connection], Client] = PolicyClient) -> None:
         ours, self.theirs = socket.socketpair()
         protocol = ClientProtocol(parse_uri("ws://policy"), max_size=MAX_REPLY_BYTES, state=State.OPEN)
         self.connection = ClientConnection(ours, protocol, ping_interval=None, close_timeout=0.2)
         # The handshake is over: what arrives now are frames.
         self.connection.response = object()  # pyright: ignore[reportAttributeAccessIssue]
         self.connection.pending_legacy_warning = False
-        self.client = PolicyClient.__new__(PolicyClient)
-        self.client._stack, self.client._session = ExitStack(), SESSION
-        self.client._connection = self.connection
+        self.client = make(Connection(self.connection))
+        self.client._session = SESSION
 
     def hear(self, kind: str, wire: bytes, *, last: bool) -> Heard:
         """What the harness makes of raw bytes that answer a request of that kind; the card comes unasked."""
@@ -78,18 +82,26 @@ class Peer:
                 self.theirs.shutdown(socket.SHUT_WR)
 
         def send(message: bytes, *, deadline_s: float) -> None:
-            PolicyClient._send(self.client, message, deadline_s=deadline_s)
-            assert self.theirs.recv(1 << 20)
+            # A message may be longer than what the line holds.
+            reader = threading.Thread(target=self._read, args=(len(message),), daemon=True)
+            reader.start()
+            Connection.send(self.client.connection, message, deadline_s=deadline_s)
+            reader.join(5)
             answer()
 
-        self.client._send = send
+        self.client.connection.send = send
         if kind == "card":
-            answer()
+            if self.unasked:
+                answer()
             return self.client.card(deadline_s=DEADLINE_S)
         if kind == "act":
             return self.client.act(OBSERVATION, deadline_s=DEADLINE_S).actions
         self.client.reset("touch", SESSION, deadline_s=DEADLINE_S)
         return None
+
+    def _read(self, count: int) -> None:
+        while count > 0 and (piece := self.theirs.recv(1 << 20)):
+            count -= len(piece)
 
     def close(self) -> None:
         self.theirs.close()

@@ -67,10 +67,24 @@ def unpack(data: bytes, *, max_bytes: int = MAX_MESSAGE_BYTES) -> object:
     Raises ContractError: not msgpack, trailing bytes, a size, depth or count over its bound, a repeated key, an array
     whose dtype is not one of DTYPES or whose data does not fill its shape.
     """
+    return _with_arrays(msgpack_of(data, max_bytes=max_bytes, pairs=_map_without_repeats), depth=0, place="message")
+
+
+def msgpack_of(
+    data: bytes, *, max_bytes: int, pairs: Callable[[list[tuple[object, object]]], dict[object, object]]
+) -> object:
+    """Decode msgpack within the bounds of the wire, but leave arrays as the maps in which they travel.
+
+    Args:
+        pairs: makes a map of its entries; it raises ContractError for keys that are not allowed.
+
+    Raises:
+        ContractError: not msgpack, trailing bytes, or a size or count over its bound.
+    """
     if len(data) > max_bytes:
         raise ContractError(f"message: expected at most {max_bytes} bytes, got {len(data)}")
     try:
-        value = _unpackb(
+        return _unpackb(
             data,
             raw=False,
             strict_map_key=True,
@@ -79,14 +93,13 @@ def unpack(data: bytes, *, max_bytes: int = MAX_MESSAGE_BYTES) -> object:
             max_array_len=MAX_ITEMS,
             max_map_len=MAX_ITEMS,
             max_ext_len=0,
-            object_pairs_hook=_map_without_repeats,
+            object_pairs_hook=pairs,
         )
     except ContractError:
         raise
     except Exception as error:
         # msgpack raises its own classes beside ValueError, UnicodeDecodeError and RecursionError; all mean bad bytes.
         raise ContractError(f"message: expected msgpack, got {len(data)} bytes that are not: {error!r}") from None
-    return _with_arrays(value, depth=0, place="message")
 
 
 def _array_to_map(value: object) -> object:
@@ -134,7 +147,14 @@ def _with_arrays(value: object, *, depth: int, place: str) -> object:
 def _array_from_map(entries: dict[str, object], place: str) -> AnyArray:
     if set(entries) != _ARRAY_KEYS or entries["__ndarray__"] is not True:
         raise ContractError(f"{place}: expected an array with keys {sorted(_ARRAY_KEYS)}, got {sorted(entries)!s:.200}")
-    dtype, shape, data = entries["dtype"], entries["shape"], entries["data"]
+    return array_of(entries["dtype"], entries["shape"], entries["data"], place=place).copy()
+
+
+def array_of(dtype: object, shape: object, data: object, *, place: str) -> AnyArray:
+    """Return a read-only view of ``data``; nothing is allocated.
+
+    Raises ContractError if the dtype is not one of DTYPES, or the data does not fill the shape.
+    """
     if dtype not in DTYPES:
         raise ContractError(f"{place}: expected an array dtype out of {', '.join(DTYPES)}, got {dtype!r:.80}")
     if not is_list(shape) or len(shape) > MAX_RANK:
@@ -150,4 +170,4 @@ def _array_from_map(entries: dict[str, object], place: str) -> AnyArray:
     odd = data.translate(None, b"\x00\x01") if dtype == "|b1" else b""
     if odd:
         raise ContractError(f"{place}: expected 0 or 1 in a bool array, got the byte {odd[0]}")
-    return np.frombuffer(data, kind).reshape(sizes).copy()
+    return np.frombuffer(data, kind).reshape(sizes)

@@ -1,0 +1,94 @@
+"""The harness's end of a conversation with a policy, whatever its server speaks."""
+
+from __future__ import annotations
+
+import hashlib
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from carecontact.contract.action import ACTION_SPACES, Action, ActionSpace
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import Session
+from carecontact.errors import ActionError, ContractError, PolicyError
+from carecontact.hosting.wire.connection import Connection
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActReply:
+    actions: list[Action]
+    """1 to MAX_CHUNK as they came; each passes the check of the card's action space, after its ``clip`` if the card
+    requests that."""
+    sent: bytes
+    """The message that carried the observation: everything the policy was shown at this step."""
+    sent_sha256: bytes
+    """(32,) digest of ``sent``; of a message with a random session id, the digest of the same message without it, so
+    that equal trials have equal digests."""
+    notes: dict[str, object] = field(default_factory=dict[str, object])
+    """What the policy wants to be kept of this step; empty for most."""
+
+
+class Client(ABC):
+    """One trial's conversation. Every failure is a PolicyError whose kind says what the policy did."""
+
+    _session: Session | None = None
+    _space: ActionSpace = ACTION_SPACES["cartesian_pose"]
+    _clips = False
+    """Whether the card requests that targets outside the workspace are clipped."""
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
+
+    @abstractmethod
+    def card(self, *, deadline_s: float) -> PolicyCard:
+        """What the policy requests. Call it once, first."""
+
+    def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
+        """Begin the trial."""
+        self._session = session
+        self._begin(instruction, session, deadline_s=deadline_s)
+
+    def act(self, observation: Observation, *, deadline_s: float) -> ActReply:
+        """Raises ObservationError if the observation breaks the contract, which is the harness's fault."""
+        if self._session is None:
+            raise ContractError(f"{type(self).__name__}.act: expected reset before it, got none")
+        return self._act(observation, deadline_s=deadline_s)
+
+    def say_goodbye(self, *, deadline_s: float) -> None:
+        """Ask the policy to end; a policy that is gone already has."""
+        with suppress(PolicyError):
+            self._end(deadline_s=deadline_s)
+
+    def disconnect(self) -> None:
+        self.connection.close()
+
+    @abstractmethod
+    def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None: ...
+
+    @abstractmethod
+    def _act(self, observation: Observation, *, deadline_s: float) -> ActReply: ...
+
+    @abstractmethod
+    def _end(self, *, deadline_s: float) -> None: ...
+
+    def _shows(self, card: PolicyCard) -> PolicyCard:
+        """Keep what the card says of actions, and pass it on."""
+        self._clips, self._space = card.out_of_bounds == "clip", ACTION_SPACES[card.action_space]
+        return card
+
+    def _checked(self, actions: Sequence[Action]) -> list[Action]:
+        """Raises ActionError naming the first action that is not within the contract."""
+        session, space = self._session, self._space
+        assert session is not None
+        for i, action in enumerate(actions):
+            try:
+                space.check(space.clip(action, session) if self._clips else action, session)
+            except ActionError as error:
+                raise ActionError(f"actions[{i}].{error}") from None
+        return list(actions)
+
+
+def sha256(message: bytes) -> bytes:
+    return hashlib.sha256(message).digest()

@@ -1,0 +1,49 @@
+"""The messages of every dialect made again and read again, for an audit that has a card's arguments and no server."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from carecontact.contract.observation import Observation
+from carecontact.hosting.dialects import packing_openpi, vla_eval
+from carecontact.hosting.dialects.profiles import SESSION, profile_of
+from carecontact.hosting.dialects.requests import infer_request
+from carecontact.hosting.wire import packing
+from carecontact.hosting.wire.messages import act_message
+
+
+def dialect_of(arguments: Mapping[str, str]) -> str:
+    """``openpi``, ``roboarena`` or ``vla-eval``; empty for a card of the native wire."""
+    return arguments.get("dialect", "")
+
+
+def unpacked(message: bytes, dialect: str) -> object:
+    """Raises ContractError for what is no message of the dialect."""
+    if dialect in ("openpi", "roboarena"):
+        return packing_openpi.unpack(message, max_bytes=packing.MAX_MESSAGE_BYTES)
+    return packing.unpack(message)
+
+
+def observation_again(
+    observation: Observation, arguments: Mapping[str, str], cameras: tuple[str, ...], *, sent: bytes
+) -> bytes:
+    """The message that carries an observation.
+
+    Args:
+        arguments: of the policy's card, as ``cameras``.
+        sent: the message as it was sent, from which a random session id and the number in the connection are taken.
+
+    Raises:
+        ContractError: ``sent`` is no message of the dialect, or the observation does not fit the card.
+    """
+    dialect = dialect_of(arguments)
+    if not dialect:
+        return act_message(observation)
+    was = unpacked(sent, dialect)
+    known = was if packing.is_map(was) else {}
+    if dialect == "vla-eval":
+        payload = vla_eval.observation_payload(observation, cameras, state=arguments["state"] == "yes")
+        seq = known.get("seq")
+        return vla_eval.message("observation", payload, seq=seq if isinstance(seq, int) else 0)
+    session_id = str(known.get(SESSION, ""))
+    return packing_openpi.pack(infer_request(observation, profile_of(arguments), session_id=session_id))

@@ -1,0 +1,67 @@
+"""From the array that a server answers to joint actions: all of it is checked, and the gripper is ignored."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carecontact.contract.action import MAX_CHUNK, Action
+from carecontact.errors import ActionError
+from carecontact.hosting.wire.packing import is_array
+
+JOINTS = 7
+WIDTH = JOINTS + 1
+"""Seven joints and the gripper."""
+GRIPPER_SLACK = 0.5
+"""By how much a gripper command may lie outside 0 to 1. What a network regresses overshoots by some hundredths; -1 to 1
+and 0 to 255, the other conventions, lie beyond."""
+
+
+def joint_actions(chunk: object, *, horizon: int | None, space: str, grips: bool = True) -> list[Action]:
+    """The actions to execute, index by index those of the chunk.
+
+    Args:
+        chunk: (N, 8) numbers: seven joints and a gripper command, which is checked and ignored, since the hand is
+            closed.
+        horizon: how many are executed; None: all.
+        grips: whether the gripper command has to be 0 (open) to 1 (closed).
+        space: the action space. Velocities are clipped to [-1, 1], as the clients of openpi and RoboArena do.
+
+    Raises:
+        ActionError: says what was expected and what may help.
+    """
+    expected = f"actions: expected an array of numbers (steps, {WIDTH}): {JOINTS} joints and the gripper"
+    if not is_array(chunk):
+        raise ActionError(f"{expected}, got {type(chunk).__name__} {chunk!r:.80}")
+    if chunk.dtype.kind not in "fiu" or chunk.ndim != 2 or chunk.shape[1] != WIDTH or not 1 <= len(chunk) <= MAX_CHUNK:
+        raise ActionError(f"{expected}, 1 to {MAX_CHUNK} steps, got {chunk.dtype} {chunk.shape}{_hint(chunk.shape)}")
+    # A NaN of another width may signal when it is widened; it is named below.
+    with np.errstate(invalid="ignore"):
+        values = chunk.astype(np.float64)
+    if not np.isfinite(values).all():
+        row, column = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
+        raise ActionError(f"actions[{row}]: expected finite numbers, got {values[row, column]} in column {column}")
+    outside = np.flatnonzero((values[:, -1] < -GRIPPER_SLACK) | (values[:, -1] > 1 + GRIPPER_SLACK))
+    if grips and len(outside):
+        row = int(outside[0])
+        raise ActionError(
+            f"actions[{row}]: expected a gripper command of 0 (open) to 1 (closed) in the last column, got "
+            f"{values[row, -1]:g}: the server has another convention, or its columns are in another order"
+        )
+    if horizon is not None and len(values) < horizon:
+        raise ActionError(
+            f"actions: expected at least {horizon} steps, the horizon, got {len(values)}; add horizon={len(values)} "
+            "to the address"
+        )
+    joints = values[:horizon, :JOINTS]
+    if space == "droid_joint_velocity":
+        return [Action(joint=row) for row in np.clip(joints, -1.0, 1.0)]
+    if np.abs(joints).max() > 2 * np.pi:
+        far = float(np.abs(joints).max())
+        raise ActionError(f"actions: expected joint angles in radians, got {far:g}: the server answers in degrees?")
+    return [Action(joint=row) for row in joints]
+
+
+def _hint(shape: tuple[int, ...]) -> str:
+    if shape[-1:] == (JOINTS,):
+        return ": the gripper's column is missing"
+    return f": column {WIDTH} and those after it have no meaning here" if shape[-1:] > (WIDTH,) else ""

@@ -1,0 +1,166 @@
+"""The client of openpi's servers, of RoboArena's and of vllm-omni's: one wire, told apart by what a server says first.
+
+A server sends its metadata as soon as the connection is open. openpi's own are empty or describe no action space, so
+that the address has to name a profile; RoboArena's and vllm-omni's describe what they want. Then every request is one
+map, and its answer one frame. An error is a text frame (openpi, RoboArena) or ``{"type": "error"}`` (vllm-omni).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.session import Session
+from carecontact.errors import ActionError, ContractError, PolicyError
+from carecontact.hosting.client import ActReply, Client, sha256
+from carecontact.hosting.dialects.chunks import joint_actions
+from carecontact.hosting.dialects.packing_openpi import pack, unpack
+from carecontact.hosting.dialects.profiles import (
+    PROFILES,
+    SESSION,
+    Profile,
+    card_of,
+    contradiction,
+    describes_itself,
+    named_profile,
+    told_profile,
+)
+from carecontact.hosting.dialects.requests import infer_request, new_session_id, reset_request
+from carecontact.hosting.wire.connection import Connection
+from carecontact.hosting.wire.packing import is_array, is_map
+
+LATE = "; an openpi server sends its metadata first, unasked; other servers need another scheme in the address"
+PACKED = "send one binary message, packed as openpi_client.msgpack_numpy does"
+ERROR_WORDS = ("Traceback", "Error")
+"""Beginnings of a text that answers a reset and is not a confirmation of it."""
+
+
+class OpenpiClient(Client):
+    """One trial with a server of the openpi family."""
+
+    def __init__(self, connection: Connection, *, scheme: str, options: Mapping[str, str]) -> None:
+        """
+        Args:
+            scheme: ``openpi`` or ``roboarena``.
+            options: those of the address.
+        """
+        super().__init__(connection)
+        self._scheme, self._options = scheme, dict(options)
+        self._session_id = new_session_id()
+        self._profile: Profile | None = None
+
+    def card(self, *, deadline_s: float) -> PolicyCard:
+        """Receive the metadata. Raises PolicyError ``handshake`` where they and the address decide nothing together."""
+        frame = self.connection.receive("metadata", deadline_s=deadline_s, late=LATE)
+        metadata = _decoded(frame, "metadata")
+        if not is_map(metadata):
+            raise PolicyError("handshake", f"metadata: expected a map, got {_shown(metadata)}; {PACKED}")
+        self._profile = self._chosen(metadata)
+        told = self._profile.endpoint
+        return self._shows(card_of(self._profile, dialect="roboarena" if told else "openpi"))
+
+    def _chosen(self, metadata: Mapping[str, object]) -> Profile:
+        if "profile" not in self._options:
+            if self._scheme == "openpi" and not describes_itself(metadata):
+                keys = f"only {', '.join(sorted(metadata)):.200}" if metadata else "nothing"
+                raise PolicyError(
+                    "handshake",
+                    f"the server says {keys} of itself: neither action space nor pictures. Name the profile that "
+                    f"it was trained for in the address: ?profile={' or ?profile='.join(PROFILES)}",
+                )
+            if "horizon" in self._options:
+                raise PolicyError(
+                    "handshake",
+                    "horizon: a server that describes itself has all its actions executed; leave horizon out, or name "
+                    "a profile",
+                )
+            return told_profile(metadata, self._options)
+        profile = named_profile(self._options)
+        if wrong := contradiction(profile, metadata):
+            raise PolicyError("handshake", f"{wrong}: name the other profile, or none")
+        return profile
+
+    def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None:
+        """Openpi's servers know no reset; the others forget what they keep of the trial's session."""
+        if self._known.endpoint:
+            frame = self.connection.ask(pack(reset_request(self._session_id)), "reset", deadline_s=deadline_s)
+            _confirmed(frame)
+
+    def _act(self, observation: Observation, *, deadline_s: float) -> ActReply:
+        profile = self._known
+        request = infer_request(observation, profile, session_id=self._session_id)
+        message = pack(request)
+        answer = _decoded(self.connection.ask(message, "actions", deadline_s=deadline_s), "actions")
+        try:
+            actions = joint_actions(
+                _chunk(answer, single=profile.endpoint), horizon=profile.horizon, space=profile.action_space
+            )
+            actions = self._checked(actions)
+        except ActionError as error:
+            raise PolicyError("action", str(error)) from None
+        return ActReply(actions=actions, sent=message, sent_sha256=digest(request))
+
+    def _end(self, *, deadline_s: float) -> None:
+        """A server may keep what belongs to a session until it is told; it need not answer any more."""
+        if self._profile is not None and self._profile.endpoint:
+            self.connection.send(pack(reset_request(self._session_id)), deadline_s=deadline_s)
+
+    @property
+    def _known(self) -> Profile:
+        if self._profile is None:
+            raise ContractError("OpenpiClient: expected card before it, got none")
+        return self._profile
+
+
+def digest(request: Mapping[str, object]) -> bytes:
+    """(32,) of a request without its session id, which is random, so that equal trials have equal digests."""
+    return sha256(pack({name: value for name, value in request.items() if name != SESSION}))
+
+
+def _decoded(frame: bytes | str, what: str) -> object:
+    """Raises PolicyError ``exception`` for an error that the server tells, ``garbage`` for what is no message."""
+    if isinstance(frame, str):
+        raise PolicyError("exception", _told(frame))
+    try:
+        message = unpack(frame)
+    except ContractError as error:
+        raise PolicyError("garbage", f"{what} {error}; {PACKED}") from None
+    if is_map(message) and message.get("type") == "error":
+        raise PolicyError("exception", _told(message.get("message")))
+    return message
+
+
+def _told(error: object) -> str:
+    if isinstance(error, str) and error.strip():
+        return error
+    return f"the policy's server reported an error, expected its reason as text, got {error!r:.80}"
+
+
+def _confirmed(frame: bytes | str) -> None:
+    """RoboArena confirms a reset with a text, which is no error there, and vllm-omni with a map."""
+    answer = frame if isinstance(frame, str) else _decoded(frame, "reset")
+    if isinstance(answer, str):
+        if not answer.strip() or answer.lstrip().startswith(ERROR_WORDS):
+            raise PolicyError("exception", _told(answer))
+    elif not is_map(answer) or "status" not in answer:
+        raise PolicyError("garbage", f"reset: expected a text or a map with status, got {_shown(answer)}")
+
+
+def _chunk(answer: object, *, single: bool) -> object:
+    """The array of actions. Raises PolicyError ``garbage``.
+
+    ``single``: whether an array of one axis is one action, as RoboArena's client takes it.
+    """
+    if is_map(answer):
+        if "actions" not in answer:
+            keys = ", ".join(sorted(answer)) or "none"
+            raise PolicyError("garbage", f"expected a map with the key actions, got the keys {keys:.200}; {PACKED}")
+        answer = answer["actions"]
+    elif not is_array(answer):
+        raise PolicyError("garbage", f"expected actions in a map or an array, got {_shown(answer)}; {PACKED}")
+    return answer[None] if single and is_array(answer) and answer.ndim == 1 else answer
+
+
+def _shown(value: object) -> str:
+    return f"an array {value.dtype} {value.shape}" if is_array(value) else f"{type(value).__name__} {value!r:.80}"

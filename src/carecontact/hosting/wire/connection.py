@@ -1,0 +1,148 @@
+"""A WebSocket to a policy's server: connecting, sending with a deadline, receiving one bounded frame, closing."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from typing import Self
+
+from websockets.sync.client import ClientConnection, connect
+
+from carecontact.errors import PolicyError, UnreachableError
+from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
+from carecontact.hosting.wire.refusals import closed
+
+
+class Connection:
+    """What every dialect stands on. It knows frames and deadlines, and nothing of what they mean."""
+
+    on_sent: Callable[[bytes], None] | None = None
+    """Called with every message that has been sent: for the audit."""
+    _sent_bytes = 0
+    """Length of the last message."""
+
+    def __init__(self, websocket: ClientConnection) -> None:
+        """``websocket``: open, with MAX_REPLY_BYTES as its limit, without pings and compression."""
+        self._websocket = websocket
+        self._stack = ExitStack()
+
+    @classmethod
+    def open(
+        cls, *, port: int, deadline_s: float, host: str = "127.0.0.1", path: str = "/", authorization: str = ""
+    ) -> Self:
+        """Connect and read nothing yet. ``authorization``: value of the header of that name, or nothing.
+
+        Raises UnreachableError if nothing there takes a connection, PolicyError ``handshake`` or ``timeout``.
+        """
+        place, until = f"[{host}]:{port}" if ":" in host else f"{host}:{port}", time.monotonic() + deadline_s
+        try:
+            # A socket of our own: no proxy from the environment may come between the harness and the policy.
+            sock = socket.create_connection((host, port), timeout=deadline_s)
+        except TimeoutError:
+            raise UnreachableError("timeout", f"{place} took no connection within {deadline_s:g} s") from None
+        except ConnectionRefusedError:
+            raise UnreachableError(
+                "start", f"nothing listens at {place}; start the policy's server there first"
+            ) from None
+        except OSError as error:
+            raise UnreachableError("start", f"no connection to {place}: {error.strerror or error}") from None
+        try:
+            sock.settimeout(None)
+            stack = ExitStack()
+            connection = cls(
+                stack.enter_context(
+                    connect(
+                        f"ws://{place}{path}",
+                        sock=sock,
+                        additional_headers={"Authorization": authorization} if authorization else None,
+                        compression=None,
+                        ping_interval=None,
+                        max_size=MAX_REPLY_BYTES,
+                        open_timeout=max(until - time.monotonic(), 0.0),
+                        close_timeout=1,
+                    )
+                )
+            )
+            connection._stack = stack
+            return connection
+        except TimeoutError:
+            raise PolicyError("timeout", f"no answer to the WebSocket handshake within {deadline_s:g} s") from None
+        except Exception as error:
+            # Beside its own classes websockets raises AssertionError for some bytes that are not HTTP.
+            told = f"{type(error).__name__}: {error}"
+            raise PolicyError(
+                "handshake", f"the WebSocket handshake with the policy server failed: {told:.300}"
+            ) from None
+
+    def waiting(self) -> bytes | str | None:
+        """A frame that has come already."""
+        try:
+            return self._websocket.recv(timeout=0)
+        except Exception:
+            # Nothing there, as it should be; or the line is closed, which the request itself will tell.
+            return None
+
+    def expect_silence(self) -> None:
+        """An answer that is there before its question would count for an observation that it never saw."""
+        frame = self.waiting()
+        if frame is None:
+            return
+        raise PolicyError("garbage", f"expected no message before the next request, got one of {len(frame)} bytes")
+
+    def send(self, message: bytes, *, deadline_s: float) -> None:
+        """A peer that does not read can block a send for ever; closing our end of the line unblocks it."""
+        self._sent_bytes = len(message)
+        expired = threading.Event()
+
+        def hang_up() -> None:
+            expired.set()
+            with suppress(OSError):
+                self._websocket.socket.shutdown(socket.SHUT_RDWR)
+
+        timer = threading.Timer(deadline_s, hang_up)
+        timer.start()
+        try:
+            self._websocket.send(message)
+        except Exception as error:
+            if expired.is_set():
+                raise PolicyError("timeout", f"did not read its message within {deadline_s:g} s") from None
+            raise closed(error, sent_bytes=self._sent_bytes) from None
+        finally:
+            timer.cancel()
+        if self.on_sent is not None:
+            self.on_sent(message)
+
+    def receive(self, what: str, *, deadline_s: float, late: str = "") -> bytes | str:
+        """The next frame, of at most MAX_REPLY_BYTES.
+
+        Args:
+            what: name of the message that is awaited.
+            late: what may help if it does not come.
+
+        Raises:
+            PolicyError: ``timeout``, ``oversize``, ``garbage`` or ``died``.
+        """
+        try:
+            return self._websocket.recv(timeout=max(deadline_s, 0.0))
+        except TimeoutError:
+            raise PolicyError("timeout", f"no {what} message within {max(deadline_s, 0.0):.3g} s{late}") from None
+        except Exception as error:
+            raise closed(error, sent_bytes=self._sent_bytes) from None
+
+    def ask(self, message: bytes, what: str, *, deadline_s: float) -> bytes | str:
+        """Send a message and receive its answer, both within one deadline; nothing may have come before."""
+        self.expect_silence()
+        until = time.monotonic() + deadline_s
+        self.send(message, deadline_s=deadline_s)
+        try:
+            return self.receive(what, deadline_s=until - time.monotonic())
+        except PolicyError as error:
+            if error.kind != "timeout":
+                raise
+            raise PolicyError("timeout", f"no {what} message within {deadline_s:.3g} s") from None
+
+    def close(self) -> None:
+        self._stack.close()
