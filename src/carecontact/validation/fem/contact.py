@@ -5,15 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from carecontact.errors import CarecontactError
 from carecontact.validation.fem.profiles import Profile
 from carecontact.validation.fem.surface import Surface
 from carecontact.validation.result import Array
 
+Mask = npt.NDArray[np.bool_]
+
 TOGETHER, MOST_ROUNDS = 30, 3000
 """Rounds in which every wrong node changes at once, which is quick and may circle; after them only the outermost does,
-which ends for every positive definite compliance (Murty 1974, Opsearch 11:123)."""
+which ends for every positive definite compliance without sticking (Murty 1974, Opsearch 11:123)."""
 CLEAR_M = 1e-9
 """By how much a node may lie inside the indenter and still count as out of contact."""
 
@@ -37,13 +40,13 @@ def press(surface: Surface, profile: Profile, depth_m: float) -> Contact:
 
 def press_sticking(surface: Surface, profile: Profile, depths_m: Array) -> list[Contact]:
     """Contact that never slips, step by step through increasing depths: a node keeps, along the surface, the place at
-    which it was touched. Finer steps are more exact where contact grows; eight are enough for a sphere to 1 %.
+    which it was touched. Finer steps are more exact where contact grows.
 
-    Raises CarecontactError if no set of nodes balances.
+    Raises CarecontactError if no set of nodes balances; this has happened at the rounded rim of a disc.
     """
     n = len(surface.normal)
     joint = np.block([[surface.normal, surface.cross], [surface.cross.T, surface.radial]])
-    held, active = np.zeros(n), np.zeros(n, bool)
+    held, active = np.zeros(n), np.zeros(n, np.bool_)
     found = []
     for depth in depths_m:
         gap = surface.gap(profile, float(depth))
@@ -55,7 +58,7 @@ def press_sticking(surface: Surface, profile: Profile, depths_m: Array) -> list[
     return found
 
 
-def _balance(compliance: Array, target: Array, active: Array, *, sticking: bool = False) -> tuple[Array, Array]:
+def _balance(compliance: Array, target: Array, active: Mask, *, sticking: bool = False) -> tuple[Array, Mask]:
     """Nodal forces (m,), or (2 m,) with drags, and the nodes in contact, by the active-set method."""
     n = len(active)
     for round_ in range(MOST_ROUNDS):
@@ -72,7 +75,7 @@ def _balance(compliance: Array, target: Array, active: Array, *, sticking: bool 
     raise CarecontactError(f"finite elements: contact found no balance in {MOST_ROUNDS} rounds")
 
 
-def _contact(surface: Surface, nodal_n: Array, active: Array) -> Contact:
+def _contact(surface: Surface, nodal_n: Array, active: Mask) -> Contact:
     radius = surface.distance_m[active]
     push = nodal_n[: len(active)]
     return Contact(force_n=float(push.sum()), radius_m=float(radius.max(initial=0.0)), nodal_n=nodal_n)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu
 
@@ -98,7 +99,7 @@ class Reach:
         return csr_matrix(whole[self.nodes]), radius.ravel()
 
 
-def solve(matrix: Any, fixed: Array, loads: Array) -> Array:
+def solve(matrix: Any, fixed: npt.NDArray[np.bool_], loads: Array) -> Array:
     """(dofs, m) displacements under (dofs, m) loads with the dofs of the mask ``fixed`` held."""
     free = np.flatnonzero(~fixed)
     out = np.zeros_like(loads)

@@ -36,8 +36,9 @@ def draw(comparisons: list[Comparison], figure: Figure) -> None:
             _panel(axes, done, 1000 * DEPTHS_M, lambda a, w=word: a.exponents(w))
             axes.set(title=f"{word}s", xlabel="depth [mm]", ylabel="exponent over radius")
         _panel(row[3], done, 1000 * RINGS_M, lambda a: -a.dimple(RINGS_M))
-        row[3].set(title="dimple", xlabel="from the axis [mm]", ylabel="sunk / travel")
-    grid[0][0].legend(loc="upper left")
+        row[3].set(title="dimple", xlabel="from the axis [mm]", ylabel="height / travel")
+    handles, labels = grid[0][0].get_legend_handles_labels()
+    grid[0][3].legend(handles, labels, loc="lower right")
 
 
 def _panel(axes: Axes, done: Comparison, x: Array, of: Callable[[Answer], Array]) -> None:
