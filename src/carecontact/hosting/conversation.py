@@ -49,6 +49,9 @@ class PolicyConversation(ABC):
     on_sent: Callable[[bytes], None] | None = None
     """Called with every message that has been sent to the policy."""
 
+    on_received: Callable[[bytes | str], None] | None = None
+    """Called with every frame that the policy sends as an answer, before it is decoded."""
+
     def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S) -> None:
         """``first_deadline_s`` holds for the start, each reset and the first act, when models load; ``deadline_s`` for
         every later act; ``budget_s`` for all of them together."""
@@ -81,6 +84,7 @@ class PolicyConversation(ABC):
 
             self._client = self._open(left)
             self._client.connection.on_sent = self.on_sent
+            self._client.connection.on_received = self.on_received
             return self._client.card(deadline_s=left())
 
     def reset(self, instruction: str, session: Session) -> None:

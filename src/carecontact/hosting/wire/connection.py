@@ -21,6 +21,8 @@ class Connection:
 
     on_sent: Callable[[bytes], None] | None = None
     """Called with every message that has been sent: for the audit."""
+    on_received: Callable[[bytes | str], None] | None = None
+    """Called with every frame that was awaited, before anybody decodes it."""
     _sent_bytes = 0
     """Length of the last message."""
 
@@ -126,11 +128,14 @@ class Connection:
             PolicyError: ``timeout``, ``oversize``, ``garbage`` or ``died``.
         """
         try:
-            return self._websocket.recv(timeout=max(deadline_s, 0.0))
+            frame = self._websocket.recv(timeout=max(deadline_s, 0.0))
         except TimeoutError:
             raise PolicyError("timeout", f"no {what} message within {max(deadline_s, 0.0):.3g} s{late}") from None
         except Exception as error:
             raise closed(error, sent_bytes=self._sent_bytes) from None
+        if self.on_received is not None:
+            self.on_received(frame)
+        return frame
 
     def ask(self, message: bytes, what: str, *, deadline_s: float) -> bytes | str:
         """Send a message and receive its answer, both within one deadline; nothing may have come before."""
