@@ -20,8 +20,8 @@ and Brenner 2008, Phlebologie 37:83, abstract) and 2.2 mm at arm and abdomen (Gi
 MODULUS_PA = (0.13e6, 0.42e6, 0.85e6)
 """Skin, least, middle and most: 0.129 MPa by suction on the volar forearm (Diridollou et al. 2000, Skin Res Technol
 6:214, abstract); 0.42 MPa in the young and 0.85 MPa in the old by torsion (Agache et al. 1980, Arch Dermatol Res
-269:221). Published values from indentation are lower, because they mix skin with what lies under it; the plain layer
-stands for them."""
+269:221; the abstract tells that the modulus doubles with age, and its figures come second hand). Published
+values from indentation are lower, because they mix skin with what lies under it; the plain layer stands for them."""
 MATCHED_M = 0.004
 """Depth past touch at which layer and reference have the same force: near the end of the forearm's curve, and the
 deepest at which the linear layer is used."""
