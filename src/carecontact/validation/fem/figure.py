@@ -38,7 +38,7 @@ def draw(comparisons: list[Comparison], figure: Figure) -> None:
         _panel(row[3], done, 1000 * RINGS_M, lambda a: -a.dimple(RINGS_M))
         row[3].set(title="dimple", xlabel="from the axis [mm]", ylabel="height / travel")
     handles, labels = grid[0][0].get_legend_handles_labels()
-    grid[0][3].legend(handles, labels, loc="lower right")
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
 
 
 def _panel(axes: Axes, done: Comparison, x: Array, of: Callable[[Answer], Array]) -> None:
