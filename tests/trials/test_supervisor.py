@@ -22,6 +22,7 @@ from carecontact import __version__
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError
+from carecontact.hosting.descendants import MARK
 from carecontact.hosting.setup import PolicySetup
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, read_recording
@@ -143,7 +144,8 @@ def test_nothing_that_a_policy_can_read_names_the_trial_or_holds_a_secret(bench:
     assert not [word for word in ("T1", "s000", "s001", "seed", *given) if word in told]
     requests = (bench.folder / "requests.jsonl").read_text().splitlines()
     assert all(word in request for request in requests for word in given)
-    assert [TrialRequest.model_validate_json(request).policy for request in requests] == [setup, setup]
+    closed = replace(setup, closed=(str(bench.out),))
+    assert [TrialRequest.model_validate_json(request).policy for request in requests] == [closed, closed]
 
 
 def test_other_arguments_or_variables_need_another_folder(bench: Bench) -> None:
@@ -237,6 +239,22 @@ def test_what_a_policy_left_behind_a_killed_worker_is_killed(bench: Bench) -> No
     left = [int(line.split()[1]) for line in bench.log.read_text().splitlines() if line.startswith("child")]
     assert len(left) == 1
     assert not alive(left[0])
+
+
+def test_what_a_policy_left_behind_a_killed_command_is_killed_by_the_next(bench: Bench) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    sleeper = [sys.executable, "-c", "import time; time.sleep(600)"]
+    marks = {"left": f"{gone.pid}.1", "living": f"{os.getpid()}.1"}
+    processes = {name: subprocess.Popen(sleeper, env={**os.environ, MARK: mark}) for name, mark in marks.items()}
+    try:
+        bench.run(specs(1))
+        assert processes["left"].wait(10) == -9
+        assert processes["living"].poll() is None
+    finally:
+        for process in processes.values():
+            process.kill()
+            process.wait()
 
 
 def test_resume_runs_only_what_is_missing_damaged_or_asked_for(bench: Bench) -> None:

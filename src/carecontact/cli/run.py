@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -68,7 +68,7 @@ class Run:
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.cli.progress import progress
         from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
-        from carecontact.trials.supervisor import check_jobs, run_trials
+        from carecontact.trials.supervisor import check_jobs, run_trials, runs_beside
 
         check_jobs(self.parallel.jobs)
         if self.restart and self.retry_failed:
@@ -76,7 +76,9 @@ class Run:
         setup = policy_setup(self.policy, self.given)
         rules = self._protocol()
         tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
-        card = check_policy(setup, deadline_s=rules.phases.first_call_deadline_s)
+        card = check_policy(
+            replace(setup, closed=tuple(runs_beside(self.out))), deadline_s=rules.phases.first_call_deadline_s
+        )
         specs = plan_trials(
             protocol=rules,
             policy=setup.ref.text,

@@ -43,6 +43,8 @@ class PolicyConversation(ABC):
 
     on_wait: Callable[[str], None] | None = None
     """Called every WAIT_REPORT_S seconds while the policy is silent, with one line; another thread calls it."""
+    isolation: str | None = None
+    """How far the policy's process is isolated (``isolation.fence``); None before its start and on another host."""
     patient = False
     """Whether ``start`` waits, within its deadline, for a server that takes no connection."""
 

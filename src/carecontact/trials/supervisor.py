@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,11 +13,13 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError
 from carecontact.hosting.conversation import WAIT_REPORT_S
+from carecontact.hosting.descendants import kill_abandoned
+from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import EndReason
 from carecontact.runs.identity import Identity, identity_of
-from carecontact.runs.manifest import Purpose, Survey, salted, survey, write_manifest
+from carecontact.runs.manifest import MANIFEST, Purpose, Survey, salted, survey, write_manifest
 from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
 from carecontact.trials.workers import WORKER_COMMAND, Workers
@@ -91,6 +93,9 @@ def run_trials(
     found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
     specs = salted(specs, out=out)
     _prepare(out, specs, identity=identity, purpose=purpose)
+    setup = replace(setup, closed=(*setup.closed, *runs_beside(out)))
+    kill_abandoned()
+    remove_abandoned_folders()
     with work_folder(out) as work:
         workers = Workers(
             out=out, work=work, policy=setup, weights=weights, command=worker_command, trial_limit_s=trial_limit_s
@@ -182,6 +187,12 @@ def _prepare(out: Path, specs: Sequence[TrialSpec], *, identity: Identity, purpo
         write_manifest(specs, out=out, identity=identity, purpose=purpose)
     except OSError as error:
         raise ConfigError(f"--out {out}: cannot be written to: {error.strerror}") from None
+
+
+def runs_beside(out: Path) -> list[str]:
+    """Return this run's folder and those of other runs in the same place: none of them is the policy's business."""
+    here = out.resolve()
+    return sorted({str(here), *(str(manifest.parent) for manifest in here.parent.glob(f"*/{MANIFEST}"))})
 
 
 def check_jobs(jobs: int | None) -> None:

@@ -14,6 +14,8 @@ import sys
 import traceback
 from typing import TYPE_CHECKING
 
+from carecontact.hosting.isolation.kernel import die_with_parent, hide_memory
+
 if TYPE_CHECKING:
     from carecontact.trials.trial import Look
 
@@ -40,12 +42,15 @@ POLICY_RUNS, POLICY_GONE = b"+", b"-"
 
 def main() -> int:
     os.environ.update(SINGLE_THREAD)
+    hide_memory()
     from carecontact.errors import CarecontactError, UnreachableError
     from carecontact.recording import write_recording
     from carecontact.trials.failed import harness_error_recording, tail
     from carecontact.trials.request import TrialRequest
 
     request = TrialRequest.model_validate_json(sys.stdin.buffer.read())
+    if request.supervisor is not None:
+        die_with_parent(request.supervisor)
 
     def tell(running: bool) -> None:
         if request.phase_fd is not None:

@@ -19,6 +19,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
 from carecontact.hosting.conversation import WAIT_REPORT_S, readable
 from carecontact.hosting.descendants import kill_marked, marks_of
+from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.schema import Recording
@@ -91,8 +92,9 @@ class Workers:
         finally:
             os.close(phase_fd)
         request = TrialRequest(
-            spec=spec, policy=self.policy, out=partial.resolve(), weights=self.weights, phase_fd=phase_fd
-        )
+            spec=spec, policy=self.policy, out=partial.resolve(), weights=self.weights, phase_fd=phase_fd,
+            supervisor=os.getpid(),
+        )  # fmt: skip
         assert process.stdin is not None
         # A worker that is dead already is found so when it is polled.
         with suppress(BrokenPipeError), process.stdin as stdin:
@@ -201,6 +203,7 @@ def kill_tree(process: subprocess.Popen[bytes]) -> None:
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     kill_marked(marks_of(process.pid))
+    remove_abandoned_folders()
 
 
 def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
