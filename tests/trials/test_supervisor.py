@@ -26,6 +26,7 @@ from carecontact.hosting.descendants import MARK
 from carecontact.hosting.setup import PolicySetup
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, read_recording
+from carecontact.runs.alone import LOCK
 from carecontact.runs.plan import plan_trials
 from carecontact.scoring import score_recording
 from carecontact.trials.request import TrialRequest
@@ -181,16 +182,19 @@ def test_a_setup_of_another_policy_than_the_trials_is_a_mistake(bench: Bench) ->
 
 
 def test_leftovers_of_a_killed_supervisor_go_and_a_living_one_is_not_disturbed(bench: Bench) -> None:
-    left = bench.out / ".running-dead"
+    left, cut = bench.out / ".running-dead", bench.out / ".results.json.x1.tmp"
     left.mkdir(parents=True)
-    (left / "lock").touch()
+    cut.touch()
+    (bench.out / LOCK).write_text("process 1, since ever,")
     bench.run(specs(1))
-    assert not list(bench.out.glob(".running-*"))
+    assert sorted(path.name for path in bench.out.iterdir()) == ["T1-s000.h5", "manifest.json"]
 
     left.mkdir()
-    with (left / "lock").open("w") as lock:
+    with (bench.out / LOCK).open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(ConfigError, match="another command is writing trials"):
+        lock.write("process 7, since yesterday,")
+        lock.flush()
+        with pytest.raises(ConfigError, match="process 7, since yesterday, is at work in this folder; wait"):
             bench.run(specs(2))
     assert left.exists()
     assert not (bench.out / "T1-s001.h5").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -24,6 +25,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line; returns its exit status. Errors that the user can fix give one message and status 2."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     hide_options(arguments)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A name out of a file or of a policy may hold what no terminal can show.
+        sys.stdout.reconfigure(errors="backslashreplace")
     if arguments == ["--version"]:
         print(f"carecontact {__version__}")
         return 0
@@ -34,6 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _stop_as_interrupted()
     left = ""
     try:
+        _readable(arguments)
         arguments = with_synonyms(arguments)
         _once(arguments)
         command = parse(arguments)
@@ -49,12 +54,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except OSError as error:
+        from carecontact.recording.storage import REMEDY, is_full
+
         place = error.filename2 or error.filename
-        print(_error_line(f"{place}: {error.strerror}" if place and error.strerror else str(error)), file=sys.stderr)
+        told = f"{place}: {error.strerror}" if place and error.strerror else str(error)
+        print(_error_line(f"{told}; {REMEDY}" if is_full(error) else told), file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"\ninterrupted{left}", file=sys.stderr)
         return INTERRUPTED
+
+
+def _readable(arguments: Sequence[str]) -> None:
+    """Refuse a name that is no text: recordings, reports and messages could not hold it. Raises ConfigError."""
+    for text in (*arguments, os.getcwd()):
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            what = "argument" if text in arguments else "name of the current folder"
+            raise ConfigError(f"the {what} {text!a} holds bytes that are not UTF-8; rename it") from None
 
 
 def _stop_as_interrupted() -> None:

@@ -26,10 +26,12 @@ class Score:
     def __call__(self) -> int:
         """Return 1 if a recording was skipped, or if results.json stays because planned trials are missing."""
         from carecontact.cli.rescoring import rescore
+        from carecontact.runs.alone import alone
 
-        if self.append:
-            return append(self.folder)
-        run = rescore(self.folder, jobs=self.jobs, allow_missing=self.allow_missing)
+        with alone(self.folder):
+            if self.append:
+                return append(self.folder)
+            run = rescore(self.folder, jobs=self.jobs, allow_missing=self.allow_missing)
         return 1 if run.skipped or (run.missing and not self.allow_missing) else 0
 
 
