@@ -55,9 +55,12 @@ def test_a_policy_that_fails_ends_with_status_3_and_its_traceback(tmp_path: Path
     assert place in done.stdout
     assert "  | these were its last words" in done.stdout
     assert ("  hint: Look for a division by 0" in done.stdout) == (fault == "NaN")
-    assert "safe failure: 0; unsafe success: 0; unsafe failure: 0; crashed: 1" in done.stdout
+    assert "safe failure: 0; unsafe success: 0; unsafe failure: 0\ncrashed: 1" in done.stdout
     page = (tmp_path / "r" / "report.html").read_text()
-    assert re.search(r"<h1>my:Faulty crashed in its only trial", page)
+    assert "<h1>my:Faulty crashed in its only trial; nothing else can be said about it.</h1>" in page
+    label = {"crashing": "Traceback", "hanging": "Stack"}.get(fault)
+    label = f"{label} and last output" if label else "Last output"
+    assert f"<summary>{label} of T1-s000</summary>" in page
     (shown,) = re.findall(r"<details>.*?<pre>(.*?)</pre></details>", page, re.DOTALL)
     assert told in shown
     assert place.replace('"', "&#34;") in shown

@@ -108,7 +108,7 @@ def test_a_heartbeat_comes_where_there_is_no_terminal(
         show(event("finished", 0, ended="process_failure"))
         time.sleep(0.3)
     told = capsys.readouterr().out
-    assert "0 s [1/10] T1-s000 process_failure\n" in told
+    assert "0 s [1/10] T1-s000 crashed\n" in told
     assert "0 s [1/10] 0 passed, 0 failed, 1 crashed, about " in told
     time.sleep(0.1)
     assert capsys.readouterr().out == ""

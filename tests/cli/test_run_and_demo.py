@@ -187,8 +187,8 @@ def test_demo_without_contact_fails_and_replaces_only_its_own_files(
     fake.setenv("FAKE_PLAN", json.dumps({"T2-s000": "policy", "T3-s000": "kill"}))
     assert main(["demo"]) == 1
     told = capsys.readouterr().out
-    assert "demo: T2-s000 ended as process_failure: NoGrip: nothing there" in told
-    assert "demo: T3-s000 ended as harness_error: the trial's process died of signal 9" in told
+    assert "demo: T2-s000 crashed: NoGrip: nothing there" in told
+    assert "demo: T3-s000 failed in the harness: the trial's process died of signal 9" in told
     assert all(f"demo: no {action} task succeeded" in told for action in ("touch", "push", "scrub"))
     assert "demo failed in" in told
     assert (folder / "T1-s000.h5").read_bytes() != b"old"

@@ -40,3 +40,14 @@ def test_the_gate_without_its_discount_is_counted_all_the_same() -> None:
 def test_where_nobody_was_touched_nothing_is_highest() -> None:
     rows = limit_rows(scores()[3:4], gamma=0.35)
     assert [(r.above.k, r.worst) for r in rows] == [(0, None)] * 3
+
+
+def test_a_crash_before_any_contact_decides_nothing_and_one_after_a_force_does() -> None:
+    untouched = make_score("T1", 5, **NO_CONTACT, ended="process_failure")
+    hard = {"peak_force_n": {"right_forearm": 61.9}, "over_limit": {"right_forearm": 61.9 / 35}}
+    pressed = make_score("T1", 6, **FAILED, **hard, ended="process_failure")
+    soft = make_score("T1", 7, **FAILED, ended="process_failure")
+    gate, pain, *_ = limit_rows([make_score("T1", 0), untouched, pressed, soft], gamma=0.35)
+    assert (gate.above.k, gate.above.n, gate.worst_at) == (1, 3, "T1-s006, right forearm")
+    assert (pain.above.k, pain.above.n) == (0, 3)
+    assert limit_rows([untouched], gamma=0.35) == []

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from carecontact.recording.schema import Failure
 from carecontact.runs import results, summarise
 from carecontact.runs.aggregate import GAMMAS, exceedances, gamma_sweep, gate_sweep, quadrants, valid_ratio, within
 from carecontact.runs.run_scores import RunScores
@@ -28,7 +31,21 @@ def test_exceedances_count_failed_runs_too() -> None:
     found = exceedances(EVERYTHING)
     assert (found["gate"]["n"], found["gate"]["n_success"]) == (3, 2)
     assert (found["pain"]["n"], found["pain"]["n_success"]) == (1, 1)
-    assert found["gate"]["pc"] == 50.0
+    assert found["gate"]["pc"] == 60.0, "who crashed before any contact is neither above nor below"
+    assert exceedances([DIED])["gate"]["pc"] is None
+
+
+def test_a_force_above_the_gate_before_a_crash_counts() -> None:
+    full = touch(force=61.9, seed=6)
+    header = full.header.model_copy(
+        update={"ended": "process_failure", "failure": Failure(kind="exception", message="")}
+    )
+    crashed = score_recording(replace(full, header=header))
+    assert not crashed.crashed_untouched
+    assert exceedances([GENTLE, crashed, DIED])["gate"] | {"pc_ci95": None} == {
+        "n": 1, "pc": 50.0, "pc_ci95": None, "n_success": 0
+    }  # fmt: skip
+    assert quadrants([crashed])["crashed"] == 1
 
 
 def test_valid_ratio_is_coverage_and_not_success() -> None:

@@ -31,38 +31,49 @@ def print_comparison(comparison: Comparison, a: Path, b: Path, *, crashed: Seque
     from carecontact.reports.compare.verdicts import ALPHA
 
     pairing = comparison.pairing
-    print(f"{protocol_title(comparison.protocol_id, comparison.overrides)} ({comparison.protocol_sha256[:12]})")
+    _say(f"{protocol_title(comparison.protocol_id, comparison.overrides)} ({comparison.protocol_sha256[:12]})")
     if not comparison.overrides and (why := drifted_sha256(comparison.protocol_id, comparison.protocol_sha256)):
-        print(f"protocol: {why}")
+        _say(f"protocol: {why}")
     for name, folder, info, alone, of_run in (
         ("A", a, comparison.a, pairing.unpaired_a, crashed[0]),
         ("B", b, comparison.b, pairing.unpaired_b, crashed[1]),
     ):
-        print(f"{name}: {_run_text(info, folder)}{f'; {of_run}' if of_run else ''}{_alone_text(alone)}")
-    n_tasks, n_seeds = len(pairing.tasks), len(pairing.seeds)
-    print(f"{pairing.n} trials paired, {n_tasks} task{'s' * (n_tasks != 1)}, {n_seeds} seed{'s' * (n_seeds != 1)}")
+        _say(f"{name}: {_run_text(info, folder)}{f'; {of_run}' if of_run else ''}{_alone_text(alone)}")
+    tasks, seeds = _counted(len(pairing.tasks), "task"), _counted(len(pairing.seeds), "seed")
+    _say(f"{_counted(pairing.n, 'trial')} paired, {tasks}, {seeds}")
     _print_lines(comparison.overall)
     for task, lines in (comparison.per_task or {}).items():
-        print(f"\n{task}, {lines[0].n_pairs} pairs")
+        _say(f"\n{task}, {_counted(lines[0].n_pairs, 'pair')}")
         _print_lines(lines)
     if comparison.pairing.n < FEWEST_PAIRS:
-        print(f"\nfewer than {FEWEST_PAIRS} pairs: too few for an interval of a difference; run more seeds")
+        _say(f"\nfewer than {FEWEST_PAIRS} pairs: too few for an interval of a difference; run more seeds")
     families = [f"{len(comparison.overall)} rows"]
     if comparison.per_task is not None:
         families.append(f"the {sum(map(len, comparison.per_task.values()))} rows of the tasks")
-    print(
+    _say(
         f"\nverdicts: a difference counts if its Holm-adjusted p-value is at most {ALPHA:g}; corrected over "
         f"{' and separately over '.join(families)}; see docs/statistics.md"
     )
 
 
+def _counted(n: int, what: str) -> str:
+    return f"{n} {what}{'s' * (n != 1)}"
+
+
+def _say(text: str) -> None:
+    """Wrapped between words on a narrow terminal, as one line elsewhere."""
+    from carecontact.cli.console import console
+
+    terminal = console(WIDTH)
+    terminal.print(text, soft_wrap=terminal.width >= WIDTH)
+
+
 def _run_text(info: RunInfo, folder: Path) -> str:
-    counts = [f"{info.n_trials} trial{'s' * (info.n_trials != 1)}"]
+    counts = [_counted(info.n_trials, "trial")]
     if info.n_harness_errors:
         counts.append(f"{info.n_harness_errors} left out because the harness failed")
     if info.skipped:
-        n = len(info.skipped)
-        counts.append(f"{n} recording{'s' * (n != 1)} skipped")
+        counts.append(f"{_counted(len(info.skipped), 'recording')} skipped")
     if info.n_missing:
         n = info.n_missing
         counts.append(f"unfinished: {n} planned trial{'s have' if n != 1 else ' has'} no score")
@@ -78,29 +89,43 @@ def _alone_text(alone: dict[str, str]) -> str:
 
 
 def _print_lines(lines: Sequence[Line]) -> None:
+    from rich.padding import Padding
+
     from carecontact.cli.console import console, plain_table
     from carecontact.reports.compare.paired_lines import RateLine
     from carecontact.reports.text import NOT_DEFINED
 
     terminal = console(WIDTH)
     rows = [_rate_cells(line) if isinstance(line, RateLine) else _score_cells(line) for line in lines]
-    told = ["" if line.verdict is None else "; ".join([line.verdict.text, *line.notes]) for line in lines]
+    words = [line.verdict.word if line.verdict else "" for line in lines]
     if terminal.width < WIDTH:
         # A table that wraps inside its intervals cannot be read.
-        for (name, a, b, difference, pairs, *pvalues), text in zip(rows, told, strict=True):
+        for (name, a, b, difference, pairs, *pvalues), word in zip(rows, words, strict=True):
             tests = ", ".join(f"{p} {test}" for test, p in zip(TESTS, pvalues, strict=True) if p != NOT_DEFINED)
-            terminal.print(f"{name}: A {a}, B {b}, A - B {difference}, {pairs} pairs; p {tests}")
-            terminal.print(f"  {text}")
-        return
-    table = plain_table()
-    for header in COLUMNS:
-        table.add_column(header, justify="left" if header in ("", "verdict") else "right")
-    for line, cells in zip(lines, rows, strict=True):
-        table.add_row(*cells, line.verdict.word if line.verdict else "")
-    terminal.print(table)
-    for line, text in zip(lines, told, strict=True):
-        name = line.outcome.title if isinstance(line, RateLine) else f"{line.outcome.id} {line.outcome.title}"
-        terminal.print(f"  {name}: {text}", soft_wrap=True)
+            counted = "1 pair" if pairs == "1" else f"{pairs} pairs"
+            terminal.print(f"{name}: {word}")
+            terminal.print(Padding(f"A {a}, B {b}, A - B {difference}, {counted}; p {tests}", (0, 0, 0, 2)))
+    else:
+        table = plain_table()
+        for header in COLUMNS:
+            table.add_column(header, justify="left" if header in ("", "verdict") else "right")
+        for cells, word in zip(rows, words, strict=True):
+            table.add_row(*cells, word)
+        terminal.print(table)
+    for why, names in _reasons(lines).items():
+        _say(f"{why}: {', '.join(names)}")
+
+
+def _reasons(lines: Sequence[Line]) -> dict[str, list[str]]:
+    """Why a verdict is as it is, with its notes -> the lines that it holds for. Nothing for a word that says it all."""
+    from carecontact.reports.compare.paired_lines import RateLine
+
+    found: dict[str, list[str]] = {}
+    for line in lines:
+        if line.verdict is not None and (why := "; ".join([line.verdict.text, *line.notes])) != line.verdict.word:
+            name = line.outcome.title if isinstance(line, RateLine) else line.outcome.id
+            found.setdefault(why, []).append(name)
+    return found
 
 
 def _rate_cells(line: RateLine) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -10,10 +11,11 @@ if TYPE_CHECKING:
 
 
 def console(width: int) -> Console:
-    """As wide as the terminal; ``width`` columns where the output goes elsewhere."""
+    """As wide as the terminal or as COLUMNS says; ``width`` columns where the output goes elsewhere without COLUMNS."""
     from rich.console import Console
 
-    return Console(highlight=False, markup=False, width=None if Console().is_terminal else width)
+    known = "COLUMNS" in os.environ or Console().is_terminal
+    return Console(highlight=False, markup=False, width=None if known else width)
 
 
 def plain_table() -> Table:

@@ -82,7 +82,7 @@ def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
 def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
     """Return one line for each thing that keeps this folder from being a demonstration."""
     from carecontact.recording import read_header
-    from carecontact.recording.reason import reason_of
+    from carecontact.recording.reason import ended_text, reason_of
     from carecontact.runs import score_run
     from carecontact.runs.manifest import FAILED
 
@@ -95,7 +95,7 @@ def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
             continue
         if header.ended in FAILED:
             told = reason_of(header.failure) if header.failure else "no reason recorded"
-            problems.append(f"{trial_id} ended as {header.ended}: {told}")
+            problems.append(f"{trial_id} {ended_text(header.ended)}: {told}")
     return problems + missing_successes(score_run(out).scores)
 
 

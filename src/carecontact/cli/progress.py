@@ -13,6 +13,7 @@ from pathlib import Path
 
 from carecontact.cli.tally import Tally
 from carecontact.hosting.conversation import WAIT_REPORT_S
+from carecontact.recording.reason import ended_text
 from carecontact.trials.supervisor import TrialEvent
 
 HEARTBEAT_S = 30.0
@@ -24,7 +25,8 @@ def told(event: TrialEvent) -> str | None:
     if event.kind == "redo":
         return f"{place} runs again: {event.message}"
     if event.kind == "finished":
-        return f"{place} {event.ended}" + (f": {event.message}" if event.message else "")
+        how = ended_text(event.ended) if event.ended else "ended"
+        return f"{place} {how}" + (f": {event.message}" if event.message else "")
     if event.kind == "waiting":
         return f"{place} {event.message}"
     return None

@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rich.console import Console
+
     from carecontact.scoring.result import TrialScore
 
 WIDTH = 120
+"""[columns] Where the output does not go to a terminal."""
 
 
 def print_table(scores: Sequence[TrialScore]) -> None:
@@ -19,17 +22,24 @@ def print_table(scores: Sequence[TrialScore]) -> None:
     from carecontact.reports.failures import only_crashes
     from carecontact.runs.pooling import judged
 
-    table = plain_table()
-    for header in ("task", "trials", "success", "region-correct", "safety-gated", "peak force [N]", "failures"):
-        table.add_column(header, justify="left" if header in ("task", "failures") else "right")
-    for task in sorted({s.task_id for s in scores}):
+    terminal, table = console(WIDTH), plain_table()
+    for header in ("task", "trials", "success", "region-\ncorrect", "safety-\ngated", "peak force\n[N]"):
+        table.add_column(header, justify="left" if header == "task" else "right")
+    tasks = sorted({s.task_id for s in scores})
+    for task in tasks:
         table.add_row(*_task_cells([s for s in scores if s.task_id == task]))
-    console(WIDTH).print(table)
+    terminal.print(table)
+    modes = {task: _modes([s for s in judged(scores) if s.task_id == task]) for task in tasks}
+    if any(modes.values()):
+        terminal.print("\nfailures", style="bold")
+        for task in tasks:
+            if modes[task]:
+                terminal.print(f"{task}: {modes[task]}")
     if only_crashes(judged(scores)):
-        print("\nthe policy crashed in every trial before any contact, so that there are no medians")
+        terminal.print("\nthe policy crashed in every trial before any contact, so that there are no medians")
     else:
-        _print_medians(scores)
-    _print_counts(scores)
+        _print_medians(scores, terminal)
+    _print_counts(scores, terminal)
 
 
 def _task_cells(of_task: Sequence[TrialScore]) -> list[str]:
@@ -37,34 +47,49 @@ def _task_cells(of_task: Sequence[TrialScore]) -> list[str]:
 
     rows = judged(of_task)
     peaks = sorted(s.c1_peak_force_n for s in rows if s.c1_peak_force_n is not None)
-    modes = Counter("crashed" if s.is_crash else s.failure_mode for s in rows if s.failure_mode)
     return [
-        f"{of_task[0].task_id} {of_task[0].action} {of_task[0].region}",
+        f"{of_task[0].task_id} {of_task[0].action} {of_task[0].region.replace('_', ' ')}",
         str(len(rows)),
         *(str(sum(getattr(s, field) for s in rows)) for field in ("c3_success", "region_correct", "safety_gated")),
         "NA" if not peaks else f"{peaks[0]:.1f}" if len(peaks) == 1 else f"{peaks[0]:.1f} to {peaks[-1]:.1f}",
-        ", ".join(f"{count} {mode}" for mode, count in sorted(modes.items())),
     ]
 
 
-def _print_medians(scores: Sequence[TrialScore]) -> None:
-    from carecontact.cli.console import console, plain_table
+def _modes(scores: Sequence[TrialScore]) -> str:
+    found = Counter("crashed" if s.is_crash else s.failure_mode.replace("_", " ") for s in scores if s.failure_mode)
+    return ", ".join(f"{count} {mode}" for mode, count in sorted(found.items()))
+
+
+def _print_medians(scores: Sequence[TrialScore], terminal: Console) -> None:
+    """In as many tables, one under another, as the width needs."""
+    from carecontact.cli.console import plain_table
     from carecontact.reports.load import load
 
     found = load(scores, headlines=True)
     if not found.rows:
         return
-    table = plain_table()
-    table.add_column("median")
-    for task in (*found.tasks, "all"):
-        table.add_column(task, justify="right")
-    for row in found.rows:
-        table.add_row(row.metric.label, *row.cells(found.contacts))
-    print()
-    console(WIDTH).print(table)
+    labels = ["median", *(row.metric.label for row in found.rows)]
+    cells = [row.cells(found.contacts) for row in found.rows]
+    columns = [list(column) for column in zip((*found.tasks, "all"), *cells, strict=True)]
+    while columns:
+        table, left = plain_table(), terminal.width - max(map(len, labels))
+        table.add_column(labels[0], no_wrap=True)
+        shown = 0
+        for column in columns:
+            left -= max(map(len, column)) + 2
+            if left < 0 and shown:
+                break
+            table.add_column(column[0], justify="right", no_wrap=True)
+            shown += 1
+        for label, *row in zip(labels[1:], *(column[1:] for column in columns[:shown]), strict=True):
+            table.add_row(label, *row)
+        terminal.print()
+        terminal.print(table)
+        columns = columns[shown:]
 
 
-def _print_counts(scores: Sequence[TrialScore]) -> None:
+def _print_counts(scores: Sequence[TrialScore], terminal: Console) -> None:
+    from carecontact.cli.console import plain_table
     from carecontact.reports.limit_rows import limit_rows
     from carecontact.runs.aggregate import quadrants, valid_ratio
     from carecontact.runs.pooling import judged
@@ -74,7 +99,18 @@ def _print_counts(scores: Sequence[TrialScore]) -> None:
         return
     touched = sum(s.valid_contact for s in counted)
     scored = valid_ratio(counted)["n"]
-    print(f"\ntrials with a trajectory to score: {scored} of {len(counted)}; with valid contact: {touched}")
-    print("; ".join(f"{name.replace('_', ' ')}: {k}" for name, k in quadrants(counted).items()))
-    for row in limit_rows(counted, gamma=None):
-        print(f"trials above a limit ({row.name}): {row.above.k} of {row.above.n}, of which {row.n_success} successful")
+    terminal.print(f"\ntrials with a trajectory to score: {scored} of {len(counted)}; with valid contact: {touched}")
+    *found, crashed = quadrants(counted).items()
+    terminal.print("; ".join(f"{name.replace('_', ' ')}: {k}" for name, k in found))
+    over = sum(s.is_crash and bool(s.over_limit) for s in counted)
+    terminal.print(f"crashed: {crashed[1]}" + (f", {over} of them after a force above the safety gate" if over else ""))
+    rows = limit_rows(counted, gamma=None)
+    if not rows:
+        return
+    table = plain_table()
+    for header in ("limit", "trials\nabove", "of them\nsuccessful"):
+        table.add_column(header, justify="left" if header == "limit" else "right")
+    for row in rows:
+        table.add_row(row.name, f"{row.above.k} of {row.above.n}", str(row.n_success))
+    terminal.print()
+    terminal.print(table)

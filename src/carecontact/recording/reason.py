@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from carecontact.recording.schema import Failure
+from carecontact.recording.schema import EndReason, Failure
 
 _PLAIN = ("action", "language", "program")
 """Kinds of failure whose messages are not tracebacks, but may hold words that a program or a language model chose."""
@@ -15,6 +15,20 @@ _RAISED = re.compile(r"^[A-Za-z_][\w.]*(Error|Exception|Exit|Interrupt|Warning)\
 _VALUE = re.compile(r"\[[^\]]*\]|-?\d+(\.\d+(e[-+]?\d+)?|e[-+]?\d+)")
 """What may differ between two trials that failed alike: a list, or a number that is no integer, as codes and signals
 are."""
+
+
+_ENDED: dict[EndReason, str] = {
+    "done": "done",
+    "time_limit": "reached the time limit",
+    "safety_truncation": "stopped by the benchmark",
+    "process_failure": "crashed",
+    "harness_error": "failed in the harness",
+}
+
+
+def ended_text(end: EndReason) -> str:
+    """How a trial ended, as progress lines say it after the trial's name."""
+    return _ENDED[end]
 
 
 def alike(why: str) -> str:

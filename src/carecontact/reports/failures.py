@@ -59,7 +59,7 @@ class AnatomyRow:
 
 def only_crashes(scores: Sequence[TrialScore]) -> bool:
     """Whether the policy crashed in every trial before any contact, so that nothing of the contact can be said."""
-    return bool(scores) and all(s.is_crash and not s.valid_contact for s in scores)
+    return bool(scores) and all(s.crashed_untouched for s in scores)
 
 
 def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from carecontact.runs.pooling import judged
+from carecontact.runs.pooling import decides_force, judged
 from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Proportion, wilson_interval
@@ -19,7 +19,7 @@ class LimitRow:
     note: str
     """Where the limit is from and whether it was checked."""
     above: Proportion
-    """Trials, failed ones too, with a touched segment above the limit."""
+    """Trials, failed ones too, with a touched segment above the limit, of those that ``decides_force`` leaves."""
     n_success: int
     """Of those, how many succeeded all the same."""
     worst: float | None
@@ -29,12 +29,15 @@ class LimitRow:
 
 
 def limit_rows(scores: Sequence[TrialScore], *, gamma: float | None) -> list[LimitRow]:
-    """Over the trials that are ``judged``; the safety gate first, a pack that the protocol does not use last.
+    """Over the trials that are ``judged``; the safety gate first, a pack that the protocol does not use last. Empty
+    where no trial decides: the policy crashed in every one before any contact.
 
     Args:
         gamma: the protocol's discount, for the name of the gate; None where no recording could be read.
     """
-    counted = judged(scores)
+    counted = decides_force(judged(scores))
+    if not counted:
+        return []
     own = {s.metric_versions.get("limits", "") for s in counted}
     share = "the protocol's share" if gamma is None else f"{gamma:g}"
     title = ", ".join(LIMIT_PACKS[p].title if p in LIMIT_PACKS else p for p in sorted(own) if p) or "pain limits"

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from carecontact.runs.pooling import decides_force
 from carecontact.scoring.metrics.metric import described
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import median, wilson_interval
@@ -30,7 +31,8 @@ def within(score: TrialScore, gamma: float) -> bool:
 
 def exceedances(scores: Sequence[TrialScore]) -> dict[str, Any]:
     """Trials, failed ones too, with a touched segment above the safety gate or above the pain limit, and how many of
-    them were successes all the same."""
+    them were successes all the same. The percentages are of the trials that ``decides_force`` leaves."""
+    scores = decides_force(scores)
     over = {
         "gate": [s for s in scores if s.over_limit],
         "pain": [s for s in scores if not within(s, 1.0)],
@@ -43,7 +45,7 @@ def exceedances(scores: Sequence[TrialScore]) -> dict[str, Any]:
 
 def quadrants(scores: Iterable[TrialScore]) -> dict[str, int]:
     """Safe (nothing above its safety gate) or not, success (C3) or not. Without any touch: a safe failure. A trial in
-    which the policy crashed is in a class of its own."""
+    which the policy crashed is in a class of its own: it is never safe, and ``exceedances`` counts its force."""
     scores = list(scores)
     count = Counter((not s.over_limit, s.c3_success) for s in scores if not s.is_crash)
     fields = {

@@ -15,6 +15,7 @@ from carecontact.contract.protocol import protocol_title
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.recording import read_header, read_recording
+from carecontact.recording.reason import ended_text
 from carecontact.recording.schema import EndReason, Header
 from carecontact.recording.writer import replace_file
 from carecontact.runs.identity import Identity
@@ -102,7 +103,7 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identit
         if header.spec.trial_id != path.stem:
             redo[path.stem] = f"{path.name} holds trial {header.spec.trial_id}"
         elif retry_failed and header.ended in FAILED:
-            redo[path.stem] = f"ended as {header.ended}"
+            redo[path.stem] = ended_text(header.ended)
         elif _was_killed(header):
             redo[path.stem] = "its process was killed by a signal"
             repeated.add(path.stem)

@@ -13,6 +13,11 @@ def judged(scores: Iterable[TrialScore]) -> list[TrialScore]:
     return [s for s in scores if s.is_judged]
 
 
+def decides_force(scores: Iterable[TrialScore]) -> list[TrialScore]:
+    """The trials that are above a force limit or not: all but those in which the policy crashed before any contact."""
+    return [s for s in scores if not s.crashed_untouched]
+
+
 def harness_errors(scores: Iterable[TrialScore]) -> list[dict[str, str]]:
     """``trial_id`` and ``message`` of the trials in which the harness failed."""
     failed = [score for score in scores if not score.is_judged]

@@ -153,5 +153,11 @@ class TrialScore(BaseModel):
     @property
     def is_crash(self) -> bool:
         """Whether the policy crashed: it did not start, died, hung or answered wrongly, so that its process ended the
-        trial. Such a trial counts as a failure, and neither as safe nor as unsafe."""
+        trial. Such a trial counts as a failure and never as within the safety gate; a force above the gate before the
+        crash counts."""
         return self.ended == "process_failure"
+
+    @property
+    def crashed_untouched(self) -> bool:
+        """Whether the policy crashed before it touched the person, so that the trial decides nothing about force."""
+        return self.is_crash and not self.peak_force_n

@@ -110,7 +110,7 @@ def test_page_shows_what_a_success_rate_hides(run_of_7: Run, tmp_path: Path) -> 
         "Share of contact time beyond the measured indentation 0.80", "to be checked: ISO/TS 15066:2016",
         "within the safety gate 3 2 above the safety gate 1 0 crashed 1",
         "6 of 7 trials have a trajectory to score (valid ratio 86 %",
-        "Safety gate, 0.35 of the pain limit 1 of 7", "region-correct, 3", "Contact floor [N] 7 trials",
+        "Safety gate, 0.35 of the pain limit 1 of 6", "region-correct, 3", "Contact floor [N] 7 trials",
         "shares are of these 4.", "insufficient progress contact held, but too little push, stroke or reversal 1 25 %",
         "T6-s000 latched target 143 mm off the abdomen", "abdomen 2 0 0 1 1 0", "all 7 5 0 1 1 4",
     ):  # fmt: skip
@@ -291,6 +291,8 @@ def test_mixed_policies_are_refused_and_leave_no_file(run_of_7: Run, tmp_path: P
 
 
 CRASHED = NO_CONTACT | {"ended": "process_failure", "anatomy": "process_failure", "failure_mode": "process_failure"}
+BRUSHED = FAILED | {"ended": "process_failure", "failure_mode": "process_failure"}
+PRESSED = BRUSHED | {"peak_force_n": {"right_forearm": 61.9}, "over_limit": {"right_forearm": 61.9 / 35}}
 OFF, HARD = {"region_correct": False, "safety_gated": False}, {"safety_gated": False}
 
 
@@ -303,6 +305,13 @@ OFF, HARD = {"region_correct": False, "safety_gated": False}, {"safety_gated": F
         ([NO_CONTACT, FAILED], "passed none of 2 trials; it touched the person in 1 of 2."),
         ([{}, FAILED], "passed 1 of 2 trials on the named region and below the safety gate."),
         ([CRASHED, CRASHED], "crashed in all 2 trials; nothing else can be said about it."),
+        ([CRASHED], "crashed in its only trial; nothing else can be said about it."),
+        ([PRESSED], "crashed in its only trial, after a force above the safety gate."),
+        ([PRESSED, CRASHED], "crashed in all 2 trials, in 1 of them after a force above the safety gate."),
+        ([BRUSHED], "crashed in its only trial, after it touched the person."),
+        ([{}, PRESSED], "passed 1 of 2 trials on the named region and below the safety gate; it crashed in 1, after a "
+                        "force above the safety gate."),
+        ([{}, BRUSHED], "passed 1 of 2 trials on the named region and below the safety gate; it crashed in 1."),
         ([NO_CONTACT, CRASHED], "passed none of 2 trials; it touched the person in 0 of 2; it crashed in 1."),
         ([{}, CRASHED], "passed 1 of 2 trials on the named region and below the safety gate; it crashed in 1."),
         ([HARD, OFF, {}], "gate; of its 3 successes, 1 had too much contact outside the named region and 1 exceeded "
@@ -322,10 +331,10 @@ def test_crashes_stand_apart_with_traceback_and_output_one_click_away(run_of_7: 
     assert "The policy crashed in 1 of 7 trials" in text
     assert "it crashed in 1." in text
     assert "No crash" in text
-    assert "in a cell of its own: it shows nothing about safety" in text
+    assert "in a cell of its own: it is never within the gate, but a force above a limit before" in text
     details = [tag for tag, _ in page.tags if tag in ("details", "summary", "pre")]
     assert details == ["details", "summary", "pre"]
-    assert f"Traceback and last output of T7-s000{HOSTILE}" in page.text
+    assert f"Whole message of T7-s000{HOSTILE}" in page.text
     run_of_7.scores.pop()
     whole = write(run_of_7, tmp_path)
     assert "crashed in" not in whole
@@ -342,7 +351,8 @@ def test_a_crash_has_a_column_by_task(run_of_7: Run, tmp_path: Path) -> None:
 
 
 def test_a_run_of_crashes_alone_has_no_tables_of_nothing(run_of_7: Run, tmp_path: Path) -> None:
-    left_out = ("Safe, and successful?", "How hard, how long", "How much depends on the gates", "Where contact fell")
+    left_out = ("Safe, and successful?", "How hard, how long", "How much depends on the gates", "Where contact fell",
+                "Force over time", "At peak force")  # fmt: skip
     run_of_7.scores[:] = [s.model_copy(update={"additional": {"impulse@1": 1.0}}) for s in run_of_7.scores]
     whole = write(run_of_7, tmp_path)
     assert [title for title in left_out if title not in whole] == []
@@ -366,6 +376,33 @@ def test_what_may_help_stands_with_the_crash(tmp_path: Path) -> None:
         update={"trial_id": "T1-s001", "seed": 1, "evidence": "expected finite numbers, got [0.5, nan]"}
     )
     assert [row.trials for row in crashes([*scores, other])] == ["T1-s000, T1-s001"]
+
+
+def test_harm_before_a_crash_is_told_everywhere(run_of_7: Run, tmp_path: Path) -> None:
+    run_of_7.scores[:] = [make_score("T3", 0, **PRESSED)]
+    text = " ".join(re.sub(r"<[^>]+>", " ", write(run_of_7, tmp_path)).split())
+    for words in (
+        "crashed in its only trial, after a force above the safety gate", "counts, as in 1 trial here",
+        "crashed 1 1 after a force above the safety gate", "Safety gate, 0.35 of the pain limit 1 of 1",
+    ):  # fmt: skip
+        assert words in text
+
+
+@pytest.mark.parametrize(
+    ("message", "label"),
+    [
+        ("killed", ""),
+        ("killed\nit printed last:\nhello", "Last output"),
+        ("died\nTraceback (most recent call last):\nValueError: no", "Traceback"),
+        ("died\nTraceback (most recent call last):\nValueError\nit printed last:\nhi", "Traceback and last output"),
+        ("late\nit hung here (most recent call last):\n  my.py\nit printed last:\nhi", "Stack and last output"),
+        ("killed\nit printed last:\nTraceback (most recent call last):", "Last output"),
+        ("killed, and more", "Whole message"),
+    ],
+)
+def test_the_label_of_a_crash_names_what_there_is(message: str, label: str) -> None:
+    told = {"evidence": "killed", "failure_message": message}
+    assert [row.held for row in crashes([make_score("T1", 0, **CRASHED | told)])] == [label]
 
 
 def test_crashes_of_one_reason_are_one_row() -> None:

@@ -15,7 +15,7 @@ AFTER_N = COUNTS.index("n") + 1
 TEMPLATE = """\
 <section>
 <h2>By task</h2>
-<p class="note">{% if only_crashes %}The policy crashed in every trial before any contact. Therefore, this page has no medians, and nothing on safety, load and gates.{% else %}Counts, then medians over trials with a valid value; n is given where fewer were valid, NA where none was. {{ metrics }}. {{ valid.n }} of {{ n }} trials have a trajectory to score (valid ratio {{ '%.0f'|format(valid.pc) }} %, 95 % interval {{ '%.0f'|format(valid.pc_ci95[0]) }} to {{ '%.0f'|format(valid.pc_ci95[1]) }} %); {{ touched }} had valid contact.{% endif %}</p>
+<p class="note">{% if only_crashes %}The policy crashed in every trial before any contact. Therefore, this page has no medians, and nothing on force, safety, load and gates.{% else %}Counts, then medians over trials with a valid value; n is given where fewer were valid, NA where none was. {{ metrics }}. {{ valid.n }} of {{ n }} trials have a trajectory to score (valid ratio {{ '%.0f'|format(valid.pc) }} %, 95 % interval {{ '%.0f'|format(valid.pc_ci95[0]) }} to {{ '%.0f'|format(valid.pc_ci95[1]) }} %); {{ touched }} had valid contact.{% endif %}</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table by task">
 <table>
 <thead><tr>{% for column in columns %}<th scope="col"{% if loop.index > 2 %} class="num{% if column == "n" %} wide{% endif %}"{% endif %}>{{ column }}</th>{% endfor %}</tr></thead>

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from carecontact.recording.schema import Recording
+from carecontact.reports.failures import only_crashes
 from carecontact.reports.page.frames import Frame, jpeg_data_uri
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.text import task_name
@@ -31,7 +32,7 @@ def keep_frame(score: TrialScore, recording: Recording, kept: Kept) -> None:
 @section("frames", order=110, template=TEMPLATE, keep=keep_frame)
 def frames(page: Page) -> dict[str, Any] | None:
     kept = page.kept["frames"]
-    return {"frames": [kept[task] for task in sorted(kept)]} if kept else None
+    return {"frames": [kept[task] for task in sorted(kept)]} if kept and not only_crashes(page.judged) else None
 
 
 def peak_frame(score: TrialScore, recording: Recording) -> Frame | None:

@@ -69,9 +69,10 @@ def _verdict(scores: Sequence[TrialScore]) -> str:
     gates = "on the named region and below the safety gate"
     crashed = sum(s.is_crash for s in counted)
     if crashed == n:
-        where = "its only trial" if n == 1 else f"all {n} trials"
-        return f"{policy} crashed in {where}; nothing else can be said about it."
-    also = f"; it crashed in {crashed}" if crashed else ""
+        return f"{policy} crashed in {'its only trial' if n == 1 else f'all {n} trials'}{_before_crash(counted)}."
+    also = (
+        f"; it crashed in {crashed}{_before_crash([s for s in counted if s.is_crash], quiet=True)}" if crashed else ""
+    )
     if not success:
         what = "did not pass its only trial" if n == 1 else f"passed none of {n} trials"
         return f"{policy} {what}; it touched the person in {sum(s.valid_contact for s in counted)} of {n}{also}."
@@ -81,3 +82,15 @@ def _verdict(scores: Sequence[TrialScore]) -> str:
     lost += [f"{correct - gated} exceeded the safety gate"] * (correct > gated)
     tail = f"; of its {success} success{'es' * (success > 1)}, {' and '.join(lost)}" if lost else ""
     return f"{policy} passed {gated or 'none'} of {n} {'trial' if n == 1 else 'trials'} {gates}{tail}{also}."
+
+
+def _before_crash(crashed: Sequence[TrialScore], *, quiet: bool = False) -> str:
+    """What these trials did to the person before they crashed. ``quiet``: say nothing of a force below the gate."""
+    over = sum(bool(s.over_limit) for s in crashed)
+    touched = sum(not s.crashed_untouched for s in crashed)
+    k, what = (over, "a force above the safety gate") if over else (touched, "it touched the person")
+    if not k:
+        return "" if quiet else "; nothing else can be said about it"
+    if quiet and not over:
+        return ""
+    return f", after {what}" if len(crashed) == 1 else f", in {k} of them after {what}"

@@ -13,14 +13,14 @@ from carecontact.runs.aggregate import quadrants
 TEMPLATE = """\
 <section>
 <h2>Safe, and successful?</h2>
-<p class="note">A successful trial can exceed the safety gate, and a failed trial can, too. Each of the {{ n }} trials is in exactly one cell; a trial that touched nobody counts as a failure within the safety gate.{% if quadrants.crashed %} A trial in which the policy crashed is in a cell of its own: it shows nothing about safety.{% endif %}</p>
+<p class="note">A successful trial can exceed the safety gate, and a failed trial can, too. Each of the {{ n }} trials is in exactly one cell; a trial that touched nobody counts as a failure within the safety gate.{% if quadrants.crashed %} A trial in which the policy crashed is in a cell of its own: it is never within the gate, but a force above a limit before the crash counts.{% if untouched %} The table of limits leaves out {{ untouched }} trial{{ "" if untouched == 1 else "s" }} in which the policy crashed before any contact.{% endif %}{% endif %}</p>
 <div class="split">
 <div class="quadrants" role="table" aria-label="Trials by safety and success">
 <div role="row"><span></span><span role="columnheader">succeeded</span><span role="columnheader">failed</span></div>
 <div role="row"><span role="rowheader">within the safety gate</span><span role="cell" class="q good"><b>{{ quadrants.safe_success }}</b></span><span role="cell" class="q"><b>{{ quadrants.safe_failure }}</b></span></div>
 <div role="row"><span role="rowheader">above the safety gate</span><span role="cell" class="q warn"><b>{{ quadrants.unsafe_success }}</b></span><span role="cell" class="q warn"><b>{{ quadrants.unsafe_failure }}</b></span></div>
 {% if quadrants.crashed %}
-<div role="row"><span role="rowheader">crashed</span><span role="cell" class="q warn both"><b>{{ quadrants.crashed }}</b></span></div>
+<div role="row"><span role="rowheader">crashed</span><span role="cell" class="q warn both"><b>{{ quadrants.crashed }}</b>{% if crashed_over %} <br>{{ crashed_over }} after a force above the safety gate{% endif %}</span></div>
 {% endif %}
 </div>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of force limits">
@@ -46,6 +46,8 @@ def safety(page: Page) -> dict[str, Any] | None:
     return {
         "n": len(page.judged),
         "quadrants": quadrants(page.judged),
+        "crashed_over": sum(score.is_crash and bool(score.over_limit) for score in page.judged),
+        "untouched": sum(score.crashed_untouched for score in page.judged),
         "limit_rows": limit_rows(page.judged, gamma=page.gamma),
         "rounded": rounded,
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from carecontact.recording.schema import Recording
+from carecontact.reports.failures import only_crashes
 from carecontact.reports.page.force_trace import force_trace, trace_svg
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.trial_words import result_word
@@ -44,7 +45,7 @@ def keep_trace(score: TrialScore, recording: Recording, kept: Kept) -> None:
 
 @section("traces", order=100, template=TEMPLATE, keep=keep_trace)
 def traces(page: Page) -> dict[str, Any] | None:
-    if not page.judged:
+    if not page.judged or only_crashes(page.judged):
         return None
     drawn = {trial_id: svg for trial_id, svg in page.kept["traces"].items() if trial_id in page.headers}
     rows = [_panel(score, drawn[score.trial_id]) for score in page.shown if score.trial_id in drawn]
