@@ -14,7 +14,8 @@ CarecontactError
 ├── ProgramError             a program that a language model wrote was stopped or is wrong
 ├── PolicyError              the policy process died, hung or answered wrongly: its process failure
 │   └── UnreachableError     no server takes a connection at the policy's address: says nothing about the policy
-└── RecordingError           a trial file is corrupt, truncated or foreign
+├── RecordingError           a trial file is corrupt, truncated or foreign
+└── StorageError             there is no space for a file: says nothing about a trial
 """
 
 from __future__ import annotations
@@ -129,4 +130,8 @@ class UnreachableError(PolicyError):
 
 
 class RecordingError(CarecontactError):
+    pass
+
+
+class StorageError(CarecontactError):
     pass

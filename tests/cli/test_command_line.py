@@ -127,3 +127,44 @@ def test_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
     )
     os.close(writing)
     assert (done.returncode, done.stderr) == (BROKEN_PIPE, b"")
+
+
+def test_a_run_whose_reader_goes_away_ends_quietly(tmp_path: Path) -> None:
+    command = ["run", "--policy", "zero-action", "--tasks", "T1", "--seeds", "0-9", "--out", "r"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "carecontact.cli", *command, "--set", "phases.time_limit_s=1"],
+        env={**os.environ, "PYTHONPATH": SOURCES},
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as running:
+        assert running.stdout is not None
+        assert running.stderr is not None
+        assert running.stdout.readline().startswith(b"zero-action: 10 trial(s)")
+        running.stdout.close()
+        assert (running.wait(60), running.stderr.read()) == (BROKEN_PIPE, b"")
+    assert not [path.name for path in (tmp_path / "r").iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize("place", ["argument", "current folder"])
+def test_a_name_that_is_no_text_is_one_line(tmp_path: Path, place: str) -> None:
+    odd = os.fsdecode(b"run\xff")
+    folder = tmp_path / odd
+    folder.mkdir()
+    out, cwd = (odd, tmp_path) if place == "argument" else ("r", folder)
+    done = carecontact("run", "--policy", "hover", "--out", out, cwd=cwd)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: the ")
+    assert done.stderr.endswith("run\\udcff' holds bytes that are not UTF-8; rename it\n")
+    assert done.stderr.count("\n") == 1
+
+
+def test_what_a_terminal_cannot_show_is_escaped(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "from carecontact.cli import main; main(['--version']); print('\\ud800 \u00e9')"],
+        env={**os.environ, "PYTHONPATH": SOURCES, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.splitlines()[1] == "\\ud800 \\xe9"

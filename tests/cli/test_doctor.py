@@ -66,6 +66,26 @@ def test_exit_status_and_output(
 
 
 @pytest.mark.parametrize(
+    ("landlock", "user", "told"),
+    [
+        (7, 1000, ["ok   isolation  full\n"]),
+        (7, 0, ["warn isolation  full; you are root, and so is every policy"]),
+        (4, 1000, ["warn isolation  partial: ", "signals to the harness", "on another host"]),
+        (0, 0, ["warn isolation  none: this system has no Landlock", "on another host", "you are root"]),
+    ],
+)
+def test_isolation_that_is_not_there_is_warned_of(
+    landlock: int, user: int, told: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("carecontact.hosting.isolation.fence.version", lambda: landlock)
+    monkeypatch.setattr("os.geteuid", lambda: user)
+    monkeypatch.setattr("carecontact.cli.machine.findings", lambda: [machine.check_isolation()])
+    assert Doctor()() == 0
+    said = capsys.readouterr().out
+    assert all(part in said for part in told)
+
+
+@pytest.mark.parametrize(
     ("code", "expected"),
     [
         ("pass", None),

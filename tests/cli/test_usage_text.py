@@ -28,6 +28,10 @@ TOLD = {
     ("serve", "hover", "--port", "x"): (
         "error: --port: expected INT, got 'x'; For full helptext, see carecontact serve --help\n"
     ),
+    ("run", "--policy", "hover", "--out", "r", "--tasks", "T1", "T2"): (
+        "error: no option takes T2 (did you mean a list with commas, such as --tasks T1,T2 or --seeds 0,1?); For full "
+        "helptext, run carecontact run --help\n"
+    ),
     ("doctor", "x"): "error: no option takes x; For full helptext, run carecontact doctor --help\n",
 }
 

@@ -258,7 +258,12 @@ def test_notes_are_kept_beside_their_observation(log: TrialLog) -> None:
 
 
 @pytest.mark.parametrize(
-    ("notes", "kind"), [({"a": [np.zeros(2)]}, "garbage"), ({"a": np.zeros(MAX_NOTES_BYTES // 8)}, "oversize")]
+    ("notes", "kind"),
+    [
+        ({"a": [np.zeros(2)]}, "garbage"),
+        ({"json": np.zeros(2), "chosen": 2}, "garbage"),
+        ({"a": np.zeros(MAX_NOTES_BYTES // 8)}, "oversize"),
+    ],
 )
 def test_notes_that_cannot_be_kept_are_the_policys_failure(log: TrialLog, notes: dict[str, Any], kind: str) -> None:
     with pytest.raises(PolicyError) as caught:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from carecontact.contract.policy_ref import PolicyRef
 from carecontact.hosting.conversation import BUDGET_S
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
@@ -42,7 +43,12 @@ def launch(tmp_path: Path) -> Iterator[Launch]:
     ) -> PolicyProcess:
         (tmp_path / "under_test.py").write_text(PREAMBLE + textwrap.dedent(source))
         process = PolicyProcess(
-            PolicySetup.of("under_test:P", search_path=[str(tmp_path)], arguments=arguments),
+            PolicySetup(
+                ref=PolicyRef.parse("under_test:P"),
+                search_path=(str(tmp_path),),
+                arguments=arguments or {},
+                writable=(str(tmp_path),),
+            ),
             first_deadline_s=first_deadline_s,
             deadline_s=deadline_s,
             budget_s=budget_s,

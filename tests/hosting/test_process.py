@@ -404,12 +404,13 @@ class P(Base):
     )
     setup = PolicySetup(
         ref=PolicyRef.parse("under_test:P"), search_path=(str(tmp_path),), arguments={"steps": "3"},
-        environment={"TOKEN": "sekret-4"}, language="live:model-5", record="record-6",
+        environment={"TOKEN": "sekret-4"},
+        language="live:model-5", record=str(tmp_path / "record-6"), writable=(str(tmp_path),),
     )  # fmt: skip
     with PolicyProcess(setup, first_deadline_s=20, deadline_s=20) as process:
         card = process.start()
     told = (tmp_path / "told").read_text()
-    assert told.startswith("3 live:model-5 record-6 sekret-4 [")
+    assert told.startswith(f"3 live:model-5 {tmp_path}/record-6 sekret-4 [")
     assert (card.arguments, card.environment) == ({"steps": "3"}, ("TOKEN",)), "a language has its own field"
     command_line = told.partition("[")[2]
     assert not [given for given in ("steps", "sekret", "model-5", "record-6") if given in command_line]
@@ -480,7 +481,8 @@ def test_the_process_ends_with_its_parent(tmp_path: Path, hangs: str) -> None:
             "from carecontact.hosting.process import PolicyProcess\n"
             "from synthetic import SESSION\n"
             "from carecontact.hosting.setup import PolicySetup\n"
-            "setup = PolicySetup.of('orphan:P', search_path=['.'])\n"
+            "from carecontact.contract.policy_ref import PolicyRef\n"
+            "setup = PolicySetup(ref=PolicyRef.parse('orphan:P'), search_path=('.',), writable=('.',))\n"
             "p = PolicyProcess(setup, first_deadline_s=60, deadline_s=60)\n"
             "p.start(); p.reset('touch', SESSION)",
             str(Path(carecontact.__file__).parents[1]),

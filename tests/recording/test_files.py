@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import tempfile
+import zlib
 from pathlib import Path
 
 import h5py
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from carecontact.errors import RecordingError
 from carecontact.recording import ARRAYS, OPTIONAL_ARRAYS, Recording, canonical_hash, read_recording, write_recording
+from carecontact.recording.check import MAX_WALL_BYTES
 from carecontact.recording.schema import dimensions
 from tests.scoring.synthetic import before_start, make_recording, touch
 
@@ -182,6 +184,31 @@ def test_claimed_size_is_refused_before_unpacking(tmp_path: Path, image: bytes) 
         file.create_dataset("perception/bomb", shape=(1 << 40,), dtype="f8", chunks=(1 << 16,), compression="gzip")
     with pytest.raises(RecordingError, match="perception/bomb declares"):
         read_recording(path)
+
+
+def test_a_few_megabytes_that_unpack_to_gigabytes_are_refused(tmp_path: Path, image: bytes) -> None:
+    path, chunk = tmp_path / "T1-s000.h5", 8 << 20
+    path.write_bytes(image)
+    with h5py.File(path, "r+") as file:
+        bomb = file.create_dataset("perception/bomb", (256 * chunk,), "u1", chunks=(chunk,), compression="gzip")
+        for number in range(256):
+            bomb.id.write_direct_chunk((number * chunk,), zlib.compress(bytes(chunk), 9))
+    assert path.stat().st_size < 3_000_000
+    with pytest.raises(RecordingError, match="perception/bomb declares 2147483648 bytes, more than a trial may have"):
+        read_recording(path)
+
+
+def test_what_no_checksum_covers_is_small(tmp_path: Path, image: bytes) -> None:
+    path = tmp_path / "T1-s000.h5"
+    large = np.random.default_rng(0).integers(0, 256, MAX_WALL_BYTES + 1, np.uint8)
+    told = f"wall/ has {large.size + 3200} bytes, which no checksum covers; at most {MAX_WALL_BYTES} are allowed there"
+    path.write_bytes(image)
+    with h5py.File(path, "r+") as file:
+        file["wall/hidden"] = large
+    with pytest.raises(RecordingError, match=told):
+        read_recording(path)
+    with pytest.raises(RecordingError, match="which no checksum covers"):
+        write_recording(make_recording(extra={"wall/hidden": large}), path)
 
 
 def test_links_are_refused(tmp_path: Path, image: bytes) -> None:

@@ -96,6 +96,11 @@ def test_append_twice_does_nothing_the_second_time(folder: Path, new_metric: str
     assert (path.read_bytes(), path.stat().st_mtime_ns) == (first, stamp)
 
 
+def test_a_recording_that_is_gone_is_named(folder: Path) -> None:
+    (folder / "T2-s000.h5").unlink()
+    assert append_metrics(folder).gone == ["T2-s000"]
+
+
 def test_what_was_scored_otherwise_stays(folder: Path, new_metric: str) -> None:
     """Numbers of another release are kept even where this one would give others."""
     path = folder / "results.json"

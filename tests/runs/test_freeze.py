@@ -137,6 +137,15 @@ def test_a_shipped_protocol_does_not_run_where_something_else_is_installed(
     assert check_frozen(shipped.id, shipped, unfrozen=True).overrides.keys() == {"lock"}
 
 
+def test_the_line_that_installs_the_locked_versions_is_told(shipped: Protocol, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = make_lock(shipped, worlds=False)
+    other = here.model_copy(update={"versions": here.versions | {"mujoco": "4.0.1"}})
+    monkeypatch.setattr(freeze, "make_lock", lambda protocol, worlds: other)
+    line = rf"python -m pip install mujoco=={re.escape(here.versions['mujoco'])}, or run with --unfrozen"
+    with pytest.raises(ConfigError, match=line):
+        check_frozen(shipped.id, shipped, unfrozen=False)
+
+
 @pytest.mark.parametrize("frozen", ["frozen = true", "frozen = false"])
 def test_a_file_with_a_shipped_id_is_held_to_the_shipped_lock(tmp_path: Path, shipped: Protocol, frozen: str) -> None:
     text = protocol_file(shipped.id).read_text()

@@ -312,3 +312,12 @@ def test_packed_results_are_read_as_they_were_and_damage_is_named(tmp_path: Path
         packed.write_bytes(damaged)
         with pytest.raises(ConfigError, match=r"a\.json\.gz is damaged"):
             read_results(packed)
+
+
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
+    packed = tmp_path / "bomb.json.gz"
+    # Members of a gzip file follow each other.
+    packed.write_bytes(gzip.compress(bytes(64 << 20)) * 40)
+    assert packed.stat().st_size < 3_000_000
+    with pytest.raises(ConfigError, match=r"bomb.json.gz unpacks to more than the 256 MB that the scores of a run may"):
+        read_results(packed)

@@ -140,6 +140,18 @@ def test_ball_does_not_care_which_way_it_is_turned(restored: Bench) -> None:
     np.testing.assert_allclose(turned[: len(normal)], normal[: len(turned)], atol=0.01)
 
 
+def test_the_skin_sinks_under_the_indenter_and_not_far_from_it(restored: Bench) -> None:
+    restored.press(depth_m=0.004, speed_m_s=0.01)
+    distance, sunk = restored.skin()
+    under, far = distance < 0.006, distance > 0.04
+    assert under.any()
+    assert far.any()
+    # The ball's own surface; the contact gives way by some tenths, and the shell is a polyhedron.
+    ball = 0.004 - (0.010 - np.sqrt(0.010**2 - distance[under] ** 2))
+    np.testing.assert_allclose(sunk[under], ball, atol=0.0007)
+    assert np.abs(sunk[far]).max() < 0.0002
+
+
 def test_place_lies_on_the_shell_and_tilt_turns_toward_the_axis(bench: Bench) -> None:
     shell = region_shell(bench.body, "forearm", TISSUE["forearm"])
     point, inward, axis = bench.place(0.012, -0.006)

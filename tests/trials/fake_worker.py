@@ -105,6 +105,10 @@ def main() -> int:
         child = subprocess.Popen(sleeper, env={**os.environ, MARK: new_mark()}, start_new_session=True)
         note(f"child {child.pid}")
         os.kill(os.getpid(), signal.SIGKILL)
+    elif does == "full":
+        from carecontact.trials.worker import UNSTORED
+
+        os._exit(UNSTORED)
     elif does == "hang":
         note(f"child {subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']).pid}")
         time.sleep(600)

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from carecontact.cli import main
-from carecontact.contract.protocol import Protocol
-from carecontact.episode.prepare import World, settled_world
-from carecontact.protocols import load_protocol
-from carecontact.sim.simulation import Simulation
 
 PREAMBLE = """
 import time
@@ -35,26 +30,6 @@ class P:
 FAST = PREAMBLE.replace("control_hz=1", "control_hz=50")
 """Its one action lasts 0.02 s, and that of PREAMBLE longer than a call on a machine with other work."""
 ANSWER = "\n    def answer(self):\n        "
-
-
-@pytest.fixture(scope="module")
-def built() -> tuple[World, np.ndarray]:
-    """The world of T1-s000, and its state."""
-    world = settled_world(load_protocol(), task_id="T1", seed=0)
-    return world, world[0].integration_state()
-
-
-@pytest.fixture
-def same_world(built: tuple[World, np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every check has the same world, which takes a second to build."""
-    (simulation, settled, sha256), state = built
-
-    def again(protocol: Protocol, *, task_id: str, seed: int) -> World:
-        fresh = Simulation(simulation.scene)
-        fresh.restore(state, comfort_arm_deg=settled.comfort_arm_deg)
-        return fresh, settled, sha256
-
-    monkeypatch.setattr("carecontact.trials.check.settled_world", again)
 
 
 @pytest.fixture

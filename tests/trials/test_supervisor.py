@@ -22,9 +22,11 @@ from carecontact import __version__
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError
+from carecontact.hosting.descendants import MARK
 from carecontact.hosting.setup import PolicySetup
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, read_recording
+from carecontact.runs.alone import LOCK
 from carecontact.runs.plan import plan_trials
 from carecontact.scoring import score_recording
 from carecontact.trials.request import TrialRequest
@@ -143,7 +145,8 @@ def test_nothing_that_a_policy_can_read_names_the_trial_or_holds_a_secret(bench:
     assert not [word for word in ("T1", "s000", "s001", "seed", *given) if word in told]
     requests = (bench.folder / "requests.jsonl").read_text().splitlines()
     assert all(word in request for request in requests for word in given)
-    assert [TrialRequest.model_validate_json(request).policy for request in requests] == [setup, setup]
+    closed = replace(setup, closed=(str(bench.out),))
+    assert [TrialRequest.model_validate_json(request).policy for request in requests] == [closed, closed]
 
 
 def test_other_arguments_or_variables_need_another_folder(bench: Bench) -> None:
@@ -179,16 +182,19 @@ def test_a_setup_of_another_policy_than_the_trials_is_a_mistake(bench: Bench) ->
 
 
 def test_leftovers_of_a_killed_supervisor_go_and_a_living_one_is_not_disturbed(bench: Bench) -> None:
-    left = bench.out / ".running-dead"
+    left, cut = bench.out / ".running-dead", bench.out / ".results.json.x1.tmp"
     left.mkdir(parents=True)
-    (left / "lock").touch()
+    cut.touch()
+    (bench.out / LOCK).write_text("process 1, since ever,")
     bench.run(specs(1))
-    assert not list(bench.out.glob(".running-*"))
+    assert sorted(path.name for path in bench.out.iterdir()) == ["T1-s000.h5", "manifest.json"]
 
     left.mkdir()
-    with (left / "lock").open("w") as lock:
+    with (bench.out / LOCK).open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(ConfigError, match="another command is writing trials"):
+        lock.write("process 7, since yesterday,")
+        lock.flush()
+        with pytest.raises(ConfigError, match="process 7, since yesterday, is at work in this folder; wait"):
             bench.run(specs(2))
     assert left.exists()
     assert not (bench.out / "T1-s001.h5").exists()
@@ -237,6 +243,22 @@ def test_what_a_policy_left_behind_a_killed_worker_is_killed(bench: Bench) -> No
     left = [int(line.split()[1]) for line in bench.log.read_text().splitlines() if line.startswith("child")]
     assert len(left) == 1
     assert not alive(left[0])
+
+
+def test_what_a_policy_left_behind_a_killed_command_is_killed_by_the_next(bench: Bench) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    sleeper = [sys.executable, "-c", "import time; time.sleep(600)"]
+    marks = {"left": f"{gone.pid}.1", "living": f"{os.getpid()}.1"}
+    processes = {name: subprocess.Popen(sleeper, env={**os.environ, MARK: mark}) for name, mark in marks.items()}
+    try:
+        bench.run(specs(1))
+        assert processes["left"].wait(10) == -9
+        assert processes["living"].poll() is None
+    finally:
+        for process in processes.values():
+            process.kill()
+            process.wait()
 
 
 def test_resume_runs_only_what_is_missing_damaged_or_asked_for(bench: Bench) -> None:

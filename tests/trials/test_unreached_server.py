@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import tempfile
 import threading
+import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -73,8 +75,19 @@ def test_a_server_that_stays_away_stops_the_run_and_no_trial_is_lost(tmp_path: P
 
 def test_a_server_that_dies_in_a_trial_is_that_trials_failure(tmp_path: Path) -> None:
     """Its trial has begun: what it commanded counts."""
-    dies = POLICY.replace("return Action", "os.kill(os.getppid(), 9); time.sleep(60); return Action")
-    with served(dies, tmp_path) as (port, _):
+    acts = f"{tmp_path.parent.name}-acts"
+    hangs = POLICY.replace(
+        "return Action", f"open(os.path.join(os.environ['TMPDIR'], '{acts}'), 'w'); time.sleep(60); return Action"
+    )
+    with served(hangs, tmp_path) as (port, server):
+
+        def kill_when_it_acts() -> None:
+            while not any(Path(tempfile.gettempdir()).glob(f"carecontact-policy-*/{acts}")):
+                time.sleep(0.05)
+            server.kill()
+
+        killer = threading.Thread(target=kill_when_it_acts, daemon=True)
+        killer.start()
         summary = run(port, tmp_path / "r", lambda event: None, first_call_s=6)
     assert summary.ended == {"T1-s000": "process_failure"}
     assert "nothing listens" in (summary.unreached or "")

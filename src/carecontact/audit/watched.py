@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -182,7 +182,7 @@ def press(
     watched = watch(
         spec.model_copy(update={"policy": WITNESS}),
         policy=card.name, prepare=prepare, log=log,
-        setup=PolicySetup.of(WITNESS, search_path=[str(folder)]),
+        setup=replace(PolicySetup.of(WITNESS, search_path=[str(folder)]), writable=(str(folder),)),
     )  # fmt: skip
     if told.is_file():
         watched.told = json.loads(told.read_text())

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
 from collections.abc import Sequence
+from types import FrameType
+from typing import TextIO
 
 from carecontact import __version__
 from carecontact.errors import CarecontactError, ConfigError
+from carecontact.hosting.isolation.kernel import hide_memory, hide_options
 
-REPEATABLE = ("--set", "--policy-arg", "--policy-env")
+REPEATABLE = ("--set", "--policy-arg", "--policy-env", "--policy-read", "--policy-write")
 """Options that a command line may hold several times."""
+STOPPING = ("SIGTERM", "SIGHUP", "SIGQUIT")
 INTERRUPTED, BROKEN_PIPE = 130, 141
 """128 and the signal's number, as a shell counts."""
 
@@ -19,16 +24,21 @@ INTERRUPTED, BROKEN_PIPE = 130, 141
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line; returns its exit status. Errors that the user can fix give one message and status 2."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    hide_options(arguments)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A name out of a file or of a policy may hold what no terminal can show.
+        sys.stdout.reconfigure(errors="backslashreplace")
     if arguments == ["--version"]:
         print(f"carecontact {__version__}")
         return 0
     from carecontact.cli.commands import parse
     from carecontact.cli.spelling import with_synonyms
 
-    # A polite kill must stop the trials' processes as Ctrl-C does; they live in sessions of their own.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    hide_memory()
+    _stop_as_interrupted()
     left = ""
     try:
+        _readable(arguments)
         arguments = with_synonyms(arguments)
         _once(arguments)
         command = parse(arguments)
@@ -44,12 +54,59 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except OSError as error:
+        from carecontact.recording.storage import REMEDY, is_full
+
         place = error.filename2 or error.filename
-        print(_error_line(f"{place}: {error.strerror}" if place and error.strerror else str(error)), file=sys.stderr)
+        told = f"{place}: {error.strerror}" if place and error.strerror else str(error)
+        print(_error_line(f"{told}; {REMEDY}" if is_full(error) else told), file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"\ninterrupted{left}", file=sys.stderr)
         return INTERRUPTED
+
+
+def _readable(arguments: Sequence[str]) -> None:
+    """Refuse a name that is no text: recordings, reports and messages could not hold it. Raises ConfigError."""
+    for text in (*arguments, os.getcwd()):
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            what = "argument" if text in arguments else "name of the current folder"
+            raise ConfigError(f"the {what} {text!a} holds bytes that are not UTF-8; rename it") from None
+
+
+def _stop_as_interrupted() -> None:
+    """A polite kill and a closed terminal stop the trials' processes, which live in sessions of their own, as Ctrl-C
+    does.
+
+    What the caller ignores, as nohup does, stays ignored.
+    """
+    for number in _stopping():
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _interrupt)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    # A closed terminal tells it twice, and the second time must not interrupt the cleaning up. Ctrl-C still may.
+    for each in _stopping():
+        signal.signal(each, signal.SIG_IGN)
+    for stream in (sys.__stdout__, sys.__stderr__):
+        _drop_if_gone(stream)
+    raise KeyboardInterrupt
+
+
+def _drop_if_gone(stream: TextIO | None) -> None:
+    """What is still printed must not fail where the terminal is gone, which refuses even nothing."""
+    if stream is None:
+        return
+    try:
+        os.write(stream.fileno(), b"")
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _stopping() -> list[signal.Signals]:
+    return [number for name in STOPPING if (number := getattr(signal, name, None)) is not None]
 
 
 def _once(arguments: Sequence[str]) -> None:

@@ -56,7 +56,7 @@ class Audit:
                 f"--protocol {self.rules.protocol}: the audit supports only the segmenter mediapipe, but this protocol "
                 f"names {rules.vision.segmenter}"
             )
-        given = PolicyGroup(policy_arg=self.given.policy_arg, policy_env=self.given.policy_env)
+        given = PolicyGroup(**vars(self.given))
         setups = [policy_setup(name, given) for name in self.policy or POLICIES]
         for setup in setups:
             check_policy(setup, deadline_s=rules.phases.first_call_deadline_s)

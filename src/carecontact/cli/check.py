@@ -8,15 +8,19 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, PolicyGroup, RulesGroup, VisionGroup
+from carecontact.cli.groups import FLAT, PolicyGroup, RulesGroup, Switch, VisionGroup
 
 if TYPE_CHECKING:
-    from carecontact.trials.first_answer import Finding
+    from carecontact.trials.finding import Finding
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Try a policy on one real observation: start, card, answer, limits and latency. No trial is recorded."""
+    """Try a policy on one real observation: start, card, answer, limits and latency. No trial is recorded.
+
+    For a policy's server, or with --deep, it also prints what the server says of itself, what it is sent and what each
+    column of its answer holds, writes the pictures that it is sent into a file, and asks again with each input blanked,
+    to name those that have no effect."""
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
     """One of: a name from `carecontact list policies`; a module:Class that can be imported from the current folder; or
@@ -27,6 +31,12 @@ class Check:
     """Task whose instruction and first observation the policy is given; default: the protocol's first."""
     seed: int | None = None
     """Seed of the protocol; default: its first."""
+    deep: Switch = False
+    """Check a policy that starts here as deeply as a policy's server."""
+    quick: Switch = False
+    """Check a policy's server no deeper than a policy that starts here."""
+    pictures: Path = Path("check-pictures.png")
+    """PNG file for the pictures that are sent, of the deep check."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
     vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
 
@@ -38,22 +48,32 @@ class Check:
         from carecontact.cli.policy import policy_setup
         from carecontact.cli.policy_names import meant
         from carecontact.cli.vision import with_vision
+        from carecontact.errors import ConfigError
+        from carecontact.protocols import load_protocol
+        from carecontact.runs.freeze import check_frozen
         from carecontact.runs.plan import plan_trials
         from carecontact.runs.preflight import check_protocol
         from carecontact.trials.check import Check as Checked
+        from carecontact.trials.deep.sheet import check_sheet_path
 
         setup = policy_setup(self.policy, self.given)
+        # The world of another release cannot be trusted to be built, let alone to be that of a run.
+        check_frozen(self.rules.protocol, load_protocol(self.rules.protocol), unfrozen=False)
         rules = with_vision(self.rules.load(), self.vision)
         check_protocol(rules)
         task = self.task or rules.tasks[0].id
         seed = rules.randomization.seeds[0] if self.seed is None else self.seed
         check_trial(rules, task=task, seed=seed)
+        if self.deep and self.quick:
+            raise ConfigError("--deep and --quick exclude each other; give one of them")
+        deep = self.deep or (setup.ref.kind == "remote" and not self.quick)
+        pictures = check_sheet_path(self.pictures) if deep else None
         (spec, *_) = plan_trials(
             protocol=rules, policy=setup.ref.text, tasks=[task], seeds=[seed], arguments=setup.arguments,
             environment=setup.environment,
         )  # fmt: skip
         print(f"{setup.ref}: the first observation of {spec.trial_id}, {rules.title}, twice", flush=True)
-        check = Checked(spec=spec, policy=setup, weights=self.vision.weights, on_finding=_show)
+        check = Checked(spec=spec, policy=setup, weights=self.vision.weights, pictures=pictures, on_finding=_show)
         works = check.run()
         if not works:
             print(f"a run would fail in every trial{meant(self.policy, Path.cwd())}")

@@ -33,14 +33,16 @@ class Demo:
     def __call__(self) -> int:
         from carecontact.cli.run import Run
         from carecontact.protocols import load_protocol
+        from carecontact.runs.alone import alone
         from carecontact.trials.supervisor import check_jobs
 
         began = time.monotonic()
         check_jobs(self.parallel.jobs)
         run = Run(policy=POLICY, out=self.out, seeds=str(SEED), parallel=self.parallel)
         trial_ids = [f"{task.id}-s{SEED:03d}" for task in load_protocol(run.rules.protocol).tasks]
-        remove_earlier_demo(self.out, trial_ids=trial_ids)
-        run.execute(purpose="demo")
+        with alone(self.out, make=True):
+            remove_earlier_demo(self.out, trial_ids=trial_ids)
+            run.execute(purpose="demo")
         problems = check_demo(self.out, trial_ids=trial_ids)
         for problem in problems:
             print(f"demo: {problem}")
@@ -53,12 +55,13 @@ def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
 
     Raises ConfigError for a folder that holds anything but such a demo.
     """
+    from carecontact.runs.alone import LOCK
     from carecontact.runs.manifest import MANIFEST, read_manifest
     from carecontact.trials.work_folder import remove_abandoned
 
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: this is a file; name a folder")
-    if not out.exists() or not any(out.iterdir()):
+    if not out.exists() or all(path.name == LOCK for path in out.iterdir()):
         return
     manifest = read_manifest(out)
     # Of whatever protocol: the default of an earlier release had another id.

@@ -19,7 +19,8 @@ class Doctor:
         failed = 0
         for finding in findings():
             failed += not finding.fine
-            print(f"{'ok  ' if finding.fine else 'FAIL'} {finding.name:10} {finding.detail}", flush=True)
+            state = "FAIL" if not finding.fine else "warn" if finding.warning else "ok  "
+            print(f"{state} {finding.name:10} {finding.detail}", flush=True)
             if finding.fix:
                 print(f"     install it with: {finding.fix}", flush=True)
         print("this machine can run trials" if not failed else f"{failed} thing(s) to fix", flush=True)

@@ -141,6 +141,12 @@ class ArgumentsGroup:
     policy_env: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = ()
     """Environment variable of this shell to pass on to the policy's process. Repeat the option for more. The recordings
     of a run store its name, not its value."""
+    policy_read: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PATH")] = ()
+    """File or folder that the isolated policy may read besides its own folder, its arguments and the installed
+    packages. Repeat the option for more. The recordings of a run name it (see docs/threat-model.md)."""
+    policy_write: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PATH")] = ()
+    """File or folder that the isolated policy may read and write besides its temporary folder. Repeat the option for
+    more. The recordings of a run name it."""
 
 
 @dataclass(frozen=True, kw_only=True)

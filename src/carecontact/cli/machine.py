@@ -60,13 +60,24 @@ class Finding:
     name: str
     fine: bool
     detail: str
+    warning: bool = False
+    """Whether trials run, but with less than they should have."""
     fix: str | None = None
     """The command that installs what is missing."""
 
 
 def findings() -> Iterator[Finding]:
     """Run every check, one at a time."""
-    for check in (check_python, check_packages, check_gl, check_frame, check_pose, check_assets, check_machine):
+    for check in (
+        check_python,
+        check_packages,
+        check_gl,
+        check_frame,
+        check_pose,
+        check_assets,
+        check_isolation,
+        check_machine,
+    ):
         yield check()
 
 
@@ -171,6 +182,17 @@ def check_assets() -> Finding:
         )
         return Finding(name="assets", fine=False, detail="; ".join(wrong) or "no asset is installed", fix=fix)
     return Finding(name="assets", fine=True, detail=", ".join(sorted(checked)))
+
+
+def check_isolation() -> Finding:
+    """Say how far a policy can be isolated, and whether it runs as root."""
+    from carecontact.hosting.isolation.fence import available
+
+    level = available()
+    lines = [] if level == "full" else ["run policies that you do not trust on another host (docs/threat-model.md)"]
+    if hasattr(os, "geteuid") and os.geteuid() == 0:
+        lines.append("you are root, and so is every policy: run policies that you do not trust as an ordinary user")
+    return Finding(name="isolation", fine=True, warning=bool(lines), detail="; ".join([level, *lines]))
 
 
 def check_machine() -> Finding:

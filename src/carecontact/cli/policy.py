@@ -52,6 +52,8 @@ def _setup(ref: PolicyRef, options: PolicyGroup) -> PolicySetup:
             ref=ref if ref.credentials else replace(ref, credentials=_secret(ref)),
             arguments=_arguments(options.policy_arg),
             environment=dict.fromkeys(options.policy_env, ""),
+            readable=options.policy_read,
+            writable=options.policy_write,
             language=options.language,
             record=None if options.record is None else str(options.record),
         )
@@ -62,6 +64,8 @@ def _setup(ref: PolicyRef, options: PolicyGroup) -> PolicySetup:
         search_path=(str(Path.cwd()),),
         arguments=arguments,
         environment=_variables(options.policy_env),
+        readable=_places("--policy-read", options.policy_read),
+        writable=_places("--policy-write", options.policy_write),
         language=language,
         record=record,
     )
@@ -127,6 +131,15 @@ def _arguments(given: Sequence[str]) -> dict[str, str]:
     except ContractError as error:
         raise ConfigError(f"--policy-arg: {str(error).removeprefix('PolicyCard.')}") from None
     return arguments
+
+
+def _places(option: str, paths: Sequence[str]) -> tuple[str, ...]:
+    """Paths that hold in every folder."""
+    found = tuple(os.path.abspath(os.path.expanduser(path)) for path in paths)
+    absent = next((path for path in found if not os.path.exists(path)), None)
+    if absent is not None:
+        raise ConfigError(f"{option} {absent}: no such file or folder")
+    return found
 
 
 def _variables(names: Sequence[str]) -> Mapping[str, str]:

@@ -32,11 +32,13 @@ class Report:
         from carecontact.cli.report_page import write_page
         from carecontact.cli.rescoring import need_recordings
         from carecontact.cli.stored import read_run
+        from carecontact.runs.alone import alone
 
-        need_recordings(self.folder)
-        run = read_run(self.folder, rescore=self.rescore)
-        _need_rows(self.folder, run)
-        write_page(self.folder, run, baselines=self.baseline)
+        with alone(self.folder):
+            need_recordings(self.folder)
+            run = read_run(self.folder, rescore=self.rescore)
+            _need_rows(self.folder, run)
+            write_page(self.folder, run, baselines=self.baseline)
         return 0
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -12,7 +13,10 @@ from carecontact.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from carecontact.contract.policy import PolicyCard
     from carecontact.contract.protocol import Protocol
+    from carecontact.contract.trial import TrialSpec
+    from carecontact.hosting.setup import PolicySetup
     from carecontact.runs.manifest import Purpose
     from carecontact.trials.supervisor import RunSummary, TrialEvent
 
@@ -65,10 +69,10 @@ class Run:
         """Return 1 if the harness failed in any trial or a recording was skipped, else 3 if the policy crashed in one.
 
         A policy that fails its tasks is a result. Raises ConfigError if the policy's server stays out of reach."""
-        from carecontact.cli.policy import arguments_text, check_policy, policy_setup
-        from carecontact.cli.progress import progress
+        from carecontact.cli.policy import check_policy, policy_setup
+        from carecontact.runs.alone import alone
         from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
-        from carecontact.trials.supervisor import check_jobs, run_trials
+        from carecontact.trials.supervisor import check_jobs, runs_beside
 
         check_jobs(self.parallel.jobs)
         if self.restart and self.retry_failed:
@@ -76,18 +80,29 @@ class Run:
         setup = policy_setup(self.policy, self.given)
         rules = self._protocol()
         tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
-        card = check_policy(setup, deadline_s=rules.phases.first_call_deadline_s)
-        specs = plan_trials(
-            protocol=rules,
-            policy=setup.ref.text,
-            tasks=tasks,
-            seeds=seeds,
-            arguments=setup.arguments,
-            environment=setup.environment,
-        )
-        if self.restart:
-            restart(self.out)
-        print(f"{setup.ref}{arguments_text(setup)}: {len(specs)} trial(s) of {rules.title} into {self.out}", flush=True)
+        with ExitStack() as held:
+            held.enter_context(alone(self.out, make=True))
+            closed = replace(setup, closed=tuple(runs_beside(self.out)))
+            card = check_policy(closed, deadline_s=rules.phases.first_call_deadline_s)
+            specs = plan_trials(
+                protocol=rules,
+                policy=setup.ref.text,
+                tasks=tasks,
+                seeds=seeds,
+                arguments=setup.arguments,
+                environment=setup.environment,
+            )
+            if self.restart and restart(self.out):
+                held.enter_context(alone(self.out, make=True))
+            return self._run(specs, setup, card, purpose)
+
+    def _run(self, specs: list[TrialSpec], setup: PolicySetup, card: PolicyCard | None, purpose: Purpose) -> int:
+        from carecontact.cli.policy import arguments_text
+        from carecontact.cli.progress import progress
+        from carecontact.trials.supervisor import run_trials
+
+        title = specs[0].protocol.title
+        print(f"{setup.ref}{arguments_text(setup)}: {len(specs)} trial(s) of {title} into {self.out}", flush=True)
         with progress(self.out) as on_event:
             summary = run_trials(
                 specs,
@@ -151,10 +166,13 @@ def _show(event: TrialEvent, on_event: Callable[[TrialEvent], None]) -> None:
         print(f"warning: the first answer of {event.trial_id}, {event.message}", flush=True)
 
 
-def restart(out: Path) -> None:
-    """Move an earlier run aside and name where it is now. Raises ConfigError for a folder that is not a run."""
+def restart(out: Path) -> bool:
+    """Move an earlier run aside and name where it is now; returns whether there was one.
+
+    Raises ConfigError for a folder that is not a run."""
     from carecontact.trials.restart import move_aside
 
     moved = move_aside(out)
     if moved is not None:
         print(f"--restart: the earlier run in {out} is now {moved}")
+    return moved is not None

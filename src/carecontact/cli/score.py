@@ -26,15 +26,17 @@ class Score:
     def __call__(self) -> int:
         """Return 1 if a recording was skipped, or if results.json stays because planned trials are missing."""
         from carecontact.cli.rescoring import rescore
+        from carecontact.runs.alone import alone
 
-        if self.append:
-            return append(self.folder)
-        run = rescore(self.folder, jobs=self.jobs, allow_missing=self.allow_missing)
+        with alone(self.folder):
+            if self.append:
+                return append(self.folder)
+            run = rescore(self.folder, jobs=self.jobs, allow_missing=self.allow_missing)
         return 1 if run.skipped or (run.missing and not self.allow_missing) else 0
 
 
 def append(folder: Path) -> int:
-    """Add what results.json lacks; an error leaves it as it was."""
+    """Add what results.json lacks; an error leaves it as it was. Returns 1 if a trial's recording is gone."""
     from carecontact.cli.rescoring import RESULTS, need_recordings, write_table
     from carecontact.runs import append_metrics, read_results
 
@@ -44,10 +46,12 @@ def append(folder: Path) -> int:
         print(f"added to {found.trials} trial(s): {', '.join(found.metrics)}")
     else:
         print(f"nothing to add: {RESULTS} has every metric of this release")
+    if found.gone:
+        print(f"warning: no recording of {', '.join(found.gone)}; what {RESULTS} says of it stays as it was")
     if found.not_listed:
         others = ", ".join(found.not_listed)
         print(f"recordings that {RESULTS} does not list (run score without --append to include them): {others}")
     print(f"scores: {found.path}")
     if found.metrics:
         print(write_table(folder, read_results(found.path).scores))
-    return 0
+    return 1 if found.gone else 0

@@ -12,6 +12,8 @@ NO_NUMBER = re.compile(r"(?:invalid literal for (int)\(\) with base 10|could not
 NO_CHOICE = re.compile(r"invalid choice '(.*?)' for argument '(.*?)'\. Expected one of \((.*?)\)")
 RULE = re.compile(r"─{8,}|-{8,}")
 """The parser's words, as tyro writes them, and its rules with and without UTF-8."""
+LISTED = re.compile(r"T\d+|\d+")
+"""A task or a seed."""
 MISSING, UNRECOGNIZED = "Missing from carecontact ", "Unrecognized options: "
 
 
@@ -36,6 +38,8 @@ def in_one_line(box: str) -> str:
 def _stray(words: Sequence[str], missing: Sequence[str]) -> str:
     """Of words that no option takes: the first of them may be the values of options that are missing."""
     meant = " ".join(f"{option} {word}" for option, word in zip(missing, words, strict=False))
+    if not meant and all(LISTED.fullmatch(word) for word in words):
+        meant = "a list with commas, such as --tasks T1,T2 or --seeds 0,1"
     return f"no option takes {' '.join(words)}" + (f" (did you mean {meant}?)" if meant else "")
 
 

@@ -30,6 +30,8 @@ class Validate:
     checks: str = "all"
     """Names of checks separated by commas, such as force-balance,energy, or all."""
     rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=ChangedProtocolGroup)
+    fem: Switch = False
+    """Run no check. Press the tissue beside finite elements of layers with skin, and print both; needs scikit-fem."""
     out: Path = Path("runs/validation")
     """Folder for validation.json and the figures."""
     verbose: Switch = False
@@ -54,12 +56,25 @@ class Validate:
             check_body(body)
         if not self.body:
             load_body(rules.person.body)
+        if self.fem:
+            return self._beside_finite_elements(rules, wanted)
         passed = True
         for body in wanted:
-            # A body may be a file: its name as a folder keeps letters and digits only.
-            folder = self.out / re.sub(r"[^A-Za-z0-9_-]+", "_", body) if len(wanted) > 1 else self.out
-            passed &= self._validate(rules, body, names, folder)
+            passed &= self._validate(rules, body, names, self._folder(body, wanted))
         return 0 if passed else 1
+
+    def _folder(self, body: str, wanted: tuple[str, ...]) -> Path:
+        # A body may be a file: its name as a folder keeps letters and digits only.
+        return self.out / re.sub(r"[^A-Za-z0-9_-]+", "_", body) if len(wanted) > 1 else self.out
+
+    def _beside_finite_elements(self, rules: Protocol, wanted: tuple[str, ...]) -> int:
+        if self.quick or self.checks != "all":
+            raise ConfigError("--fem runs no check; leave out --quick and --checks")
+        from carecontact.cli.finite_elements import show_beside
+
+        for body in wanted:
+            show_beside(rules, body, self._folder(body, wanted))
+        return 0
 
     def _validate(self, rules: Protocol, body: str, names: tuple[str, ...], folder: Path) -> bool:
         from rich.console import Console

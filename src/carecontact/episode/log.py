@@ -109,6 +109,8 @@ class TrialLog:
             raise PolicyError("oversize", f"notes: expected at most {MAX_STEP_NOTES} entries a step, got {len(notes)}")
         place = f"policy/notes/{len(self._observations) - (not failed):04d}"
         arrays = {f"{place}/{key}": value for key, value in notes.items() if isinstance(value, np.ndarray)}
+        if f"{place}/json" in arrays:
+            raise PolicyError("garbage", "notes: an array is named 'json', which is the place of all that is no array")
         try:
             rest = {key: value for key, value in notes.items() if not isinstance(value, np.ndarray)}
             text = json.dumps(rest, sort_keys=True).encode()

@@ -1,15 +1,14 @@
-"""What the policy's process does: raise the wall, construct the policy, report the port, serve, end with its parent."""
+"""What the policy's isolated process does: raise the wall, construct the policy, report the port, serve, end with its
+parent."""
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
-import signal
 import sys
 import threading
 from collections.abc import Mapping
-from typing import TypedDict, cast
+from typing import NotRequired, TypedDict, cast
 
 from carecontact.contract.policy import Policy
 from carecontact.hosting.arguments import ArgumentError, bind, load_factory
@@ -17,9 +16,6 @@ from carecontact.hosting.stack import give_stack
 from carecontact.hosting.wall import raise_wall
 from carecontact.hosting.wire.server import serve_policy
 from carecontact.hosting.wire.tracebacks import told
-
-_PR_SET_PDEATHSIG = 1
-"""linux/prctl.h"""
 
 
 class Options(TypedDict):
@@ -37,9 +33,20 @@ class Options(TypedDict):
     environment: list[str]
     """Names, for the card, of the variables that --policy-env let pass."""
     report_fd: int
-    """Where this process writes one JSON line: ``{"port": n}`` or ``{"error": text, "kind": kind}``."""
+    """Where this process writes one JSON line: ``{"port": n}`` or ``{"error": text, "kind": kind}``, each with
+    ``isolation``."""
     lifeline_fd: int
     """Ends when the parent does."""
+    parent: int
+    """Process id."""
+    readable: list[str]
+    writable: list[str]
+    """What the user opened to the isolated process."""
+    closed: list[str]
+    """What must stay closed to it."""
+    isolated: bool
+    isolation: NotRequired[str]
+    """How far this process isolated itself, as recordings hold it."""
     stack_fd: int
     """Where this process writes its stack when it is asked to, and when the interpreter crashes."""
 
@@ -52,27 +59,31 @@ def main(options: Options) -> None:
     """Construct the policy behind the wall and serve it."""
     RECEIVED.update(options)
     give_stack(options["stack_fd"])
-    _die_with_parent()
     threading.Thread(target=_end_with_parent, args=(options["lifeline_fd"],), daemon=True).start()
     arguments = options["arguments"]
     with os.fdopen(options["report_fd"], "w") as report:
+
+        def tell(said: dict[str, str | int]) -> None:
+            report.write(json.dumps({**said, "isolation": options.get("isolation")}) + "\n")
+            report.close()
+
         try:
             raise_wall()
             sys.path[:0] = options["search_path"]
             policy = _construct(options["target"], {**arguments, **options["language"]})
         except ArgumentError as error:
-            report.write(json.dumps({"error": str(error), "kind": "argument"}) + "\n")
+            tell({"error": str(error), "kind": "argument"})
             return
         except (Exception, SystemExit) as error:
             message = f"could not load {options['target']}:\n{told(error)}"
-            report.write(json.dumps({"error": message, "kind": "start"}) + "\n")
+            tell({"error": message, "kind": "start"})
             return
-
-        def tell(port: int) -> None:
-            report.write(json.dumps({"port": port}) + "\n")
-            report.close()
-
-        serve_policy(policy, on_port=tell, arguments=arguments, environment=tuple(options["environment"]))
+        serve_policy(
+            policy,
+            on_port=lambda port: tell({"port": port}),
+            arguments=arguments,
+            environment=tuple(options["environment"]),
+        )
 
 
 def _construct(target: str, arguments: Mapping[str, str]) -> Policy:
@@ -82,12 +93,6 @@ def _construct(target: str, arguments: Mapping[str, str]) -> Policy:
     if missing:
         raise TypeError(f"{target} has no method {' or '.join(missing)}; a policy has card, reset and act")
     return cast(Policy, policy)
-
-
-def _die_with_parent() -> None:
-    """SIGKILL from the kernel, which also ends a policy that has stopped itself and so hears no pipe."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
 
 
 def _end_with_parent(lifeline_fd: int) -> None:

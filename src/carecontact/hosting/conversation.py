@@ -43,11 +43,16 @@ class PolicyConversation(ABC):
 
     on_wait: Callable[[str], None] | None = None
     """Called every WAIT_REPORT_S seconds while the policy is silent, with one line; another thread calls it."""
+    isolation: str | None = None
+    """How far the policy's process is isolated (``isolation.fence``); None before its start and on another host."""
     patient = False
     """Whether ``start`` waits, within its deadline, for a server that takes no connection."""
 
     on_sent: Callable[[bytes], None] | None = None
     """Called with every message that has been sent to the policy."""
+
+    on_received: Callable[[bytes | str], None] | None = None
+    """Called with every frame that the policy sends as an answer, before it is decoded."""
 
     def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S) -> None:
         """``first_deadline_s`` holds for the start, each reset and the first act, when models load; ``deadline_s`` for
@@ -81,6 +86,7 @@ class PolicyConversation(ABC):
 
             self._client = self._open(left)
             self._client.connection.on_sent = self.on_sent
+            self._client.connection.on_received = self.on_received
             return self._client.card(deadline_s=left())
 
     def reset(self, instruction: str, session: Session) -> None:

@@ -6,6 +6,7 @@ import os
 import secrets
 import signal
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -32,8 +33,26 @@ def kill_marked(beginning: str) -> None:
 
     One that threw the variable away is found while the process that started it is alive, and no later.
     """
+    _kill(lambda mark, process: mark.startswith(beginning))
+
+
+def kill_abandoned() -> None:
+    """SIGKILL for the processes that a policy left whose harness is gone, and for what they started."""
+    here = (_PROC / "self").resolve()
+    if not here.is_dir():
+        return
+
+    def abandoned(mark: str, process: Path) -> bool:
+        # The process ids of a container on this machine mean nothing here.
+        ours = (process / "ns" / "pid").readlink() == (here / "ns" / "pid").readlink()
+        return ours and not (_PROC / mark.partition(".")[0]).is_dir()
+
+    _kill(abandoned)
+
+
+def _kill(wanted: Callable[[str, Path], bool]) -> None:
     until = time.monotonic() + PATIENCE_S
-    while found := _marked(f"{MARK}={beginning}".encode()):
+    while found := _marked(wanted):
         for pid in found:
             with suppress(ProcessLookupError, PermissionError):
                 os.kill(pid, signal.SIGKILL)
@@ -42,8 +61,8 @@ def kill_marked(beginning: str) -> None:
         time.sleep(0.01)
 
 
-def _marked(entry: bytes) -> set[int]:
-    """Ids of the living processes with a variable that begins so, and of all that descend from them."""
+def _marked(wanted: Callable[[str, Path], bool]) -> set[int]:
+    """Ids of the living processes whose mark is wanted (mark, folder in /proc), and of all that descend from them."""
     parent_of: dict[int, int] = {}
     found = set[int]()
     for folder in _PROC.glob("[0-9]*"):
@@ -53,7 +72,8 @@ def _marked(entry: bytes) -> set[int]:
                 continue
             pid = int(folder.name)
             parent_of[pid] = int(parent)
-            if any(variable.startswith(entry) for variable in (folder / "environ").read_bytes().split(b"\0")):
+            marks = [v for v in (folder / "environ").read_bytes().split(b"\0") if v.startswith(f"{MARK}=".encode())]
+            if any(wanted(mark.decode(errors="replace").partition("=")[2], folder) for mark in marks):
                 found.add(pid)
     while more := {pid for pid, parent in parent_of.items() if parent in found and pid not in found}:
         found |= more

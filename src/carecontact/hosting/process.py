@@ -20,6 +20,8 @@ import carecontact
 from carecontact.errors import PolicyError
 from carecontact.hosting.conversation import BUDGET_S, GRACE_S, PolicyConversation
 from carecontact.hosting.descendants import MARK, kill_marked, new_mark
+from carecontact.hosting.isolation.blocked import remedy
+from carecontact.hosting.isolation.private_folder import PrivateFolder, private_folder
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.stack import ASK, PATIENCE_S, read_stack
 from carecontact.hosting.wire.client import PolicyClient
@@ -47,6 +49,9 @@ import json, sys
 options = json.load(sys.stdin)
 if options["root"] not in sys.path:
     sys.path.insert(0, options["root"])
+# Before numpy is imported, which starts threads: what isolates a process does not reach those that run already.
+from carecontact.hosting.isolation.fence import isolate
+isolate(options)
 from carecontact.hosting.child import main
 main(options)
 """
@@ -65,6 +70,7 @@ class PolicyProcess(PolicyConversation):
         self._child: subprocess.Popen[bytes] | None = None
         self._mark = new_mark()
         self._lifeline: int | None = None
+        self._folder: PrivateFolder | None = None
         self._stack: int | None = None
         self._output = b""
         self._reader: threading.Thread | None = None
@@ -103,6 +109,10 @@ class PolicyProcess(PolicyConversation):
 
     def _launch(self, left: Callable[[], float]) -> int:
         """Return the port on which the child listens."""
+        try:
+            self._folder = private_folder()
+        except OSError as error:
+            raise PolicyError("start", f"no temporary folder could be made for its process: {error}") from None
         report_read, report_write = os.pipe()
         lifeline_read, self._lifeline = os.pipe()
         self._stack, stack_write = os.pipe()
@@ -111,7 +121,9 @@ class PolicyProcess(PolicyConversation):
             # set, and so a policy's answer, may differ from run to run.
             self._child = subprocess.Popen(
                 [sys.executable, "-s", "-P", "-u", "-c", _BOOTSTRAP],
-                env=_environment() | dict(self._setup.environment) | {MARK: self._mark},
+                env=_environment()
+                | dict(self._setup.environment)
+                | {MARK: self._mark, "TMPDIR": str(self._folder.path)},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
@@ -148,6 +160,7 @@ class PolicyProcess(PolicyConversation):
                     raise PolicyError("start", self._how_it_ended("before it was ready"))
                 line += piece
         report_line: dict[str, Any] = json.loads(line)
+        self.isolation = report_line["isolation"]
         if "error" in report_line:
             raise PolicyError(report_line["kind"], report_line["error"])
         return int(report_line["port"])
@@ -185,11 +198,11 @@ class PolicyProcess(PolicyConversation):
         return f"\nit {'hung' if hangs else 'crashed'} here (most recent call last):\n{frames}" if frames else ""
 
     def _hint(self, message: str) -> str:
-        """A policy that misses a variable cannot know that the caller has it."""
+        """A policy that misses a variable or a file cannot know that the caller has it."""
         missing = _MISSING_KEY.search(message)
         passes = {*_environment(), *self._setup.environment}
         if missing is None or missing[1] not in os.environ or missing[1] in passes:
-            return ""
+            return remedy(message, isolation=self.isolation)
         return f"; {missing[1]} is set here, but reaches the policy only with --policy-env {missing[1]}"
 
     def _kill(self) -> None:
@@ -208,6 +221,9 @@ class PolicyProcess(PolicyConversation):
             child.wait()
         if self._reader is not None:
             self._reader.join(GRACE_S)
+        if self._folder is not None:
+            self._folder.remove()
+            self._folder = None
         for end in ends:
             if end is not None:
                 os.close(end)
@@ -224,6 +240,11 @@ def _options(setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: in
         "environment": list(setup.environment),
         "report_fd": report_fd,
         "lifeline_fd": lifeline_fd,
+        "parent": os.getpid(),
+        "readable": [os.path.abspath(place) for place in setup.readable],
+        "writable": [os.path.abspath(place) for place in setup.writable],
+        "closed": [os.path.abspath(place) for place in setup.closed],
+        "isolated": setup.isolated,
         "stack_fd": stack_fd,
     }
 

@@ -27,6 +27,14 @@ class PolicySetup:
     stand in recordings: the card's ``language_backend`` names it, by a file's content and not by its place."""
     record: str | None = None
     """For the argument ``record``: file to which the completions of a live model are added. In no recording either."""
+    readable: tuple[str, ...] = ()
+    """Files and folders that its isolated process may read besides what programs need and what belongs to it."""
+    writable: tuple[str, ...] = ()
+    """Files and folders that it may read and write besides its own temporary folder."""
+    closed: tuple[str, ...] = ()
+    """Folders that stay closed to it wherever they lie: those of runs."""
+    isolated: bool = True
+    """False only to measure what isolation costs and closes."""
 
     @classmethod
     def of(cls, policy: str, *, search_path: Sequence[str] = (), arguments: Mapping[str, str] | None = None) -> Self:
@@ -35,10 +43,11 @@ class PolicySetup:
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a remote policy that is given anything, and for unknown options of its address."""
-        if self.ref.kind == "remote" and (self.arguments or self.environment or self.language or self.record):
+        given = self.arguments or self.environment or self.language or self.record or self.readable or self.writable
+        if self.ref.kind == "remote" and given:
             where = "`carecontact serve` there" if self.ref.scheme == "ws" else "the server itself"
             raise ConfigError(
-                f"policy {self.ref}: --policy-arg, --policy-env, --language and --record do not reach another host; "
-                f"give them to {where}"
+                f"policy {self.ref}: --policy-arg, --policy-env, --policy-read, --policy-write, --language and "
+                f"--record do not reach another host; give them to {where}"
             )
         check_options(self.ref)

@@ -20,11 +20,13 @@ from carecontact.contract.session import Session
 from carecontact.errors import ContractError
 from carecontact.hosting.child import RECEIVED
 from carecontact.hosting.descendants import MARK
+from carecontact.hosting.isolation.fence import CACHES
 from carecontact.hosting.wire import codec
 
 TASK, TOLD = "witness.json", "told.json"
 """In the witness's folder: what it shall do, and what it was told."""
-PIPES = ("report_fd", "lifeline_fd", "stack_fd")
+CHANCE_OPTIONS = ("report_fd", "lifeline_fd", "stack_fd", "parent")
+CHANCE_VARIABLES = (MARK, "TMPDIR", *CACHES)
 CHANCE_HEADERS = ("host", "sec-websocket-key")
 """Numbers that the operating system or a random generator gave: no trial chooses them."""
 
@@ -71,9 +73,8 @@ def everything_here() -> dict[str, object]:
     headers = [] if request is None else sorted(request.headers.raw_items())
     return {
         "command_line": list(sys.orig_argv),
-        "options": {name: value for name, value in RECEIVED.items() if name not in PIPES},
-        # The mark is a process id and chance.
-        "environment": {name: value for name, value in os.environ.items() if name != MARK},
+        "options": {name: value for name, value in RECEIVED.items() if name not in CHANCE_OPTIONS},
+        "environment": {name: value for name, value in os.environ.items() if name not in CHANCE_VARIABLES},
         "folder": os.getcwd(),
         "open_files": _open_files(),
         "request": {

@@ -9,11 +9,14 @@ import numpy as np
 
 from carecontact.contract.policy import CAMERAS
 from carecontact.errors import RecordingError
+from carecontact.recording.canonical import WALL_CLOCK
 from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, SCHEMA_VERSION, Header, Recording, dimensions
 from carecontact.regions import REGIONS
 
 PATH = re.compile(r"(policy|scorer|actions|state|report|perception|wall)(/[A-Za-z0-9_.-]+)+")
 STORABLE_KINDS = "biuf"
+MAX_WALL_BYTES = 1 << 20
+"""Of all arrays that no hash covers; the longest is what a policy printed last, 8 kB."""
 
 
 def check_recording(recording: Recording, place: str) -> Recording:
@@ -33,6 +36,10 @@ def check_recording(recording: Recording, place: str) -> Recording:
         if array.dtype.kind not in STORABLE_KINDS:
             raise RecordingError(f"{place}: {path} has dtype {array.dtype}; only numbers and booleans are stored")
 
+    unhashed = sum(array.nbytes for path, array in recording.arrays.items() if path.startswith(WALL_CLOCK))
+    if unhashed > MAX_WALL_BYTES:
+        allowed = f"at most {MAX_WALL_BYTES} are allowed there"
+        raise RecordingError(f"{place}: {WALL_CLOCK} has {unhashed} bytes, which no checksum covers; {allowed}")
     sizes = {
         "S": (len(header.segments), "header.segments"),
         "R": (len(header.regions), "header.regions"),

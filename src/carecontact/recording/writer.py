@@ -13,9 +13,12 @@ import numpy as np
 from carecontact.recording.canonical import canonical_hash, header_json, little_endian
 from carecontact.recording.check import check_recording
 from carecontact.recording.schema import Recording
+from carecontact.recording.storage import is_full, no_space
 
 HEADER, CHECKSUM = "header_json", "sha256"
 """Datasets of bytes at the file's root: the header, and the canonical hash of everything else."""
+TEMPORARY = ".tmp"
+"""Ending of a hidden file that is not whole yet."""
 CHUNKED_FROM_BYTES = 1024
 CHUNK_BYTES = 1 << 18
 """Of whole rows: h5py's own guess cuts columns apart, and reading a trial takes twice as long."""
@@ -25,7 +28,7 @@ def write_recording(recording: Recording, path: Path | str) -> Path:
     """Write ``recording`` to ``path``, replacing it only when every byte is on disk.
 
     The file is built in memory. Arrays carry per-chunk and metadata checksums beside the stored canonical hash.
-    Raises RecordingError if the recording itself is malformed.
+    Raises RecordingError if the recording itself is malformed, StorageError where there is no space.
     """
     h5py: Any = import_module("h5py")  # ships no types
     path = Path(path)
@@ -49,8 +52,20 @@ def write_recording(recording: Recording, path: Path | str) -> Path:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Atomic on POSIX: a reader sees the old file or the new one, also after a crash."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+    """Atomic on POSIX: a reader sees the old file or the new one, also after a crash.
+
+    Raises StorageError where there is no space; then nothing of the new file stays.
+    """
+    try:
+        _replace(path, content)
+    except OSError as error:
+        if is_full(error):
+            raise no_space(path, error.strerror) from None
+        raise
+
+
+def _replace(path: Path, content: bytes) -> None:
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY)
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)

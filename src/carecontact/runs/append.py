@@ -33,6 +33,8 @@ class Appended:
     """Trials that got one or more."""
     not_listed: list[str]
     """Recordings in the folder that the result does not know: appending takes in no new trials."""
+    gone: list[str]
+    """Trials of the result whose recordings are not in the folder."""
 
 
 def append_metrics(folder: Path | str) -> Appended:
@@ -66,6 +68,7 @@ def append_metrics(folder: Path | str) -> Appended:
         metrics=sorted(added),
         trials=grown,
         not_listed=sorted(p.name for p in folder.glob("*.h5") if p.stem not in listed),
+        gone=sorted(name for name in listed if not (folder / f"{name}.h5").exists()),
     )
 
 

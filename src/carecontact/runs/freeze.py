@@ -137,12 +137,16 @@ def check_frozen(name_or_path: str, protocol: Protocol, *, unfrozen: bool) -> Pr
             f"protocol {protocol.id} says frozen = true but has no lock: {lock_path(name_or_path).name} is missing; "
             "restore it, or say frozen = false, or write one with: carecontact protocol lock FILE.toml"
         )
-    differences = drift(lock, make_lock(protocol, worlds=False))
+    now = make_lock(protocol, worlds=False)
+    differences = drift(lock, now)
     if not differences:
         return protocol
     if not unfrozen:
         named = f"{protocol.id}{SUFFIX}"
-        remedy = f"Give {name_or_path} an id of its own" if borrowed else f"Install the versions that {named} names"
+        others = [f"{name}=={held}" for name, held in lock.versions.items() if now.versions.get(name) != held]
+        installing = f"Install the locked versions: python -m pip install {' '.join(others)}"
+        own = installing if others else f"Take back what differs from {named}"
+        remedy = f"Give {name_or_path} an id of its own" if borrowed else own
         raise ConfigError(
             f"protocol {protocol.id} differs from its lock ({'; '.join(differences)}), so its results would not be "
             f"comparable. {remedy}, or run with --unfrozen; then every output names the differences"

@@ -24,6 +24,9 @@ from carecontact.runs.results_file import skipped_before
 
 MANIFEST = "manifest.json"
 FAILED: tuple[EndReason, ...] = ("process_failure", "harness_error")
+KILLED, KILLED_AGAIN = "signal", "signal_again"
+"""Kind of the harness error of a trial whose process was killed, so that the next command repeats the trial by itself;
+and of one that was killed then too, which none repeats by itself."""
 Purpose = Literal["run", "demo"]
 
 
@@ -58,6 +61,8 @@ class Survey:
     """Trial id -> how it ended."""
     redo: dict[str, str]
     """Trial id -> why the file that is there does not count."""
+    repeated: frozenset[str] = frozenset()
+    """Those of them whose process was killed."""
 
 
 def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identity: Identity) -> Survey:
@@ -78,6 +83,7 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identit
     skipped = skipped_before(out)
     keep: dict[str, EndReason] = {}
     redo: dict[str, str] = {}
+    repeated = set[str]()
     for path in sorted(out.glob("*.h5")):
         try:
             # Damage inside an array is found by the scoring after every run, so what that skipped is read whole here.
@@ -98,9 +104,17 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identit
             redo[path.stem] = f"{path.name} holds trial {header.spec.trial_id}"
         elif retry_failed and header.ended in FAILED:
             redo[path.stem] = ended_text(header.ended)
+        elif _was_killed(header):
+            redo[path.stem] = "its process was killed by a signal"
+            repeated.add(path.stem)
         else:
             keep[path.stem] = header.ended
-    return Survey(keep=keep, redo=redo)
+    return Survey(keep=keep, redo=redo, repeated=frozenset(repeated))
+
+
+def _was_killed(header: Header) -> bool:
+    """Whether chance, such as a machine out of memory, may have ended the trial's process."""
+    return header.ended == "harness_error" and header.failure is not None and header.failure.kind == KILLED
 
 
 def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity, purpose: Purpose) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import io
 import json
 import zlib
 from collections import Counter
@@ -22,6 +23,8 @@ from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.result import TrialScore
 
 RESULTS_NAME = "results.json"
+MAX_BYTES = 256 << 20
+"""Of unpacked scores; 140 trials have less than 2 MB."""
 GZIP = b"\x1f\x8b"
 """First bytes of a file that gzip packed (RFC 1952)."""
 
@@ -110,6 +113,10 @@ def _unpacked(path: Path) -> bytes:
     if not content.startswith(GZIP):
         return content
     try:
-        return gzip.decompress(content)
+        with gzip.open(io.BytesIO(content)) as stream:
+            unpacked = stream.read(MAX_BYTES + 1)
     except (OSError, EOFError, zlib.error) as error:
         raise ConfigError(f"{path} is damaged: {error}") from error
+    if len(unpacked) > MAX_BYTES:
+        raise ConfigError(f"{path} unpacks to more than the {MAX_BYTES >> 20} MB that the scores of a run may have")
+    return unpacked

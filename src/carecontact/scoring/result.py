@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
 
 from carecontact.contract.protocol import protocol_title
 
@@ -44,6 +44,8 @@ class TrialScore(BaseModel):
     policy: str
     policy_arguments: dict[str, str] = {}
     """What --policy-arg gave the policy."""
+    policy_name: str | None = None
+    """The name on the card of a policy behind an address, which says nothing of itself; None for any other."""
     language_backend: str
     language_sha256: str | None = None
     """Over everything that language models were asked and answered in this trial; None: nothing was asked."""
@@ -125,14 +127,23 @@ class TrialScore(BaseModel):
     additional: dict[str, float | None] = {}
     """Metric id -> value, for every registered metric that has no field above."""
 
+    @model_serializer(mode="wrap")
+    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out a name that there is not, as results from before there was one do."""
+        content = handler(self)
+        if self.policy_name is None:
+            del content["policy_name"]
+        return content
+
     @property
     def protocol_title(self) -> str:
         return protocol_title(self.protocol_id, self.overrides)
 
     @property
     def policy_title(self) -> str:
-        """The policy and its arguments: ``my_policy:MyPolicy steps=10``."""
-        return " ".join([self.policy, *(f"{name}={text}" for name, text in sorted(self.policy_arguments.items()))])
+        """The policy and its arguments: ``my_policy:MyPolicy steps=10``, or ``my-vla at ws://192.0.2.7:8765``."""
+        policy = f"{self.policy_name} at {self.policy}" if self.policy_name else self.policy
+        return " ".join([policy, *(f"{name}={text}" for name, text in sorted(self.policy_arguments.items()))])
 
     @property
     def is_judged(self) -> bool:

@@ -6,7 +6,7 @@ from math import isfinite
 from typing import Any
 
 from carecontact.errors import ConfigError, RecordingError
-from carecontact.recording import Recording, canonical_hash, check_recording
+from carecontact.recording import Header, Recording, canonical_hash, check_recording
 from carecontact.recording.notes import language_use
 from carecontact.scoring.attribution.attribute import attribute
 from carecontact.scoring.contact import Contact, any_column, find_contact
@@ -86,6 +86,7 @@ def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
         "seed": header.spec.seed,
         "policy": header.spec.policy,
         "policy_arguments": header.spec.policy_arguments,
+        "policy_name": _card_name(header),
         "language_backend": str(header.card.get("language_backend", "none")) if header.card else "none",
         "language_sha256": spoken.sha256,
         "language_endpoint": spoken.endpoint,
@@ -101,6 +102,11 @@ def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
         "failure_message": header.failure.message if header.failure else None,
         "clipped_actions": _clipped_actions(contact),
     }
+
+
+def _card_name(header: Header) -> str | None:
+    """The name on the card of a policy behind an address."""
+    return str(header.card["name"]) if header.card and "://" in header.spec.policy else None
 
 
 def _clipped_actions(contact: Contact) -> int:

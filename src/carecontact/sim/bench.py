@@ -354,6 +354,23 @@ class Bench:
         )
         return press.at_depths(np.asarray(depths_m), zero_n=zero_n)
 
+    def skin(self) -> tuple[Array, Array]:
+        """The surface at the end of the last press: (n,) distance of its vertices from the indenter's axis before the
+        press, and (n,) how far each has moved inward along that axis [m]. Of the side that is pressed."""
+        model, data = self.model, self._data
+        rest = mujoco.MjData(model)
+        for state in (rest, data):
+            mujoco.mj_kinematics(model, state)
+            mujoco.mj_flex(model, state)
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, data.mocap_quat[0])
+        inward = -turn.reshape(3, 3)[:, 2]
+        from_tip = rest.flexvert_xpos - data.mocap_pos[0]
+        depth = from_tip @ inward
+        distance = np.linalg.norm(from_tip - np.outer(depth, inward), axis=1)
+        facing = depth < self.tissue.thickness_m
+        return distance[facing], ((data.flexvert_xpos - rest.flexvert_xpos) @ inward)[facing]
+
     def _unsolved_n(self) -> float:
         """Largest force [N] that the last step's accelerations leave over on a shell vertex or cell."""
         model, data = self.model, self._data

@@ -8,11 +8,13 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from carecontact.contract.action import Action
 from carecontact.contract.action.hints import looks_like_millimetres
+from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.session import ActionBounds
 from carecontact.contract.trial import TrialSpec
@@ -24,7 +26,11 @@ from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording.reason import TRACEBACK, reason
 from carecontact.recording.remedies import remedies
-from carecontact.trials.first_answer import Finding, Level, look_at
+from carecontact.trials.finding import Finding, Level
+from carecontact.trials.first_answer import look_at
+
+if TYPE_CHECKING:
+    from carecontact.trials.deep.served import DeepCheck
 
 
 @dataclass(kw_only=True)
@@ -35,6 +41,8 @@ class Check:
     policy: PolicySetup
     on_finding: Callable[[Finding], None]
     weights: Path | None = None
+    pictures: Path | None = None
+    """Where the pictures that are sent are written, for the deep check (``trials.deep``); None: without it."""
     warnings: int = 0
     """Number of them so far."""
     times: dict[str, float] = field(default_factory=dict[str, float])
@@ -42,12 +50,11 @@ class Check:
 
     def run(self) -> bool:
         """Raises CarecontactError if the benchmark itself fails, as a trial does."""
-        phases = self.spec.protocol.phases
-        conversation = open_policy(
-            self.policy, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s
-        )
-        conversation.on_wait = lambda line: self._say("wait", "", line)
-        spec = self.spec
+        conversation, deep = self._opened(), self._deep()
+        if deep is not None:
+            deep.before()
+            deep.listen(conversation)
+        spec, seen = self.spec, None
         # The world is built while the policy loads.
         with conversation, ThreadPoolExecutor(1) as building:
             world = building.submit(settled_world, spec.protocol, task_id=spec.task_id, seed=spec.seed)
@@ -55,11 +62,34 @@ class Check:
                 with self._timed("start"):
                     card = conversation.start()
                 self._say("ok", "card", f"{_described(card)}; started in {self.times['start']:.2f} s")
+                if deep is not None:
+                    deep.greeted(card)
                 with Episode(spec, card=card, prepare=lambda _: world.result(), weights=self.weights) as episode:
-                    return self._converse(conversation, episode, card)
+                    seen = episode.reset()
+                    return self._converse(conversation, episode, card, seen, deep)
             except PolicyError as error:
+                if deep is not None:
+                    deep.refused(seen)
                 self._fail(error)
                 return False
+
+    def _opened(self) -> PolicyConversation:
+        phases = self.spec.protocol.phases
+        conversation = open_policy(
+            self.policy, first_deadline_s=phases.first_call_deadline_s, deadline_s=phases.call_deadline_s
+        )
+        conversation.on_wait = lambda line: self._say("wait", "", line)
+        return conversation
+
+    def _deep(self) -> DeepCheck | None:
+        if self.pictures is None:
+            return None
+        # Imported where it is needed: it brings Pillow and SciPy.
+        from carecontact.trials.deep.served import DeepCheck
+
+        return DeepCheck(
+            spec=self.spec, policy=self.policy, pictures=self.pictures, say=self._tell, reopen=self._opened
+        )
 
     def _fail(self, error: PolicyError) -> None:
         topic = "connection" if self.policy.ref.kind == "remote" and error.kind == "start" else error.kind
@@ -69,8 +99,14 @@ class Check:
         for remedy in remedies(whole):
             self._say("hint", "", remedy)
 
-    def _converse(self, policy: PolicyConversation, episode: Episode, card: PolicyCard) -> bool:
-        observation = episode.reset()
+    def _converse(
+        self,
+        policy: PolicyConversation,
+        episode: Episode,
+        card: PolicyCard,
+        observation: Observation,
+        deep: DeepCheck | None,
+    ) -> bool:
         with self._timed("reset"):
             policy.reset(episode.instruction, episode.session)
         self._say("ok", "reset", f"ready after {self.times['reset']:.2f} s")
@@ -81,12 +117,19 @@ class Check:
         self._say("ok", "answer", self._answered(answers[0], card))
         outside = [a for a in answers[0] if episode.space.clip(a, episode.session) is not a]
         if outside:
-            many = f"{len(outside)} of {len(answers[0])} targets are outside the workspace"
+            place = "joint limits" if episode.space.in_joints else "workspace"
+            many = f"{len(outside)} of {len(answers[0])} targets are outside the {place}"
             text = f"{many}; the card requests that they are moved onto its border"
             self._say("warning", "clipped", f"{text}{_unit(outside[0], episode.session.action_bounds)}")
         for finding in look_at(answers[0], observation):
-            self._say(finding.level, finding.topic, finding.text)
-        return self._keeps_pace(len(answers[1]), card)
+            self._tell(finding)
+        if deep is not None:
+            deep.answered(answers[1], observation)
+        if not self._keeps_pace(len(answers[1]), card):
+            return False
+        if deep is not None:
+            deep.ask_again(policy, observation, episode.session)
+        return True
 
     def _answered(self, actions: list[Action], card: PolicyCard) -> str:
         seconds = len(actions) / card.control_hz
@@ -110,8 +153,11 @@ class Check:
         return True
 
     def _say(self, level: Level, topic: str, text: str) -> None:
-        self.warnings += level == "warning"
-        self.on_finding(Finding(level=level, topic=topic, text=text))
+        self._tell(Finding(level=level, topic=topic, text=text))
+
+    def _tell(self, finding: Finding) -> None:
+        self.warnings += finding.level == "warning"
+        self.on_finding(finding)
 
     @contextmanager
     def _timed(self, name: str) -> Iterator[None]:

@@ -6,8 +6,6 @@ None of these breaks the contract, so a trial would run and fail for a reason th
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +14,7 @@ from carecontact.contract.action import Action
 from carecontact.contract.action.hints import NEAR_BASE_M
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.observation import Observation
+from carecontact.trials.finding import Finding
 
 F64 = npt.NDArray[np.float64]
 
@@ -24,18 +23,6 @@ FAR_M = 0.25
 WRONG_TURN_DEG, RIGHT_TURN_DEG = 90.0, 45.0
 """A first target that turns the tool by more, and by less if its quaternion is read as x y z w, has the other order."""
 HALF_OPEN = 0.5
-
-
-Level = Literal["ok", "warning", "error", "hint", "wait"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Finding:
-    """One line of a check."""
-
-    level: Level
-    topic: str
-    text: str
 
 
 def look_at(actions: Sequence[Action], observation: Observation) -> list[Finding]:

@@ -28,6 +28,8 @@ class TrialRequest(BaseModel):
     """Folder with the weights of the protocol's segmenter."""
     phase_fd: int | None = None
     """File descriptor to which the worker reports when its policy runs."""
+    supervisor: int | None = None
+    """Process id of whoever started the worker, which ends with it."""
 
     @model_validator(mode="after")
     def _one_policy(self) -> Self:

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, StorageError
 from carecontact.hosting.conversation import WAIT_REPORT_S
+from carecontact.hosting.descendants import kill_abandoned
+from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import EndReason
+from carecontact.recording.storage import no_space
+from carecontact.runs.alone import alone
 from carecontact.runs.identity import Identity, identity_of
-from carecontact.runs.manifest import Purpose, Survey, salted, survey, write_manifest
+from carecontact.runs.manifest import MANIFEST, Purpose, Survey, salted, survey, write_manifest
 from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
-from carecontact.trials.workers import WORKER_COMMAND, Workers
+from carecontact.trials.workers import ROOM_BYTES, WORKER_COMMAND, Workers
 
 EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
 POLL_S = 0.05
@@ -78,8 +83,8 @@ def run_trials(
         card: what the policy showed; of a policy on another host it decides whether this is the same run.
         weights: folder with the weights of the protocol's segmenter.
 
-    Raises ConfigError for a folder that holds another run, that another command is writing to, or that cannot be
-    written to.
+    Raises ConfigError for a folder that holds another run, that another command is at work in, or that cannot be
+    written to, and StorageError where there is no space for a recording; those that are there stay.
     """
     began = time.monotonic()
     check_jobs(jobs)
@@ -88,18 +93,28 @@ def run_trials(
     setup = policy or setup_of(specs[0])
     check_setup(specs[0], setup)
     identity = identity_of(specs[0], search_path=setup.search_path, language=setup.language, card=card)
-    found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
-    specs = salted(specs, out=out)
-    _prepare(out, specs, identity=identity, purpose=purpose)
-    with work_folder(out) as work:
-        workers = Workers(
-            out=out, work=work, policy=setup, weights=weights, command=worker_command, trial_limit_s=trial_limit_s
-        )
-        try:
-            run = _Run(specs, found, workers, on_event)
-            run.to_the_end(available_cores() if jobs is None else jobs)
-        finally:
-            workers.kill_all()
+    with alone(out, make=True):
+        found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
+        specs = salted(specs, out=out)
+        _prepare(out, specs, identity=identity, purpose=purpose)
+        setup = replace(setup, closed=(*setup.closed, *runs_beside(out)))
+        kill_abandoned()
+        remove_abandoned_folders()
+        with work_folder(out) as work:
+            workers = Workers(
+                out=out,
+                work=work,
+                policy=setup,
+                weights=weights,
+                command=worker_command,
+                trial_limit_s=trial_limit_s,
+                repeated=found.repeated,
+            )
+            try:
+                run = _Run(specs, found, workers, on_event)
+                run.to_the_end(available_cores() if jobs is None else jobs)
+            finally:
+                workers.kill_all()
     return RunSummary(
         ended=run.ended,
         ran=tuple(trial_id for trial_id in run.ended if trial_id not in found.keep),
@@ -117,6 +132,7 @@ class _Run:
     ) -> None:
         self.ended: dict[str, EndReason] = dict(found.keep)
         self.unreached: str | None = None
+        self._full: str | None = None
         self._total, self._workers, self._on_event = len(specs), workers, on_event
         self._next_look = time.monotonic() + WAIT_REPORT_S
         self._answered = False
@@ -129,6 +145,9 @@ class _Run:
     def to_the_end(self, jobs: int) -> None:
         while self._waiting or self._workers.running:
             while self._waiting and len(self._workers.running) < jobs:
+                if not self._workers.has_room():
+                    self._stop_full(f"less than {ROOM_BYTES >> 20} MB are free for each trial")
+                    break
                 spec = self._waiting.pop(0)
                 self._workers.start(spec)
                 self._report("started", spec.trial_id)
@@ -136,6 +155,14 @@ class _Run:
             self._report_silence()
             if self._workers.running:
                 time.sleep(POLL_S)
+        if self._full is not None:
+            done = f"the run stops with {len(self.ended)} of {self._total} trial(s) done"
+            raise StorageError(f"{done}: {no_space(self._workers.out, self._full)} to continue")
+
+    def _stop_full(self, why: str) -> None:
+        """Begin no trial that cannot be stored; those that run may end."""
+        self._full = why
+        self._waiting.clear()
 
     def _report_silence(self) -> None:
         """At most once every WAIT_REPORT_S: each look reads a file for every trial that runs."""
@@ -152,9 +179,13 @@ class _Run:
                 self.unreached = done.unreached
                 self._waiting.clear()
                 continue
+            if done.unstored:
+                self._stop_full(os.strerror(errno.ENOSPC))
+                continue
             if recording is None:
-                self._waiting.insert(0, spec)
-                self._report("redo", spec.trial_id, message="its process was lost while the policy was running")
+                if self._full is None:
+                    self._waiting.insert(0, spec)
+                self._report("redo", spec.trial_id, message=f"{done.lost} while the policy was running")
                 continue
             header = recording.header
             self.ended[spec.trial_id] = header.ended
@@ -177,11 +208,16 @@ class _Run:
 
 def _prepare(out: Path, specs: Sequence[TrialSpec], *, identity: Identity, purpose: Purpose) -> None:
     try:
-        out.mkdir(parents=True, exist_ok=True)
         remove_abandoned(out)
         write_manifest(specs, out=out, identity=identity, purpose=purpose)
     except OSError as error:
         raise ConfigError(f"--out {out}: cannot be written to: {error.strerror}") from None
+
+
+def runs_beside(out: Path) -> list[str]:
+    """Return this run's folder and those of other runs in the same place: none of them is the policy's business."""
+    here = out.resolve()
+    return sorted({str(here), *(str(manifest.parent) for manifest in here.parent.glob(f"*/{MANIFEST}"))})
 
 
 def check_jobs(jobs: int | None) -> None:

@@ -95,6 +95,8 @@ def _converse(
                 # What it printed may hold times and paths, so it is evidence but no part of the recording's hash.
                 policy.close()
                 episode.log.extra["wall/policy_output"] = np.frombuffer(policy.printed.encode(), "u1")
+                if policy.isolation is not None:
+                    episode.log.extra["wall/isolation"] = np.frombuffer(policy.isolation.encode(), "u1")
     except UnreachableError:
         raise
     except PolicyError as error:

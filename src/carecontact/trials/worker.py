@@ -2,8 +2,8 @@
 
 The worker writes POLICY_RUNS to the request's ``phase_fd`` when the process of a local policy is about to start, and
 POLICY_GONE when it is gone. Exit status 0 means that the recording was written, whatever happened to the trial, or that
-UNREACHED says why the trial did not begin. A crash of the interpreter itself writes nothing; then the supervisor writes
-a recording.
+UNREACHED says why the trial did not begin; UNSTORED, that there was no space for the recording. A crash of the
+interpreter itself writes nothing; then the supervisor writes a recording.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ import os
 import sys
 import traceback
 from typing import TYPE_CHECKING
+
+from carecontact.hosting.isolation.kernel import die_with_parent, hide_memory
 
 if TYPE_CHECKING:
     from carecontact.trials.trial import Look
@@ -36,16 +38,37 @@ FIRST_ANSWER = "first_answer.json"
 UNREACHED = "unreached.txt"
 """File beside it in which the worker says why it could not reach its policy's server; then there is no recording."""
 POLICY_RUNS, POLICY_GONE = b"+", b"-"
+UNSTORED = 74
+"""Exit status: EX_IOERR of sysexits.h."""
 
 
 def main() -> int:
+    # Before the imports below, which take half a second; the request then tells whether it was too late even here.
+    die_with_parent(os.getppid())
     os.environ.update(SINGLE_THREAD)
+    hide_memory()
+    from carecontact.recording.storage import is_full
+
+    try:
+        _run()
+    except Exception as error:
+        if not is_full(error):
+            raise
+        return UNSTORED
+    return 0
+
+
+def _run() -> None:
+    """Raises StorageError or OSError where there is no space for what it writes."""
     from carecontact.errors import CarecontactError, UnreachableError
     from carecontact.recording import write_recording
+    from carecontact.recording.storage import is_full
     from carecontact.trials.failed import harness_error_recording, tail
     from carecontact.trials.request import TrialRequest
 
     request = TrialRequest.model_validate_json(sys.stdin.buffer.read())
+    if request.supervisor is not None:
+        die_with_parent(request.supervisor)
 
     def tell(running: bool) -> None:
         if request.phase_fd is not None:
@@ -72,12 +95,13 @@ def main() -> int:
     except UnreachableError as error:
         request.out.with_name(UNREACHED).write_text(str(error))
     except Exception as error:
+        if is_full(error):
+            raise
         trace = traceback.format_exc()
         sys.stderr.write(trace)
         reason = str(error) if isinstance(error, CarecontactError) else f"{type(error).__name__}: {error}"
         message = f"{reason}\n\n{tail(trace)}"
         write_recording(harness_error_recording(request.spec, kind=type(error).__name__, message=message), request.out)
-    return 0
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,16 +20,21 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
 from carecontact.hosting.conversation import WAIT_REPORT_S, readable
 from carecontact.hosting.descendants import kill_marked, marks_of
+from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.schema import Recording
-from carecontact.runs.manifest import FAILED
+from carecontact.runs.manifest import FAILED, KILLED, KILLED_AGAIN
 from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, tail
 from carecontact.trials.request import TrialRequest
-from carecontact.trials.worker import FIRST_ANSWER, POLICY_RUNS, SINGLE_THREAD, UNREACHED, WAITING
+from carecontact.trials.worker import FIRST_ANSWER, POLICY_RUNS, SINGLE_THREAD, UNREACHED, UNSTORED, WAITING
 
 # -P: the folder a user happens to stand in must not shadow a module of the trial's process.
 WORKER_COMMAND = (sys.executable, "-P", "-X", "faulthandler", "-m", "carecontact.trials.worker")
+
+ROOM_BYTES = 48 << 20
+"""Free space that a trial needs to begin: a whole trial takes 2 MB, and its policy's notes may take 32 MB more
+(MAX_NOTES_BYTES of ``episode.log``)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +59,10 @@ class Ended:
     """About the policy's first answer; None: it gave none."""
     unreached: str | None = None
     """Why the policy's server could not be reached, so that the trial did not begin."""
+    unstored: bool = False
+    """Whether there was no space for the recording."""
+    lost: str | None = None
+    """How its process died, if it has to run once more."""
 
 
 @dataclass(kw_only=True)
@@ -67,9 +77,15 @@ class Workers:
     weights: Path | None
     command: Sequence[str]
     trial_limit_s: float
+    repeated: frozenset[str] = frozenset()
+    """Trials whose process was killed when an earlier command ran them."""
     running: list[_Worker] = field(default_factory=list[_Worker])
     again: set[str] = field(default_factory=set[str])
     """Trials whose process was lost once while their policy ran."""
+
+    def has_room(self) -> bool:
+        """Whether one more recording can be stored beside those of the trials that run."""
+        return shutil.disk_usage(self.work).free >= ROOM_BYTES * (len(self.running) + 1)
 
     def start(self, spec: TrialSpec) -> None:
         # Neither a name nor a command line may show the policy, which can read both, what it is tried on.
@@ -91,8 +107,9 @@ class Workers:
         finally:
             os.close(phase_fd)
         request = TrialRequest(
-            spec=spec, policy=self.policy, out=partial.resolve(), weights=self.weights, phase_fd=phase_fd
-        )
+            spec=spec, policy=self.policy, out=partial.resolve(), weights=self.weights, phase_fd=phase_fd,
+            supervisor=os.getpid(),
+        )  # fmt: skip
         assert process.stdin is not None
         # A worker that is dead already is found so when it is polled.
         with suppress(BrokenPipeError), process.stdin as stdin:
@@ -116,10 +133,18 @@ class Workers:
             if (unreached := self._unreached(worker)) is not None:
                 done.append(Ended(spec=worker.spec, recording=None, unreached=unreached))
                 continue
-            recording = self._collected(worker, timed_out=timed_out, stopped=stopped, policy_ran=policy_ran)
-            if recording is not None:
-                os.replace(worker.partial, self.out / f"{worker.spec.trial_id}.h5")
-                self._keep_log(worker, recording)
+            if worker.process.returncode == UNSTORED:
+                done.append(Ended(spec=worker.spec, recording=None, unstored=True))
+                continue
+            kind, death = _death(
+                worker.process.returncode, timed_out=timed_out, stopped=stopped, limit_s=self.trial_limit_s
+            )
+            recording = self._collected(worker, kind, death, policy_ran=policy_ran)
+            if recording is None:
+                done.append(Ended(spec=worker.spec, recording=None, lost=death))
+                continue
+            os.replace(worker.partial, self.out / f"{worker.spec.trial_id}.h5")
+            self._keep_log(worker, recording)
             done.append(Ended(spec=worker.spec, recording=recording, warnings=_warnings(worker)))
         return done
 
@@ -144,7 +169,7 @@ class Workers:
         note = worker.partial.with_name(UNREACHED)
         return note.read_text() if self.policy.ref.kind == "remote" and note.is_file() else None
 
-    def _collected(self, worker: _Worker, *, timed_out: bool, stopped: bool, policy_ran: bool) -> Recording | None:
+    def _collected(self, worker: _Worker, kind: str, message: str, *, policy_ran: bool) -> Recording | None:
         """Return the recording in ``worker.partial``, writing one if the worker left none; None to run it again."""
         try:
             # A complete file counts even if the interpreter then crashed, as graphics drivers do while it shuts down.
@@ -154,13 +179,12 @@ class Workers:
             problem = f"the worker recorded another trial, {recording.header.spec.trial_id}"
         except RecordingError as error:
             problem = str(error)
-        kind, message = _death(
-            worker.process.returncode, timed_out=timed_out, stopped=stopped, limit_s=self.trial_limit_s
-        )
         if kind == "no_recording":
             message += f": {problem}"
         evidence = f"\n\n{tail(worker.output.read_text(errors='replace')) or '(no output)'}"
-        if not policy_ran or timed_out:
+        if not policy_ran or kind == "timeout":
+            if kind == KILLED and worker.spec.trial_id in self.repeated:
+                kind = KILLED_AGAIN
             recording = harness_error_recording(worker.spec, kind=kind, message=message + evidence)
         elif worker.spec.trial_id not in self.again:
             # Chance, such as a machine out of memory, does not come twice at the same place; a policy that kills
@@ -201,6 +225,7 @@ def kill_tree(process: subprocess.Popen[bytes]) -> None:
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     kill_marked(marks_of(process.pid))
+    remove_abandoned_folders()
 
 
 def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
@@ -213,11 +238,11 @@ def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
 
 def _death(returncode: int, *, timed_out: bool, stopped: bool, limit_s: float) -> tuple[str, str]:
     if stopped:
-        return "signal", "the trial's process was stopped by a signal"
+        return KILLED, "the trial's process was stopped by a signal"
     if timed_out:
         return "timeout", f"the trial's process ran longer than {limit_s:g} s and was killed"
     if returncode < 0:
-        return "signal", f"the trial's process died of signal {-returncode} ({signal.strsignal(-returncode)})"
+        return KILLED, f"the trial's process died of signal {-returncode} ({signal.strsignal(-returncode)})"
     if returncode > 0:
         return "exit", f"the trial's process ended with status {returncode} and wrote no recording"
     return "no_recording", "the trial's process ended with status 0 but its recording cannot be read"

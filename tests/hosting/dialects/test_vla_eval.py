@@ -107,7 +107,7 @@ def envelope(**changes: object) -> bytes:
         (lambda answer: {}, "action", r"actions: expected an array, got NoneType in the keys \[\]"),
         (lambda answer: {"actions": np.zeros((5, 8))}, "action", "one action for each observation, got 5; set chunk"),
         (lambda answer: {"actions": np.full(8, np.nan)}, "action", r"actions\[0\]: expected finite numbers"),
-        (lambda answer: {"actions": np.zeros(14)}, "action", r"got float64 \(1, 14\): column 8 and those after it"),
+        (lambda answer: {"actions": np.zeros(14)}, "action", r"got float64 \(1, 14\): columns from number 9 on"),
         (lambda answer: {"actions": np.zeros(6)}, "action", r"got float64 \(1, 6\)"),
         (lambda answer: {"actions": np.full(7, 90.0)}, "action", "expected joint angles in radians, got 90"),
         (lambda answer: "text", "garbage", "expected a binary message, got text 'text'"),

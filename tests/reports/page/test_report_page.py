@@ -462,6 +462,19 @@ def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     assert "stayed within" in caveats([make_score("T1", 0)], [])["Extrapolated tissue"]
 
 
+def test_less_isolation_than_there_is_and_opened_files_are_said(run_of_7: Run) -> None:
+    def said(*reached: str) -> str | None:
+        kept = {"caveats": {f"T1-s{n:03}": text for n, text in enumerate(reached)}}
+        return caveats(run_of_7.scores, [], kept=kept).get("Isolation")
+
+    assert said("full", "full") is None
+    none = said("full", "none: this system has no Landlock") or ""
+    assert "not fully isolated from the benchmark (none: this system has no Landlock)" in none
+    opened = said("full; --policy-read /data") or ""
+    assert "(--policy-read /data)" in opened
+    assert "not fully" not in opened
+
+
 def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
     headers = [r.header for r in run_of_42.recordings.values()]
     rows = dict(provenance_rows(run_of_42.scores, headers))

@@ -64,4 +64,4 @@ def joint_actions(chunk: object, *, horizon: int | None, space: str, grips: bool
 def _hint(shape: tuple[int, ...]) -> str:
     if shape[-1:] == (JOINTS,):
         return ": the gripper's column is missing"
-    return f": column {WIDTH} and those after it have no meaning here" if shape[-1:] > (WIDTH,) else ""
+    return f": columns from number {WIDTH + 1} on have no meaning here" if shape[-1:] > (WIDTH,) else ""

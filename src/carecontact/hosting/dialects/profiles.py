@@ -112,7 +112,8 @@ def told_profile(metadata: Mapping[str, object], options: Mapping[str, str]) -> 
         _refuse(f"action_space: expected {' or '.join(SPACES)}, got {space!r:.80}; no other one is executed here")
     external = told.get("n_external_cameras", 1)
     if type(external) is not int or not 0 <= external <= len(EXTERIOR_CAMERAS):
-        _refuse(f"n_external_cameras: expected 0 to {len(EXTERIOR_CAMERAS)}, got {external!r:.80}")
+        cameras = f"{len(EXTERIOR_CAMERAS)} ({', '.join(EXTERIOR_CAMERAS)})"
+        _refuse(f"n_external_cameras: expected 0 to {cameras}, got {external!r:.80}")
     flags = {
         name: told.get(name, default)
         for name, default in (("needs_wrist_camera", True), ("needs_stereo_camera", False), ("needs_session_id", False))

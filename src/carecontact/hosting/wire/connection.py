@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Self
 
 from websockets.sync.client import ClientConnection, connect
@@ -15,12 +16,20 @@ from carecontact.errors import PolicyError, UnreachableError
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
 from carecontact.hosting.wire.refusals import closed
 
+CLOSE_S = 1.0
+"""For closing a connection, beside the deadline of the call that failed."""
+_UNHEARD = logging.getLogger(__name__)
+"""For what websockets logs about a line that was cut: tracebacks of its own."""
+_UNHEARD.addHandler(logging.NullHandler())
+
 
 class Connection:
     """What every dialect stands on. It knows frames and deadlines, and nothing of what they mean."""
 
     on_sent: Callable[[bytes], None] | None = None
     """Called with every message that has been sent: for the audit."""
+    on_received: Callable[[bytes | str], None] | None = None
+    """Called with every frame that was awaited, before anybody decodes it."""
     _sent_bytes = 0
     """Length of the last message."""
 
@@ -52,42 +61,43 @@ class Connection:
         try:
             sock.settimeout(None)
             stack = ExitStack()
-            connection = cls(
-                stack.enter_context(
-                    connect(
-                        f"ws://{place}{path}",
-                        sock=sock,
-                        additional_headers={"Authorization": authorization} if authorization else None,
-                        compression=None,
-                        ping_interval=None,
-                        max_size=MAX_REPLY_BYTES,
-                        open_timeout=max(until - time.monotonic(), 0.0),
-                        close_timeout=1,
-                    )
+            with cut_off(sock, until - time.monotonic()) as expired:
+                opening = connect(
+                    f"ws://{place}{path}",
+                    sock=sock,
+                    additional_headers={"Authorization": authorization} if authorization else None,
+                    compression=None,
+                    ping_interval=None,
+                    logger=_UNHEARD,
+                    max_size=MAX_REPLY_BYTES,
+                    open_timeout=max(until - time.monotonic(), 0.0),
+                    close_timeout=CLOSE_S,
                 )
-            )
+                connection = cls(stack.enter_context(opening))
             connection._stack = stack
             return connection
-        except TimeoutError:
-            raise PolicyError("timeout", f"no answer to the WebSocket handshake within {deadline_s:g} s") from None
         except Exception as error:
+            if isinstance(error, TimeoutError) or expired.is_set():
+                text = f"no answer to the WebSocket handshake within {deadline_s:g} s"
+                raise PolicyError("timeout", text) from None
             # Beside its own classes websockets raises AssertionError for some bytes that are not HTTP.
             told = f"{type(error).__name__}: {error}"
             raise PolicyError(
                 "handshake", f"the WebSocket handshake with the policy server failed: {told:.300}"
             ) from None
 
-    def waiting(self) -> bytes | str | None:
+    def waiting(self, *, deadline_s: float = CLOSE_S) -> bytes | str | None:
         """A frame that has come already."""
         try:
-            return self._websocket.recv(timeout=0)
+            with cut_off(self._websocket.socket, deadline_s):
+                return self._websocket.recv(timeout=0)
         except Exception:
             # Nothing there, as it should be; or the line is closed, which the request itself will tell.
             return None
 
-    def expect_silence(self) -> None:
+    def expect_silence(self, *, deadline_s: float = CLOSE_S) -> None:
         """An answer that is there before its question would count for an observation that it never saw."""
-        frame = self.waiting()
+        frame = self.waiting(deadline_s=deadline_s)
         if frame is None:
             return
         raise PolicyError("garbage", f"expected no message before the next request, got one of {len(frame)} bytes")
@@ -95,23 +105,13 @@ class Connection:
     def send(self, message: bytes, *, deadline_s: float) -> None:
         """A peer that does not read can block a send for ever; closing our end of the line unblocks it."""
         self._sent_bytes = len(message)
-        expired = threading.Event()
-
-        def hang_up() -> None:
-            expired.set()
-            with suppress(OSError):
-                self._websocket.socket.shutdown(socket.SHUT_RDWR)
-
-        timer = threading.Timer(deadline_s, hang_up)
-        timer.start()
         try:
-            self._websocket.send(message)
+            with cut_off(self._websocket.socket, deadline_s) as expired:
+                self._websocket.send(message)
         except Exception as error:
             if expired.is_set():
                 raise PolicyError("timeout", f"did not read its message within {deadline_s:g} s") from None
             raise closed(error, sent_bytes=self._sent_bytes) from None
-        finally:
-            timer.cancel()
         if self.on_sent is not None:
             self.on_sent(message)
 
@@ -125,18 +125,25 @@ class Connection:
         Raises:
             PolicyError: ``timeout``, ``oversize``, ``garbage`` or ``died``.
         """
+        deadline_s = max(deadline_s, 0.0)
         try:
-            return self._websocket.recv(timeout=max(deadline_s, 0.0))
-        except TimeoutError:
-            raise PolicyError("timeout", f"no {what} message within {max(deadline_s, 0.0):.3g} s{late}") from None
+            with cut_off(self._websocket.socket, deadline_s) as expired:
+                # The cut ends the wait, because only a line that is closed tells why websockets had given it up.
+                frame = self._websocket.recv(timeout=deadline_s + CLOSE_S)
         except Exception as error:
-            raise closed(error, sent_bytes=self._sent_bytes) from None
+            failure = closed(error, sent_bytes=self._sent_bytes)
+            if failure.kind == "died" and expired.is_set():
+                raise PolicyError("timeout", f"no {what} message within {deadline_s:.3g} s{late}") from None
+            raise failure from None
+        if self.on_received is not None:
+            self.on_received(frame)
+        return frame
 
     def ask(self, message: bytes, what: str, *, deadline_s: float) -> bytes | str:
         """Send a message and receive its answer, both within one deadline; nothing may have come before."""
-        self.expect_silence()
         until = time.monotonic() + deadline_s
-        self.send(message, deadline_s=deadline_s)
+        self.expect_silence(deadline_s=deadline_s)
+        self.send(message, deadline_s=until - time.monotonic())
         try:
             return self.receive(what, deadline_s=until - time.monotonic())
         except PolicyError as error:
@@ -145,4 +152,29 @@ class Connection:
             raise PolicyError("timeout", f"no {what} message within {deadline_s:.3g} s") from None
 
     def close(self) -> None:
-        self._stack.close()
+        """Ends within CLOSE_S, whether or not the other end answers."""
+        with cut_off(self._websocket.socket, CLOSE_S):
+            self._stack.close()
+
+
+@contextmanager
+def cut_off(line: socket.socket, deadline_s: float) -> Generator[threading.Event]:
+    """Shut a line down at the deadline, whatever then blocks on it; yields what is set when that has happened.
+
+    The deadlines of websockets do not hold against a peer that does not read. Its receiving thread answers pings, and
+    while it waits to send a pong it keeps the lock that sending and closing need.
+    """
+    expired = threading.Event()
+
+    def cut() -> None:
+        expired.set()
+        with suppress(OSError):
+            line.shutdown(socket.SHUT_RDWR)
+
+    timer = threading.Timer(max(deadline_s, 0.0), cut)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield expired
+    finally:
+        timer.cancel()

@@ -7,8 +7,8 @@ from typing import Any
 
 from carecontact.contract.protocol import Variation
 from carecontact.protocols.frozen_state import frozen_state
-from carecontact.recording.schema import Header
-from carecontact.reports.page.section import Page, section
+from carecontact.recording.schema import Header, Recording
+from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.sections.funnel import funnel
 from carecontact.reports.text import clipped_text, listed, percent
 from carecontact.scoring.result import TrialScore
@@ -27,7 +27,12 @@ TEMPLATE = """\
 """
 
 
-@section("caveats", order=130, template=TEMPLATE)
+def _keep_isolation(score: TrialScore, recording: Recording, kept: Kept) -> None:
+    if "wall/isolation" in recording.arrays:
+        kept[score.trial_id] = recording["wall/isolation"].tobytes().decode(errors="replace")
+
+
+@section("caveats", order=130, template=TEMPLATE, keep=_keep_isolation)
 def caveats(page: Page) -> dict[str, Any]:
     return {"limits": cannot_say(page)}
 
@@ -43,6 +48,7 @@ def cannot_say(page: Page) -> list[Caveat]:
         *_clipped(page.scores),
         *_baselines(page),
         *_incomplete(page),
+        *_isolation(page),
         ("Simulation", "These are forces on a simulated person. They say nothing about comfort, pain or injury."),
     ]
 
@@ -108,6 +114,18 @@ def _incomplete(page: Page) -> list[Caveat]:
         text = f"{len(page.skipped)} file(s) could not be scored; every count above leaves them out."
         found.append(("Files left out", text))
     return found
+
+
+def _isolation(page: Page) -> list[Caveat]:
+    """Trials whose policy ran with less isolation than there is, or was opened more than it needs."""
+    reached = {tuple(text.split("; ", 1)) for text in page.kept.get("caveats", {}).values()}
+    less = sorted({level for level, *_ in reached if level != "full"})
+    opened = sorted({option for _, *options in reached for option in options})
+    said = [f"The policy's process was not fully isolated from the benchmark ({' / '.join(less)})."] if less else []
+    said += (
+        [f"The user opened more files to the policy than it has by itself ({' / '.join(opened)})."] if opened else []
+    )
+    return [("Isolation", f"{' '.join(said)} See docs/threat-model.md.")] if said else []
 
 
 def _variation(headers: Sequence[Header]) -> list[tuple[str, str]]:

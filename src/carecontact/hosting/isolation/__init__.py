@@ -1,0 +1,1 @@
+"""What the kernel keeps from a policy's process: files, signals, memory, privileges."""

@@ -1,0 +1,136 @@
+"""Which files a policy's process may read and write: what programs need, and what belongs to the policy."""
+
+from __future__ import annotations
+
+import glob
+import importlib.util
+import os
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+
+from carecontact.hosting.isolation.landlock import DEVICE, READ, READ_FILE, TRUNCATE, WRITE, WRITE_FILE
+
+SYSTEM = (
+    "/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/opt", "/nix/store", "/sys", "/run/systemd/resolve",
+    *(f"/etc/{name}" for name in (
+        "alternatives", "ca-certificates", "pki", "ssl", "fonts", "OpenCL", "vulkan", "glvnd", "mime.types",
+        "ld.so.cache", "ld.so.conf", "ld.so.conf.d", "ld.so.preload", "locale.alias", "localtime", "timezone",
+        "os-release", "passwd", "group", "nsswitch.conf", "host.conf", "hosts", "resolv.conf", "gai.conf", "services",
+        "protocols",
+    )),
+)  # fmt: skip
+"""Programs, libraries, hardware, certificates and the names of hosts. Never /home, /root, /tmp, /run or all of /etc."""
+PROCESS = (
+    "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/uptime", "/proc/loadavg", "/proc/version",
+    "/proc/filesystems", "/proc/devices", "/proc/modules", "/proc/sys", "/proc/driver",
+)  # fmt: skip
+"""Of /proc, what describes the machine. Of the processes in it, a policy sees itself only."""
+CACHES = ("~/.cache",)
+"""Where libraries keep the weights that they downloaded."""
+DEVICES = (
+    "/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom", "/dev/nvidia*", "/dev/dri", "/dev/kfd",
+    "/dev/dxg", "/dev/infiniband",
+)  # fmt: skip
+SHARED_MEMORY = "/dev/shm"
+
+
+def rights(
+    *,
+    search_path: Sequence[str],
+    target: str,
+    given: Iterable[str],
+    readable: Sequence[str],
+    writable: Sequence[str],
+    closed: Sequence[str],
+    record: str | None = None,
+) -> dict[str, int]:
+    """Return path -> rights, for ``landlock.restrict``.
+
+    Args:
+        search_path: folders of the policy's modules, besides those of ``sys.path``.
+        target: ``module:Class``; its package may lie elsewhere, as an editable installation has it.
+        given: arguments and values of variables; each that is a path, or a list of paths, may be read.
+        readable, writable: what the user opened besides.
+        record: file to which the policy may add.
+        closed: folders that stay closed even inside one that may be read. Only ``readable`` opens them.
+    """
+    found: dict[str, int] = {}
+
+    def allow(path: str, right: int) -> None:
+        found[path] = found.get(path, 0) | right
+
+    shut = [os.path.realpath(path) for path in closed]
+    places = [*SYSTEM, *PROCESS, *map(os.path.expanduser, CACHES), *_interpreter(), *_package(search_path, target)]
+    for place in [*places, *search_path, *_paths(given)]:
+        for path in without(os.path.realpath(place), shut):
+            allow(path, READ)
+    for path in (path for pattern in DEVICES for path in glob.glob(pattern)):
+        allow(path, READ | DEVICE)
+    # CUDA names its threads there, and does not start without emptying the file that it writes the name to.
+    allow(f"/proc/{os.getpid()}", READ | WRITE_FILE | TRUNCATE)
+    for place in (tempfile.gettempdir(), SHARED_MEMORY):
+        if list(without(place, shut)) == [place]:
+            allow(place, READ | WRITE)
+    if record is not None:
+        allow(record, READ_FILE | WRITE_FILE)
+    for path in readable:
+        allow(path, READ)
+    for path in writable:
+        allow(path, READ | WRITE | DEVICE)
+    return found
+
+
+def without(folder: str, closed: Sequence[str]) -> Iterator[str]:
+    """Yield ``folder``; or, where a closed one lies inside, what else does; or nothing where it is closed itself."""
+    if any(_inside(folder, shut) for shut in closed):
+        return
+    if not any(_inside(shut, folder) for shut in closed):
+        yield folder
+        return
+    with suppress(OSError):
+        for entry in sorted(os.listdir(folder)):
+            path = os.path.join(folder, entry)
+            # A link may lead back to a folder above, for ever.
+            if not os.path.islink(path):
+                yield from without(path, closed)
+            elif not any(_inside(a, b) for shut in closed for a, b in _both(shut, os.path.realpath(path))):
+                yield path
+
+
+def _both(one: str, other: str) -> tuple[tuple[str, str], tuple[str, str]]:
+    return (one, other), (other, one)
+
+
+def _inside(path: str, folder: str) -> bool:
+    return path == folder or path.startswith(folder.rstrip("/") + "/")
+
+
+def _interpreter() -> list[str]:
+    return [place for place in (*sys.path, sys.prefix, sys.base_prefix, os.path.dirname(sys.executable)) if place]
+
+
+def _package(search_path: Sequence[str], target: str) -> list[str]:
+    """Where the policy's module lies, as the import system finds it. A module of the top level is found without being
+    run."""
+    sys.path[:0] = search_path
+    try:
+        spec = importlib.util.find_spec(target.partition(":")[0].partition(".")[0])
+    except Exception:
+        return []
+    finally:
+        del sys.path[: len(search_path)]
+    if spec is None:
+        return []
+    return [*(spec.submodule_search_locations or ()), *([spec.origin] if spec.has_location and spec.origin else [])]
+
+
+def _paths(given: Iterable[str]) -> Iterator[str]:
+    """A text alone, after a ``name:``, and the parts of a list."""
+    for text in given:
+        for part in {text, text.partition(":")[2], *text.split(os.pathsep)}:
+            place = os.path.expanduser(part)
+            with suppress(ValueError, OSError):
+                if part and os.path.exists(place):
+                    yield place

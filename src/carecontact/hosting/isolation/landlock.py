@@ -1,0 +1,91 @@
+"""Landlock: a process gives up rights on files and signals, for itself and for all that it starts, and needs no
+privilege for it. Numbers are those of linux/landlock.h."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import stat
+import struct
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+
+CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446
+"""System calls, with the same numbers on every architecture that Python runs on."""
+VERSION_FLAG, PATH_BENEATH = 1, 1
+NO_NEW_PRIVS = 38
+"""linux/prctl.h"""
+
+EXECUTE, WRITE_FILE, READ_FILE, READ_DIR = 1 << 0, 1 << 1, 1 << 2, 1 << 3
+REMOVE_AND_MAKE = sum(1 << bit for bit in range(4, 13))
+"""Remove a directory or file; make a device, directory, file, socket, pipe or link."""
+REFER, TRUNCATE, IOCTL_DEVICE = 1 << 13, 1 << 14, 1 << 15
+SINCE = {2: REFER, 3: TRUNCATE, 5: IOCTL_DEVICE}
+"""Version of Landlock -> the right that it learnt to take away."""
+SCOPES_SINCE, ABSTRACT_SOCKETS, SIGNALS = 6, 1 << 0, 1 << 1
+
+READ = EXECUTE | READ_FILE | READ_DIR
+WRITE = WRITE_FILE | REMOVE_AND_MAKE | REFER | TRUNCATE
+DEVICE = READ_FILE | WRITE_FILE | IOCTL_DEVICE
+OF_A_FILE = EXECUTE | WRITE_FILE | READ_FILE | TRUNCATE | IOCTL_DEVICE
+"""Rights that a rule about something other than a directory may have."""
+
+_PINNED: list[int] = []
+"""Open descriptors of places in /proc: the kernel may otherwise forget and make anew what a rule is about."""
+
+
+def version() -> int:
+    """Return the kernel's version of Landlock, 0 where it has none or forbids it."""
+    if sys.platform != "linux":
+        return 0
+    return max(_call(CREATE_RULESET, None, 0, VERSION_FLAG), 0)
+
+
+def restrict(rights: Mapping[str, int]) -> int:
+    """Take from this process every right on files that ``rights`` (path -> rights beneath it) does not give it, and
+    signals and abstract sockets to processes that it did not start.
+
+    It holds for the calling thread and for those that it starts, so call it before there is another one. Paths that do
+    not exist are passed over. Return the kernel's version; 0: nothing was restricted.
+    """
+    kernel = version()
+    if not kernel:
+        return 0
+    handled = READ | WRITE_FILE | REMOVE_AND_MAKE | sum(right for since, right in SINCE.items() if kernel >= since)
+    scopes = ABSTRACT_SOCKETS | SIGNALS if kernel >= SCOPES_SINCE else 0
+    # An older kernel refuses fields that it does not know, unless they are 0.
+    attributes = struct.pack("=QQQ", handled, 0, scopes)
+    ruleset = _call(CREATE_RULESET, attributes, len(attributes), 0)
+    if ruleset < 0:
+        return 0
+    try:
+        for path, allowed in rights.items():
+            with suppress(OSError):
+                _add(ruleset, path, allowed & handled)
+        no_new_privileges = ctypes.CDLL(None).prctl(NO_NEW_PRIVS, 1, 0, 0, 0) == 0
+        return kernel if no_new_privileges and _call(RESTRICT_SELF, ruleset, 0) == 0 else 0
+    finally:
+        os.close(ruleset)
+
+
+def _add(ruleset: int, path: str, allowed: int) -> None:
+    place = os.open(path, os.O_PATH | os.O_CLOEXEC)
+    try:
+        if not stat.S_ISDIR(os.fstat(place).st_mode):
+            allowed &= OF_A_FILE
+        if allowed:
+            _call(ADD_RULE, ruleset, PATH_BENEATH, struct.pack("=Qi", allowed, place), 0)
+    finally:
+        if path.startswith("/proc/"):
+            _PINNED.append(place)
+        else:
+            os.close(place)
+
+
+def _call(number: int, *arguments: int | bytes | None) -> int:
+    """A number is passed as a long: the kernel reads all 64 bits of some."""
+    passed = [ctypes.c_long(a) if isinstance(a, int) else a for a in arguments]
+    libc = ctypes.CDLL(None)
+    libc.syscall.restype = ctypes.c_long
+    return libc.syscall(ctypes.c_long(number), *passed)

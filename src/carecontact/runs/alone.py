@@ -1,0 +1,95 @@
+"""One command at a time writes into a run's folder."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TextIO
+
+from carecontact.errors import ConfigError
+
+LOCK = ".lock"
+_held = set[tuple[int, int]]()
+"""Device and inode of the files that this process has locked."""
+
+
+@contextmanager
+def alone(folder: Path, *, make: bool = False) -> Generator[None]:
+    """Keep every other command out of a folder inside the block; the kernel ends this in every exit of the process.
+
+    The commands of one process may nest. A folder that was made for this and stays empty goes again.
+
+    Args:
+        make: whether to make a folder that is not there; if not, nothing is locked in its place.
+
+    Raises ConfigError if another command has the folder, or if nothing can be written there.
+    """
+    try:
+        made = make and not folder.exists()
+        if made:
+            folder.mkdir(parents=True, exist_ok=True)
+        stream = _locked(folder, make=make) if make or folder.exists() else None
+    except NotADirectoryError:
+        stream = None  # a file, of which the command will say more
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written to: {error.strerror}") from None
+    if stream is None:
+        yield
+        return
+    with stream:
+        mine = _identity(os.fstat(stream.fileno()))
+        _held.add(mine)
+        try:
+            yield
+        finally:
+            _held.discard(mine)
+            with suppress(OSError):
+                # Before the lock goes, and never the file of another: the folder may have been moved and made anew.
+                if _identity((folder / LOCK).stat()) == mine:
+                    (folder / LOCK).unlink()
+                if made:
+                    folder.rmdir()
+
+
+def _locked(folder: Path, *, make: bool) -> TextIO | None:
+    """The open and locked file, or None where this process has it already."""
+    path = folder / LOCK
+    while True:
+        try:
+            stream = path.open("a+")
+        except FileNotFoundError:
+            if not make:
+                raise
+            # The one who had made the folder found it empty at the end.
+            folder.mkdir(parents=True, exist_ok=True)
+            continue
+        if _identity(os.fstat(stream.fileno())) in _held:
+            stream.close()
+            return None
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            with stream:
+                stream.seek(0)
+                holder = stream.read(200).strip() or "another command"
+            raise ConfigError(f"{folder}: {holder} is at work in this folder; wait until it has ended") from None
+        except BaseException:
+            stream.close()
+            raise
+        # The one who had it may have removed the file between our opening and our locking it.
+        with suppress(FileNotFoundError):
+            if _identity(path.stat()) == _identity(os.fstat(stream.fileno())):
+                break
+        stream.close()
+    stream.truncate(0)
+    stream.write(f"process {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')},")
+    stream.flush()
+    return stream
+
+
+def _identity(status: os.stat_result) -> tuple[int, int]:
+    return status.st_dev, status.st_ino

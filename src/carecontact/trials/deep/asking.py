@@ -1,0 +1,68 @@
+"""One request after another to one policy, each as if a trial began with it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Self
+
+from carecontact.contract.action import Action
+from carecontact.contract.observation import Observation
+from carecontact.contract.session import Session
+from carecontact.errors import PolicyError
+from carecontact.hosting.conversation import PolicyConversation
+
+
+class Asking:
+    """Each request is a trial of its own, so that a server that keeps a plan or a chunk answers what it was asked."""
+
+    def __init__(
+        self,
+        conversation: PolicyConversation,
+        session: Session,
+        *,
+        listen: Callable[[PolicyConversation], None],
+        reopen: Callable[[], PolicyConversation],
+        took_s: list[float],
+    ) -> None:
+        self._conversation, self._session = conversation, session
+        self._listen, self._reopen, self._took_s = listen, reopen, took_s
+        self._own: PolicyConversation | None = None
+        self.last: Sequence[Action] = ()
+        """Actions of the last answer."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._own is not None:
+            self._own.close()
+
+    def ask(self, observation: Observation, *, may_refuse: bool) -> Sequence[Action] | None:
+        """None if the policy fails, which then is connected again. Raises PolicyError where it may not fail."""
+        try:
+            self._begin(observation.instruction)
+            started = time.monotonic()
+            self.last = self._conversation.act(observation).actions
+            self._took_s.append(time.monotonic() - started)
+        except PolicyError:
+            if not may_refuse:
+                raise
+            self._connect_again()
+            return None
+        return self.last
+
+    def _begin(self, instruction: str) -> None:
+        """A policy that takes one reset for each connection gets another connection."""
+        try:
+            self._conversation.reset(instruction, self._session)
+        except PolicyError:
+            self._connect_again()
+            self._conversation.reset(instruction, self._session)
+
+    def _connect_again(self) -> None:
+        if self._own is not None:
+            self._own.close()
+        self._conversation = self._own = self._reopen()
+        self._listen(self._own)
+        self._own.start()

@@ -1,0 +1,134 @@
+"""The numbers of an answer column by column, and what they look like beside what they should be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import fields
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.action import Action
+from carecontact.trials.finding import Finding
+
+F64 = npt.NDArray[np.float64]
+
+JOINTS, WIDTH = 7, 8
+POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+NEARER = 0.5
+"""Numbers look like targets if they are nearer to the joint angles than to zero by this factor, and the reverse."""
+NORMALISED = 1.2
+"""A network regresses velocities that are normalised to [-1, 1] with some overshoot; what is larger is no velocity."""
+TURN_RAD = 2 * np.pi
+GRIPPER_OVERSHOOT = 0.1
+OPEN, CLOSED = 0.25, 0.75
+"""Of a command in the polarity of DROID's data: 0 is open, 1 is closed."""
+
+
+def numbers_of(actions: Sequence[Action]) -> F64:
+    """(steps, columns) of all that actions give, field by field; a number that is not given is 0."""
+    rows = [np.concatenate([_numbers(getattr(action, field.name)) for field in fields(Action)]) for action in actions]
+    width = max(map(len, rows))
+    return np.array([np.pad(row, (0, width - len(row))) for row in rows])
+
+
+def joints_of(actions: Sequence[Action]) -> F64 | None:
+    """(steps, 7) of the joints, or None where an action gives none."""
+    given = [action.joint for action in actions]
+    return None if any(joint is None for joint in given) else np.array(given, np.float64)
+
+
+def table(values: F64, *, now: F64, kind: str) -> list[str]:
+    """One line for each column: its range, and for joints the angle that they have now [rad].
+
+    Args:
+        values: (steps, columns).
+        now: (7,) joint angles.
+        kind: ``joints``, or ``poses`` for poses of the tool.
+    """
+    lines: list[str] = []
+    for i, column in enumerate(values.T):
+        known = column[np.isfinite(column)]
+        span = f"{known.min():9.3f} to {known.max():9.3f}" if known.size else "no number"
+        wrong = f"; {column.size - known.size} of {column.size} are not finite" if known.size < column.size else ""
+        angle = f"; the angle is {now[i]:.3f} rad" if kind == "joints" and i < JOINTS else ""
+        lines.append(f"{_name(i, kind):16}{span}{angle}{wrong}")
+    return lines
+
+
+def look_at_joints(joints: F64, *, space: str, now: F64) -> Iterator[Finding]:
+    """Yield warnings about finite joint commands (steps, 7) of an action space; ``now`` (7,) are the angles [rad]."""
+    largest = float(np.abs(joints).max())
+    from_now, from_zero = float(np.sqrt(((joints - now) ** 2).mean())), float(np.sqrt((joints**2).mean()))
+    near = f"the actions differ from the joint angles by {from_now:.2f} and from zero by {from_zero:.2f} on average"
+    if space == "droid_joint_velocity":
+        if largest > TURN_RAD:
+            yield _warning(
+                "degrees",
+                f"velocities of up to {largest:.0f}: these look like degrees; send velocities that are normalised to "
+                "[-1, 1]",
+            )
+        elif from_now < NEARER * from_zero:
+            yield _warning(
+                "velocities",
+                f"{near}: they look like targets, but the action space is velocities; name the profile or space of "
+                "joint positions",
+            )
+        elif largest > NORMALISED:
+            share = float((np.abs(joints) > 1).mean())
+            yield _warning(
+                "velocities",
+                f"{share:.0%} of the velocities lie beyond [-1, 1], up to {largest:.2f}, and are clipped: send "
+                "normalised velocities, not rad/s",
+            )
+    elif space == "joint_position":
+        if largest > TURN_RAD:
+            yield _warning("degrees", f"targets of up to {largest:.0f}: these look like degrees; send radians")
+        elif from_zero < NEARER * from_now and largest <= NORMALISED:
+            yield _warning(
+                "targets",
+                f"{near}: they look like velocities or differences, but the action space is joint angles; name the "
+                "profile or space of velocities, or add the angles to the differences",
+            )
+
+
+def look_at_gripper(commands: F64) -> Iterator[Finding]:
+    """Yield findings about the last column (steps,), where 0 should be open and 1 closed."""
+    low, high = float(commands.min()), float(commands.max())
+    if low < -GRIPPER_OVERSHOOT or high > 1 + GRIPPER_OVERSHOOT:
+        text = (
+            f"the gripper's column goes from {low:.2f} to {high:.2f}, expected 0 (open) to 1 (closed); it is ignored, "
+            "but its place or its convention is another one"
+        )
+        yield _warning("gripper", text)
+    elif high < OPEN:
+        text = (
+            "the server is told that the gripper is closed (1) and commands an open one (0) in every step. It is "
+            "ignored; if the server means a closed one, its polarity is the opposite of DROID's"
+        )
+        yield Finding(level="hint", topic="gripper", text=text)
+
+
+def look_at_polarity(told_closed: F64, told_open: F64) -> Iterator[Finding]:
+    """Yield a warning if the command goes against what the server is told of its gripper, told both."""
+    if told_closed.mean() < OPEN and told_open.mean() > CLOSED:
+        text = (
+            "told that the gripper is closed (1), the server commands an open one (0), and the reverse: its polarity "
+            "looks like the opposite of DROID's, where 1 is closed"
+        )
+        yield _warning("gripper", text)
+
+
+def _warning(topic: str, text: str) -> Finding:
+    return Finding(level="warning", topic=topic, text=text)
+
+
+def _name(column: int, kind: str) -> str:
+    if kind == "poses":
+        return POSE[column]
+    known = [*(f"joint {i + 1}" for i in range(JOINTS)), "gripper"]
+    return known[column] if column < len(known) else f"column {column + 1}, unknown"
+
+
+def _numbers(value: object) -> F64:
+    return np.zeros(1) if value is None else np.ravel(np.asarray(value, np.float64))

@@ -1,0 +1,16 @@
+"""One line of a check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Level = Literal["ok", "warning", "error", "hint", "wait"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    level: Level
+    topic: str
+    text: str
+    """Its first line stands beside level and topic, the others below it."""

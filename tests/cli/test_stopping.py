@@ -1,0 +1,96 @@
+"""A run whose command is killed or loses its terminal leaves no process beside the next run."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from carecontact import cli
+from tests.hosting.conftest import PREAMBLE
+
+POLICY = """
+class P(Base):
+    def reset(self, instruction):
+        with open(os.path.join(os.path.dirname(__file__), "told", "pids.part"), "w") as file:
+            file.write(f"{os.getpid()} {os.getppid()} {os.environ['TMPDIR']}")
+        os.rename(file.name, file.name.removesuffix(".part"))
+        time.sleep(600)
+"""
+
+
+def _soon(true: Callable[[], bool], *, within_s: float) -> bool:
+    until = time.monotonic() + within_s
+    while not true() and time.monotonic() < until:
+        time.sleep(0.05)
+    return true()
+
+
+def _alive(pid: int) -> bool:
+    """A zombie that nobody has reaped yet is dead."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel kills worker and policy")
+@pytest.mark.parametrize("how", ["SIGKILL", "SIGQUIT", "closed terminal"])
+def test_nothing_is_left_running(tmp_path: Path, how: str) -> None:
+    (tmp_path / "told").mkdir()
+    (tmp_path / "mine.py").write_text(PREAMBLE + POLICY)
+    command = [
+        sys.executable, "-m", "carecontact.cli", "run", "--policy", "mine:P", "--out", "r", "--tasks", "T1", "--seeds",
+        "17", "--fast", "--policy-write", "told",
+    ]  # fmt: skip
+    ours, theirs = pty.openpty()
+    run = subprocess.Popen(
+        ["setsid", "--ctty", *command] if how == "closed terminal" else command,
+        cwd=tmp_path, stdin=theirs, stdout=theirs, stderr=theirs,
+    )  # fmt: skip
+    os.close(theirs)
+    try:
+        assert _soon((tmp_path / "told" / "pids").exists, within_s=120)
+        policy, worker, temporary = (tmp_path / "told" / "pids").read_text().split()
+        processes = [int(policy), int(worker), run.pid]
+        assert all(map(_alive, processes))
+        for pid in processes:
+            shown = Path(f"/proc/{pid}/cmdline").read_bytes()
+            assert b"--tasks" not in shown, shown
+            assert b"17" not in shown, shown
+        if how == "closed terminal":
+            os.close(ours)
+            ours = -1
+        else:
+            run.send_signal(getattr(signal, how))
+        assert run.wait(20) == (-signal.SIGKILL if how == "SIGKILL" else cli.INTERRUPTED)
+        assert _soon(lambda: not any(map(_alive, processes)), within_s=1)
+        if how != "SIGKILL":
+            assert not Path(temporary).exists()
+            assert not list((tmp_path / "r").glob(".running-*"))
+    finally:
+        run.kill()
+        run.wait()
+        if ours >= 0:
+            os.close(ours)
+
+
+def test_what_the_caller_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As under nohup."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)}
+    try:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        cli.main(["list", "policies"])
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGQUIT)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,159 @@
+"""A policy that tries to reach what it must not, and says what it got."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from carecontact.contract.action import Action
+from carecontact.contract.policy import PolicyCard
+from carecontact.hosting.isolation.fence import CACHES
+
+SEIZE = 0x4206
+"""linux/ptrace.h"""
+PROCESS_VM_READV, PIDFD_GETFD = 310, 438
+SIZE = ctypes.c_size_t
+
+
+def tries(folder: Path, socket_name: str) -> dict[str, Callable[[], object]]:
+    """``folder`` holds the policy's own folder, with the runs in it, and a file of the user's outside of it."""
+    run, harness = folder / "policy" / "runs" / "now", os.getppid()
+    recording, package = run / "T1-s000.h5", Path(sys.modules["carecontact"].__file__ or "").parent
+    temporary = Path(tempfile.gettempdir())
+    of_harness = Path(f"/proc/{harness}")
+    return {
+        "read a recording of this run": recording.read_bytes,
+        "read a recording of an earlier run": (folder / "policy/runs/earlier/T1-s000.h5").read_bytes,
+        "read a recording through a child": lambda: _child(f"print(open({str(recording)!r}).read())"),
+        "read a recording through /proc/self/root": Path(f"/proc/self/root{recording}").read_bytes,
+        "link a recording into its own folder": lambda: os.link(recording, temporary / "linked"),
+        "list the run": lambda: os.listdir(run),
+        "list the folder of runs": lambda: os.listdir(run.parent),
+        "write a file into the run": (run / "T1-s001.h5").touch,
+        "write into a recording": lambda: recording.open("ab").close(),
+        "empty a recording": lambda: os.truncate(recording, recording.stat().st_size),
+        "rename a recording": lambda: (recording.rename(run / "x"), (run / "x").rename(recording)),
+        "remove a file of the run": (run / "manifest.json").unlink,
+        "write into the package": lambda: (package / "errors.py").open("ab").close(),
+        "add a module to the package": lambda: ((package / "planted.py").touch(), (package / "planted.py").unlink()),
+        "write into its own folder": (folder / "policy" / "kept").touch,
+        "read a file of the user": (folder / "outside" / "secret").read_text,
+        "write a file of the user": lambda: (folder / "outside" / "secret").open("ab").close(),
+        "list processes": lambda: os.listdir("/proc"),
+        "command line of the harness": (of_harness / "cmdline").read_bytes,
+        "variables of the harness": (of_harness / "environ").read_bytes,
+        "memory of the harness": lambda: (of_harness / "mem").open("rb").close(),
+        "map of the harness's memory": (of_harness / "maps").read_text,
+        "working folder of the harness": (of_harness / "cwd").readlink,
+        "list the files that the harness holds open": lambda: os.listdir(of_harness / "fd"),
+        "trace the harness": lambda: _traced(harness),
+        "copy memory of the harness": lambda: _copied(harness),
+        "take a descriptor of the harness": lambda: _taken(harness),
+        "signal the harness": lambda: os.kill(harness, 0),
+        "signal the harness through a child": lambda: _child(f"import os; os.kill({harness}, 0)"),
+        "connect to an abstract socket": lambda: _connected(socket_name),
+    }
+
+
+def stays_open(folder: Path) -> dict[str, Callable[[], object]]:
+    """What Landlock cannot close."""
+    recording = folder / "policy" / "runs" / "now" / "T1-s000.h5"
+    return {
+        "size of a recording whose name it guesses": recording.stat,
+        "change the mode of a recording": lambda: recording.chmod(0o644),
+        "write into shared memory": _shared_memory,
+        "open a connection": lambda: socket.create_server(("127.0.0.1", 0)).close(),
+    }
+
+
+class Leaks:
+    card = PolicyCard(name="leaks")
+
+    def __init__(self, *, socket_name: str) -> None:
+        self._folder, self._socket_name = Path(__file__).parents[1], socket_name
+
+    def reset(self, instruction: str) -> None:
+        said: dict[str, str] = {}
+        for name, attempt in {**tries(self._folder, self._socket_name), **stays_open(self._folder)}.items():
+            try:
+                attempt()
+                said[name] = "open"
+            except OSError as error:
+                said[name] = str(error)[:80]
+        status = [path.read_text() for path in Path("/proc/self/task").glob("*/status")]
+        lines = [dict(line.split(":\t") for line in text.splitlines() if ":\t" in line) for text in status]
+        threads = [{name: fields[name] for name in ("NoNewPrivs", "CapEff")} for fields in lines]
+        files = [str(p.readlink()) for p in Path("/proc/self/fd").iterdir() if p.is_symlink() and p.is_file()]
+        caches = [os.environ.get(name, "").startswith(f"{tempfile.gettempdir()}/") for name in CACHES]
+        sys.stdout.write(json.dumps({"said": said, "threads": threads, "files": files, "caches": caches}))
+
+    def act(self, observation: object) -> Action:
+        return Action(done=True)
+
+
+def _child(code: str) -> None:
+    done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise OSError(done.stderr.strip().splitlines()[-1])
+
+
+def _checked(result: int) -> int:
+    if result < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    return result
+
+
+def _libc() -> ctypes.CDLL:
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.ptrace.restype = libc.syscall.restype = ctypes.c_long
+    return libc
+
+
+def _traced(pid: int) -> None:
+    """Seized, a process does not stop."""
+    _checked(_libc().ptrace(SEIZE, pid, None, None))
+
+
+def _copied(pid: int) -> None:
+    here = ctypes.create_string_buffer(8)
+
+    class Vector(ctypes.Structure):
+        _fields_ = (("base", ctypes.c_void_p), ("length", SIZE))
+
+    # Whatever lies there: without the right the kernel refuses before it looks (EPERM, not EFAULT).
+    address = id(None)
+    local, remote = Vector(ctypes.addressof(here), 8), Vector(address, 8)
+    result = _libc().syscall(
+        PROCESS_VM_READV, pid, ctypes.byref(local), SIZE(1), ctypes.byref(remote), SIZE(1), SIZE(0)
+    )
+    if result < 0 and ctypes.get_errno() == 14:
+        return
+    _checked(result)
+
+
+def _taken(pid: int) -> None:
+    handle = os.pidfd_open(pid)
+    try:
+        os.close(_checked(_libc().syscall(PIDFD_GETFD, handle, 0, 0)))
+    finally:
+        os.close(handle)
+
+
+def _connected(name: str) -> None:
+    with socket.socket(socket.AF_UNIX) as client:
+        client.connect(f"\0{name}")
+
+
+def _shared_memory() -> None:
+    place = Path("/dev/shm") / f"carecontact-test-{os.getpid()}"
+    place.touch()
+    with suppress(OSError):
+        place.unlink()

@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from carecontact.hosting.isolation.allowlist import SYSTEM, rights, without
+from carecontact.hosting.isolation.landlock import READ, READ_FILE, WRITE, WRITE_FILE
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path.with_name("temporary")))
+    for place in ("runs/now", "runs/earlier", "weights", "mine"):
+        (tmp_path / place).mkdir(parents=True)
+    (tmp_path / "mine" / "__init__.py").touch()
+    (tmp_path / "helper.py").touch()
+    (tmp_path / "up").symlink_to(tmp_path)
+    (tmp_path / "outside").symlink_to("/usr")
+    return tmp_path
+
+
+def asked(folder: Path, **changed: object) -> dict[str, int]:
+    given: dict[str, object] = {
+        "search_path": [str(folder)], "target": "mine:P", "given": [], "readable": [], "writable": [], "closed": [],
+    }  # fmt: skip
+    return rights(**{**given, **changed})  # pyright: ignore[reportArgumentType]
+
+
+def test_a_folder_without_what_is_closed_in_it(folder: Path) -> None:
+    found = set(without(str(folder), [str(folder / "runs" / "now")]))
+    assert found == {str(folder / name) for name in ("runs/earlier", "weights", "mine", "helper.py", "outside")}
+    assert list(without(str(folder), ["/elsewhere"])) == [str(folder)]
+    assert list(without(str(folder / "runs" / "now" / "x"), [str(folder / "runs" / "now")])) == []
+    assert list(without("/", ["/"])) == []
+
+
+def test_a_policy_reads_its_folder_its_arguments_and_the_interpreter(folder: Path, tmp_path: Path) -> None:
+    told = folder / "said.jsonl"
+    told.touch()
+    found = asked(folder, given=["3", "", f"replay:{told}", f"{folder / 'weights'}{os.pathsep}/nowhere"])
+    for place in (folder, told, folder / "weights", Path(sys.prefix).resolve()):
+        assert found[str(place)] == READ, place
+    assert not {"/nowhere", "3", ""} & set(found)
+    assert not [path for path in ("/", "/etc", "/home", "/root", "/tmp", "/run", "/proc") if path in found]
+    assert found[f"/proc/{os.getpid()}"] & READ == READ
+    assert found["/dev/null"] & WRITE_FILE
+
+
+def test_what_the_user_opens(folder: Path) -> None:
+    record = str(folder / "record.jsonl")
+    found = asked(folder, readable=["/data"], writable=["/logs"], record=record)
+    assert (found["/data"], found["/logs"] & (READ | WRITE), found[record]) == (
+        READ, READ | WRITE, READ_FILE | WRITE_FILE,
+    )  # fmt: skip
+
+
+def test_no_place_that_may_be_written_holds_a_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(folder))
+    assert asked(folder)[str(folder)] & WRITE
+    assert str(folder) not in asked(folder, closed=[str(folder / "runs" / "now")])
+
+
+def test_the_package_of_a_policy_that_is_installed_elsewhere(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As an editable installation has it: a finder knows where, and ``sys.path`` does not."""
+    elsewhere = folder / "weights"
+    (elsewhere / "editable_policy.py").touch()
+
+    class Finder:
+        @staticmethod
+        def find_spec(name: str, path: object, target: object = None) -> object:
+            from importlib.util import spec_from_file_location
+
+            return (
+                spec_from_file_location(name, elsewhere / "editable_policy.py") if name == "editable_policy" else None
+            )
+
+    monkeypatch.setattr(sys, "meta_path", [*sys.meta_path, Finder])
+    found = asked(folder, search_path=[], target="editable_policy.part:P")
+    assert found[str(elsewhere / "editable_policy.py")] == READ
+    assert str(elsewhere) not in found
+
+
+def test_places_of_the_system_are_narrow() -> None:
+    assert not {"/", "/etc", "/home", "/root", "/tmp", "/var", "/run", "/proc", "/dev"} & set(SYSTEM)

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import carecontact
+from carecontact.contract.policy_ref import PolicyRef
+from carecontact.hosting.isolation.fence import level
+from carecontact.hosting.isolation.landlock import version
+from carecontact.hosting.process import PolicyProcess
+from carecontact.hosting.setup import PolicySetup
+from tests.hosting.isolation import leaks
+from tests.policies.synthetic import SESSION
+
+Try = Callable[..., dict[str, Any]]
+
+SINCE_SCOPES = {
+    "signal the harness", "signal the harness through a child", "connect to an abstract socket",
+}  # fmt: skip
+TRACING = {
+    "variables of the harness", "memory of the harness", "map of the harness's memory", "working folder of the harness",
+    "list the files that the harness holds open", "trace the harness", "copy memory of the harness",
+    "take a descriptor of the harness",
+}  # fmt: skip
+"""What some systems close to any process that is no ancestor, with or without Landlock."""
+needs_landlock = pytest.mark.skipif(not version(), reason="this system has no Landlock")
+
+
+@pytest.fixture
+def attempt(tmp_path: Path) -> Try:
+    folder = tmp_path / "policy"
+    for run in ("now", "earlier"):
+        (folder / "runs" / run).mkdir(parents=True)
+        for name in ("T1-s000.h5", "manifest.json"):
+            (folder / "runs" / run / name).write_text("seed 3")
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside" / "secret").write_text("secret")
+    shutil.copy(leaks.__file__, folder / "leaks.py")
+
+    def run_it(**given: Any) -> dict[str, Any]:
+        name = f"carecontact-test-{os.getpid()}"
+        setup = PolicySetup(
+            ref=PolicyRef.parse("leaks:Leaks"), search_path=(str(folder),),
+            arguments={"socket_name": name},
+            closed=tuple(str(folder / "runs" / run) for run in ("now", "earlier")), **given,
+        )  # fmt: skip
+        with socket.socket(socket.AF_UNIX) as listener:
+            listener.bind(f"\0{name}")
+            listener.listen()
+            with PolicyProcess(setup, first_deadline_s=60, deadline_s=60) as process:
+                process.start()
+                process.reset("touch", SESSION)
+                process.close()
+                return {**json.loads(process.printed), "isolation": process.isolation}
+
+    return run_it
+
+
+@needs_landlock
+def test_a_policy_gets_nothing_of_what_is_said_to_be_closed(attempt: Try, tmp_path: Path) -> None:
+    told = attempt()
+    expected = set(leaks.tries(tmp_path, "")) - (SINCE_SCOPES if version() < 6 else set())
+    assert {name for name, said in told["said"].items() if said == "open"} & expected == set()
+    assert told["isolation"] == level(version())
+    assert not [path for path in told["files"] if not path.startswith("/proc/")], "descriptors of the harness"
+    assert all(told["caches"]), "libraries keep what they compile where the policy may write"
+    # Every thread: a policy could otherwise let one that is free act for it.
+    assert {thread["NoNewPrivs"] for thread in told["threads"]} == {"1"}
+    if os.geteuid() == 0:
+        assert {int(thread["CapEff"], 16) for thread in told["threads"]} == {2}
+
+
+def test_without_isolation_it_gets_all_of_it(attempt: Try, tmp_path: Path) -> None:
+    """So that the test above can fail."""
+    told = attempt(isolated=False)
+    expected = set(leaks.tries(tmp_path, ""))
+    if os.geteuid() != 0:
+        expected -= TRACING
+    if not os.access(Path(carecontact.__file__).parent, os.W_OK):
+        expected -= {"write into the package", "add a module to the package"}
+    assert {name for name in expected if told["said"][name] != "open"} == set()
+    assert told["isolation"] == "none: switched off"
+
+
+@needs_landlock
+def test_what_stays_open(attempt: Try, tmp_path: Path) -> None:
+    """docs/threat-model.md names it."""
+    told = attempt()
+    assert {told["said"][name] for name in leaks.stays_open(tmp_path)} == {"open"}

@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from carecontact.hosting.isolation.private_folder import private_folder, remove_abandoned_folders
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+
+def test_a_folder_in_use_stays_and_one_whose_harness_was_killed_goes(tmp_path: Path) -> None:
+    code = (
+        "import os, sys, tempfile; tempfile.tempdir = sys.argv[1]\n"
+        "from carecontact.hosting.isolation.private_folder import private_folder\n"
+        "(private_folder().path / 'kept').touch(); os.kill(os.getpid(), 9)"
+    )
+    ours = private_folder()
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    assert len(list(tmp_path.iterdir())) == 2
+    remove_abandoned_folders()
+    assert list(tmp_path.iterdir()) == [ours.path]
+    ours.remove()
+    assert not list(tmp_path.iterdir())
+
+
+def test_each_is_new(tmp_path: Path) -> None:
+    one, other = private_folder(), private_folder()
+    assert one.path != other.path
+    assert one.path.is_dir()
+    one.remove()
+    other.remove()

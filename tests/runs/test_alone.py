@@ -1,0 +1,108 @@
+"""One command at a time in a folder, and nothing left of the lock."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from carecontact.cli import main
+from carecontact.errors import ConfigError
+from carecontact.runs.alone import LOCK, alone
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from carecontact.runs.alone import alone
+with alone(Path(sys.argv[1]), make=True):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+RACER = """
+import sys, time
+from pathlib import Path
+from carecontact.errors import ConfigError
+from carecontact.runs.alone import alone
+folder = Path(sys.argv[1])
+for _ in range(200):
+    try:
+        with alone(folder, make=True):
+            inside = folder.with_name("inside")
+            inside.open("x").close()
+            inside.unlink()
+    except ConfigError as error:
+        assert "process" in str(error) or "another command" in str(error), error
+"""
+
+
+def holder(folder: Path) -> subprocess.Popen[bytes]:
+    process = subprocess.Popen([sys.executable, "-c", HOLDER, str(folder)], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"held\n"
+    return process
+
+
+def test_the_second_one_learns_who_holds_the_folder_and_a_kill_frees_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    with holder(folder) as first:
+        commands = {
+            "run": ["run", "--policy", "hover", "--out", str(folder), "--tasks", "T1", "--seeds", "0"],
+            "restart": ["run", "--policy", "hover", "--out", str(folder), "--restart"],
+            "score": ["score", str(folder)],
+            "append": ["score", str(folder), "--append"],
+            "report": ["report", str(folder)],
+            "demo": ["demo", "--out", str(folder)],
+        }
+        for name, command in commands.items():
+            assert main(command) == 2, name
+            told = capsys.readouterr().err
+            assert told.startswith(f"error: {folder}: process {first.pid}, since 20"), name
+            assert told.endswith("is at work in this folder; wait until it has ended\n"), name
+            assert told.count("\n") == 1, name
+        assert sorted(path.name for path in folder.iterdir()) == [LOCK]
+        os.kill(first.pid, signal.SIGKILL)
+    with alone(folder):
+        assert (folder / LOCK).read_text().startswith(f"process {os.getpid()}, since 20")
+    assert not list(folder.iterdir())
+
+
+def test_commands_of_one_process_nest_and_an_empty_folder_goes_again(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "run"
+    with alone(folder, make=True):
+        with alone(folder):
+            pass
+        assert (folder / LOCK).exists()
+    assert not folder.exists()
+    with alone(folder):
+        assert not folder.exists()
+
+
+def test_a_folder_that_is_moved_away_is_locked_anew(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    with alone(folder, make=True):
+        folder.rename(tmp_path / "moved")
+        with alone(folder, make=True):
+            (folder / "kept").touch()
+        assert not (folder / LOCK).exists()
+        holder(folder).kill()
+    assert (folder / LOCK).exists(), "the lock of another is left alone"
+
+
+def test_two_are_never_inside_together(tmp_path: Path) -> None:
+    """The folder goes and comes again two hundred times in each of four processes."""
+    racers = [subprocess.Popen([sys.executable, "-c", RACER, str(tmp_path / "run")]) for _ in range(4)]
+    assert [racer.wait(60) for racer in racers] == [0, 0, 0, 0]
+    assert not (tmp_path / "run" / LOCK).exists()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_without_leave_to_write_is_named(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(ConfigError, match="cannot be written to: Permission denied"), alone(tmp_path):
+        pass

@@ -1,0 +1,101 @@
+"""A run that has no space: it says where and what to do, computes nothing in vain, and continues when there is some."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from collections import namedtuple
+from pathlib import Path
+
+import pytest
+
+from carecontact.errors import StorageError
+from carecontact.recording import read_recording, writer
+from carecontact.recording.writer import replace_file
+from tests.trials.test_supervisor import Bench, specs
+
+REMEDY = "free some space there, then give the same command again"
+Usage = namedtuple("Usage", "total used free")
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def test_a_file_without_space_is_named_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "results.json"
+    path.write_bytes(b"earlier")
+
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(writer.os, "fsync", full)
+    with pytest.raises(StorageError) as caught:
+        replace_file(path, bytes(100))
+    assert str(caught.value) == f"{path}: No space left on device; {REMEDY}"
+    assert [file.name for file in tmp_path.iterdir()] == ["results.json"]
+    assert path.read_bytes() == b"earlier"
+
+
+def test_no_trial_begins_that_cannot_be_stored(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "disk_usage", lambda place: Usage(100 << 20, 99 << 20, 1 << 20))
+        with pytest.raises(StorageError, match=rf"0 of 3 .* done: {bench.out}: less than 48 MB .*; {REMEDY}"):
+            bench.run(specs(3))
+    assert bench.ran() == []
+    assert [path.name for path in bench.out.iterdir()] == ["manifest.json"]
+    assert len(bench.run(specs(3)).ran) == 3
+
+
+def test_a_recording_that_found_no_space_stops_the_run_and_is_made_by_the_next(bench: Bench) -> None:
+    with pytest.raises(StorageError, match=rf"1 of 6 trial\(s\) done: {bench.out}: No space left on device; {REMEDY}"):
+        bench.run(specs(6), {"T1-s001": "full"}, jobs=1)
+    assert bench.ran() == ["T1-s000", "T1-s001"]
+    assert sorted(path.name for path in bench.out.iterdir()) == ["T1-s000.h5", "manifest.json"]
+    summary = bench.run(specs(6))
+    assert set(summary.ended.values()) == {"done"}
+    assert summary.kept == ("T1-s000",)
+
+
+def test_a_killed_trial_is_repeated_once_by_the_same_command(bench: Bench) -> None:
+    bench.run(specs(2), {"T1-s000": "kill", "T1-s001": "exit"})
+    assert bench.recording("T1-s000").header.failure.kind == "signal"  # pyright: ignore[reportOptionalMemberAccess]
+    bench.run(specs(2), {"T1-s000": "kill"})
+    assert bench.ran() == ["T1-s000"], "only what chance may have ended"
+    assert [event.message for event in bench.events if event.kind == "redo"] == ["its process was killed by a signal"]
+    bench.run(specs(2))
+    assert bench.ran() == []
+    assert set(bench.run(specs(2), retry_failed=True).ran) == {"T1-s000", "T1-s001"}
+
+
+def test_what_a_lost_trial_died_of_is_told(bench: Bench) -> None:
+    bench.run(specs(1), {"T1-s000": "lost_once"})
+    told = [event.message for event in bench.events if event.kind == "redo"]
+    assert told == ["the trial's process died of signal 9 (Killed) while the policy was running"]
+
+
+def test_a_real_run_under_a_limit_of_the_file_size(tmp_path: Path) -> None:
+    """The recording of 0.3 MB does not fit; with the limit gone, the same command makes it."""
+    out = tmp_path / "run"
+    command = [
+        sys.executable, "-m", "carecontact.cli", "run", "--policy", "zero-action", "--tasks", "T1", "--seeds", "0",
+        "--set", "phases.time_limit_s=1", "--out", str(out), "--allow-failures",
+    ]  # fmt: skip
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
+
+    done = subprocess.run(command, preexec_fn=limited, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"error: the run stops with 0 of 1 trial(s) done: {out}: No space left on device; {REMEDY} to continue\n"
+    )
+    assert [path.name for path in out.iterdir()] == ["manifest.json"]
+    assert subprocess.run(command, capture_output=True).returncode == 0
+    assert read_recording(out / "T1-s000.h5").header.ended == "time_limit"
+    assert not [path for path in out.iterdir() if path.name.startswith(".")]
