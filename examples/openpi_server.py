@@ -3,6 +3,7 @@
     python openpi_server.py                                             # in the policy's environment
     carecontact check "openpi://127.0.0.1:8000?profile=pi05-droid"      # in the environment of carecontact
 
+As it stands, the answer is a constant, so the check warns that every input is without effect.
 docs/dialects.md of carecontact says what a request holds. openpi's own client can talk to this server, too.
 """
 

@@ -217,7 +217,7 @@ ZEROS = np.zeros((10, 8))
         (lambda reply: {"type": "error", "message": "Internal inference error"}, "exception", "Internal inference"),
         (lambda reply: {"type": "error"}, "exception", "expected its reason as text, got None"),
         (lambda reply: {"action": reply["actions"]}, "garbage", "expected a map with the key actions, got .* action;"),
-        (lambda reply: {"actions": NAN}, "action", r"actions\[0\]: expected finite numbers, got nan in column 0"),
+        (lambda reply: {"actions": NAN}, "action", r"actions\[0\]: expected finite numbers, got nan in column 1"),
         (lambda reply: {"actions": ZEROS[:, :7]}, "action", r"got float64 \(10, 7\): the gripper's column is missing"),
         (lambda reply: {"actions": np.zeros((10, 9))}, "action", r"got float64 \(10, 9\): columns from number 9 on"),
         (lambda reply: {"actions": np.zeros((1, 10, 8))}, "action", r"expected an array of numbers \(steps, 8\)"),

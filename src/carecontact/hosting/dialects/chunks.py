@@ -39,7 +39,7 @@ def joint_actions(chunk: object, *, horizon: int | None, space: str, grips: bool
         values = chunk.astype(np.float64)
     if not np.isfinite(values).all():
         row, column = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        raise ActionError(f"actions[{row}]: expected finite numbers, got {values[row, column]} in column {column}")
+        raise ActionError(f"actions[{row}]: expected finite numbers, got {values[row, column]} in column {column + 1}")
     outside = np.flatnonzero((values[:, -1] < -GRIPPER_SLACK) | (values[:, -1] > 1 + GRIPPER_SLACK))
     if grips and len(outside):
         row = int(outside[0])

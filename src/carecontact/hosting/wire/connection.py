@@ -110,7 +110,7 @@ class Connection:
                 self._websocket.send(message)
         except Exception as error:
             if expired.is_set():
-                raise PolicyError("timeout", f"did not read its message within {deadline_s:g} s") from None
+                raise PolicyError("timeout", f"did not read its message within {deadline_s:.2g} s") from None
             raise closed(error, sent_bytes=self._sent_bytes) from None
         if self.on_sent is not None:
             self.on_sent(message)
