@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
+import msgpack
 import numpy as np
 import pytest
 
@@ -93,11 +95,30 @@ def test_equal_trials_have_equal_recordings_although_the_session_id_differs(run:
     np.testing.assert_array_equal(one[name], other[name])
 
 
-def test_a_fault_in_the_second_chunk_is_the_trials_process_failure(run: Run) -> None:
-    chunks = iter([lambda reply: reply, lambda reply: {"actions": reply["actions"] * np.nan}])
+def _object_array(reply: object) -> bytes:
+    marks = {b"__ndarray__": True, b"data": b"", b"dtype": "|O", b"shape": []}
+    return msgpack.packb({"actions": marks})
+
+
+FAULTS: dict[str, tuple[Callable[[Any], object], str, str]] = {
+    "NaN": (lambda reply: {"actions": reply["actions"] * np.nan}, "action", "expected finite numbers"),
+    "wrong shape": (lambda reply: {"actions": reply["actions"][:, :7]}, "action", "gripper's column is missing"),
+    "text": (lambda reply: "Traceback (most recent call last):\nValueError: no such key", "exception", "no such key"),
+    "error map": (lambda reply: {"type": "error", "message": "CUDA out of memory"}, "exception", "CUDA out of memory"),
+    "object dtype": (_object_array, "garbage", "expected an array dtype out of"),
+    "keys of bytes": (lambda reply: msgpack.packb({b"actions": 1}), "garbage", "text as keys outside arrays"),
+    "too large": (lambda reply: bytes(5 << 20), "oversize", "at most 4194304 bytes"),
+}
+"""What a server answers the second time -> kind of the failure, and what it says."""
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_in_the_second_chunk_is_the_trials_process_failure(run: Run, name: str) -> None:
+    fault, kind, says = FAULTS[name]
+    chunks = iter([lambda reply: reply, fault])
     recording = run(Openpi(fault=lambda reply: next(chunks)(reply)), "openpi://127.0.0.1:{}?profile=pi05-droid")
     assert recording.header.ended == "process_failure"
     assert recording.header.failure is not None
-    assert recording.header.failure.kind == "action"
-    assert "expected finite numbers" in recording.header.failure.message
+    assert recording.header.failure.kind == kind
+    assert says in recording.header.failure.message
     assert len(recording["actions/joint"]) == 8
