@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -85,6 +86,15 @@ def test_an_axis_with_neither_spring_nor_force_is_refused(
         with pytest.raises(ActionError, match="stiffness: 0 z without a feedforward there"):
             episode.step(Action(wrench_in_tcp=np.zeros(6)), observe=False)
         episode.step(Action(stiffness=(400.0, 20.0), wrench_in_tcp=np.zeros(6)), observe=False)
+
+
+def test_a_feedforward_ends_with_its_episode(parked_world: Callable[[TrialSpec], World], t1: TrialSpec) -> None:
+    """Episodes may share a compiled scene, and settling steps it before any control period begins."""
+    played(parked_world, t1, [Action(wrench_in_tcp=PUSH)])
+    simulation, *_ = parked_world(t1)
+    before = simulation.robot.joint_position(simulation.data)
+    mujoco.mj_step(simulation.model, simulation.data, 50)
+    np.testing.assert_allclose(simulation.robot.joint_position(simulation.data), before, atol=1e-6)
 
 
 def test_a_pose_policys_recording_has_no_new_array(parked_world: Callable[[TrialSpec], World], t1: TrialSpec) -> None:

@@ -1,4 +1,4 @@
-"""What a dialect's server may be told: every message of a conversation against the dialect's own exact list of keys."""
+"""The audit of messages to a dialect's server: each may have the keys on the dialect's exact list and no other."""
 
 from __future__ import annotations
 

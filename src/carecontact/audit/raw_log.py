@@ -36,7 +36,7 @@ class Meta:
     cell: dict[str, Any]
     """Calibration of the cell: ``robot_base_m``, ``robot_yaw_deg`` and the ``cameras`` of the protocol."""
     arguments: dict[str, str] = field(default_factory=dict[str, str])
-    """Of the card; those of a dialect's card say how its messages are made."""
+    """The card's arguments. For a dialect, they say how its messages are made."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _readable(arguments: Sequence[str]) -> None:
-    """Refuse a name that is no text: recordings, reports and messages could not hold it. Raises ConfigError."""
+    """Raises ConfigError for a name that is not valid text, which no recording, report or message could hold."""
     for text in (*arguments, os.getcwd()):
         try:
             text.encode()

@@ -72,7 +72,8 @@ class Check:
             protocol=rules, policy=setup.ref.text, tasks=[task], seeds=[seed], arguments=setup.arguments,
             environment=setup.environment,
         )  # fmt: skip
-        print(f"{setup.ref}: the first observation of {spec.trial_id}, {rules.title}, twice", flush=True)
+        often = "again and again, with one input blanked in turn" if deep else "twice"
+        print(f"{setup.ref}: the first observation of {spec.trial_id}, {rules.title}, {often}", flush=True)
         check = Checked(spec=spec, policy=setup, weights=self.vision.weights, pictures=pictures, on_finding=_show)
         works = check.run()
         if not works:

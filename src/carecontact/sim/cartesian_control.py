@@ -35,6 +35,8 @@ class CartesianControl:
         self.feedforward: F64 = np.zeros(6)
         """(6,) force [N] and torque [N m] in the axes of the tool that are added to the springs' wrench. The clamp of
         each axis holds for the sum."""
+        # Simulations may share a compiled scene, and another one may have ended with its feedforward in force.
+        model.actuator_biasprm[self._rows, 0] = 0.0
         impedance = protocol.impedance
         self.set_gains(np.repeat([impedance.translational_n_m, impedance.rotational_nm_rad], 3))
 
