@@ -1,0 +1,34 @@
+// The energy that the shell holds at the end of a step and what it lost during it.
+#include "region.h"
+#include "vec.h"
+
+void ledger(Region* r, const State* s, const Law* law) {
+  double *row = r->row, stored = 0, kinetic = 0, damped = 0, rubbed = 0;
+  for (int k = 0; k < r->nwindow; k++) {
+    int i = r->window[k];
+    const Vertex* v = r->vertex + i;
+    const double *u = r->u + 3 * i, *rate = r->rate + 3 * i;
+    double x = u[0] < 0 ? -u[0] : u[0];
+    stored += v->area * (x * x * (law->a / 2 + x * (law->b / 3 + x * law->c / 4)) + law->a / 2 * (u[1] * u[1] + u[2] * u[2]));
+    kinetic += v->area * law->mass / 2 * dot(rate, rate);
+    for (int j = 0; j < 3; j++)
+      damped += v->area * law_damping(law, s->u[3 * i]) * rate[j] * (u[j] - s->u[3 * i + j]);
+    for (int e = v->edge; e < v->edge + v->edges; e++) {
+      const double* w = r->u + 3 * r->neighbour[e];
+      // An edge between two moving vertices is met twice.
+      double half = r->neighbour_weight[e] * (r->moves[r->neighbour[e]] ? 0.25 : 0.5);
+      for (int j = 0; j < 3; j++) stored += half * (j ? law->membrane : law->coupling) * (u[j] - w[j]) * (u[j] - w[j]);
+    }
+  }
+  for (int i = 0; i < r->ncontact; i++) {
+    const Contact* c = r->contact + i;
+    if (!c->touching) continue;
+    double area = r->point[c->point].area, size = dot(c->traction, c->traction);
+    stored += area * (c->pressure * c->pressure + size) / (2 * c->stiff);
+    rubbed += area * law->friction * c->pressure * c->slipped;
+  }
+  row[ROW_STORED] = stored;
+  row[ROW_KINETIC] = kinetic;
+  row[ROW_DAMPED] = damped;
+  row[ROW_RUBBED] = rubbed;
+}

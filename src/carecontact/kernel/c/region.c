@@ -1,0 +1,274 @@
+// A region's arrays: read from the model's numerics once, and laid out for the step.
+#include "region.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "vec.h"
+
+enum { STATE_HEAD = 2 };
+
+int state_size(int nvertex, int npoint, int ncell) {
+  return STATE_HEAD + 6 * nvertex + 3 * npoint + CELL_SIZE * ncell + RING_ROWS * ROW_SIZE;
+}
+
+State state_of(const Region* r, double* state) {
+  State s = {.steps = state, .awake = state + 1};
+  s.u = state + STATE_HEAD;
+  s.rate = s.u + 3 * r->nvertex;
+  s.traction = s.rate + 3 * r->nvertex;
+  s.cells = s.traction + 3 * r->npoint;
+  s.ring = s.cells + CELL_SIZE * r->ncell;
+  return s;
+}
+
+static int attribute(const mjModel* m, int instance, const char* name) {
+  const char* text = mj_getPluginConfig(m, instance, name);
+  return text ? atoi(text) : 0;
+}
+
+// The address of the numeric "<key>/<name>", which must have `size` numbers; -1 after a warning.
+static int numeric(const mjModel* m, const char* key, const char* name, int size) {
+  char full[256];
+  snprintf(full, sizeof full, "%s/%s", key, name);
+  int id = mj_name2id(m, mjOBJ_NUMERIC, full);
+  if (id < 0 || m->numeric_size[id] != size) {
+    mju_warning("carecontact.tissue: the model has no numeric %s of %d numbers", full, size);
+    return -1;
+  }
+  return m->numeric_adr[id];
+}
+
+Law law_read(const mjModel* m, const Region* r) {
+  const double* x = m->numeric_data + r->law_address;
+  return (Law){x[LAW_A], x[LAW_B], x[LAW_C], x[LAW_DAMPING], x[LAW_DAMPING_GROWTH], x[LAW_MASS], x[LAW_COUPLING],
+               x[LAW_MEMBRANE], x[LAW_FRICTION], x[LAW_CONTACT], x[LAW_THICKNESS]};
+}
+
+static double distance(const double a[3], const double b[3]) {
+  double away[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
+  return sqrt(dot(away, away));
+}
+
+// Neighbours of every vertex, both ways, in the order of the edges.
+static void link_vertices(Region* r, const double* edge, int nedge) {
+  for (int e = 0; e < nedge; e++)
+    for (int way = 0; way < 2; way++) r->vertex[(int)edge[EDGE_SIZE * e + way]].edges++;
+  for (int i = 0, at = 0; i < r->nvertex; at += r->vertex[i++].edges) r->vertex[i].edge = at;
+  for (int i = 0; i < r->nvertex; i++) r->vertex[i].edges = 0;
+  for (int e = 0; e < nedge; e++)
+    for (int way = 0; way < 2; way++) {
+      const double* row = edge + EDGE_SIZE * e;
+      Vertex* v = r->vertex + (int)row[way];
+      int at = v->edge + v->edges++;
+      r->neighbour[at] = (int)row[1 - way];
+      r->neighbour_weight[at] = row[EDGE_WEIGHT];
+      v->weight += row[EDGE_WEIGHT];
+      v->span = most(v->span, distance(v->place, r->vertex[(int)row[1 - way]].place));
+    }
+}
+
+// The contact points, and which of them each vertex carries.
+static void place_points(Region* r, const double* row) {
+  for (int q = 0; q < r->npoint; q++, row += POINT_SIZE) {
+    Point* p = r->point + q;
+    for (int c = 0; c < 3; c++) {
+      if (row[POINT_SHARE + c] == 0) continue;
+      const Vertex* v = r->vertex + (int)row[POINT_CORNER + c];
+      p->corner[p->corners] = (int)row[POINT_CORNER + c];
+      p->share[p->corners++] = row[POINT_SHARE + c];
+      for (int k = 0; k < 3; k++) p->inward[k] += row[POINT_SHARE + c] * v->frame[k];
+    }
+    double length = sqrt(dot(p->inward, p->inward));
+    for (int k = 0; k < 3; k++) p->inward[k] /= length;
+    p->area = row[POINT_AREA];
+    p->cell = (int)row[POINT_CELL];
+    for (int c = 0; c < p->corners; c++) r->vertex[p->corner[c]].uses++;
+  }
+  for (int i = 0, at = 0; i < r->nvertex; at += r->vertex[i++].uses) r->vertex[i].use = at;
+  for (int i = 0; i < r->nvertex; i++) r->vertex[i].uses = 0;
+  for (int q = 0; q < r->npoint; q++)
+    for (int c = 0; c < r->point[q].corners; c++) {
+      Vertex* v = r->vertex + r->point[q].corner[c];
+      r->use_point[v->use + v->uses] = q;
+      r->use_corner[v->use + v->uses++] = c;
+    }
+}
+
+static void bound(Region* r) {
+  for (int i = 0; i < r->nvertex; i++)
+    for (int k = 0; k < 3; k++) r->middle[k] += r->vertex[i].place[k] / r->nvertex;
+  for (int i = 0; i < r->nvertex; i++) {
+    const double* x = r->vertex[i].place;
+    double away[3] = {x[0] - r->middle[0], x[1] - r->middle[1], x[2] - r->middle[2]};
+    r->bound = most(r->bound, sqrt(dot(away, away)));
+    r->px[i] = (float)x[0];
+    r->py[i] = (float)x[1];
+    r->pz[i] = (float)x[2];
+  }
+}
+
+// Every geom under the body named by the attribute "tools" that may collide with a person.
+static int find_tools(const mjModel* m, int instance, Region* r) {
+  int root = mj_name2id(m, mjOBJ_BODY, mj_getPluginConfig(m, instance, "tools"));
+  if (root < 0) {
+    mju_warning("carecontact.tissue: the model has no body %s", mj_getPluginConfig(m, instance, "tools"));
+    return -1;
+  }
+  r->tool = calloc((size_t)m->ngeom, sizeof(Tool));
+  for (int g = 0; g < m->ngeom; g++) {
+    int body = m->geom_bodyid[g];
+    while (body > root) body = m->body_parentid[body];
+    if (body != root || !(m->geom_contype[g] & 1)) continue;
+    if (tool_init(m, g, r->tool + r->ntool)) {
+      mju_warning("carecontact.tissue: geom %d under %s has no convex surface", g,
+                  mj_getPluginConfig(m, instance, "tools"));
+      return -1;
+    }
+    r->ntool++;
+  }
+  return 0;
+}
+
+static void allocate(Region* r, int nedge) {
+  size_t n = (size_t)r->nvertex, q = (size_t)r->npoint, e = 2 * (size_t)nedge;
+  r->vertex = calloc(n, sizeof(Vertex));
+  r->point = calloc(q, sizeof(Point));
+  r->contact = calloc(q, sizeof(Contact));
+  r->neighbour = calloc(e, sizeof(int));
+  r->neighbour_weight = calloc(e, sizeof(double));
+  r->use_point = calloc(3 * q, sizeof(int));
+  r->use_corner = calloc(3 * q, sizeof(int));
+  r->window = calloc(n, sizeof(int));
+  r->contact_of = malloc(q * sizeof(int));
+  for (size_t i = 0; i < q; i++) r->contact_of[i] = -1;
+  r->moves = calloc(n, 1);
+  r->hit = calloc(n, 1);
+  r->px = calloc(n, sizeof(float));
+  r->py = calloc(n, sizeof(float));
+  r->pz = calloc(n, sizeof(float));
+  r->u = calloc(3 * n, sizeof(double));
+  r->rate = calloc(3 * n, sizeof(double));
+  r->moved = calloc(3 * n, sizeof(double));
+  r->balance = calloc(n, sizeof(Balance));
+  r->force = calloc((size_t)r->nv, sizeof(double));
+}
+
+int region_init(const mjModel* m, int instance, Region* r) {
+  const char* key = mj_getPluginConfig(m, instance, "key");
+  int nedge = attribute(m, instance, "edges");
+  r->nvertex = attribute(m, instance, "vertices");
+  r->npoint = attribute(m, instance, "points");
+  r->ncell = attribute(m, instance, "cells");
+  r->nv = m->nv;
+  r->bone = -1;
+  for (int b = 0; b < m->nbody; b++)
+    if (m->body_plugin[b] == instance) r->bone = b;
+  if (r->bone < 0) {
+    mju_warning("carecontact.tissue: no body carries the region %s", key);
+    return -1;
+  }
+  if (m->opt.enableflags & mjENBL_SLEEP) {
+    mju_warning("carecontact.tissue: a sleeping bone would not feel the tissue; take sleeping out of the model's flags");
+    return -1;
+  }
+  int vertices = numeric(m, key, "vertices", VERTEX_SIZE * r->nvertex);
+  int edges = numeric(m, key, "edges", EDGE_SIZE * nedge);
+  int points = numeric(m, key, "points", POINT_SIZE * r->npoint);
+  r->law_address = numeric(m, key, "law", LAW_SIZE);
+  r->option_address = numeric(m, key, "options", OPTION_SIZE);
+  if (vertices < 0 || edges < 0 || points < 0 || r->law_address < 0 || r->option_address < 0) return -1;
+  allocate(r, nedge);
+  for (int i = 0; i < r->nvertex; i++) {
+    const double* row = m->numeric_data + vertices + VERTEX_SIZE * i;
+    memcpy(r->vertex[i].place, row + VERTEX_PLACE, 3 * sizeof(double));
+    memcpy(r->vertex[i].frame, row + VERTEX_INWARD, 9 * sizeof(double));
+    r->vertex[i].area = row[VERTEX_AREA];
+  }
+  link_vertices(r, m->numeric_data + edges, nedge);
+  place_points(r, m->numeric_data + points);
+  bound(r);
+  return find_tools(m, instance, r);
+}
+
+void region_free(Region* r) {
+  for (int k = 0; k < r->ntool; k++) tool_free(r->tool + k);
+  void* all[] = {r->vertex, r->point, r->contact, r->tool, r->neighbour, r->neighbour_weight, r->use_point,
+                 r->use_corner, r->window, r->contact_of, r->moves, r->hit, r->px, r->py, r->pz, r->u, r->rate,
+                 r->moved, r->balance, r->force};
+  for (size_t k = 0; k < sizeof all / sizeof *all; k++) free(all[k]);
+}
+
+// What is not committed yet is copied as well: a copy made between a forward pass and the end of its step goes on alike.
+void region_copy(Region* to, const Region* from) {
+  size_t n = (size_t)from->nvertex;
+  to->ready = from->ready;
+  to->nwindow = from->nwindow;
+  for (int i = 0; i < to->ncontact; i++) to->contact_of[to->contact[i].point] = -1;
+  to->ncontact = from->ncontact;
+  memcpy(to->window, from->window, sizeof(int) * n);
+  memcpy(to->moves, from->moves, n);
+  memcpy(to->contact, from->contact, sizeof(Contact) * (size_t)from->ncontact);
+  for (int i = 0; i < to->ncontact; i++) to->contact_of[to->contact[i].point] = i;
+  memcpy(to->u, from->u, sizeof(double) * 3 * n);
+  memcpy(to->rate, from->rate, sizeof(double) * 3 * n);
+  memcpy(to->moved, from->moved, sizeof(double) * 3 * n);
+  memcpy(to->row, from->row, sizeof to->row);
+  memcpy(to->force, from->force, sizeof(double) * (size_t)from->nv);
+}
+
+void region_step(const mjModel* m, mjData* d, Region* r, const State* s) {
+  const double* option = m->numeric_data + r->option_address;
+  Law law = law_read(m, r);
+  memset(r->row, 0, sizeof r->row);
+  memset(r->force, 0, sizeof(double) * (size_t)r->nv);
+  r->ready = 1;
+  window_find(m, d, r, s, option[OPTION_REACH]);
+  contact_find(r, s, &law);
+  if (!r->nwindow) return;
+  solve(r, s, &law, m->opt.timestep, option[OPTION_TOLERANCE], (int)option[OPTION_SWEEPS]);
+  wrench_apply(m, d, r);
+  if (option[OPTION_LEDGER] != 0) ledger(r, s, &law);
+}
+
+// What the cells of the surface feel in a step.
+static void add_to_cells(const Region* r, State* s, double dt) {
+  for (int i = 0; i < r->ncontact; i++) {
+    const Contact* c = r->contact + i;
+    const Point* p = r->point + c->point;
+    if (!c->touching || p->cell < 0) continue;
+    double* cell = s->cells + CELL_SIZE * p->cell;
+    cell[CELL_PRESS] += dt * p->area * c->pressure;
+    cell[CELL_SHEAR] += dt * p->area * sqrt(dot(c->traction, c->traction));
+    cell[CELL_SLIP] += p->area * c->slipped;
+    cell[CELL_TOUCH] += dt * p->area;
+  }
+}
+
+void region_commit(Region* r, State* s, double dt) {
+  // Without springs and dampers MuJoCo asks for no passive forces, and there is no step to commit.
+  if (!r->ready) return;
+  r->ready = 0;
+  if (*s->awake != 0) memset(s->traction, 0, sizeof(double) * 3 * (size_t)r->npoint);
+  *s->awake = 0;
+  for (int k = 0; k < r->nwindow; k++) {
+    int at = 3 * r->window[k], still = 1;
+    for (int j = at; j < at + 3; j++) still &= fabs(r->u[j]) < STILL && fabs(r->rate[j]) < STILL;
+    for (int j = at; j < at + 3; j++) {
+      s->u[j] = still ? 0 : r->u[j];
+      s->rate[j] = still ? 0 : r->rate[j];
+    }
+    if (!still) *s->awake = 1;
+  }
+  for (int i = 0; i < r->ncontact; i++) {
+    const Contact* c = r->contact + i;
+    if (!c->touching) continue;
+    *s->awake = 1;
+    memcpy(s->traction + 3 * c->point, c->traction, 3 * sizeof(double));
+  }
+  add_to_cells(r, s, dt);
+  memcpy(s->ring + ROW_SIZE * ((long)*s->steps % RING_ROWS), r->row, sizeof r->row);
+  *s->steps += 1;
+}

@@ -1,0 +1,152 @@
+// One soft region: its mesh, its law, its state, and the step that is being made.
+//
+// Everything is in the frame of the bone that carries the region. A vertex has three unknowns: u[0] along its inward
+// normal, u[1] and u[2] along its two tangents [m]. A contact point lies in a triangle of vertices and moves with them.
+#pragma once
+#include <mujoco/mujoco.h>
+
+#include "tool.h"
+
+enum { RING_ROWS = 64 };
+
+static const double STILL = 1e-7;  // [m], [m/s] a vertex below both is at rest
+
+// A row of the ring: what the region felt in one physics step. Kept in step with carecontact/kernel/readings.py.
+enum {
+  ROW_FORCE = 0,      // 3: on the person, world [N]
+  ROW_NORMAL = 3,     // sum over contact points of the force along the tool's normal [N]
+  ROW_CENTROID = 4,   // 3: of pressure, world [m]; 0 without contact
+  ROW_DEPTH = 7,      // largest indentation of a vertex [m]
+  ROW_PRESSURE = 8,   // largest pressure [Pa]
+  ROW_AREA = 9,       // in contact [m^2]
+  ROW_POINTS = 10,    // contact points
+  ROW_SWEEPS = 11,    // of the solver
+  ROW_LEFT = 12,      // largest change in the last sweep [m]
+  // The energy of the step, where the option asks for it [J]:
+  ROW_STORED = 13,    // in anchors, coupling, membrane and contact layer, at its end
+  ROW_KINETIC = 14,   // of the shell, at its end
+  ROW_DAMPED = 15,    // lost in the anchors' dampers during it
+  ROW_RUBBED = 16,    // lost to friction during it
+  ROW_SIZE = 17
+};
+
+// What each declared cell of the surface has felt since the state was last reset; sums over steps.
+enum {
+  CELL_PRESS = 0,  // normal force times time [N s]
+  CELL_SHEAR = 1,  // size of the friction force times time [N s]
+  CELL_SLIP = 2,   // slipped distance times area [m^3]
+  CELL_TOUCH = 3,  // area in contact times time [m^2 s]
+  CELL_SIZE = 4
+};
+
+// The numeric "<key>/law", read anew in every step, so that a law can be changed in a compiled model.
+enum { LAW_A, LAW_B, LAW_C, LAW_DAMPING, LAW_DAMPING_GROWTH, LAW_MASS, LAW_COUPLING, LAW_MEMBRANE, LAW_FRICTION,
+       LAW_CONTACT, LAW_THICKNESS, LAW_SIZE };
+
+// The numeric "<key>/options".
+enum { OPTION_REACH, OPTION_TOLERANCE, OPTION_SWEEPS, OPTION_LEDGER, OPTION_SIZE };
+
+// Columns of the numerics "<key>/vertices", "<key>/edges" and "<key>/points".
+enum { VERTEX_PLACE = 0, VERTEX_INWARD = 3, VERTEX_ALONG = 6, VERTEX_ACROSS = 9, VERTEX_AREA = 12, VERTEX_SIZE = 13 };
+enum { EDGE_FROM, EDGE_TO, EDGE_WEIGHT, EDGE_SIZE };
+enum { POINT_CORNER = 0, POINT_SHARE = 3, POINT_AREA = 6, POINT_CELL = 7, POINT_SIZE = 8 };
+
+typedef struct {
+  double a, b, c, damping, damping_growth, mass, coupling, membrane, friction, contact, thickness;
+} Law;
+
+typedef struct {
+  double place[3], frame[9];  // rows of frame: inward normal and the two tangents
+  double area, weight;        // weight: sum over its edges
+  double span;                // length of its longest edge [m]
+  int edge, edges;            // its stretch of neighbour and neighbour_weight
+  int use, uses;              // its stretch of use_point and use_corner
+} Vertex;
+
+typedef struct {
+  int corner[3], corners, cell;
+  double share[3], area;
+  double inward[3];  // unit, of the undeformed surface
+} Point;
+
+// What a vertex does in a step: nothing; it may move; a point that it carries may touch.
+enum { AWAY, MOVES, CLOSE };
+
+// The linear part of a vertex's balance of forces in a step [N/m], and what of it does not depend on where it goes [N].
+typedef struct {
+  double pull[3], normal, tangential, over;
+} Balance;
+
+// A contact point near a tool during the step that is being made.
+typedef struct {
+  int point, tool, touching;
+  double at[3];          // where it was at the start of the step
+  double normal[3];      // of the tool, outward
+  double stiff;          // of the contact layer here [N/m^3]
+  double gap;            // at the start of the step, negative inside
+  double traction[3];    // friction per area now [Pa]
+  double held[3];        // friction carried over from the step before, turned onto the tool's tangent plane [Pa]
+  double shift[3];       // how far the tool's material moved past it in the last step [m]
+  double local[3][3];    // the normal in the frame of each corner
+  double pressure;       // [Pa]
+  double slipped;        // [m]
+} Contact;
+
+typedef struct {
+  // Read-only after region_init.
+  int nvertex, npoint, ncell, ntool, bone, law_address, option_address;
+  Vertex* vertex;
+  Point* point;
+  Tool* tool;
+  int *neighbour, *use_point, *use_corner;
+  double* neighbour_weight;
+  double middle[3], bound;  // a sphere that holds the region
+  float *px, *py, *pz;      // places again, for the search
+
+  // Of the step that is being made; committed by region_commit.
+  int ready;                 // region_step ran since the last commit
+  int nwindow, ncontact;
+  int *window, *contact_of;  // vertices that may move, in their order; a point's contact or -1
+  unsigned char *moves, *hit;  // (nvertex) AWAY, MOVES or CLOSE; near the tool that is looked at
+  Contact* contact;
+  double *u, *rate;         // (nvertex, 3)
+  double* moved;            // (nvertex, 3) displacement since the start of the step, in the bone's frame
+  Balance* balance;
+  double row[ROW_SIZE];
+  double* force;            // (nv) generalised force of the step
+  int nv;
+} Region;
+
+// Where things lie in a region's plugin_state.
+typedef struct {
+  double *steps, *awake, *u, *rate, *traction, *cells, *ring;
+} State;
+
+int state_size(int nvertex, int npoint, int ncell);
+State state_of(const Region* r, double* state);
+
+int region_init(const mjModel* m, int instance, Region* r);  // 0, or -1 after mju_warning
+void region_free(Region* r);
+void region_copy(Region* to, const Region* from);
+void region_step(const mjModel* m, mjData* d, Region* r, const State* s);
+void region_commit(Region* r, State* s, double dt);
+
+// The parts of a step, one file each.
+Law law_read(const mjModel* m, const Region* r);
+void window_find(const mjModel* m, const mjData* d, Region* r, const State* s, double reach);
+void contact_find(Region* r, const State* s, const Law* law);
+void solve(Region* r, const State* s, const Law* law, double dt, double tolerance, int sweeps);
+void wrench_apply(const mjModel* m, mjData* d, Region* r);
+void ledger(Region* r, const State* s, const Law* law);
+
+static inline double law_pressure(const Law* law, double x) {
+  double size = x < 0 ? -x : x;
+  return x * (law->a + size * (law->b + size * law->c));
+}
+
+static inline double law_tangent(const Law* law, double x) {
+  double size = x < 0 ? -x : x;
+  return law->a + size * (2 * law->b + 3 * size * law->c);
+}
+
+static inline double law_damping(const Law* law, double x) { return law->damping + (x > 0 ? law->damping_growth * x : 0); }

@@ -1,0 +1,34 @@
+// A rigid convex geom that may touch the tissue, seen from the bone.
+#pragma once
+#include <mujoco/mujoco.h>
+
+typedef struct {
+  int geom, body, type;
+  double size[3];    // as MuJoCo's geom_size
+  double bound;      // radius of a sphere about the geom's centre that holds it [m]
+  double box[6];     // centre and half sizes of its box, in its own frame
+  int nplane;        // of a mesh: half-spaces n . x <= o of its convex hull, in its own frame
+  double* plane;     // (nplane, 4)
+  int near;          // whether it may touch the region in this step
+  // In the bone's frame, set once a step by tool_place:
+  double centre[3], axes[9];
+  double shift[3], turn[3];  // how far its centre moved in the last step against the bone [m], and turned [rad]
+} Tool;
+
+// Returns 0, or -1 for a geom of a kind that has no surface here.
+int tool_init(const mjModel* m, int geom, Tool* tool);
+void tool_free(Tool* tool);
+
+// Where the tool is and how it moves against the bone.
+void tool_place(const mjModel* m, const mjData* d, int bone, double dt, Tool* tool);
+
+// About the distance from a point (bone's frame) to the tool's surface, never much too large; 0 or less inside.
+double tool_distance(const Tool* tool, const double point[3]);
+
+// Where the ray from a point along a unit direction leaves the tool.
+// Returns 1 with the distances at which it enters and leaves, both signed, and the outward normal there; 0 on a miss.
+int tool_exit(const Tool* tool, const double point[3], const double direction[3], double* enters, double* leaves,
+              double normal[3]);
+
+// How far the tool's material at a point moved in the last step against the bone.
+void tool_shift(const Tool* tool, const double point[3], double out[3]);
