@@ -32,5 +32,6 @@ bench: env ## measure the speed of physics, trials and command line, as JSON
 	@$(BIN)/python benchmarks/speed.py
 
 clean: ## remove what the other targets made, runs/demo included
-	rm -rf .venv .venv-uv .venv-torch runs/demo .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-uv .venv-torch build dist runs/demo .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -f src/carecontact/kernel/libcarecontact_kernel.*
 	find src tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
