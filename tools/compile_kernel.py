@@ -50,7 +50,7 @@ def compile_kernel(out: Path, platform: str, *, cache: Path) -> None:
         if target.library.endswith(".so"):
             link = [str(stub(Path(folder), headers, compiler, cache=cache)), "-lm", "-Wl,-z,defs"]
         else:
-            link = ["-Wl,-undefined,dynamic_lookup"]
+            link = ["-Wl,-undefined,dynamic_lookup", f"-Wl,-install_name,@rpath/{out.name}"]
         made = Path(folder, out.name)
         run([*compiler, *arguments(headers, platform), "-s", *link, "-o", str(made)], cache=cache)
         made.replace(out)
@@ -60,7 +60,8 @@ def arguments(headers: Path, platform: str, flags: Sequence[str] = binary.FLAGS)
     """All that a C compiler is told but the platform, the MuJoCo to link and where to write."""
     sources = [str(source) for source in sorted(binary.SOURCES.glob("*.c"))]
     define = f'-DCARECONTACT_KERNEL_MARK="{binary.mark(platform)}"'
-    return [*flags, "-shared", define, "-isystem", str(headers), *sources]
+    no_path = f"-ffile-prefix-map={binary.SOURCES}=."  # __FILE__ would put the folder of the build into the binary
+    return [*flags, "-shared", define, no_path, "-isystem", str(headers), *sources]
 
 
 def mujoco_headers() -> Path:
@@ -80,13 +81,17 @@ def mujoco_headers() -> Path:
 def stub(folder: Path, headers: Path, compiler: Sequence[str], *, cache: Path) -> Path:
     """Make a library with the name of MuJoCo's and all its functions, empty. Who links it needs exactly that version
     when it is loaded, but no MuJoCo of the platform when it is built."""
-    text = (headers / "mujoco" / "mujoco.h").read_text()
-    names = sorted(set(re.findall(r"^MJAPI (?!extern)[^;(]*?\b(mj\w+)\(", text, re.MULTILINE)))
     source, made = folder / "stub.c", folder / "libmujoco_stub.so"
-    source.write_text("".join(f"void {name}(void) {{}}\n" for name in names))
+    source.write_text("".join(f"void {name}(void) {{}}\n" for name in mujoco_functions(headers)))
     name = f"-Wl,-soname,libmujoco.so.{binary.MUJOCO}"
     run([*compiler, "-shared", "-fPIC", "-nostdlib", "-g0", "-w", name, str(source), "-o", str(made)], cache=cache)
     return made
+
+
+def mujoco_functions(headers: Path) -> list[str]:
+    """Names of all functions that MuJoCo's library has."""
+    text = (headers / "mujoco" / "mujoco.h").read_text()
+    return sorted(set(re.findall(r"^MJAPI (?!extern)[^;(]*?\b(mj\w+)\(", text, re.MULTILINE)))
 
 
 def run(command: Sequence[str], *, cache: Path) -> None:
