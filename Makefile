@@ -1,7 +1,7 @@
 # Every target makes its own Python environment first (tools/bootstrap.sh): nothing has to be installed beforehand.
 BIN := .venv/bin
 .DEFAULT_GOAL := help
-.PHONY: help env demo test lint test-slow test-grounded-sam bench clean
+.PHONY: help env demo test lint test-slow test-grounded-sam bench wheels clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -31,6 +31,11 @@ test-grounded-sam: env ## test the segmenter on tiny random models, in .venv-tor
 bench: env ## measure the speed of physics, trials and command line, as JSON
 	@$(BIN)/python benchmarks/speed.py
 
+wheels: env ## build the sdist and the wheels of every platform into dist, and check them
+	@.venv-uv/bin/uv run --quiet --isolated --no-project --python $(BIN)/python --with lief==1.0.0 \
+		--with mujoco-core==4.0.0 python tools/wheels.py .venv-uv/bin/uv
+
 clean: ## remove what the other targets made, runs/demo included
-	rm -rf .venv .venv-uv .venv-torch runs/demo .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-uv .venv-torch build dist runs/demo .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -f src/carecontact/kernel/libcarecontact_kernel.*
 	find src tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

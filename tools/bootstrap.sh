@@ -61,7 +61,9 @@ wanted="uv $UV_VERSION $("$PYTHON" -c '
 import hashlib, os, sys
 names = ("uv.lock", "pyproject.toml")
 print(sys.version_info[:3], os.getcwd(), *(hashlib.sha256(open(name, "rb").read()).hexdigest() for name in names))')"
-if [ -x "$VENV/bin/python" ] && [ "$(cat "$STAMP" 2>/dev/null)" = "$wanted" ]; then
+complete() { [ -x "$VENV/bin/python" ] && [ "$(cat "$STAMP" 2>/dev/null)" = "$wanted" ]; }
+tissue_fault() { "$PYTHON" src/carecontact/kernel/binary.py 2>&1; }
+if complete && tissue_fault >/dev/null; then
     exit 0
 fi
 
@@ -72,10 +74,21 @@ if ! "$UV_VENV/bin/uv" --version 2>/dev/null | grep -q "^uv $UV_VERSION\b"; then
     "$UV_VENV/bin/python" -m pip install --quiet --disable-pip-version-check "uv==$UV_VERSION"
 fi
 
-say "installing the locked packages into $VENV (about 900 MB)"
 # --inexact: packages that the user installed beside carecontact stay.
+# --reinstall-package: uv does not know that a compiled library in the source tree was deleted or edited.
 # UV_PROJECT_ENVIRONMENT and VIRTUAL_ENV of the caller must not send the packages elsewhere.
-env -u VIRTUAL_ENV UV_PROJECT_ENVIRONMENT="$VENV" UV_PYTHON_DOWNLOADS=never \
-    "$UV_VENV/bin/uv" sync --frozen --inexact --quiet --compile-bytecode --python "$PYTHON"
+sync() {
+    env -u VIRTUAL_ENV UV_PROJECT_ENVIRONMENT="$VENV" UV_PYTHON_DOWNLOADS=never \
+        "$UV_VENV/bin/uv" sync --frozen --inexact --quiet --compile-bytecode --reinstall-package carecontact \
+        --python "$PYTHON" "$@"
+}
+if complete; then
+    say "$(tissue_fault); compiling it"
+    # Needs no network where an earlier build left the compiler in uv's cache.
+    sync --offline 2>/dev/null || sync
+else
+    say "installing the locked packages into $VENV (about 900 MB) and compiling the tissue"
+    sync
+fi
 printf '%s\n' "$wanted" >"$STAMP"
 say "ready"

@@ -1,10 +1,12 @@
 // The MuJoCo engine plugin "carecontact.tissue": a passive force on the bone that carries a soft region and on the tools
 // that touch it. One instance is one region; its state is the shell's.
-#include <mujoco/mujoco.h>
+#include "plugin.h"
+
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "export.h"
 #include "region.h"
 
 static const char* ATTRIBUTES[] = {"key", "vertices", "edges", "points", "cells", "tools"};
@@ -66,24 +68,21 @@ static void advance(const mjModel* m, mjData* d, int instance) {
 }
 
 // The generalised force (nv) of the tissue in the last forward pass, which is part of qfrc_passive.
-__attribute__((visibility("default"))) void carecontact_tissue_force(const mjData* d, int instance, double* out) {
+EXPORT void carecontact_tissue_force(const mjData* d, int instance, double* out) {
   const Region* r = region_of(d, instance);
   memcpy(out, r->force, sizeof(double) * (size_t)r->nv);
 }
 
-mjPLUGIN_LIB_INIT(carecontact_tissue) {
-  mjpPlugin plugin;
-  mjp_defaultPlugin(&plugin);
-  plugin.name = "carecontact.tissue";
-  plugin.capabilityflags = mjPLUGIN_PASSIVE;
-  plugin.nattribute = sizeof ATTRIBUTES / sizeof *ATTRIBUTES;
-  plugin.attributes = ATTRIBUTES;
-  plugin.nstate = nstate;
-  plugin.init = init;
-  plugin.destroy = destroy;
-  plugin.copy = copy;
-  plugin.reset = reset;
-  plugin.compute = compute;
-  plugin.advance = advance;
-  mjp_registerPlugin(&plugin);
+void tissue_plugin(mjpPlugin* plugin) {
+  plugin->name = TISSUE_PLUGIN;
+  plugin->capabilityflags = mjPLUGIN_PASSIVE;
+  plugin->nattribute = sizeof ATTRIBUTES / sizeof *ATTRIBUTES;
+  plugin->attributes = ATTRIBUTES;
+  plugin->nstate = nstate;
+  plugin->init = init;
+  plugin->destroy = destroy;
+  plugin->copy = copy;
+  plugin->reset = reset;
+  plugin->compute = compute;
+  plugin->advance = advance;
 }

@@ -1,0 +1,98 @@
+"""Which binary belongs to the C sources in this folder, on which platform, and whether the one that is there is theirs.
+
+This module imports nothing but Python's standard library, because the build reads it before anything is installed.
+`python src/carecontact/kernel/binary.py` ends with status 1 and prints why, if the library of this machine is missing
+or is not the right one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+SOURCES = FOLDER / "c"
+MUJOCO = "4.0.0"
+"""The plugin reads MuJoCo's structures in memory, whose layout changes from version to version."""
+ZIG = "0.16.0"
+"""Version of the package `ziglang`, whose C compiler makes every binary: others round some expressions differently."""
+FLAGS = (
+    "-std=c17", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-fPIC", "-g0",
+    "-Wall", "-Wextra", "-Wshadow", "-Werror",
+)  # fmt: skip
+"""No fused multiply-add and no reordering of sums, so that a result does not depend on the processor.
+-fno-math-errno changes no number: it lets the processor's square root stand for the library's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Platform:
+    triple: str
+    """As zig calls it, with the oldest C library or system that the binary runs on."""
+    cpu: str
+    """The oldest processor that MuJoCo's own wheels run on."""
+    tag: str
+    """Of the wheel."""
+    library: str
+    """File name of the binary in this folder."""
+
+
+PLATFORMS = {
+    "linux-x86_64": Platform(
+        triple="x86_64-linux-gnu.2.17", cpu="x86_64", tag="manylinux_2_17_x86_64", library="libcarecontact_kernel.so"
+    ),
+    "linux-aarch64": Platform(
+        triple="aarch64-linux-gnu.2.17", cpu="generic", tag="manylinux_2_17_aarch64", library="libcarecontact_kernel.so"
+    ),
+    "macos-arm64": Platform(
+        triple="aarch64-macos.11.0", cpu="apple_m1", tag="macosx_11_0_arm64", library="libcarecontact_kernel.dylib"
+    ),
+}  # fmt: skip
+"""Those that MuJoCo 4.0.0 has wheels for, without Windows: policies need the processes of POSIX."""
+
+
+def platform_here() -> str:
+    """Name of the machine's platform, in PLATFORMS or not."""
+    system = {"darwin": "macos"}.get(sys.platform, sys.platform)
+    machine = platform.machine().lower()
+    return f"{system}-{ {'amd64': 'x86_64'}.get(machine, machine) }"
+
+
+def library_file(name: str) -> Path:
+    """Where the binary of a platform lies. Raises KeyError where PLATFORMS does not have it."""
+    return FOLDER / PLATFORMS[name].library
+
+
+def mark(name: str) -> str:
+    """What the binary of a platform says of itself: its platform, the sha256 of its sources, MuJoCo's version."""
+    digest = hashlib.sha256("\0".join((ZIG, *FLAGS)).encode())
+    for source in sorted(SOURCES.glob("*.[ch]")):
+        digest.update(f"\0{source.name}\0".encode())
+        digest.update(hashlib.sha256(source.read_bytes()).digest())
+    return f"carecontact kernel for {name}, sources {digest.hexdigest()}, MuJoCo {MUJOCO}"
+
+
+def mark_in(file: Path) -> str | None:
+    """The mark of a binary, without loading it; None where it has none. Raises FileNotFoundError."""
+    found = re.search(rb"carecontact kernel for [\w-]+, sources [0-9a-f]{64}, MuJoCo [\w.]+", file.read_bytes())
+    return found[0].decode() if found else None
+
+
+def fault(name: str) -> str | None:
+    """Why a platform's binary cannot be used, as the end of a sentence about it; None where it can."""
+    if name not in PLATFORMS:
+        return f"does not exist for the platform {name}; it exists for {', '.join(PLATFORMS)}"
+    file = library_file(name)
+    if not file.is_file():
+        return f"is missing: {file}"
+    if mark_in(file) != mark(name):
+        return f"does not belong to the C sources beside it: {file}"
+    return None
+
+
+if __name__ == "__main__":
+    if platform_here() in PLATFORMS and (problem := fault(platform_here())):
+        sys.exit(f"the compiled tissue {problem}")
