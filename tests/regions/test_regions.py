@@ -30,7 +30,7 @@ from carecontact.world.human.library import load_body
 from carecontact.world.human.region_frame import rigid_frame
 
 WRIST = LimbSight(joints=("elbow", "wrist"))
-TUBE = Tube(span=(0.1, 0.9), pinned_beyond_deg=100.0, closed_by=("upper_arm", "hand"))
+TUBE = Tube(span=(0.1, 0.9), closed_by=("upper_arm", "hand"))
 
 
 def test_the_standard_regions_are_soft_and_come_first() -> None:
@@ -100,7 +100,7 @@ def test_sight_needs_two_joints(sight: Any, joints: Any, message: str) -> None:
 
 def test_a_tube_is_closed_by_two_parts_of_a_limb() -> None:
     with pytest.raises(ConfigError, match=r"^Tube\.closed_by: 'pelvis' is unknown; valid: clavicle, .*foot"):
-        Tube(span=(0.1, 0.9), pinned_beyond_deg=100.0, closed_by=("pelvis", "shank"))
+        Tube(span=(0.1, 0.9), closed_by=("pelvis", "shank"))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ REGIONS.register(
         shape=Tube(
             span=(0.05, 0.96),
             # The forearm is also pushed from the side: 90 degrees must lie between free vertices.
-            pinned_beyond_deg=128.0,
             pushed_from_side=True,
             closed_by=("upper_arm", "hand"),
             held_out_m=((0.016, -0.007), (-0.019, 0.009), (0.045, -0.009), (-0.052, 0.004), (0.006, 0.011)),

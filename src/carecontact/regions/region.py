@@ -12,12 +12,10 @@ from carecontact.registry import Registry
 
 @dataclass(frozen=True, kw_only=True)
 class Tube:
-    """Shape of a soft region on a limb: a shell round it, pinned to the bone at both ends and on the underside."""
+    """Shape of a soft region on a limb: a shell round it, open below."""
 
     span: tuple[float, float]
     """Start and end of the shell as shares of the line from the segment's joint to the next one."""
-    pinned_beyond_deg: float
-    """Angle round the limb from its top beyond which the shell is fixed to the bone [deg]."""
     pushed_from_side: bool = False
     """Whether the mesh is also fine at mid-length on the sides, where a tool pushes."""
     closed_by: tuple[str, str]

@@ -10,7 +10,6 @@ REGIONS.register(
         shape=Tube(
             # It begins under the armpit, where the arm is a tube.
             span=(0.25, 0.97),
-            pinned_beyond_deg=105.0,
             closed_by=("clavicle", "forearm"),
             # The shoulder's cap reaches over the joint.
             near_end_from=-0.25,

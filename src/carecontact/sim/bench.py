@@ -17,30 +17,20 @@ import numpy.typing as npt
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, SceneError
+from carecontact.kernel.readings import Readings
+from carecontact.kernel.region import set_law
 from carecontact.regions import REGIONS
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell import Shell
-from carecontact.world.human.skeleton import body_name, tissue_body_name
-from carecontact.world.human.tissue import add_tissue, anchor_directions, coupling_tendons
-from carecontact.world.scene import by_conjugate_gradients, compile_with_tissue, region_shell, set_physics
+from carecontact.world.human.skeleton import body_name
+from carecontact.world.human.tissue import add_tissue
+from carecontact.world.scene import region_shell, set_physics
 
 Shape = Literal["flat", "hemisphere", "cap"]
 
-FLAT_EDGE_M = 0.002
-"""Rounding of a flat indenter's rim: sharp ones let rim vertices slip past about 6 mm."""
-FLAT_DOME_M = 0.0003
-"""Rise of a flat indenter's face from its middle to its rim: a plane against plane triangles has no point of contact of
-its own, and the force jumped by 0.5 N where a triangle came to lie in it; domed by 0.3 mm it is smooth to 0.07 N."""
-LAW_FIELDS = ("a_n_m3", "b_n_m4", "c_n_m5", "damping_ns_m3")
+LAW_FIELDS = ("a_n_m3", "b_n_m4", "c_n_m5", "damping_ns_m3", "damping_growth_ns_m4")
 INDENTER_MASS_KG = 1e3
-UNSTABLE = (
-    mujoco.mjtWarning.mjWARN_BADQPOS,
-    mujoco.mjtWarning.mjWARN_BADQVEL,
-    mujoco.mjtWarning.mjWARN_BADQACC,
-)
-STALLED_N = 0.02
-"""Force left over in the equations of motion above which a step counts as unsolved: the shipped meshes leave 1e-4, and
-Newton's method of MuJoCo 4.0.0 some newtons where it stalls, with 65 contacts and more."""
+FLAT_LENGTH_M = 0.04
 APPROACH_M = 0.0005
 SEARCH_M = 0.02
 """The search for touch begins this far outside the surface."""
@@ -51,13 +41,12 @@ class Indenter:
     """A rigid indenter, pressed along its axis; ``cap`` is the shipped tool lying across the region.
 
     Args:
-        size_m: radius of the flat disc or of the hemisphere; None for the cap, whose size is the tool's.
-        edge_m: radius of a flat indenter's rim, at most ``size_m``; its flat part is smaller by as much.
+        size_m: radius of the flat disc, whose rim ``kernel/c/tool.c`` rounds with 2 mm, or of the hemisphere; None for
+            the cap, whose size is the tool's.
     """
 
     shape: Shape
     size_m: float | None = None
-    edge_m: float = FLAT_EDGE_M
 
     def __post_init__(self) -> None:
         if self.shape not in ("flat", "hemisphere", "cap"):
@@ -114,18 +103,13 @@ def touch_depth(depth_m: Array, force_n: Array, threshold_n: float) -> float:
     return float(depth_m[k - 1] + share * (depth_m[k] - depth_m[k - 1]))
 
 
-class _StalledError(Exception):
-    pass
-
-
 class Bench:
     """A bench is compiled once and then makes any number of presses, at any place and speed, under any law on the same
     mesh.
 
     Args:
         region: a soft one of ``carecontact.regions``.
-        dt_s: implicitfast solves contacts as if the vertices were undamped: with the shipped damping, a fast retreat
-            needs 1 ms (2 ms let go of the indenter after the turn) and a mesh twice as fine 0.5 ms.
+        dt_s: time step [s].
         shell: of this body, region and tissue, if it is there already.
     """
 
@@ -144,36 +128,17 @@ class Bench:
         segment = REGIONS[region].segment
         self._bone_in_mesh = body.joint_centre[segment]
         spec = mujoco.MjSpec()
-        set_physics(spec, dt_s=dt_s, spacing_m=tissue.spacing_m)
+        set_physics(spec, dt_s=dt_s)
         spec.option.gravity = [0, 0, 0]
-        # The solver's tolerance is relative to the trace of the inertia matrix, nearly all of which is the indenter's.
-        spec.option.tolerance = 1e-8 / INDENTER_MASS_KG
-        bone = spec.worldbody.add_body(name=body_name(segment))
-        bone.add_body(name=tissue_body_name(region))
-        # Every spring and damper is linear in its own coefficient: those of a unit law, scaled, are those of any law.
-        # The membrane is not part of the law.
-        unit = tissue.model_copy(update=dict.fromkeys(LAW_FIELDS, 1.0))
-        made = add_tissue(spec, body, region, self.shell, unit)
+        spec.worldbody.add_body(name=body_name(segment))
+        add_tissue(spec, body, region, self.shell, tissue, tools="indenter")
         _add_indenter(spec, indenter)
-        spec.add_sensor(
-            name="force", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname="indenter",
-            reftype=mujoco.mjtObj.mjOBJ_XBODY, refname=body_name(segment), intprm=[2, 3, 1],
-        )  # fmt: skip
-        self.model = compile_with_tissue(spec, {region: made})
-        self._unit = (
-            self.model.jnt_stiffness.copy(), self.model.jnt_stiffnesspoly.copy(), self.model.dof_damping.copy(),
-            self.model.tendon_stiffness.copy(),
-        )  # fmt: skip
-        self._coupling = coupling_tendons(self.model, region)
-        self._anchors = anchor_directions(self.model, region)
+        self.model = spec.compile()
         self._data = mujoco.MjData(self.model)
         slide = self.model.joint("indenter")
         self._slide_q, self._slide_v = int(slide.qposadr[0]), int(slide.dofadr[0])
-        self._inward_q = np.array(
-            [self.model.joint(f"{region}_v{k}_n").qposadr[0] for k in np.flatnonzero(~self.shell.pinned)]
-        )
+        self._felt = Readings(self.model, region)
         self.tissue = tissue
-        self.set_law(tissue)
 
     def set_law(self, tissue: Tissue) -> None:
         """Change stiffness and damping in the compiled model. Raises ConfigError where the mesh would change too."""
@@ -181,11 +146,7 @@ class Bench:
             before, after = getattr(self.tissue, name), getattr(tissue, name)
             if name not in (*LAW_FIELDS, "source", "measured_depth_m") and before != after:
                 raise ConfigError(f"{name} {before} -> {after} changes more than the law: make a new Bench")
-        stiffness, polynomial, damping, coupling = self._unit
-        self.model.jnt_stiffness[:] = tissue.a_n_m3 * stiffness
-        self.model.jnt_stiffnesspoly[:] = polynomial * [tissue.b_n_m4, tissue.c_n_m5]
-        self.model.dof_damping[:] = tissue.damping_ns_m3 * damping
-        self.model.tendon_stiffness[self._coupling] = tissue.a_n_m3 * coupling[self._coupling]
+        set_law(self.model, self.region, tissue)
         self.tissue = tissue
 
     def place(self, along_m: float, across_m: float, tilt_deg: float = 0.0) -> tuple[Array, Array, Array]:
@@ -281,48 +242,22 @@ class Bench:
 
         The path is taken as straight between its points.
         """
-        try:
-            return self._follow(time_s, depth_m, along_m, across_m, tilt_deg, stride)
-        except _StalledError:
-            # For this press only: a press must not depend on those before it.
-            option = self.model.opt
-            before = option.solver, option.iterations
-            by_conjugate_gradients(self.model)
-            try:
-                return self._follow(time_s, depth_m, along_m, across_m, tilt_deg, stride)
-            finally:
-                option.solver, option.iterations = before
-
-    def _follow(
-        self, time_s: Array, depth_m: Array, along_m: float, across_m: float, tilt_deg: float, stride: int
-    ) -> Press:
         dt = self.model.opt.timestep
         touch, inward = self._touch(along_m, across_m, tilt_deg)
-        outward = -inward
         count = int((time_s[-1] - time_s[0]) / (stride * dt) + 1e-9)
         time = time_s[0] + np.arange(count + 1) * stride * dt
         travel = touch + np.interp(time, time_s, depth_m)
         speed = np.r_[np.diff(travel) / (stride * dt), 0.0]
         model, data = self.model, self._data
-        # Every joint is a slide: a dof is a joint.
-        joints, directions = self._anchors
-        lever = np.zeros(model.nv)
-        lever[joints] = directions @ outward
         force, anchors, deepest = np.zeros(count + 1), np.zeros(count + 1), np.zeros(count + 1)
-        newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
         for k in range(count):
             data.qpos[self._slide_q], data.qvel[self._slide_v] = travel[k], speed[k]
-            for _ in range(stride):
-                mujoco.mj_step(model, data)
-                if newton and self._unsolved_n() > STALLED_N:
-                    raise _StalledError
-            # Sensors and passive forces belong to the state in which the last step began, one step before sample k + 1.
-            force[k + 1] = -data.sensordata @ outward  # the sensor's is the force on the region
-            anchors[k + 1] = data.qfrc_passive @ lever
-            deepest[k + 1] = max(0.0, float(data.qpos[self._inward_q].max()))
-        # MuJoCo resets a state that diverged and goes on; the warning is all that tells of it.
-        if any(data.warning[kind].number for kind in UNSTABLE):
-            raise SceneError(f"the press diverged at a time step of {dt} s")
+            mujoco.mj_step(model, data, stride)
+            # The row belongs to the pose in which the last step began, one step before sample k + 1.
+            row = self._felt.last(data, 1)[0]
+            force[k + 1] = row["force_n"] @ inward
+            anchors[k + 1] = self._anchor_force() @ inward
+            deepest[k + 1] = row["depth_m"]
         time = time - dt
         depth = np.interp(time, time_s, depth_m)
         first = int(np.argmax(depth >= 0))
@@ -357,28 +292,24 @@ class Bench:
     def skin(self) -> tuple[Array, Array]:
         """The surface at the end of the last press: (n,) distance of its vertices from the indenter's axis before the
         press, and (n,) how far each has moved inward along that axis [m]. Of the side that is pressed."""
-        model, data = self.model, self._data
-        rest = mujoco.MjData(model)
-        for state in (rest, data):
-            mujoco.mj_kinematics(model, state)
-            mujoco.mj_flex(model, state)
         turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, data.mocap_quat[0])
+        mujoco.mju_quat2Mat(turn, self._data.mocap_quat[0])
         inward = -turn.reshape(3, 3)[:, 2]
-        from_tip = rest.flexvert_xpos - data.mocap_pos[0]
+        from_tip = self._felt.places - self._data.mocap_pos[0]
         depth = from_tip @ inward
         distance = np.linalg.norm(from_tip - np.outer(depth, inward), axis=1)
         facing = depth < self.tissue.thickness_m
-        return distance[facing], ((data.flexvert_xpos - rest.flexvert_xpos) @ inward)[facing]
+        moved = self._felt.vertices(self._data) - self._felt.places
+        return distance[facing], (moved @ inward)[facing]
 
-    def _unsolved_n(self) -> float:
-        """Largest force [N] that the last step's accelerations leave over on a shell vertex or cell."""
-        model, data = self.model, self._data
-        rest = np.zeros(model.nv)
-        mujoco.mj_mulM(model, data, rest, data.qacc)
-        rest -= data.qfrc_smooth + data.qfrc_constraint
-        rest[self._slide_v] = 0.0
-        return float(np.abs(rest).max())
+    def _anchor_force(self) -> Array:
+        """(3,) sum over the vertices of what springs, dampers and inertia bear, in the bone's frame [N]."""
+        law, u = self.tissue, self._felt.displacement(self._data)
+        spring = law.a_n_m3 * u
+        spring[:, 0] += (law.b_n_m4 * np.abs(u[:, 0]) + law.c_n_m5 * u[:, 0] ** 2) * u[:, 0]
+        growth = law.damping_growth_ns_m4 * np.maximum(u[:, :1], 0.0)
+        borne = spring + (law.damping_ns_m3 + growth) * self._felt.rate(self._data)
+        return np.einsum("i,ij,ijk->k", self._felt.areas, borne, self._felt.frames)
 
     def _touch(self, along_m: float, across_m: float, tilt_deg: float) -> tuple[float, Array]:
         """Reset the bench, aim the indenter; the slide's travel at first touch, and the inward direction."""
@@ -392,8 +323,8 @@ class Bench:
 
         def touches(travel: float) -> bool:
             data.qpos[self._slide_q] = travel
-            mujoco.mj_fwdPosition(model, data)
-            return data.ncon > 0
+            mujoco.mj_forward(model, data)
+            return bool(self._felt.now(data)["points"] > 0)
 
         outside, inside = -SEARCH_M, 0.001
         if touches(outside) or not touches(inside):
@@ -421,14 +352,7 @@ def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter) -> None:
     elif indenter.shape == "hemisphere":
         probe.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[size, 0, 0], pos=[0, 0, size], **common)
     else:
-        edge = min(indenter.edge_m, size)
-        flat = size - edge
-        turn = np.linspace(0, 2 * np.pi, 32, endpoint=False)
-        face = [(r, FLAT_DOME_M * (r / flat) ** 2) for r in np.linspace(0, flat, 6)[1:]] if flat > 0 else []
-        rim = [
-            (flat + edge * np.sin(s), FLAT_DOME_M + edge * (1 - np.cos(s))) for s in np.linspace(0, np.pi / 2, 6)[1:]
-        ]
-        rings = [*face, *rim, (size, edge + 0.03)]
-        points = [[0.0, 0.0, 0.0], *([r * np.cos(a), r * np.sin(a), h] for r, h in rings for a in turn)]
-        spec.add_mesh(name="flat", uservert=np.array(points).ravel())
-        probe.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="flat", **common)
+        probe.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[size, FLAT_LENGTH_M / 2, 0], pos=[0, 0, FLAT_LENGTH_M / 2],
+            **common,
+        )  # fmt: skip

@@ -7,13 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.embodiment import PANDA
+from carecontact.kernel.readings import Readings
 from carecontact.regions import REGIONS
 from carecontact.sim.rendering import SceneRenderer
-from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
 
 REACH_M = 0.016
-"""Skin vertices nearer than this to a free shell vertex follow the shell."""
+"""Skin vertices nearer than this to a vertex of the shell follow it."""
 VISIBLE_M = 5e-4
 
 
@@ -36,15 +36,11 @@ def dent(scene: Scene, data: mujoco.MjData, made: mujoco.MjvScene) -> None:
     touched = np.zeros(len(bind), bool)
     drawn = np.asarray(made.skinvert).reshape(-1, 3)[: model.nskinvert]
     for name, region in scene.regions.items():
-        shell = region.shell
-        bodies = [model.body(f"{name}_v{k}").id for k in region.vertex_index]
-        bone = model.body(body_name(REGIONS[name].segment)).id
-        rotation = data.xmat[bone].reshape(3, 3)
-        rest = data.xpos[bone] + model.body_pos[bodies] @ rotation.T
-        moved = data.xpos[bodies] - rest
+        felt = Readings(model, name)
+        moved = (felt.vertices(data) - felt.places) @ data.xmat[felt.bone].reshape(3, 3).T
         if np.abs(moved).max() < 2e-4:
             continue
-        points = shell.vertices[region.vertex_index]
+        points = region.shell.vertices
         low, high = points.min(0) - REACH_M, points.max(0) + REACH_M
         near = np.flatnonzero(((bind > low) & (bind < high)).all(1))
         distance = np.linalg.norm(bind[near, None] - points[None], axis=2)

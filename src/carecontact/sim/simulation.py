@@ -11,6 +11,7 @@ import numpy.typing as npt
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import SceneError, SettleError
+from carecontact.kernel.readings import Readings
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS
 from carecontact.sim.cartesian_control import CartesianControl
@@ -76,10 +77,8 @@ class Simulation:
         self.joint_range = np.array([j.range for j in joints])
         self._human_bodies = [b for b in range(self.model.nbody) if self.model.body(b).name.startswith("human_")]
         self._base = self.model.body(PANDA.base_body)
-        self._anchor_qpos = {
-            name: np.array([self.model.joint(f"{name}_v{k}_n").qposadr[0] for k in region.vertex_index])
-            for name, region in scene.regions.items()
-        }
+        self.tissue = {name: Readings(self.model, name) for name in scene.regions}
+        """What each soft region feels."""
         self._read = _Columns(self.history, self.joint_names, self.protocol)
         law = scene.control.joint
         self.control = (
@@ -233,9 +232,9 @@ class Simulation:
         mujoco.mj_camlight(self.model, self.data)
 
     def indentation(self) -> F64:
-        """(R,) largest inward anchor displacement of each region now [m]; 0 on a rigid one."""
-        anchors = (self._anchor_qpos.get(region) for region in self.protocol.regions)
-        return np.array([0.0 if at is None else max(0.0, float(self.data.qpos[at].max())) for at in anchors])
+        """(R,) largest inward displacement of each region's shell now [m]; 0 on a rigid one."""
+        found = (self.tissue.get(region) for region in self.protocol.regions)
+        return np.array([0.0 if t is None else max(0.0, float(t.displacement(self.data)[:, 0].max())) for t in found])
 
     def restore(self, state: F64, *, comfort_arm_deg: float) -> None:
         """Continue from a vector of ``integration_state`` at a new t = 0; the impedance target stays where it was.
@@ -251,7 +250,7 @@ class Simulation:
     def take_over(self, other: Simulation) -> None:
         """Continue, under this world's control, from where another simulation of the same world is."""
         self.data.time = other.data.time
-        for name in ("qpos", "qvel", "qacc_warmstart", "mocap_pos", "mocap_quat"):
+        for name in ("qpos", "qvel", "qacc_warmstart", "plugin_state", "mocap_pos", "mocap_quat"):
             getattr(self.data, name)[:] = getattr(other.data, name)
         self.control.resume()
         self.control.refresh()
@@ -271,7 +270,8 @@ class Simulation:
     def _samples(self, count: int) -> Samples:
         _, values = self.history.last(self.data, count)
         self.normal_sum_truncated |= self._read.overfull(values)
-        return self._read.samples((self._steps + np.arange(count)) * self.model.opt.timestep, values)
+        felt = np.stack([tissue.last(self.data, count) for tissue in self.tissue.values()], 1)
+        return self._read.samples((self._steps + np.arange(count)) * self.model.opt.timestep, values, felt)
 
 
 class _Columns:
@@ -284,18 +284,12 @@ class _Columns:
         def span(*names: str) -> npt.NDArray[np.int64]:
             return np.array([np.arange(history.columns(n).start, history.columns(n).stop) for n in names])
 
-        shelled, regions = [REGIONS[r].segment for r in protocol.soft_regions], protocol.regions
-        soft = [f"{segment}_tissue" for segment in shelled]
-        self._soft = np.array([SEGMENTS.index(segment) for segment in shelled])
-        # Net force and its centroid, of the rigid geoms (S, 6) and of the shells, one per soft region (6 each).
-        self._net = span(*(f"net_{s}" for s in SEGMENTS)), span(*(f"net_{s}" for s in soft))
-        self._normal = (
-            span(*(f"normal_{s}" for s in SEGMENTS))[:, 1 :: self.SLOT],
-            span(*(f"normal_{s}" for s in soft))[:, 1 :: self.SLOT],
-        )
-        # Number of contacts matched, and the most that the slots of each sensor hold.
-        self._found = np.array([history.columns(f"normal_{s}").start for s in (*SEGMENTS, *soft)])
-        self._slots = np.repeat([n.shape[1] for n in self._normal], [len(SEGMENTS), len(soft)])
+        regions = protocol.regions
+        self._soft = np.array([SEGMENTS.index(REGIONS[r].segment) for r in protocol.soft_regions])
+        # Net force and its centroid (S, 6) of the rigid surfaces.
+        self._net = span(*(f"net_{s}" for s in SEGMENTS))
+        normal = span(*(f"normal_{s}" for s in SEGMENTS))
+        self._found, self._normal = normal[:, 0], normal[:, 1 :: self.SLOT]
         self.joints = span(*(f"q_{n}" for n in joint_names))[:, 0]
         self._tcp_pose = np.concatenate([span("tcp_position")[0], span("tcp_quat")[0]])
         self._tcp_velocity, self._tcp_rotation = span("tcp_velocity")[0], span("tcp_rotation")[0]
@@ -306,21 +300,22 @@ class _Columns:
 
     def overfull(self, values: F64) -> bool:
         """Whether a normal sum misses contacts that found no slot."""
-        return bool((values[:, self._found] > self._slots).any())
+        return bool((values[:, self._found] > self._normal.shape[1]).any())
 
-    def samples(self, time_s: F64, values: F64) -> Samples:
-        rigid, shell = values[:, self._net[0]], values[:, self._net[1]]
+    def samples(self, time_s: F64, values: F64, felt: npt.NDArray[np.void]) -> Samples:
+        """Args: felt: (n, R) rows of ``kernel.readings.ROW``, of the protocol's soft regions."""
+        rigid = values[:, self._net]
         # The net force acts on the second body of the pair, the human.
         force = rigid[..., :3].copy()
-        force[:, self._soft] += shell[..., :3]
+        force[:, self._soft] += felt["force_n"]
         weight = np.linalg.norm(rigid[..., :3], axis=2, keepdims=True)
-        shell_weight = np.linalg.norm(shell[..., :3], axis=2, keepdims=True)
+        of_shell = np.linalg.norm(felt["force_n"], axis=2, keepdims=True)
         centroid = weight * rigid[..., 3:]
-        centroid[:, self._soft] += shell_weight * shell[..., 3:]
-        weight[:, self._soft] += shell_weight
+        centroid[:, self._soft] += of_shell * felt["centroid_m"]
+        weight[:, self._soft] += of_shell
         np.divide(centroid, weight, out=centroid, where=weight > 0)
-        normal = np.abs(values[:, self._normal[0]]).sum(2)
-        normal[:, self._soft] += np.abs(values[:, self._normal[1]]).sum(2)
+        normal = np.abs(values[:, self._normal]).sum(2)
+        normal[:, self._soft] += felt["normal_n"]
         return Samples(
             time_s=time_s, force=force, normal=normal, centroid=centroid, human_joint=values[:, self.joints],
             tcp_pose=values[:, self._tcp_pose],

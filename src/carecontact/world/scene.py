@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -24,14 +23,10 @@ from carecontact.world.human.region_frame import RegionFrame, rigid_frame, soft_
 from carecontact.world.human.shell import Shell, limb_shell, trunk_shell
 from carecontact.world.human.skeleton import add_skeleton, body_name
 from carecontact.world.human.skin import add_skin
-from carecontact.world.human.tissue import SoftRegion, add_tissue, check_step, set_damping, shell_points
+from carecontact.world.human.tissue import SoftRegion, add_tissue
 from carecontact.world.joint_impedance import replace_impedance
 from carecontact.world.robot import add_robot
 from carecontact.world.sensors import add_sensors
-
-NEWTON_SPACING_M = 0.004
-"""On finer tissue meshes Newton's method gave single-step spikes of up to 200 N in deep contact (MuJoCo 4.0.0, 3.5 mm);
-conjugate gradients, half as fast, did not. On coarser ones both agree."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,24 +64,18 @@ def build_spec(
     """The uncompiled world, with the body, its hinges, the soft regions and the frames of all regions.
 
     Args:
-        target: the region whose shell is fine, if it has one; the others are soft too, on a coarser mesh. None: all
-            fine.
+        target: the region around which the visual skin is fine; None: nowhere.
         skin: False leaves the visual skin out.
     """
     body = load_body(protocol.person.body)
     spec = mujoco.MjSpec()
     spec.modelname = "carecontact"
-    rows = {name: protocol.person.tissue[name] for name in protocol.soft_regions}
-    tissue = {name: row if target in (None, name) else off_target(row) for name, row in rows.items()}
     # First: what is added later is read in its units.
-    set_physics(spec, dt_s=protocol.physics.dt_s, spacing_m=min(row.spacing_m for row in tissue.values()))
-    spec.memory = 400 * 2**20
+    set_physics(spec, dt_s=protocol.physics.dt_s)
 
-    # Before the person: the solver eliminates the last degrees of freedom first, and the robot's, which every contact
-    # has, would fill its matrix.
     add_robot(spec, protocol)
     root = root_position(body, protocol.scene.mattress_top_m)
-    hinges, regions = _add_person(spec, body, protocol, tissue, root)
+    hinges, regions = _add_person(spec, body, protocol, root)
     frames = {
         name: soft_frame(regions[name].shell) if name in regions else rigid_frame(body, name)
         for name in protocol.regions
@@ -104,17 +93,16 @@ def build_spec(
 
 
 def _add_person(
-    spec: mujoco.MjSpec, body: Body, protocol: Protocol, tissue: dict[str, Tissue], root: Array
+    spec: mujoco.MjSpec, body: Body, protocol: Protocol, root: Array
 ) -> tuple[list[Hinge], dict[str, SoftRegion]]:
-    """Skeleton and shells, the pelvis at ``root`` (3,); raises ConfigError for tissue too stiff for the time step."""
-    shells = {region: region_shell(body, region, row) for region, row in tissue.items()}
+    """Skeleton and shells, the pelvis at ``root`` (3,)."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, trunk_rotation(body).ravel())
-    points = {region: shell_points(shell, tissue[region]) for region, shell in shells.items()}
-    hinges = add_skeleton(spec, body, root_position=root, root_quat=quat, shell_points=points)
-    regions = {region: add_tissue(spec, body, region, shell, tissue[region]) for region, shell in shells.items()}
-    for made in regions.values():
-        check_step(made.name, made.shell, made.tissue, protocol.physics.dt_s)
+    hinges = add_skeleton(spec, body, root_position=root, root_quat=quat, soft_regions=protocol.soft_regions)
+    regions: dict[str, SoftRegion] = {}
+    for region in protocol.soft_regions:
+        tissue = protocol.person.tissue[region]
+        regions[region] = add_tissue(spec, body, region, region_shell(body, region, tissue), tissue)
     return hinges, regions
 
 
@@ -129,10 +117,10 @@ def _add_region_site(spec: mujoco.MjSpec, body: Body, region: str, frame: Region
 def build_scene(protocol: Protocol, *, target: str | None, skin: bool = True) -> Scene:
     """Compile the world. The comfort-arm angle is no part of the model: it is set when the person settles."""
     spec, body, rows, regions, frames = build_spec(protocol, target=target, skin=skin)
-    model = compile_with_tissue(spec, regions)
     return Scene(
-        model=model, protocol=protocol, body=body, hinges=tuple(rows), regions=regions, frames=frames, spec=spec
-    )
+        model=spec.compile(), protocol=protocol, body=body, hinges=tuple(rows), regions=regions, frames=frames,
+        spec=spec,
+    )  # fmt: skip
 
 
 def controlled(scene: Scene, control: Control) -> Scene:
@@ -140,8 +128,7 @@ def controlled(scene: Scene, control: Control) -> Scene:
     assert control.joint is not None
     spec = scene.spec.copy()
     replace_impedance(spec, control.joint)
-    model = compile_with_tissue(spec, scene.regions)
-    return replace(scene, model=model, spec=spec, control=control)
+    return replace(scene, model=spec.compile(), spec=spec, control=control)
 
 
 def copy_settings(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
@@ -154,38 +141,14 @@ def copy_settings(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
             getattr(target, name)[:] = value
 
 
-def set_physics(spec: mujoco.MjSpec, *, dt_s: float, spacing_m: float) -> None:
-    """Units, integrator and solver of every model with tissue: the bench must answer as the scene does.
-
-    Args:
-        spacing_m: of the finest tissue mesh.
-    """
+def set_physics(spec: mujoco.MjSpec, *, dt_s: float) -> None:
+    """Units, integrator and solver of every model with tissue: the bench must answer as the scene does."""
     spec.compiler.degree = False
     spec.option.timestep = dt_s
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
-    if spacing_m < NEWTON_SPACING_M:
-        by_conjugate_gradients(spec)
-    # Solved island by island, some presses of fine meshes diverged (MuJoCo 4.0.0), and it saves no time.
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     # Soft friction creeps: at the default ratio of 1 an arm lying on its board drifted 1.2 deg in 10 s, at 10 0.4 deg.
     spec.option.impratio = 10.0
-
-
-def by_conjugate_gradients(world: mujoco.MjSpec | mujoco.MjModel) -> None:
-    """Another solver for the same equations: slower, but it does not stall where many contacts meet a fine mesh."""
-    option = world.option if isinstance(world, mujoco.MjSpec) else world.opt
-    option.solver, option.iterations = mujoco.mjtSolver.mjSOL_CG, 300
-
-
-def compile_with_tissue(spec: mujoco.MjSpec, regions: dict[str, SoftRegion]) -> mujoco.MjModel:
-    with warnings.catch_warnings():
-        # The shells' mechanics are their anchors; the compiler cannot know that and warns of a flex without any.
-        warnings.filterwarnings("ignore", message="flex .* is not rigid")
-        model = spec.compile()
-    set_damping(model, regions)
-    return model
 
 
 def region_shell(body: Body, region: str, tissue: Tissue) -> Shell:
@@ -198,17 +161,3 @@ def region_shell(body: Body, region: str, tissue: Tissue) -> Shell:
             return trunk_shell(body, np.array([0.0, -1.0, 0.0]), tissue)
         case None:
             raise SceneError(f"region {region} is rigid: it has no shell")
-
-
-def off_target(tissue: Tissue) -> Tissue:
-    """The same tissue on the coarse mesh of a region that is not the task's target."""
-    scaled = ("a_n_m3", "b_n_m4", "c_n_m5", "damping_ns_m3", "membrane_n_m")
-    return tissue.model_copy(
-        update={
-            "spacing_m": tissue.off_target_spacing_m,
-            # The load spreads less far than from one of these vertices to the next.
-            "coupling_length_m": 0.0,
-            "coarse_spacing_m": tissue.off_target_spacing_m,
-            **{name: getattr(tissue, name) * tissue.off_target_scale for name in scaled},
-        }
-    )

@@ -7,11 +7,10 @@ import mujoco
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.recording.schema import SEGMENTS
-from carecontact.regions import REGIONS
 from carecontact.world.human.joints import Hinge
-from carecontact.world.human.skeleton import body_name, tissue_body_name
+from carecontact.world.human.skeleton import body_name
 
-CONTACT_SLOTS = {"soft": 96, "rigid": 12}
+CONTACT_SLOTS = 12
 """Contacts kept per segment for the normal sum; the recording says so if a segment ever had more at once."""
 
 # MuJoCo 4.0 mjtConDataField bits, in the order in which a slot lays them out.
@@ -20,7 +19,10 @@ NETFORCE, MAXFORCE = 3, 2
 
 
 def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) -> None:
-    """Sensors for every segment, every scored joint and every region of the protocol."""
+    """Sensors for every segment, every scored joint and every region of the protocol.
+
+    Those of the segments see their rigid surfaces; what a soft shell feels comes from the compiled tissue.
+    """
     # One control period is one C call between two moves of the target: the sensors keep all of its steps.
     samples = round(protocol.physics.target_period_s / protocol.physics.dt_s)
     kind, obj = mujoco.mjtSensor, mujoco.mjtObj
@@ -31,17 +33,10 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) ->
             refname=second, intprm=[data, reduce, num], nsample=samples,
         )  # fmt: skip
 
-    soft = {REGIONS[region].segment: region for region in protocol.soft_regions}
     for segment in SEGMENTS:
-        rigid, tree = (body_name(segment), obj.mjOBJ_BODY), None
-        if segment in soft:
-            tree = (tissue_body_name(soft[segment]), obj.mjOBJ_XBODY)
-        for suffix, target in (("", rigid), ("_tissue", tree)):
-            if target is None:
-                continue
-            slots = CONTACT_SLOTS["soft" if suffix else "rigid"]
-            contact(f"net_{segment}{suffix}", *target, FORCE_BIT | POS_BIT, NETFORCE, 1)
-            contact(f"normal_{segment}{suffix}", *target, FOUND_BIT | FORCE_BIT, MAXFORCE, slots)
+        rigid = body_name(segment), obj.mjOBJ_BODY
+        contact(f"net_{segment}", *rigid, FORCE_BIT | POS_BIT, NETFORCE, 1)
+        contact(f"normal_{segment}", *rigid, FOUND_BIT | FORCE_BIT, MAXFORCE, CONTACT_SLOTS)
     for hinge in hinges:
         spec.add_sensor(name=f"q_{hinge.name}", type=kind.mjSENS_JOINTPOS, objtype=obj.mjOBJ_JOINT,
                         objname=f"human_{hinge.name}", nsample=samples)  # fmt: skip

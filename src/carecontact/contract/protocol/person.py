@@ -11,30 +11,32 @@ from carecontact.contract.protocol.task import RegionName
 
 
 class Tissue(Section):
-    """One region's shell. Area-specific anchor law p = a x + b x^2 + c x^3 for inward displacement x."""
+    """One region's shell. Area-specific anchor law p = a x + b x |x| + c x^3 for inward displacement x."""
 
     a_n_m3: Positive
     """[N/m per m^2 of shell]"""
-    b_n_m4: Annotated[float, Field(ge=0)]
+    b_n_m4: float
+    """Below zero the law is softer at first than a straight line; see ``_convex``."""
     c_n_m5: Annotated[float, Field(ge=0)]
     damping_ns_m3: Positive
     """[N s/m per m^2]"""
+    damping_growth_ns_m4: Annotated[float, Field(ge=0)] = 0.0
+    """How much the damping grows with a metre of indentation, as in Hunt and Crossley's contact (1975, J Appl Mech
+    42:440)."""
     coupling_length_m: Annotated[float, Field(ge=0, le=0.02)]
     """How far f_int spreads a load along the surface: a gradient of the indentation is resisted with G = a l^2 [N/m]
     (Pasternak's foundation). 0: neighbours act alone."""
     membrane_n_m: Annotated[float, Field(ge=0, le=20_000)] = 0.0
     """In-plane stiffness of the skin (Young's modulus times thickness): a patch that the tool drags along pulls its
-    neighbours with it. 0: no membrane; neighbouring patches move independently, as in older recordings."""
+    neighbours with it. 0: no membrane; neighbouring patches move independently."""
+    contact_n_m3: Positive
+    """[N/m per m^2] of the layer between the shell and the tool, which stands for skin compressed across its thickness:
+    its pressure over the depth by which the tool's surface lies in it."""
     areal_mass_kg_m2: Positive
     spacing_m: Length
     """Vertex spacing on the patch that the tool can reach."""
     coarse_spacing_m: Length
     """Largest spacing away from it."""
-    off_target_spacing_m: Length
-    """Spacing of the whole shell where the task's target is another region."""
-    off_target_scale: Positive
-    """Factor on stiffness and damping there: a coarser mesh spreads a tool's load over more anchors, and the region
-    must answer the tool alike whichever task is run."""
     thickness_m: Length
     """Depth of the rigid core under the surface; less where a thin limb's axis is nearer."""
     measured_depth_m: Length
@@ -42,6 +44,16 @@ class Tissue(Section):
     indenter's travel is more, since the contact gives way too."""
     friction: Annotated[float, Field(gt=0, le=2)]
     source: Annotated[str, Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _convex(self) -> Self:
+        """The tangent a + 2 b x + 3 c x^2 must be positive at every depth."""
+        if self.b_n_m4 < 0 and self.b_n_m4**2 >= 3 * self.a_n_m3 * self.c_n_m5:
+            raise ValueError(
+                f"b_n_m4 {self.b_n_m4:g} makes the law soften under load: expected b^2 < 3 a c = "
+                f"{3 * self.a_n_m3 * self.c_n_m5:g}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _measured_above_the_bone(self) -> Self:

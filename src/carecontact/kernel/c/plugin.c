@@ -73,6 +73,11 @@ EXPORT void carecontact_tissue_force(const mjData* d, int instance, double* out)
   memcpy(out, r->force, sizeof(double) * (size_t)r->nv);
 }
 
+// The row (ROW_SIZE) of the last forward pass, which the ring gets at the end of the step.
+EXPORT void carecontact_tissue_row(const mjData* d, int instance, double* out) {
+  memcpy(out, region_of(d, instance)->row, sizeof(double) * ROW_SIZE);
+}
+
 void tissue_plugin(mjpPlugin* plugin) {
   plugin->name = TISSUE_PLUGIN;
   plugin->capabilityflags = mjPLUGIN_PASSIVE;

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carecontact.errors import SceneError
 from carecontact.world.human.body import Array, Body
 
 
@@ -75,40 +74,6 @@ TRUNK_LENGTH_MM = {
     "F": {"thorax": 228.0, "abdomen": 205.3, "pelvis": 181.5},
 }
 """Cervicale to xiphion to omphalion to mid-hip, Table 4; from the neck down."""
-
-
-LEAST_MOMENT_SHARE = 0.02
-
-
-def without_points(row: SegmentInertia, masses: Array, places: Array) -> tuple[float, Array, Array]:
-    """Take point masses out of a segment.
-
-    Args:
-        masses: (n,) [kg]
-        places: (n, 3) mesh frame
-
-    A shell on the skin of a slim segment can have more inertia about the long axis than de Leva gives all of it. What
-    is left then keeps ``LEAST_MOMENT_SHARE`` of its largest moment, and at least what makes it a possible body; segment
-    and shell together turn that much more heavily about that axis, which is little beside the hinges' armature.
-
-    Returns mass, centre of mass (3,) and inertia tensor (3, 3) about it in the mesh frame. Raises SceneError if the
-    points weigh more than the segment.
-    """
-
-    def about(point: Array, mass: Array, at: Array) -> Array:
-        r = at - point
-        return np.einsum("n,nij->ij", mass, (r**2).sum(1)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None, :])
-
-    tensor = row.axes @ np.diag(row.moments_kgm2) @ row.axes.T
-    mass = row.mass_kg - float(masses.sum())
-    if mass <= 0:
-        raise SceneError(f"a shell of {masses.sum():.2f} kg is heavier than its segment of {row.mass_kg:.2f} kg")
-    centre = (row.mass_kg * row.centre_m - masses @ places) / mass
-    left = tensor + about(centre, np.array([row.mass_kg]), row.centre_m[None]) - about(centre, masses, places)
-    moments, axes = np.linalg.eigh(left)
-    least = np.maximum(moments, LEAST_MOMENT_SHARE * moments[2])
-    least[0] = max(least[0], least[2] * (1 + 1e-6) - least[1])
-    return mass, centre, left + axes @ np.diag(least - moments) @ axes.T
 
 
 def segment_ends(body: Body, segment: str) -> tuple[Array, Array]:

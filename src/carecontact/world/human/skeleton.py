@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import mujoco
 import numpy as np
 
 from carecontact.errors import SceneError
 from carecontact.regions import REGIONS, Tube
-from carecontact.world.human.anthropometry import segment_inertias, without_points
+from carecontact.world.human.anthropometry import segment_inertias
 from carecontact.world.human.bed_contact import bed_proxies
 from carecontact.world.human.body import PARENT, Array, Body
 from carecontact.world.human.joints import Hinge, hinges
@@ -29,25 +29,21 @@ def body_name(segment: str) -> str:
     return f"human_{segment}"
 
 
-def tissue_body_name(region: str) -> str:
-    """A body without joints that holds a region's shell, so that one contact sensor sees the shell and nothing else."""
-    return f"human_{REGIONS[region].segment}_tissue"
-
-
 def add_skeleton(
     spec: mujoco.MjSpec,
     body: Body,
     *,
     root_position: Array,
     root_quat: Array,
-    shell_points: dict[str, tuple[Array, Array]],
+    soft_regions: Iterable[str],
 ) -> list[Hinge]:
     """Add every segment under a free root; returns the hinges in the order of their joints.
 
-    ``shell_points``: soft region -> masses and places of its free shell vertices. They are taken off the segment's
-    bone, so that bone and shell together have the segment's mass, centre of mass and inertia.
+    A segment's mass counts its shell: the inertia that the shell's law has is that of its motion against the bone.
+
+    ``soft_regions``: those with a shell, which covers part of their segments' surface.
     """
-    soft = {REGIONS[region].segment: region for region in shell_points}
+    soft = {REGIONS[region].segment: region for region in soft_regions}
     inertias = segment_inertias(body)
     rows, pose = hinges(body), lying_pose_deg(body, 0.0)
     bodies: dict[str, mujoco.MjsBody] = {}
@@ -62,11 +58,9 @@ def add_skeleton(
         bodies[segment] = made
         row = inertias[segment]
         made.explicitinertial = True
-        mass, centre, tensor = without_points(
-            row, *shell_points.get(soft.get(segment, ""), (np.zeros(0), np.zeros((0, 3))))
-        )
-        made.mass = mass
-        made.ipos = centre - at
+        tensor = row.axes @ np.diag(row.moments_kgm2) @ row.axes.T
+        made.mass = row.mass_kg
+        made.ipos = row.centre_m - at
         made.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         if segment in FIXED_SEGMENTS:
             turn = np.zeros(4)
@@ -76,8 +70,6 @@ def add_skeleton(
         for hinge in rows:
             if hinge.segment == segment:
                 _add_hinge(made, hinge)
-    for segment, region in soft.items():
-        bodies[segment].add_body(name=tissue_body_name(region))
     _add_bed_proxies(body, bodies)
     _add_rigid_surface(spec, body, bodies, soft)
     return [row for row in rows if row.segment not in FIXED_SEGMENTS]

@@ -10,7 +10,6 @@ import numpy as np
 from carecontact.contract.protocol import Tissue
 from carecontact.regions import Tube
 from carecontact.world.human.body import Array, Body
-from carecontact.world.human.shell.cells import cell_size
 from carecontact.world.human.shell.shell import ROW_RATIO, SMOOTHING_M, Shell, finish, spacing
 from carecontact.world.human.surface_mesh import Triangles, distance_outside, graded, graded_from_middle, smooth_field
 
@@ -19,14 +18,6 @@ FINE_HALF_LENGTH_M, FINE_HALF_ROUND_DEG = 0.085, 60.0
 """Limb patch from above: scrub strokes of +-60 mm plus two tool radii, and as far round as it comes from above."""
 SIDE_HALF_LENGTH_M, SIDE_HALF_ROUND_DEG = 0.035, 100.0
 """Patch at mid-length of a limb that is pushed sideways."""
-CELL_LENGTH_M, CELL_ROUND_M = 0.040, 0.012
-"""Vertices of one cell glide over the bone together; round a limb the cells are narrow, as their normals differ."""
-LEAN = 0.25
-"""How far a vertex's direction leans from its cell's normal (0) to its own (1). With 0, vertices on either side of a
-cell's border run together under a deep press, and peaks vary with the place: on the forearm 8 mm deep by 4.5 %
-(coefficient of variation over 60 places) with cells 16 mm wide, 2.9 % with 12 mm, 2.4 % with these and the lean. The
-more it leans, the more of a press goes past the springs into the bone, as its direction and its cell's tangents are
-then not at right angles: with 0.5 and cells of 16 mm 1.8 %, with 0.25 and 12 mm 0.4 %."""
 SAMPLES = (41, 61)
 """Rays along a limb and round it."""
 
@@ -84,7 +75,7 @@ class _Limb:
 
 
 def limb_shell(body: Body, segment: str, tube: Tube, outward: Array, tissue: Tissue) -> Shell:
-    """Return a tube round a limb, fine where the tool reaches it, pinned at the ends and below.
+    """Return a tube round a limb, fine where the tool reaches it.
 
     Args:
         outward: (3,) direction in the mesh frame that faces up in the lying pose.
@@ -110,15 +101,12 @@ def limb_shell(body: Body, segment: str, tube: Tube, outward: Array, tissue: Tis
     ]
     counts = [len(theta) for theta in angles]
     grid = np.stack([np.repeat(t, counts), np.concatenate(angles)], 1)
-    ends = (grid[:, 0] == t[0]) | (grid[:, 0] == t[-1])
     x = limb.frame[:, 0]
     centre = line(np.array([limb.length / 2]))[0] - limb.start
     return finish(
         rows, grid - [limb.low, 0.0],
-        pinned=ends | (np.abs(grid[:, 1]) > np.radians(tube.pinned_beyond_deg)),
         fine=_away(limb, tube, grid[:, 0], grid[:, 1], radius) <= 1e-9,
-        size_of_cells=(cell_size(tissue, CELL_LENGTH_M), cell_size(tissue, CELL_ROUND_M)),
-        across_m=np.concatenate(radii), lean=LEAN, axis_points=np.repeat(line(t), counts, 0),
+        axis_points=np.repeat(line(t), counts, 0),
         origin=limb.start + 0.5 * limb.along + (centre - (centre @ x) * x), frame=limb.frame,
         length=limb.length, radius=radius, depth=float(radius_at(limb.length / 2, np.zeros(1))[0]),
     )  # fmt: skip

@@ -9,7 +9,6 @@ import numpy as np
 
 from carecontact.contract.protocol import Tissue
 from carecontact.world.human.body import Array, Body
-from carecontact.world.human.shell.cells import cell_size
 from carecontact.world.human.shell.shell import ROW_RATIO, SMOOTHING_M, Shell, finish, spacing
 from carecontact.world.human.surface_mesh import (
     Triangles,
@@ -24,11 +23,6 @@ WIDTH_SHARE = 0.82
 """Of the narrowest section's half breadth: further out the trunk's side begins, which no ray from behind reaches."""
 FINE_HALF_WIDTH_M, FINE_MARGIN_M = 0.080, 0.03
 """The fine patch is this wide at most, and this far from the shell's border."""
-CELL_M = 0.032
-"""Vertices of one cell glide over the bone together."""
-LEAN = 0.5
-"""How far a vertex's direction leans from its cell's normal (0) to its own (1); ``limb.LEAN`` says why. At a cell's
-corners 1.8 % of a press goes past the springs."""
 SAMPLES = 41
 """Rays each way over the belly."""
 NAVEL_BALL_M = 0.20
@@ -64,7 +58,7 @@ class _Belly:
 
 
 def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
-    """Return a patch over the belly between the lower ribs and the pelvis; its border ring is pinned."""
+    """Return a patch over the belly between the lower ribs and the pelvis."""
     x, z = np.array([0.0, 0.0, 1.0]), outward / np.linalg.norm(outward)
     low, high = belly_span(body)
     back = np.array([0.0, body.joint_centre["thorax"][1], 0.0])
@@ -94,12 +88,9 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
     feet = [belly.foot(height, s) for height, s in zip(t, across, strict=True)]
     rows = [foot + depth_at(height, s)[:, None] * z for foot, height, s in zip(feet, t, across, strict=True)]
     grid = np.stack([np.repeat(t, [len(s) for s in across]), np.concatenate(across)], 1)
-    cell = cell_size(tissue, CELL_M)
     return finish(
         rows, grid - [low, 0.0],
-        pinned=(grid[:, 0] == t[0]) | (grid[:, 0] == t[-1]) | (np.abs(grid[:, 1]) >= belly.half_width - 1e-9),
-        fine=belly.away(grid[:, 0], grid[:, 1]) <= 1e-9, size_of_cells=(cell, cell),
-        across_m=np.ones(len(grid)), lean=LEAN, axis_points=np.concatenate(feet),
+        fine=belly.away(grid[:, 0], grid[:, 1]) <= 1e-9, axis_points=np.concatenate(feet),
         origin=back + (low + high) / 2 * x, frame=frame, length=high - low,
         radius=belly.half_width, depth=float(depth_at((low + high) / 2, np.zeros(1))[0]),
     )  # fmt: skip

@@ -1,0 +1,147 @@
+"""A soft region in a MuJoCo model: an instance of the plugin on the bone, and the numbers that it reads.
+
+The arrays travel as custom numerics ``<name>/vertices``, ``/edges``, ``/points``, ``/law`` and ``/options``; their
+columns are those of ``c/region.h``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.protocol import Tissue
+from carecontact.kernel import library
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+REACH_M = 0.025
+"""Vertices farther than this from every tool stay at rest. In a scrub of man-adult's belly 8 mm deep, 100 mm instead
+changed the peak by 0.2 % and the force of a steady press by 0.8 %; on the forearm both by less than 0.1 %."""
+TOLERANCE_M = 1e-6
+"""The solver stops when no vertex moves farther in a sweep: 0.1 of this changed the peaks by less than 0.1 %."""
+SWEEPS = 60
+"""At most; scrubs take 3 to 20."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mesh:
+    """A region's surface in the frame of its bone."""
+
+    places: Array
+    """(N, 3) vertices [m]"""
+    inward: Array
+    """(N, 3) unit"""
+    along: Array
+    """(3,) the direction from which every vertex takes its first tangent"""
+    triangles: Indices
+    """(M, 3)"""
+    areas: Array
+    """(N,) share of the surface [m^2]"""
+    cells: Indices
+    """(M,) the declared cell in which each triangle's middle lies; -1 for none"""
+
+    @cached_property
+    def frames(self) -> Array:
+        """(N, 3, 3) of each vertex, by rows: inward, and two tangents."""
+        first = self.along - (self.inward @ self.along)[:, None] * self.inward
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        return np.stack([self.inward, first, np.cross(self.inward, first)], 1).astype(np.float64)
+
+    @cached_property
+    def edges(self) -> tuple[Indices, Array]:
+        """Pairs of vertices (E, 2) and their cotangent weights (E,).
+
+        The sum over edges of weight times squared difference is the linear finite element form of the integral of
+        |grad w|^2 over the surface (Pinkall and Polthier 1993), so that it does not depend on the mesh.
+        """
+        corners = np.concatenate([np.roll(self.triangles, -k, axis=1) for k in range(3)])
+        u, v = (self.places[corners[:, k]] - self.places[corners[:, 2]] for k in (0, 1))
+        cotangent = (u * v).sum(1) / np.linalg.norm(np.cross(u, v), axis=1)
+        edges, owner = np.unique(np.sort(corners[:, :2], axis=1), axis=0, return_inverse=True)
+        weights = np.zeros(len(edges))
+        np.add.at(weights, owner.ravel(), cotangent / 2)
+        # A weight below zero (obtuse pairs) would let a spring push neighbours apart.
+        return edges[weights > 0].astype(np.int64), weights[weights > 0]
+
+    @cached_property
+    def points(self) -> Array:
+        """(M, 8) the contact points, one in the middle of each triangle: corners, shares of the corners, area, cell."""
+        a, b, c = (self.places[self.triangles[:, k]] for k in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        return np.c_[self.triangles, np.full((len(area), 3), 1 / 3), area, self.cells]
+
+    @property
+    def cell_count(self) -> int:
+        return int(self.cells.max(initial=-1)) + 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law:
+    """The numeric ``/law``, in the order of ``c/region.h``. Per area of the surface where the unit says so."""
+
+    a_n_m3: float
+    b_n_m4: float
+    c_n_m5: float
+    damping_ns_m3: float
+    damping_growth_ns_m4: float
+    mass_kg_m2: float
+    coupling_n_m: float
+    membrane_n_m: float
+    friction: float
+    contact_n_m3: float
+    thickness_m: float
+
+    @classmethod
+    def of(cls, tissue: Tissue) -> Law:
+        return cls(
+            a_n_m3=tissue.a_n_m3, b_n_m4=tissue.b_n_m4, c_n_m5=tissue.c_n_m5, damping_ns_m3=tissue.damping_ns_m3,
+            damping_growth_ns_m4=tissue.damping_growth_ns_m4, mass_kg_m2=tissue.areal_mass_kg_m2,
+            coupling_n_m=tissue.a_n_m3 * tissue.coupling_length_m**2, membrane_n_m=tissue.membrane_n_m,
+            friction=tissue.friction, contact_n_m3=tissue.contact_n_m3, thickness_m=tissue.thickness_m,
+        )  # fmt: skip
+
+
+def add_region(
+    spec: mujoco.MjSpec,
+    *,
+    name: str,
+    bone: mujoco.MjsBody,
+    mesh: Mesh,
+    tissue: Tissue,
+    tools: str,
+    ledger: bool = False,
+) -> None:
+    """Let a bone carry a soft region.
+
+    Args:
+        name: of the plugin's instance and before its numerics.
+        tools: name of a body; every geom of it and of the bodies under it that collides (bit 1 of contype) can touch.
+        ledger: keep the energy of every step (``Readings``), which takes a tenth of the time.
+
+    Raises DependencyError where the compiled tissue is missing.
+    """
+    library.load()
+    spec.activate_plugin(library.PLUGIN)
+    edges, weights = mesh.edges
+    numbers = {
+        "vertices": np.c_[mesh.places, mesh.frames.reshape(-1, 9), mesh.areas], "edges": np.c_[edges, weights],
+        "points": mesh.points, "law": np.array(astuple(Law.of(tissue))),
+        "options": np.array([REACH_M, TOLERANCE_M, SWEEPS, ledger], np.float64),
+    }  # fmt: skip
+    for kind, values in numbers.items():
+        spec.add_numeric(name=f"{name}/{kind}", data=values.ravel().tolist(), size=values.size)
+    made = spec.add_plugin(name=name, plugin_name=library.PLUGIN, active=True)
+    # The plugin is asked for the size of its state before the model has its numerics.
+    counts = {"vertices": len(mesh.places), "edges": len(edges), "points": len(mesh.points), "cells": mesh.cell_count}
+    made.config = {"key": name, "tools": tools, **{kind: str(count) for kind, count in counts.items()}}
+    bone.plugin.active, bone.plugin.name, bone.plugin.plugin_name, bone.plugin.id = True, name, library.PLUGIN, made
+
+
+def set_law(model: mujoco.MjModel, name: str, tissue: Tissue) -> None:
+    """Give a region of a compiled model another law; the next step follows it."""
+    model.numeric(f"{name}/law").data[:] = astuple(Law.of(tissue))
