@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import subprocess
+import sys
 from importlib import metadata
 from pathlib import Path
 
@@ -15,6 +17,15 @@ from carecontact.kernel import binary, found
 def test_the_hash_is_of_the_file_that_is_loaded() -> None:
     file = binary.library_file(binary.platform_here())
     assert found.sha256() == hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def test_the_hash_is_known_without_loading_mujoco_or_the_binary() -> None:
+    code = (
+        "import sys\nfrom carecontact.kernel import found\nassert len(found.sha256()) == 64\n"
+        "assert 'mujoco' not in sys.modules\nassert found.file().name not in open('/proc/self/maps').read()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_an_edited_source_is_told_with_the_command_that_compiles_it(elsewhere: Path) -> None:
