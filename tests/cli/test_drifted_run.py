@@ -10,7 +10,7 @@ from carecontact.cli import main
 from carecontact.recording import Recording, write_recording
 from tests.scoring.synthetic import touch
 
-CHANGED = "not the frozen bathing-v1 (sha256 "
+CHANGED = "not the frozen bathing-draft (sha256 "
 
 
 def eased(recording: Recording) -> Recording:
@@ -29,9 +29,9 @@ def test_score_report_and_compare_name_eased_rules(
         Path(name).mkdir()
         write_recording(made, Path(name) / "T1-s000.h5")
         assert main(["score", name]) == 0
-        assert (f"protocol: bathing-v1, {CHANGED}" in capsys.readouterr().out) == (name != "good")
+        assert (f"protocol: bathing-draft, {CHANGED}" in capsys.readouterr().out) == (name != "good")
         assert main(["report", name]) == 0
-        assert ("bathing-v1 (not the frozen protocol)" in (Path(name) / "report.html").read_text()) == (name != "good")
+        assert ("bathing-draft (not the frozen protocol)" in (Path(name) / "report.html").read_text()) == (name != "good")
     capsys.readouterr()
     assert main(["compare", "a", "b"]) == 0
     assert f"protocol: {CHANGED}" in capsys.readouterr().out

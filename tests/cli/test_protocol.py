@@ -32,11 +32,11 @@ def sums_of(region: str, protocol: str) -> dict[str, float]:
 
 def test_list_and_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["protocol", "list"]) == 0
-    assert "bathing-v1               frozen" in capsys.readouterr().out
+    assert "bathing-draft               frozen" in capsys.readouterr().out
     assert main(["protocol", "show"]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("# bathing-v1, sha256 ")
-    assert "# frozen, bathing-v1.lock.json" in out
+    assert out.startswith("# bathing-draft, sha256 ")
+    assert "# frozen, bathing-draft.lock.json" in out
     assert "# paper-mapping, abdomen: " in out
     assert "[physics]" in out
 
@@ -69,16 +69,16 @@ def test_a_file_with_a_shipped_id_is_verified_by_the_shipped_lock(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], frozen: str
 ) -> None:
     path = tmp_path / "drift.toml"
-    text = protocol_file("bathing-v1").read_text(encoding="utf-8")
+    text = protocol_file("bathing-draft").read_text(encoding="utf-8")
     path.write_text(text.replace("on_n = 0.5", "on_n = 0.4").replace("frozen = true", f"frozen = {frozen}"))
     assert main(["protocol", "verify", str(path)]) == 1
     out = capsys.readouterr().out
     assert out.startswith(f"{path} has the id of a shipped protocol, so it must equal the lock of that protocol\n")
     assert "contact.on_n: locked 0.5, here 0.4" in out
-    assert out.endswith("bathing-v1: differs from its lock\n")
+    assert out.endswith("bathing-draft: differs from its lock\n")
     path.write_text(text)
     assert main(["protocol", "verify", str(path)]) == 0
-    assert capsys.readouterr().out.endswith("bathing-v1: equals its lock\n")
+    assert capsys.readouterr().out.endswith("bathing-draft: equals its lock\n")
 
 
 def test_lock_verify_and_drift(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -99,7 +99,7 @@ def test_lock_verify_and_drift(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 @pytest.mark.parametrize(
     ("old", "new", "told"),
-    [("frozen = true", "frozen = false", "set frozen = true"), ("mine-v1", "bathing-v1", "own")],
+    [("frozen = true", "frozen = false", "set frozen = true"), ("mine-v1", "bathing-draft", "own")],
 )
 def test_what_cannot_be_locked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, told: str
@@ -111,5 +111,5 @@ def test_what_cannot_be_locked(
 
 
 def test_a_shipped_protocol_is_not_locked_in_place(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["protocol", "lock", "bathing-v1"]) == 2
+    assert main(["protocol", "lock", "bathing-draft"]) == 2
     assert "copy its file" in capsys.readouterr().err

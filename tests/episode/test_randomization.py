@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from carecontact.episode.randomization import STREAMS, comfort_arm_deg, sensor_noise, streams
 from carecontact.protocols import load_protocol
 
-PROTOCOL = load_protocol("bathing-v1")
+PROTOCOL = load_protocol("bathing-draft")
 SEEDS = PROTOCOL.randomization.seeds
 
 GOLDEN_DEG = {0: 50.819586263484, 1: 59.029952654987, 7: 54.585761398755, 19: 50.774196870261}

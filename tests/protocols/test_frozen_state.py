@@ -12,7 +12,7 @@ def softened(protocol: Protocol) -> Protocol:
 
 
 def test_what_is_locked_is_frozen_and_announced_overrides_do_not_change_that() -> None:
-    protocol = load_protocol("bathing-v1")
+    protocol = load_protocol("bathing-draft")
     assert frozen_state(protocol) == "frozen"
     changes = {"impedance.translational_n_m": 200.0, "physics.dt_s": FAST_DT_S, "gates.push.force_n": 4.0}
     assert frozen_state(overridden(protocol, changes)) == "frozen"
@@ -20,19 +20,19 @@ def test_what_is_locked_is_frozen_and_announced_overrides_do_not_change_that() -
 
 
 def test_a_changed_protocol_under_the_same_id_is_named() -> None:
-    changed = softened(load_protocol("bathing-v1"))
-    assert frozen_state(changed).startswith(f"not the frozen bathing-v1: sha256 {changed.sha256[:12]}, locked ")
-    hidden = softened(overridden(load_protocol("bathing-v1"), {"impedance.translational_n_m": 200.0}))
-    assert frozen_state(hidden).startswith("not the frozen bathing-v1")
-    assert "not the frozen bathing-v1" in (drifted_sha256(changed.id, changed.sha256) or "")
+    changed = softened(load_protocol("bathing-draft"))
+    assert frozen_state(changed).startswith(f"not the frozen bathing-draft: sha256 {changed.sha256[:12]}, locked ")
+    hidden = softened(overridden(load_protocol("bathing-draft"), {"impedance.translational_n_m": 200.0}))
+    assert frozen_state(hidden).startswith("not the frozen bathing-draft")
+    assert "not the frozen bathing-draft" in (drifted_sha256(changed.id, changed.sha256) or "")
 
 
 def test_drift_that_a_run_announced() -> None:
-    drifted = load_protocol("bathing-v1").model_copy(update={"overrides": {"lock": "asset x: locked a, here b"}})
-    assert frozen_state(drifted) == "not the frozen bathing-v1: asset x: locked a, here b"
+    drifted = load_protocol("bathing-draft").model_copy(update={"overrides": {"lock": "asset x: locked a, here b"}})
+    assert frozen_state(drifted) == "not the frozen bathing-draft: asset x: locked a, here b"
 
 
 def test_files_of_ones_own() -> None:
-    own = load_protocol("bathing-v1").model_copy(update={"id": "mine-v1"})
+    own = load_protocol("bathing-draft").model_copy(update={"id": "mine-v1"})
     assert frozen_state(own).startswith("not verified as frozen: ")
     assert frozen_state(own.model_copy(update={"frozen": False})) == "draft"

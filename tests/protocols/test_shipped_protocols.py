@@ -93,16 +93,16 @@ def test_target_period_and_filters_fit_the_physics_step(protocol: Protocol) -> N
 
 
 def test_the_moved_protocol_is_the_other_with_other_places() -> None:
-    moved, fixed = load_protocol("bathing-moved-v1"), load_protocol("bathing-v1")
+    moved, fixed = load_protocol("bathing-moved-draft"), load_protocol("bathing-draft")
     assert fixed.variation == Variation()
     assert moved.variation == Variation(place_along_m=0.036, place_across_m=0.027, place_yaw_deg=4.5)
     same = {"id": fixed.id, "description": fixed.description, "variation": fixed.variation}
     assert moved.model_copy(update=same) == fixed
 
 
-# -- bathing-v1: what the written definition of the benchmark says ---------------------------------------------------
+# -- bathing-draft: what the written definition of the benchmark says ---------------------------------------------------
 
-BATHING = load_protocol("bathing-v1")
+BATHING = load_protocol("bathing-draft")
 
 
 def test_bathing_tasks() -> None:

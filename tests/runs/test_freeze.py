@@ -23,8 +23,8 @@ def here() -> Lock:
 
 
 def frozen_file(folder: Path, *, extra: str = "") -> Path:
-    text = protocol_file("bathing-v1").read_text()
-    text = text.replace('id = "bathing-v1"', 'id = "mine-v1"')
+    text = protocol_file("bathing-draft").read_text()
+    text = text.replace('id = "bathing-draft"', 'id = "mine-v1"')
     path = folder / "mine.toml"
     path.write_text(text + extra)
     return path
