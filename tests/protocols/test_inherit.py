@@ -41,7 +41,7 @@ def test_tasks_are_replaced_as_a_whole(tmp_path: Path) -> None:
 def test_the_shipped_moved_protocol_in_a_few_lines(tmp_path: Path) -> None:
     moved = load_protocol("bathing-moved-draft")
     text = (
-        f'base = "bathing-draft"\nid = "{moved.id}"\ndescription = "{moved.description}"\nfrozen = true\n'
+        f'base = "bathing-draft"\nid = "{moved.id}"\ndescription = "{moved.description}"\nfrozen = false\n'
         "[variation]\nplace_along_m = 0.036\nplace_across_m = 0.027\nplace_yaw_deg = 4.5\n"
     )
     mine = load_protocol(written(tmp_path, text))
@@ -71,7 +71,7 @@ def test_a_base_may_have_a_base_and_lies_relative_to_its_heir(tmp_path: Path) ->
     [
         (
             'base = "bathing"\n',
-            r"mine\.toml: base: no protocol named 'bathing'.*; valid: bathing-droid-draft, .*FILE\.toml",
+            r"mine\.toml: base: no protocol named 'bathing'.*; valid: bathing-draft, .*FILE\.toml",
         ),
         ("base = 3\n", r"mine\.toml: base: expected the id of a protocol or a \.toml file, got 3"),
         ('base = "mine.toml"\n', r"mine\.toml: base: .*inherits from this file itself"),

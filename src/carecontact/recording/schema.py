@@ -109,8 +109,8 @@ class Header(BaseModel):
 
     @property
     def protocol_sha256(self) -> str:
-        """Of the protocol as the trial was recorded. The rules of a trial with the earlier model of the tissue have lost
-        fields since (``recording.migration``), so the hash is the one that the migration took before."""
+        """Of the protocol as the trial was recorded. The rules of a trial with the earlier model of the tissue have
+        lost fields since (``recording.migration``), so the hash is the one that the migration took before."""
         protocol = self.spec.protocol
         earlier = any(row.contact_n_m3 is None for row in protocol.person.tissue.values())
         return self.sha256.get("protocol", protocol.sha256) if earlier else protocol.sha256

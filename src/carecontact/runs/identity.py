@@ -44,7 +44,8 @@ class Identity(BaseModel):
     """Names of the variables that --policy-env let pass."""
     versions: dict[str, str]
     sha256: dict[str, str]
-    """Of the body's and the robot's baked archives and of the compiled tissue; keys and values are those of a recording's header."""
+    """Of the body's and the robot's baked archives and of the compiled tissue; keys and values are those of a
+    recording's header."""
 
     def differences(self, *, versions: Mapping[str, str], sha256: Mapping[str, str]) -> list[str]:
         """Of this one from what something older says; what that does not mention does not count."""
