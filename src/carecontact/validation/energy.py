@@ -1,5 +1,5 @@
-"""Check 2: a dropped limb never gains energy, tools that touch the skin never do, and a loading loop absorbs as much work
-as the damping law says."""
+"""Check 2: a dropped limb never gains energy, a tool that touches the skin never does, and a loading loop absorbs as
+much work as the damping law says."""
 
 from __future__ import annotations
 

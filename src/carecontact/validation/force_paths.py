@@ -71,8 +71,8 @@ def bed_reaction(simulation: Simulation) -> Array:
 def tip_force(simulation: Simulation) -> Array:
     """(3,) that the robot exerts at its tip, from joint torques alone; right where the tip does not accelerate.
 
-    The dynamically consistent inverse (Khatib 1987) lets torques that only move the elbow drop out. What the tissue does
-    to the robot is one of MuJoCo's passive forces and is taken out of them.
+    The dynamically consistent inverse (Khatib 1987) lets torques that only move the elbow drop out. What the tissue
+    does to the robot is one of MuJoCo's passive forces and is taken out of them.
     """
     model, data = simulation.model, simulation.data
     jacobian = np.zeros((6, model.nv))

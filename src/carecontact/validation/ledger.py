@@ -78,8 +78,8 @@ def contact(subject: Subject, region: str, tool: Tool, case: Case, *, dt_s: floa
     else:
         # A free body's velocity is in the world's axes.
         along, _, outward = data.body("tool").xmat.reshape(3, 3).T
-        rig.reset(position=data.qpos[:3] + GAP_M * outward,
-                  velocity=-SPEED_M_S * outward + (SIDEWAYS_M_S if case == "bounced aslant" else 0.0) * along)  # fmt: skip
+        sideways = SIDEWAYS_M_S if case == "bounced aslant" else 0.0
+        rig.reset(position=data.qpos[:3] + GAP_M * outward, velocity=sideways * along - SPEED_M_S * outward)
     began, work, lost, tissue = rig.kinetic_j(), 0.0, 0.0, 0.0
     # Of the tool, less the work put in so far.
     own, held = began, [began]

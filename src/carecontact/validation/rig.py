@@ -58,11 +58,13 @@ class Rig:
     Args:
         joints: "free", or "slides": first along the region, then away from the skin.
         mass_kg: of the tool.
+        at: where the tool's lowest point begins and how the tool lies there, as ``middle`` returns them; None: on the
+            region's middle.
     """
 
     def __init__(
         self, subject: Subject, region: str, tool: Tool, *, joints: Literal["free", "slides"], mass_kg: float = 1.0,
-        dt_s: float | None = None,
+        dt_s: float | None = None, at: tuple[Array, Array] | None = None,
     ) -> None:  # fmt: skip
         scene = subject.scene(region)
         self.shell = scene.regions[region].shell
@@ -72,7 +74,7 @@ class Rig:
         spec.option.gravity = [0, 0, 0]
         spec.worldbody.add_body(name=body_name(REGIONS[region].segment))
         add_tissue(spec, scene.body, region, self.shell, subject.tissue(region), tools="tool", ledger=True)
-        self._add_tool(spec, tool, joints, mass_kg)
+        self._add_tool(spec, tool, joints, mass_kg, *(at or middle(self.shell)))
         self.model = spec.compile()
         law = f"{region}/law"
         self.model.numeric(law).data[:] = scene.model.numeric(law).data
@@ -80,8 +82,9 @@ class Rig:
         self.felt = Readings(self.model, region)
         self.reset()
 
-    def _add_tool(self, spec: mujoco.MjSpec, tool: Tool, joints: str, mass_kg: float) -> None:
-        point, axes = middle(self.shell)
+    def _add_tool(
+        self, spec: mujoco.MjSpec, tool: Tool, joints: str, mass_kg: float, point: Array, axes: Array
+    ) -> None:  # fmt: skip
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, axes.ravel())
         body = spec.worldbody.add_body(name="tool", pos=point - self._origin + tool.height_m * axes[:, 2], quat=quat)

@@ -11,7 +11,6 @@ import numpy as np
 
 from carecontact.contract.protocol import Tissue
 from carecontact.kernel.region import set_law
-from carecontact.sim.simulation import Simulation
 from carecontact.validation.moves import Motion, perform
 from carecontact.validation.result import CheckResult, Measure
 from carecontact.validation.scores import Scores, scores_of
