@@ -19,7 +19,10 @@ PLATFORM_VARIABLE = "CARECONTACT_PLATFORM"
 class KernelBuildHook(BuildHookInterface):
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """A platform without a binary gets the rest of the package, which scores and reports recorded trials."""
-        platform = os.environ.get(PLATFORM_VARIABLE) or binary.platform_here()
+        chosen = os.environ.get(PLATFORM_VARIABLE)
+        if chosen and chosen not in binary.PLATFORMS:
+            raise SystemExit(f"{PLATFORM_VARIABLE}={chosen} is not a platform; valid: {', '.join(binary.PLATFORMS)}")
+        platform = chosen or binary.platform_here()
         if platform not in binary.PLATFORMS:
             return
         target, build = binary.PLATFORMS[platform], Path(self.root, "build")

@@ -52,12 +52,14 @@ def told(file: Path) -> str:
 
 
 def build(uv: str, arguments: list[str], out: Path, *, platform: str = "") -> Path:
-    """Run `uv build`; return the one file that it wrote or wrote again."""
+    """Run `uv build`; return the one file that it wrote or wrote again. Raises SystemExit with what it said."""
     before = {path: path.stat().st_mtime_ns for path in out.glob("carecontact-*")}
-    subprocess.run(
-        [uv, "build", "--quiet", "--python", sys.executable, "--out-dir", str(out), *arguments],
-        env={**os.environ, "CARECONTACT_PLATFORM": platform}, check=True,
+    done = subprocess.run(
+        [uv, "build", "--python", sys.executable, "--out-dir", str(out), *arguments],
+        env={**os.environ, "CARECONTACT_PLATFORM": platform}, capture_output=True, text=True, check=False,
     )  # fmt: skip
+    if done.returncode:
+        raise SystemExit(f"{done.stdout}{done.stderr}")
     (made,) = (path for path in out.glob("carecontact-*") if path.stat().st_mtime_ns != before.get(path))
     return made
 

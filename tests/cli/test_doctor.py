@@ -6,7 +6,8 @@ import pytest
 
 from carecontact.cli import machine
 from carecontact.cli.doctor import Doctor
-from carecontact.cli.machine import Finding, apt_line, check_assets, check_gl, check_packages, gl_backend
+from carecontact.cli.machine import Finding, apt_line, check_assets, check_gl, check_packages, check_tissue, gl_backend
+from carecontact.kernel import binary, found
 
 
 @pytest.mark.parametrize(
@@ -51,6 +52,27 @@ def test_shipped_assets_match_their_provenance() -> None:
     told = finding.detail.split(", ")
     assert {"bodies/man-adult.npz", "bodies/man-adult.skin.png", "bodies/woman-old-heavy.npz"} < set(told)
     assert told[-1] == "panda/panda.npz"
+
+
+def test_the_compiled_tissue_loads_and_says_what_it_is() -> None:
+    finding = check_tissue()
+    assert finding.fine, finding.detail
+    assert finding.detail.endswith(f"sha256 {found.sha256()[:12]}; it loads")
+
+
+def test_a_stale_tissue_is_told_with_the_command_that_compiles_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(binary, "FLAGS", (*binary.FLAGS, "-O2"))
+    finding = check_tissue()
+    assert not finding.fine
+    assert "does not belong to the C sources beside it" in finding.detail
+    assert finding.fix == found.making()
+
+
+def test_a_tissue_that_does_not_load_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "TISSUE_PROBE", "raise OSError('no such symbol')")
+    finding = check_tissue()
+    assert not finding.fine
+    assert finding.detail.endswith("OSError: no such symbol")
 
 
 @pytest.mark.parametrize(("fine", "status"), [(True, 0), (False, 1)])

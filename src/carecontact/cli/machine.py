@@ -53,6 +53,7 @@ import mediapipe, numpy
 with mediapipe.solutions.pose.Pose(static_image_mode=True, model_complexity=1) as pose:
     pose.process(numpy.zeros((480, 640, 3), numpy.uint8))
 """
+TISSUE_PROBE = "from carecontact.kernel.library import load; load()"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +72,7 @@ def findings() -> Iterator[Finding]:
     for check in (
         check_python,
         check_packages,
+        check_tissue,
         check_gl,
         check_frame,
         check_pose,
@@ -100,6 +102,18 @@ def check_packages() -> Finding:
         lines = [f"{sys.executable} -m pip install {PACKAGES[package]}" for package in absent]
         return Finding(name="packages", fine=False, detail=f"not installed: {', '.join(absent)}", fix="; ".join(lines))
     return Finding(name="packages", fine=True, detail=", ".join(f"{name} {version}" for name, version in found.items()))
+
+
+def check_tissue() -> Finding:
+    """Load the compiled tissue, and say what it was made of."""
+    from carecontact.kernel import binary, found
+
+    if problem := found.problem():
+        what, command = problem
+        return Finding(name="tissue", fine=False, detail=f"the compiled tissue {what}", fix=command)
+    made = f"compiled for MuJoCo {binary.MUJOCO} and {binary.platform_here()}, sha256 {found.sha256()[:12]}"
+    fault = _probe(TISSUE_PROBE, environment={})
+    return Finding(name="tissue", fine=fault is None, detail=f"{made}; {fault or 'it loads'}")
 
 
 def loads(library: str) -> bool:

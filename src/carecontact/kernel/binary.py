@@ -58,7 +58,7 @@ def platform_here() -> str:
     """Name of the machine's platform, in PLATFORMS or not."""
     system = {"darwin": "macos"}.get(sys.platform, sys.platform)
     machine = platform.machine().lower()
-    return f"{system}-{ {'amd64': 'x86_64'}.get(machine, machine) }"
+    return f"{system}-{'x86_64' if machine == 'amd64' else machine}"
 
 
 def library_file(name: str) -> Path:

@@ -26,7 +26,7 @@ def install_line(*, held: Mapping[str, str], now: Mapping[str, str]) -> str:
 
 
 def _requirement(name: str, version: str | None) -> str:
-    return f"carecontact-{version}-py3-none-any.whl" if name == "carecontact" else f"{name}=={version}"
+    return f"carecontact-{version}-*.whl" if name == "carecontact" else f"{name}=={version}"
 
 
 def damaged(content: bytes) -> str:

@@ -28,6 +28,9 @@ SOLVER_WARNINGS = (
     mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL, mujoco.mjtWarning.mjWARN_INERTIA,
 )  # fmt: skip
 
+UNSOLVED_M = 1e-5
+"""The tissue counts as unsolved where a vertex still moved farther than this in the solver's last sweep."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Settled:
@@ -89,6 +92,7 @@ class Simulation:
         """What commands the robot, once in every target period."""
         self.normal_sum_truncated = False
         """Whether a segment had more contacts at once than its normal sensor has slots."""
+        self._unsolved = False
         self._steps = 0
         self._until_target = 0
 
@@ -258,7 +262,8 @@ class Simulation:
         self.start()
 
     def solver_warnings(self) -> list[str]:
-        return [w.name.removeprefix("mjWARN_") for w in SOLVER_WARNINGS if self.data.warning[w].number > 0]
+        found = [w.name.removeprefix("mjWARN_") for w in SOLVER_WARNINGS if self.data.warning[w].number > 0]
+        return found + ["TISSUE"] * self._unsolved
 
     def integration_state(self) -> F64:
         """The state from which the run can be continued bit for bit, given the model with its gains and rest angles."""
@@ -271,6 +276,7 @@ class Simulation:
         _, values = self.history.last(self.data, count)
         self.normal_sum_truncated |= self._read.overfull(values)
         felt = np.stack([tissue.last(self.data, count) for tissue in self.tissue.values()], 1)
+        self._unsolved |= bool((felt["left_m"] > UNSOLVED_M).any())
         return self._read.samples((self._steps + np.arange(count)) * self.model.opt.timestep, values, felt)
 
 

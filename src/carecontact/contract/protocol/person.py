@@ -9,6 +9,9 @@ from pydantic import Field, model_validator
 from carecontact.contract.protocol.section import Length, Positive, Section
 from carecontact.contract.protocol.task import RegionName
 
+LARGEST_CONTACT = 300
+"""Of ``contact_n_m3`` over ``a_n_m3``."""
+
 
 class Tissue(Section):
     """One region's shell. Area-specific anchor law p = a x + b x |x| + c x^3 for inward displacement x."""
@@ -44,6 +47,16 @@ class Tissue(Section):
     indenter's travel is more, since the contact gives way too."""
     friction: Annotated[float, Field(gt=0, le=2)]
     source: Annotated[str, Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _solvable(self) -> Self:
+        """The solver was tried with a layer of contact up to LARGEST_CONTACT times as stiff as the anchors."""
+        if self.contact_n_m3 > LARGEST_CONTACT * self.a_n_m3:
+            raise ValueError(
+                f"contact_n_m3 {self.contact_n_m3:g} is too stiff to be solved with a_n_m3 {self.a_n_m3:g}: expected "
+                f"at most {LARGEST_CONTACT} a = {LARGEST_CONTACT * self.a_n_m3:g}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _convex(self) -> Self:

@@ -12,6 +12,11 @@
 
 static const double LARGEST = 5e-4;  // [m] a vertex in contact moves no farther in one sweep
 
+// Where a point leaves or enters contact, a full step can throw its neighbours to and fro: after so many sweeps a vertex
+// in contact makes only part of each.
+static const int PATIENCE = 12;
+static const double CAUTION = 0.5;
+
 // Pressure and friction of a contact for the displacements as they stand; returns the share of the friction layer's
 // stiffness that is left: 1 where it sticks.
 static double respond(const Region* r, const Law* law, Contact* c) {
@@ -96,7 +101,7 @@ static void prepare(Region* r, const State* s, const Law* law, int i, double dt)
 }
 
 // Moves one vertex to where its forces balance; returns the largest change of its unknowns.
-static double relax(Region* r, const Law* law, int i) {
+static double relax(Region* r, const Law* law, int i, double share) {
   const Vertex* v = r->vertex + i;
   const Balance* b = r->balance + i;
   double *u = r->u + 3 * i, around[3] = {0, 0, 0}, x[3];
@@ -111,9 +116,8 @@ static double relax(Region* r, const Law* law, int i) {
   double B[6] = {stiff, 0, 0, b->tangential, 0, b->tangential};
   if (r->moves[i] == CLOSE && add_contacts(r, law, v, g, B)) {
     solve3(B, g, x);
-    double size = most3(x);
-    if (size > LARGEST)
-      for (int j = 0; j < 3; j++) x[j] *= LARGEST / size;
+    double size = most3(x), part = size > LARGEST ? LARGEST / size : share;
+    for (int j = 0; j < 3; j++) x[j] *= part;
   } else {
     x[0] = g[0] / stiff;
     x[1] = g[1] * b->over;
@@ -135,8 +139,9 @@ void solve(Region* r, const State* s, const Law* law, double dt, double toleranc
   int sweep = 0;
   double worst = 0;
   while (sweep < sweeps) {
+    double share = sweep < PATIENCE ? 1 : CAUTION;
     worst = 0;
-    for (int k = 0; k < r->nwindow; k++) worst = most(worst, relax(r, law, r->window[k]));
+    for (int k = 0; k < r->nwindow; k++) worst = most(worst, relax(r, law, r->window[k], share));
     sweep++;
     if (worst < tolerance) break;
   }

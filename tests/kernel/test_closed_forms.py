@@ -1,0 +1,116 @@
+"""The compiled tissue against closed forms of foundations: Winkler's springs, Pasternak's sheet, Coulomb's friction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import k0, k1
+
+from tests.kernel.sheets import CYLINDER, SPHERE, Sheet, sheet, tissue
+
+
+def test_a_flat_disc_on_independent_springs() -> None:
+    """Every point under it gives way alike; the contact layer is in series."""
+    law = tissue(a_n_m3=1e6, contact_n_m3=4e6)
+    made = Sheet(law, sheet(spacing_m=0.0025), bottom_m=0.02, type=CYLINDER, size=[0.02, 0.02, 0])
+    row = made.hold(0.003)
+    assert row["force_n"][2] == pytest.approx(-0.8e6 * 0.003 * np.pi * 0.02**2, rel=0.02)
+    assert row["area_m2"] == pytest.approx(np.pi * 0.02**2, rel=0.06), "its rim is rounded, and the mesh has triangles"
+    middle = np.linalg.norm(made.felt.places, axis=1) < 0.01
+    np.testing.assert_allclose(made.felt.displacement(made.data)[middle, 0], 0.8 * 0.003, rtol=3e-3)
+
+
+@pytest.mark.parametrize(("b", "c"), [(0.0, 0.0), (2e8, 0.0), (0.0, 5e10), (-1e8, 3e10)])
+def test_a_sphere_on_independent_springs(b: float, c: float) -> None:
+    """F = 2 pi times the integral of r p(w(r)), w being how deep the sphere lies."""
+    # Friction keeps the sheet from sliding off the sphere's slope, as the closed form has it.
+    law = tissue(a_n_m3=1e6, b_n_m4=b, c_n_m5=c, friction=2.0)
+    radius, depth = 0.02, 0.004
+    made = Sheet(law, sheet(half_m=0.03, spacing_m=0.0015), bottom_m=radius, type=SPHERE, size=[radius, 0, 0])
+    r = np.linspace(0, np.sqrt(2 * radius * depth - depth**2), 4001)
+    w = np.sqrt(radius**2 - r**2) - (radius - depth)
+    pressure = 1e6 * w + b * w**2 + c * w**3
+    wanted = 2 * np.pi * np.trapezoid(r * pressure, r)
+    # The layer of contact, a thousand times as stiff, gives way by 0.1 %; the rest is the mesh.
+    assert -made.hold(depth)["force_n"][2] == pytest.approx(wanted, rel=0.02)
+
+
+def test_a_flat_disc_on_a_sheet_that_spreads_the_load() -> None:
+    """Pasternak: under the disc springs, outside w = depth K0(r/l) / K0(R/l), and a line load at the rim.
+
+    The rim is rounded with 2 mm: at this depth the sheet leaves it about 1 mm inside.
+    """
+    length, radius, depth = 0.006, 0.040, 0.0005
+    law = tissue(a_n_m3=1e6, coupling_length_m=length)
+    made = Sheet(
+        law, sheet(half_m=0.065, spacing_m=0.0025), bottom_m=0.02, type=CYLINDER, size=[radius + 0.001, 0.02, 0]
+    )
+    wanted = 1e6 * depth * (np.pi * radius**2 + 2 * np.pi * radius * length * k1(radius / length) / k0(radius / length))
+    assert -made.hold(depth)["force_n"][2] == pytest.approx(wanted, rel=0.08)
+    u, places = made.felt.displacement(made.data)[:, 0], made.felt.places
+    r = np.linalg.norm(places[:, :2], axis=1)
+    outside = (r > radius + 0.004) & (r < radius + 0.010)
+    np.testing.assert_allclose(u[outside], depth * k0(r[outside] / length) / k0(radius / length), atol=0.08 * depth)
+
+
+def test_the_dimple_of_a_point_is_the_green_function_of_the_screened_poisson_equation() -> None:
+    """w(r) = P / (2 pi G) K0(r / l) beyond the small disc that presses."""
+    length = 0.004
+    law = tissue(a_n_m3=1e6, coupling_length_m=length)
+    made = Sheet(law, sheet(half_m=0.04, spacing_m=0.001), bottom_m=0.02, type=CYLINDER, size=[0.002, 0.02, 0])
+    load = -made.hold(0.002)["force_n"][2]
+    r = np.linalg.norm(made.felt.places[:, :2], axis=1)
+    ring = (r > 0.004) & (r < 0.012)
+    wanted = load / (2 * np.pi * 1e6 * length**2) * k0(r[ring] / length)
+    np.testing.assert_allclose(made.felt.displacement(made.data)[ring, 0], wanted, rtol=0.06)
+
+
+def test_friction_sticks_as_the_anchors_and_their_layer_then_slips_at_its_coefficient() -> None:
+    law = tissue(a_n_m3=1e6, contact_n_m3=4e6, friction=0.4)
+    made = Sheet(law, sheet(spacing_m=0.0025), bottom_m=0.02, type=CYLINDER, size=[0.02, 0.02, 0])
+    pressed = made.hold(0.003)
+    push = -pressed["force_n"][2]
+    # Slowly enough that dampers bear nothing: 0.2 mm in 2 s, then on.
+    stick = made.move(np.stack([np.linspace(0, 2e-4, 1000), np.full(1000, -0.003)], 1))[-1]
+    # The rim is rounded: there the points bear less and slip first.
+    assert stick["force_n"][0] == pytest.approx(0.8e6 * 2e-4 * pressed["area_m2"], rel=0.05)
+    slip = made.move(np.stack([np.linspace(2e-4, 0.01, 3000), np.full(3000, -0.003)], 1))[-1]
+    assert slip["force_n"][0] == pytest.approx(0.4 * push, rel=0.04)
+    assert slip["normal_n"] == pytest.approx(push, rel=0.03)
+
+
+def test_without_friction_nothing_is_dragged() -> None:
+    law = tissue(friction=1e-9, contact_n_m3=5e7)
+    made = Sheet(law, sheet(), bottom_m=0.02, type=CYLINDER, size=[0.02, 0.02, 0])
+    made.hold(0.002)
+    # A slow slide: the dampers of the dimple that moves along bear 2 % of the press.
+    row = made.move(np.stack([np.linspace(0, 0.005, 2000), np.full(2000, -0.002)], 1))[-1]
+    assert abs(row["force_n"][0]) < 0.03 * row["normal_n"]
+    assert abs(row["force_n"][1]) < 1e-3 * row["normal_n"]
+
+
+def test_a_press_relaxes_with_the_time_constant_of_its_dampers() -> None:
+    """Held at a depth after a fast press, the force of a Kelvin-Voigt bed falls at once to that of its springs; let go,
+    the sheet comes back with D / a."""
+    law = tissue(a_n_m3=1e6, damping_ns_m3=1e5)
+    made = Sheet(law, sheet(), bottom_m=0.02, dt_s=0.001, type=CYLINDER, size=[0.02, 0.02, 0])
+    made.hold(0.003, steps=2000)
+    start = made.felt.displacement(made.data)[:, 0].max()
+    steps = 100
+    made.move(np.tile([0.0, 0.05], (steps, 1)))
+    left = made.felt.displacement(made.data)[:, 0].max() / start
+    assert left == pytest.approx(np.exp(-steps * 0.001 / 0.1), rel=0.03)
+
+
+def test_damping_that_grows_with_indentation() -> None:
+    """While a heavy disc sinks at a constant speed, the dampers bear (d + d' w) v per area."""
+    speed, fields = 0.05, {"a_n_m3": 1e5, "damping_ns_m3": 1e4, "contact_n_m3": 3e7}
+    for growth in (0.0, 1e7):
+        law = tissue(**fields, damping_growth_ns_m4=growth)
+        made = Sheet(law, sheet(spacing_m=0.0025), bottom_m=0.02, dt_s=0.0005, type=CYLINDER, size=[0.02, 0.02, 0])
+        path = np.arange(0.0005, -0.004, -speed * 0.0005)
+        row = made.move(np.stack([np.zeros(len(path)), path], 1))[-1]
+        middle = np.linalg.norm(made.felt.places, axis=1) < 0.01
+        u, rate = (of(made.data)[middle, 0].mean() for of in (made.felt.displacement, made.felt.rate))
+        wanted = (1e5 * u + (1e4 + growth * u) * rate) * np.pi * 0.02**2
+        assert -row["force_n"][2] == pytest.approx(wanted, rel=0.08)
