@@ -23,10 +23,9 @@ coupling_length_m = 0.0
 membrane_n_m = 0.0
 damping_ns_m3 = 2e4
 areal_mass_kg_m2 = 12.0
-spacing_m = 0.008
+contact_n_m3 = 5e7
+spacing_m = 0.005
 coarse_spacing_m = 0.020
-off_target_spacing_m = 0.028
-off_target_scale = 0.3
 thickness_m = 0.018
 measured_depth_m = 0.006
 friction = 0.5
@@ -53,7 +52,8 @@ def test_every_row_tells_its_source_and_measured_range(name: str) -> None:
     for row in rows.values():
         assert len(row.source) > 40
         assert 0.002 < row.measured_depth_m < row.thickness_m
-        assert row.spacing_m <= 0.008
+        assert row.spacing_m == 0.005
+        assert 2.3e7 < row.contact_n_m3 < 6.7e7
         # Three times critical: 2 sqrt(a m) is critical per area.
         assert row.damping_ns_m3 == pytest.approx(6 * (row.a_n_m3 * row.areal_mass_kg_m2) ** 0.5, rel=0.03)
 
@@ -121,6 +121,8 @@ def test_the_documents_symbol_table_has_the_shipped_forearm() -> None:
         ({"measured_depth_m": 0.19}, "no press went into the bone"),
         ({"friction": 50.0}, "less than or equal to 2"),
         ({"source": ""}, "at least 1 character"),
+        ({"b_n_m4": -5e8, "c_n_m5": 1e10}, "makes the law soften under load"),
+        ({"damping_growth_ns_m4": -1.0}, "greater than or equal to 0"),
     ],
 )
 def test_a_row_that_no_skin_has_is_refused(change: dict[str, Any], message: str) -> None:
