@@ -70,8 +70,8 @@ class Press:
     force_n: Array
     """(n,) along the indenter's axis, positive when the tissue pushes it out"""
     anchor_m: Array
-    """(n,) largest inward displacement of an anchor. The contact layer lets it stay behind the travel, and it may lead by
-    the height of a vertex over its triangles' middles."""
+    """(n,) largest inward displacement of an anchor. The contact layer lets it stay behind the travel; it leads where a
+    vertex stands above its triangles' middles, which carry the contact."""
     loading: npt.NDArray[np.bool_]
     """(n,) moving inward"""
 
@@ -286,6 +286,10 @@ class Bench:
         )
         return press.at_depths(np.asarray(depths_m), zero_n=zero_n)
 
+    def displacement(self) -> Array:
+        """(N, 3) of the shell's vertices at the end of the last press: inward, and along two tangents [m]."""
+        return self._felt.displacement(self._data).copy()
+
     def skin(self) -> tuple[Array, Array]:
         """The surface at the end of the last press: (n,) distance of its vertices from the indenter's axis before the
         press, and (n,) how far each has moved inward along that axis [m]. Of the side that is pressed."""
@@ -300,7 +304,7 @@ class Bench:
         return distance[facing], (moved @ inward)[facing]
 
     def anchor_force(self) -> Array:
-        """(3,) what the springs and dampers of all anchors bear at the end of the last press, in the bone's frame [N]."""
+        """(3,) what the anchors' springs and dampers bear at the end of the last press, in the bone's frame [N]."""
         law, u = self.tissue, self._felt.displacement(self._data)
         spring = law.a_n_m3 * u
         spring[:, 0] += (law.b_n_m4 * np.abs(u[:, 0]) + law.c_n_m5 * u[:, 0] ** 2) * u[:, 0]
