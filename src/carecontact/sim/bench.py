@@ -127,6 +127,7 @@ class Bench:
         dt_s: implicitfast solves contacts as if the vertices were undamped: with the shipped damping, a fast retreat
             needs 1 ms (2 ms let go of the indenter after the turn) and a mesh twice as fine 0.5 ms.
         shell: of this body, region and tissue, if it is there already.
+        glides: whether the indenter has a second slide, ``indenter_along``, on which it can be moved along the region.
     """
 
     def __init__(
@@ -138,6 +139,7 @@ class Bench:
         indenter: Indenter,
         dt_s: float = 0.002,
         shell: Shell | None = None,
+        glides: bool = False,
     ) -> None:
         self.body, self.region, self.indenter = body, region, indenter
         self.shell = shell or region_shell(body, region, tissue)
@@ -154,7 +156,7 @@ class Bench:
         # The membrane is not part of the law.
         unit = tissue.model_copy(update=dict.fromkeys(LAW_FIELDS, 1.0))
         made = add_tissue(spec, body, region, self.shell, unit)
-        _add_indenter(spec, indenter)
+        _add_indenter(spec, indenter, glides=glides)
         spec.add_sensor(
             name="force", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname="indenter",
             reftype=mujoco.mjtObj.mjOBJ_XBODY, refname=body_name(segment), intprm=[2, 3, 1],
@@ -404,10 +406,12 @@ class Bench:
         return inside, direction
 
 
-def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter) -> None:
+def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter, *, glides: bool) -> None:
     """A mocap carriage, whose pose aims the press, and on it a heavy body on one slide; its tip is at the origin."""
     carriage = spec.worldbody.add_body(name="carriage", mocap=True)
     probe = carriage.add_body(name="indenter", mass=INDENTER_MASS_KG, explicitinertial=True, inertia=[1.0, 1.0, 1.0])
+    if glides:
+        probe.add_joint(name="indenter_along", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
     probe.add_joint(name="indenter", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, -1])
     common = {"contype": 1, "conaffinity": 0, "condim": 3, "mass": 0}
     size = indenter.size_m or 0.0

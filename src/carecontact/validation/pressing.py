@@ -9,9 +9,11 @@ from carecontact.validation.subject import Subject
 from carecontact.world.human.tissue import anchor_joints
 
 
-def person_bench(subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None) -> Bench:
+def person_bench(
+    subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None, glides: bool = False
+) -> Bench:
     """A bench with the stiffness, damping, mass and contact of the compiled person, whatever the protocol says."""
-    bench = declared_bench(subject, region, indenter, dt_s=dt_s)
+    bench = declared_bench(subject, region, indenter, dt_s=dt_s, glides=glides)
     there, here = subject.scene(region).model, bench.model
     for j in anchor_joints(there, region):
         joint = here.joint(there.joint(j).name)
@@ -31,12 +33,14 @@ def person_bench(subject: Subject, region: str, indenter: Indenter, *, dt_s: flo
     return bench
 
 
-def declared_bench(subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None) -> Bench:
+def declared_bench(
+    subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None, glides: bool = False
+) -> Bench:
     """A bench with the law that the protocol declares, on the person's own mesh."""
     scene = subject.scene(region)
     return Bench(
         body=scene.body, region=region, tissue=subject.tissue(region), indenter=indenter,
-        dt_s=dt_s or subject.protocol.physics.dt_s, shell=scene.regions[region].shell,
+        dt_s=dt_s or subject.protocol.physics.dt_s, shell=scene.regions[region].shell, glides=glides,
     )  # fmt: skip
 
 
