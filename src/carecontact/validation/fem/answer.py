@@ -48,7 +48,7 @@ class Drag:
 
     def at(self, ways_m: ArrayLike) -> Array:
         """Force against the motion, of the input's shape."""
-        return np.asarray(np.interp(ways_m, self.way_m, self.force_n))
+        return np.interp(np.asarray(ways_m, np.float64), self.way_m, self.force_n)
 
 
 @dataclass(frozen=True, kw_only=True)
