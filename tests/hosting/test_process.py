@@ -108,7 +108,7 @@ def test_a_conversation(launch: Launch) -> None:
             "died",
             r"act: its process ended itself without an answer, exit code 0\nit printed last:\nlast words$",
         ),
-        ("os.kill(os.getpid(), 9)", "died", "act: its process was killed by SIGKILL without an answer$"),
+        ("os.kill(os.getpid(), 9)", "killed", "act: its process was killed by SIGKILL without an answer$"),
         (
             "os.kill(os.getpid(), 11)",
             "died",

@@ -176,6 +176,15 @@ class PolicyProcess(PolicyConversation):
                 text = text.replace(value, "[secret removed]")
         return super()._shown(text)
 
+    def _kind(self, error: PolicyError) -> str:
+        """``killed`` if somebody sent the process SIGKILL, which tells nothing about who."""
+        if self._child is None or error.kind not in ("died", "start", "handshake"):
+            return error.kind
+        with suppress(subprocess.TimeoutExpired):
+            if self._child.wait(GRACE_S) == -signal.SIGKILL:
+                return "killed"
+        return error.kind
+
     def _how_it_ended(self, when: str = "without an answer") -> str:
         if self._child is None:
             return ""

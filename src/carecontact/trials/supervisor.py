@@ -23,6 +23,7 @@ from carecontact.recording.storage import no_space
 from carecontact.runs.alone import alone
 from carecontact.runs.identity import Identity, identity_of
 from carecontact.runs.manifest import MANIFEST, Purpose, Survey, salted, survey, write_manifest
+from carecontact.trials.lost import Losses
 from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
 from carecontact.trials.workers import ROOM_BYTES, WORKER_COMMAND, Workers
@@ -74,7 +75,8 @@ def run_trials(
 ) -> RunSummary:
     """Run what is missing in ``out``, ``jobs`` trials at once; every trial has a recording afterwards.
 
-    A worker that dies without a recording gets one that says how it died. If a policy's server stays out of reach, no
+    A trial of which a signal killed a process is run once more (``trials.lost``). A worker that dies without a
+    recording gets one that says how it died. If a policy's server stays out of reach, no
     further trial begins; those that run end, and those that did not begin have no recording. On KeyboardInterrupt the
     workers are killed and finished trials stay.
 
@@ -108,7 +110,7 @@ def run_trials(
                 weights=weights,
                 command=worker_command,
                 trial_limit_s=trial_limit_s,
-                repeated=found.repeated,
+                losses=Losses(setup, out=out, before=found.killed),
             )
             try:
                 run = _Run(specs, found, workers, on_event)
@@ -185,7 +187,7 @@ class _Run:
             if recording is None:
                 if self._full is None:
                     self._waiting.insert(0, spec)
-                self._report("redo", spec.trial_id, message=f"{done.lost} while the policy was running")
+                self._report("redo", spec.trial_id, message=done.lost)
                 continue
             header = recording.header
             self.ended[spec.trial_id] = header.ended

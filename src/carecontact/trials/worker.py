@@ -64,6 +64,7 @@ def _run() -> None:
     from carecontact.recording import write_recording
     from carecontact.recording.storage import is_full
     from carecontact.trials.failed import harness_error_recording, tail
+    from carecontact.trials.lost import ANSWERS, digest_of
     from carecontact.trials.request import TrialRequest
 
     request = TrialRequest.model_validate_json(sys.stdin.buffer.read())
@@ -80,6 +81,8 @@ def _run() -> None:
     def look(look: Look) -> None:
         from carecontact.trials.first_answer import look_at
 
+        with request.out.with_name(ANSWERS).open("ab") as answers:
+            answers.write(digest_of(look.actions))
         note = request.out.with_name(FIRST_ANSWER)
         if not note.exists():
             found = look_at(look.actions, look.observation)

@@ -24,8 +24,9 @@ from carecontact.hosting.isolation.private_folder import remove_abandoned_folder
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.schema import Recording
-from carecontact.runs.manifest import FAILED, KILLED, KILLED_AGAIN
-from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, tail
+from carecontact.runs.manifest import FAILED, KILLED
+from carecontact.trials.failed import harness_error_recording, tail
+from carecontact.trials.lost import ANSWERS, Losses, is_policy_killed
 from carecontact.trials.request import TrialRequest
 from carecontact.trials.worker import FIRST_ANSWER, POLICY_RUNS, SINGLE_THREAD, UNREACHED, UNSTORED, WAITING
 
@@ -77,11 +78,9 @@ class Workers:
     weights: Path | None
     command: Sequence[str]
     trial_limit_s: float
-    repeated: frozenset[str] = frozenset()
-    """Trials whose process was killed when an earlier command ran them."""
+    losses: Losses
+    """Trials that this command or an earlier one lost to a signal."""
     running: list[_Worker] = field(default_factory=list[_Worker])
-    again: set[str] = field(default_factory=set[str])
-    """Trials whose process was lost once while their policy ran."""
 
     def has_room(self) -> bool:
         """Whether one more recording can be stored beside those of the trials that run."""
@@ -140,8 +139,8 @@ class Workers:
                 worker.process.returncode, timed_out=timed_out, stopped=stopped, limit_s=self.trial_limit_s
             )
             recording = self._collected(worker, kind, death, policy_ran=policy_ran)
-            if recording is None:
-                done.append(Ended(spec=worker.spec, recording=None, lost=death))
+            if isinstance(recording, str):
+                done.append(Ended(spec=worker.spec, recording=None, lost=recording))
                 continue
             os.replace(worker.partial, self.out / f"{worker.spec.trial_id}.h5")
             self._keep_log(worker, recording)
@@ -169,33 +168,25 @@ class Workers:
         note = worker.partial.with_name(UNREACHED)
         return note.read_text() if self.policy.ref.kind == "remote" and note.is_file() else None
 
-    def _collected(self, worker: _Worker, kind: str, message: str, *, policy_ran: bool) -> Recording | None:
-        """Return the recording in ``worker.partial``, writing one if the worker left none; None to run it again."""
-        try:
-            # A complete file counts even if the interpreter then crashed, as graphics drivers do while it shuts down.
-            recording = read_recording(worker.partial)
-            if recording.header.spec == worker.spec:
-                return recording
-            problem = f"the worker recorded another trial, {recording.header.spec.trial_id}"
-        except RecordingError as error:
-            problem = str(error)
+    def _collected(self, worker: _Worker, kind: str, death: str, *, policy_ran: bool) -> Recording | str:
+        """Return the recording, then in ``worker.partial`` whoever wrote it, or why the trial has to run once more."""
+        found, problem = _read(worker)
+        answers = _answers(worker)
         if kind == "no_recording":
-            message += f": {problem}"
-        evidence = f"\n\n{tail(worker.output.read_text(errors='replace')) or '(no output)'}"
-        if not policy_ran or kind == "timeout":
-            if kind == KILLED and worker.spec.trial_id in self.repeated:
-                kind = KILLED_AGAIN
-            recording = harness_error_recording(worker.spec, kind=kind, message=message + evidence)
-        elif worker.spec.trial_id not in self.again:
-            # Chance, such as a machine out of memory, does not come twice at the same place; a policy that kills
-            # does, and must not be able to leave its bad trials out of the count.
-            self.again.add(worker.spec.trial_id)
-            return None
+            death += f": {problem}"
+        if found is not None and not is_policy_killed(found.header):
+            outcome = self.losses.counted(found, answers)
+        elif found is not None:
+            outcome = self.losses.policy_killed(found, answers)
+        elif policy_ran and kind != "timeout":
+            outcome = self.losses.died_with_policy(worker.spec, answers, death, _evidence(worker))
+        elif kind == KILLED:
+            outcome = self.losses.died(worker.spec, answers, death, _evidence(worker))
         else:
-            message = f"{message} while the policy was running, in both attempts{evidence}"
-            recording = killed_by_policy_recording(worker.spec, message=message)
-        write_recording(recording, worker.partial)
-        return recording
+            outcome = harness_error_recording(worker.spec, kind=kind, message=death + _evidence(worker))
+        if isinstance(outcome, Recording) and outcome is not found:
+            write_recording(outcome, worker.partial)
+        return outcome
 
     def _keep_log(self, worker: _Worker, recording: Recording) -> None:
         trial_id, failure = worker.spec.trial_id, recording.header.failure
@@ -208,6 +199,28 @@ class Workers:
         printed = f"\nthe trial's process printed:\n{output}\n" if output else ""
         worker.output.write_text(head + printed, errors="replace")
         os.replace(worker.output, log)
+
+
+def _read(worker: _Worker) -> tuple[Recording | None, str]:
+    """Return the trial's recording, or None and what is wrong with it."""
+    try:
+        # A complete file counts even if the interpreter then crashed, as graphics drivers do while it shuts down.
+        recording = read_recording(worker.partial)
+    except RecordingError as error:
+        return None, str(error)
+    if recording.header.spec == worker.spec:
+        return recording, ""
+    return None, f"the worker recorded another trial, {recording.header.spec.trial_id}"
+
+
+def _answers(worker: _Worker) -> bytes:
+    with suppress(FileNotFoundError):
+        return worker.partial.with_name(ANSWERS).read_bytes()
+    return b""
+
+
+def _evidence(worker: _Worker) -> str:
+    return f"\n\n{tail(worker.output.read_text(errors='replace')) or '(no output)'}"
 
 
 def _warnings(worker: _Worker) -> tuple[str, ...] | None:
