@@ -22,6 +22,8 @@ from carecontact.recording.reader import read_verified
 
 TRIALS, KILLS, HANGUPS = 12, 15, 2
 """Even: half of the trials are of one task, half of another."""
+PAUSE_S = (0.3, 6.0)
+"""Between two attacks: a trial takes some 4 s, and two run at once."""
 GONE_S = 1.0
 """After the death of the command."""
 
@@ -104,7 +106,7 @@ class Attack:
         seen, terminal = set[Process](), Terminal(command(self.out, self.trials))
         self.commands += 1
         pid = terminal.running.pid
-        while not terminal.wait(self.rng.uniform(0.3, 2.0)):
+        while not terminal.wait(self.rng.uniform(*PAUSE_S)):
             if self.kills + self.hangups == 0 or not (found := tree(pid)):
                 continue
             seen |= set(found)

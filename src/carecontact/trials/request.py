@@ -26,6 +26,8 @@ class TrialRequest(BaseModel):
     """Recording to write."""
     weights: Path | None = None
     """Folder with the weights of the protocol's segmenter."""
+    pace_s: float | None = None
+    """Wall time [s] for each control period, as the policy sees it."""
     phase_fd: int | None = None
     """File descriptor to which the worker reports when its policy runs."""
     supervisor: int | None = None

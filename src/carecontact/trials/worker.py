@@ -92,8 +92,9 @@ def _run() -> None:
         from carecontact.trials.trial import run_trial
 
         recording = run_trial(
-            request.spec, policy=request.policy, weights=request.weights, on_look=look, on_policy=tell, on_wait=wait
-        )
+            request.spec, policy=request.policy, weights=request.weights, pace_s=request.pace_s,
+            on_look=look, on_policy=tell, on_wait=wait,
+        )  # fmt: skip
         write_recording(recording, request.out)
     except UnreachableError as error:
         request.out.with_name(UNREACHED).write_text(str(error))

@@ -76,6 +76,7 @@ class Workers:
     """Folder for what is not finished."""
     policy: PolicySetup
     weights: Path | None
+    pace_s: float | None
     command: Sequence[str]
     trial_limit_s: float
     losses: Losses
@@ -107,7 +108,7 @@ class Workers:
             os.close(phase_fd)
         request = TrialRequest(
             spec=spec, policy=self.policy, out=partial.resolve(), weights=self.weights, phase_fd=phase_fd,
-            supervisor=os.getpid(),
+            supervisor=os.getpid(), pace_s=self.pace_s,
         )  # fmt: skip
         assert process.stdin is not None
         # A worker that is dead already is found so when it is polled.
