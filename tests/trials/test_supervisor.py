@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
@@ -53,7 +53,9 @@ class Bench:
     def log(self) -> Path:
         return self.folder / "ran.txt"
 
-    def run(self, trials: Sequence[TrialSpec], does: dict[str, str] | None = None, **options: Any) -> RunSummary:
+    def run(
+        self, trials: Sequence[TrialSpec], does: Mapping[str, str | list[str]] | None = None, **options: Any
+    ) -> RunSummary:
         self.events.clear()
         self.log.unlink(missing_ok=True)
         with pytest.MonkeyPatch.context() as patch:

@@ -1,0 +1,131 @@
+"""How well a policy can tell contact from the wall time between two acts, with and without a pace, as JSON.
+
+    python benchmarks/wall_time.py [--pace 0.4] [--tasks T1,T3,T5,T7] [--cameras overhead] [--load 0]
+
+The state machine's actions are played again one by one, by a policy in a process of its own that notes when it answers
+and when its next observation comes: it measures what any local policy can, to the microsecond. For each run: the area
+under the curve (AUC) of that time per control period against contact, within each trial, from the policy's own clock
+and from the times that the recordings hold; and, for the policy's, the medians with and without contact [ms].
+``--load`` keeps so many cores busy beside the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from carecontact.audit.wall_time import Separation, Times, separation, times_of
+from carecontact.contract.action import MAX_CHUNK
+from carecontact.hosting.setup import PolicySetup
+from carecontact.protocols import load_protocol
+from carecontact.recording import Recording, read_recording
+from carecontact.runs.plan import parse_tasks, plan_trials
+from carecontact.trials.supervisor import run_trials
+
+POLICY = """
+import json, os, time
+import numpy as np
+from carecontact.contract.action import Action
+from carecontact.contract.policy import PolicyCard
+
+class OneByOne:
+    def __init__(self, *, folder: str, cameras: str):
+        given = tuple(name for name in cameras.split(",") if name)
+        self.card = PolicyCard(name="one-by-one", modalities=("rgb",) if given else (), cameras=given)
+        self.folder, self.came, self.left = folder, [], []
+    def reset(self, instruction):
+        with open(os.path.join(self.folder, "actions.json")) as file:
+            self.name, self.actions = json.load(file)[instruction]
+    def act(self, observation):
+        self.came.append(time.perf_counter())
+        pose, stiffness = self.actions[len(self.left)]
+        done = len(self.left) + 1 == len(self.actions)
+        if done:
+            between = np.subtract(self.came[1:], self.left).tolist()
+            with open(os.path.join(self.folder, f"{self.name}.json"), "w") as file:
+                json.dump(between, file)
+        target = None if pose is None else np.array(pose)
+        action = Action(pose_tcp_in_base=target, stiffness=tuple(stiffness), done=done)
+        self.left.append(time.perf_counter())
+        return action
+"""
+
+
+def actions_of(recording: Recording) -> list[tuple[list[float] | None, list[float]]]:
+    poses, stiffness = recording["actions/pose_tcp_in_base"], recording["actions/stiffness"]
+    kept = [None if np.isnan(pose).any() else pose.tolist() for pose in poses]
+    return list(zip(kept, stiffness.tolist(), strict=True))[:MAX_CHUNK]
+
+
+def told(found: Separation) -> dict[str, float]:
+    return {"auc": round(found.auc, 3), "standard_errors": round(found.z, 1)}
+
+
+def measured(folder: Path, notes: Path) -> dict[str, object]:
+    """Of the trials in ``folder``, whose policy wrote into ``notes``."""
+    seen: list[Times] = []
+    kept: list[Times] = []
+    late = 0
+    for path in sorted(folder.glob("*.h5")):
+        recording = read_recording(path)
+        times = times_of(recording)
+        kept.append(times)
+        late += int(recording.arrays.get("wall/pace", np.zeros(2))[1])
+        between = np.array(json.loads((notes / f"{recording.header.spec.task_id}.json").read_text()))
+        seen.append(replace(times, per_period_s=between[: len(times.contact)]))
+    both = {word: np.concatenate([t.per_period_s[t.contact == yes] for t in seen]) for word, yes in
+            (("contact", True), ("no contact", False))}  # fmt: skip
+    return {
+        "policy": told(separation(seen)), "recording": told(separation(kept)), "late": late,
+        "intervals": {word: len(values) for word, values in both.items()},
+        "median_ms": {word: round(1000 * float(np.median(values)), 3) for word, values in both.items()},
+        "p95_ms": {word: round(1000 * float(np.percentile(values, 95)), 3) for word, values in both.items()},
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pace", type=float, default=0.4)
+    parser.add_argument("--tasks", default="T1,T3,T5,T7")
+    parser.add_argument("--cameras", default="overhead")
+    parser.add_argument("--load", type=int, default=0)
+    given = parser.parse_args()
+    protocol = load_protocol()
+    tasks = parse_tasks(given.tasks, protocol=protocol)
+    found: dict[str, object] = {"pace_s": given.pace, "tasks": tasks, "cameras": given.cameras, "load": given.load}
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(given.load)]
+    try:
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place)
+            (folder / "notes").mkdir()
+            (folder / "one_by_one.py").write_text(POLICY)
+            first = plan_trials(protocol=protocol, policy="state-machine", tasks=tasks, seeds=[0])
+            run_trials(first, out=folder / "first", jobs=1)
+            made = [read_recording(folder / "first" / f"{spec.trial_id}.h5") for spec in first]
+            prompts = {
+                protocol.task(r.header.spec.task_id).prompt: (r.header.spec.task_id, actions_of(r)) for r in made
+            }
+            (folder / "notes" / "actions.json").write_text(json.dumps(prompts))
+            arguments = {"folder": str(folder / "notes"), "cameras": given.cameras}
+            setup = PolicySetup.of("one_by_one:OneByOne", search_path=[place], arguments=arguments)
+            setup = replace(setup, writable=(str(folder / "notes"),))
+            again = plan_trials(protocol=protocol, policy=setup.ref.text, tasks=tasks, seeds=[0], arguments=arguments)
+            for name, pace_s in (("without", None), ("with", given.pace)):
+                run_trials(again, out=folder / name, policy=setup, jobs=1, pace_s=pace_s)
+                found[name] = measured(folder / name, folder / "notes")
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    sys.stdout.write(json.dumps(found, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
