@@ -39,21 +39,18 @@ class OneByOne:
     def __init__(self, *, folder: str, cameras: str):
         given = tuple(name for name in cameras.split(",") if name)
         self.card = PolicyCard(name="one-by-one", modalities=("rgb",) if given else (), cameras=given)
-        self.folder, self.came, self.left = folder, [], []
+        self.folder, self.acts = folder, 0
     def reset(self, instruction):
         with open(os.path.join(self.folder, "actions.json")) as file:
-            self.name, self.actions = json.load(file)[instruction]
+            name, self.actions = json.load(file)[instruction]
+        self.notes = open(os.path.join(self.folder, f"{name}.jsonl"), "w")
     def act(self, observation):
-        self.came.append(time.perf_counter())
-        pose, stiffness = self.actions[len(self.left)]
-        done = len(self.left) + 1 == len(self.actions)
-        if done:
-            between = np.subtract(self.came[1:], self.left).tolist()
-            with open(os.path.join(self.folder, f"{self.name}.json"), "w") as file:
-                json.dump(between, file)
+        came = time.perf_counter()
+        pose, stiffness = self.actions[self.acts]
+        self.acts += 1
         target = None if pose is None else np.array(pose)
-        action = Action(pose_tcp_in_base=target, stiffness=tuple(stiffness), done=done)
-        self.left.append(time.perf_counter())
+        action = Action(pose_tcp_in_base=target, stiffness=tuple(stiffness), done=self.acts == len(self.actions))
+        print(json.dumps([came, time.perf_counter()]), file=self.notes, flush=True)
         return action
 """
 
@@ -78,8 +75,9 @@ def measured(folder: Path, notes: Path) -> dict[str, object]:
         times = times_of(recording)
         kept.append(times)
         late += int(recording.arrays.get("wall/pace", np.zeros(2))[1])
-        between = np.array(json.loads((notes / f"{recording.header.spec.task_id}.json").read_text()))
-        seen.append(replace(times, per_period_s=between[: len(times.contact)]))
+        lines = (notes / f"{recording.header.spec.task_id}.jsonl").read_text().splitlines()
+        came, left = np.array([json.loads(line) for line in lines]).T
+        seen.append(replace(times, per_period_s=(came[1:] - left[:-1])[: len(times.contact)]))
     both = {word: np.concatenate([t.per_period_s[t.contact == yes] for t in seen]) for word, yes in
             (("contact", True), ("no contact", False))}  # fmt: skip
     return {
