@@ -1,6 +1,6 @@
 """Stands in for the trial worker: does what FAKE_PLAN says for its trial, and notes in FAKE_LOG that it ran.
 
-A list in the plan is what the attempts at one trial do, one after another. ``lost:abc`` first notes three answers.
+A list in the plan is what the attempts at one trial do, one after another. ``lost:abc`` first tells three answers.
 """
 
 from __future__ import annotations
@@ -89,14 +89,16 @@ def main() -> int:
         does = does[Path(os.environ["FAKE_LOG"]).read_text().count(trial_id) - 1]
     does, _, answers = does.partition(":")
     if answers:
-        from carecontact.trials.lost import ANSWERS
+        from carecontact.trials.told import ANSWERED, DIGEST_BYTES
 
-        out.with_name(ANSWERS).write_bytes(b"".join(letter.encode() * 32 for letter in answers))
+        assert request.told_fd is not None
+        for letter in answers:
+            os.write(request.told_fd, ANSWERED + letter.encode() * DIGEST_BYTES)
     if does in ("lost", "lost_once", "lost_after", "stopped"):
-        from carecontact.trials.worker import POLICY_GONE, POLICY_RUNS
+        from carecontact.trials.told import POLICY_GONE, POLICY_RUNS
 
-        assert request.phase_fd is not None
-        os.write(request.phase_fd, POLICY_RUNS + (POLICY_GONE if does == "lost_after" else b""))
+        assert request.told_fd is not None
+        os.write(request.told_fd, POLICY_RUNS + (POLICY_GONE if does == "lost_after" else b""))
         if does != "lost_once" or Path(os.environ["FAKE_LOG"]).read_text().count(trial_id) == 1:
             os.kill(os.getpid(), signal.SIGSTOP if does == "stopped" else signal.SIGKILL)
         write(spec, out, "good")

@@ -29,10 +29,9 @@ from carecontact.recording.schema import Failure, Header, Recording
 from carecontact.runs.manifest import KILLED, POLICY_KILLED
 from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording
 
-ANSWERS = "answers.sha256"
-"""File beside an unfinished recording to which the worker adds a digest of each of the policy's answers."""
 STORED = "wall/answers"
-"""Array of a lost trial's recording with those digests that a repetition has to begin with, one after another."""
+"""Array of a lost trial's recording: the digests of the answers that a repetition has to begin with, one after
+another."""
 OTHER_ANSWERS = "other_answers"
 """Kind of the failure of a trial that was lost, and in which the policy then answered differently."""
 

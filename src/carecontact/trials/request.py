@@ -28,8 +28,8 @@ class TrialRequest(BaseModel):
     """Folder with the weights of the protocol's segmenter."""
     pace_s: float | None = None
     """Wall time [s] for each control period, as the policy sees it."""
-    phase_fd: int | None = None
-    """File descriptor to which the worker reports when its policy runs."""
+    told_fd: int | None = None
+    """File descriptor to which the worker tells when its policy runs and what it answers (``trials.told``)."""
     supervisor: int | None = None
     """Process id of whoever started the worker, which ends with it."""
 

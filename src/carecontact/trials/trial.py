@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from carecontact.errors import ActionError, PolicyError, UnreachableError
 from carecontact.hosting.conversation import PolicyConversation
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
+from carecontact.hosting.wire.messages import act_message
 from carecontact.observation.builder import RawReadings
 from carecontact.recording.schema import Recording
 from carecontact.trials.pace import Pace
@@ -111,7 +113,7 @@ def _converse(
 def _act(episode: Episode, policy: PolicyConversation, pace: Pace, on_look: Callable[[Look], None] | None) -> None:
     observation: Observation | None = episode.reset()
     while observation is not None:
-        pace.hold()
+        pace.hold(partial(act_message, observation))
         reply = policy.act(observation)
         pace.answered(len(reply.actions))
         episode.answered(sent_sha256=reply.sent_sha256, notes=reply.notes)

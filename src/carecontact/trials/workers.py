@@ -26,9 +26,10 @@ from carecontact.recording import read_recording, write_recording
 from carecontact.recording.schema import Recording
 from carecontact.runs.manifest import FAILED, KILLED
 from carecontact.trials.failed import harness_error_recording, tail
-from carecontact.trials.lost import ANSWERS, Losses, is_policy_killed
+from carecontact.trials.lost import Losses, is_policy_killed
 from carecontact.trials.request import TrialRequest
-from carecontact.trials.worker import FIRST_ANSWER, POLICY_RUNS, SINGLE_THREAD, UNREACHED, UNSTORED, WAITING
+from carecontact.trials.told import Told
+from carecontact.trials.worker import FIRST_ANSWER, SINGLE_THREAD, UNREACHED, UNSTORED, WAITING
 
 # -P: the folder a user happens to stand in must not shadow a module of the trial's process.
 WORKER_COMMAND = (sys.executable, "-P", "-X", "faulthandler", "-m", "carecontact.trials.worker")
@@ -44,8 +45,7 @@ class _Worker:
     process: subprocess.Popen[bytes]
     partial: Path
     output: Path
-    phase: int
-    """End of the pipe in which the worker reports when its policy runs."""
+    told: Told
     started: float
 
 
@@ -91,8 +91,7 @@ class Workers:
         # Neither a name nor a command line may show the policy, which can read both, what it is tried on.
         folder = Path(tempfile.mkdtemp(dir=self.work))
         partial, output = folder / "trial.h5", folder / "output.txt"
-        phase, phase_fd = os.pipe()
-        os.set_blocking(phase, False)
+        pipe, told_fd = os.pipe()
         try:
             with output.open("wb") as log:
                 process = subprocess.Popen(
@@ -101,13 +100,13 @@ class Workers:
                     stdout=log,
                     stderr=subprocess.STDOUT,
                     env={**os.environ, **SINGLE_THREAD, "PYTHONHASHSEED": "0"},
-                    pass_fds=(phase_fd,),
+                    pass_fds=(told_fd,),
                     start_new_session=True,
                 )
         finally:
-            os.close(phase_fd)
+            os.close(told_fd)
         request = TrialRequest(
-            spec=spec, policy=self.policy, out=partial.resolve(), weights=self.weights, phase_fd=phase_fd,
+            spec=spec, policy=self.policy, out=partial.resolve(), weights=self.weights, told_fd=told_fd,
             supervisor=os.getpid(), pace_s=self.pace_s,
         )  # fmt: skip
         assert process.stdin is not None
@@ -115,21 +114,24 @@ class Workers:
         with suppress(BrokenPipeError), process.stdin as stdin:
             stdin.write(request.model_dump_json().encode())
         self.running.append(
-            _Worker(spec=spec, process=process, partial=partial, output=output, phase=phase, started=time.monotonic())
+            _Worker(
+                spec=spec, process=process, partial=partial, output=output, told=Told(pipe), started=time.monotonic()
+            )
         )
 
     def finished(self) -> list[Ended]:
         """Reap the workers that have ended, were stopped or ran out of time; their recordings are then in ``out``."""
         done: list[Ended] = []
         for worker in list(self.running):
+            worker.told.read()
             stopped = _is_stopped(worker.process)
             timed_out = time.monotonic() - worker.started > self.trial_limit_s
             if worker.process.poll() is None and not timed_out and not stopped:
                 continue
             self.running.remove(worker)
             kill_tree(worker.process)
-            with os.fdopen(worker.phase, "rb") as pipe:
-                policy_ran = (pipe.read() or b"").endswith(POLICY_RUNS)
+            worker.told.read()
+            worker.told.close()
             if (unreached := self._unreached(worker)) is not None:
                 done.append(Ended(spec=worker.spec, recording=None, unreached=unreached))
                 continue
@@ -139,7 +141,7 @@ class Workers:
             kind, death = _death(
                 worker.process.returncode, timed_out=timed_out, stopped=stopped, limit_s=self.trial_limit_s
             )
-            recording = self._collected(worker, kind, death, policy_ran=policy_ran)
+            recording = self._collected(worker, kind, death)
             if isinstance(recording, str):
                 done.append(Ended(spec=worker.spec, recording=None, lost=recording))
                 continue
@@ -161,7 +163,7 @@ class Workers:
     def kill_all(self) -> None:
         for worker in self.running:
             kill_tree(worker.process)
-            os.close(worker.phase)
+            worker.told.close()
         self.running.clear()
 
     def _unreached(self, worker: _Worker) -> str | None:
@@ -169,17 +171,17 @@ class Workers:
         note = worker.partial.with_name(UNREACHED)
         return note.read_text() if self.policy.ref.kind == "remote" and note.is_file() else None
 
-    def _collected(self, worker: _Worker, kind: str, death: str, *, policy_ran: bool) -> Recording | str:
+    def _collected(self, worker: _Worker, kind: str, death: str) -> Recording | str:
         """Return the recording, then in ``worker.partial`` whoever wrote it, or why the trial has to run once more."""
         found, problem = _read(worker)
-        answers = _answers(worker)
+        answers = worker.told.answers
         if kind == "no_recording":
             death += f": {problem}"
         if found is not None and not is_policy_killed(found.header):
             outcome = self.losses.counted(found, answers)
         elif found is not None:
             outcome = self.losses.policy_killed(found, answers)
-        elif policy_ran and kind != "timeout":
+        elif worker.told.policy_runs and kind != "timeout":
             outcome = self.losses.died_with_policy(worker.spec, answers, death, _evidence(worker))
         elif kind == KILLED:
             outcome = self.losses.died(worker.spec, answers, death, _evidence(worker))
@@ -212,12 +214,6 @@ def _read(worker: _Worker) -> tuple[Recording | None, str]:
     if recording.header.spec == worker.spec:
         return recording, ""
     return None, f"the worker recorded another trial, {recording.header.spec.trial_id}"
-
-
-def _answers(worker: _Worker) -> bytes:
-    with suppress(FileNotFoundError):
-        return worker.partial.with_name(ANSWERS).read_bytes()
-    return b""
 
 
 def _evidence(worker: _Worker) -> str:
