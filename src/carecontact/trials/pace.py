@@ -4,9 +4,9 @@ The simulation of a period takes longer when the robot touches the person. A pol
 could measure that. With a pace, the observation leaves when the pace has passed for each executed period, however soon
 it is ready.
 
-A process that has slept for long sends a message later by milliseconds than one that was busy until now, because its
-memory is in no cache any more. Therefore the last WARM_S of each wait are the same whatever came before: the message
-is made once in vain, and the process does not sleep.
+A process that has just slept for long may send a message later than one that was busy until now, because its memory is
+in no cache any more. Therefore the last WARM_S of each wait are the same whatever came before: the message is made once
+in vain, and the process does not sleep.
 """
 
 from __future__ import annotations
