@@ -110,6 +110,7 @@ class Bench:
         region: a soft one of ``carecontact.regions``.
         dt_s: time step [s].
         shell: of this body, region and tissue, if it is there already.
+        glides: whether the indenter has a second slide, ``indenter_along``, on which it can be moved along the region.
     """
 
     def __init__(
@@ -121,6 +122,7 @@ class Bench:
         indenter: Indenter,
         dt_s: float = 0.002,
         shell: Shell | None = None,
+        glides: bool = False,
     ) -> None:
         self.body, self.region, self.indenter = body, region, indenter
         self.shell = shell or region_shell(body, region, tissue)
@@ -131,7 +133,7 @@ class Bench:
         spec.option.gravity = [0, 0, 0]
         spec.worldbody.add_body(name=body_name(segment))
         add_tissue(spec, body, region, self.shell, tissue, tools="indenter")
-        _add_indenter(spec, indenter)
+        _add_indenter(spec, indenter, glides=glides)
         self.model = spec.compile()
         self._data = mujoco.MjData(self.model)
         slide = self.model.joint("indenter")
@@ -336,10 +338,12 @@ class Bench:
         return inside, direction
 
 
-def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter) -> None:
+def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter, *, glides: bool) -> None:
     """A mocap carriage, whose pose aims the press, and on it a heavy body on one slide; its tip is at the origin."""
     carriage = spec.worldbody.add_body(name="carriage", mocap=True)
     probe = carriage.add_body(name="indenter", mass=INDENTER_MASS_KG, explicitinertial=True, inertia=[1.0, 1.0, 1.0])
+    if glides:
+        probe.add_joint(name="indenter_along", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
     probe.add_joint(name="indenter", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, -1])
     common = {"contype": 1, "conaffinity": 0, "condim": 3, "mass": 0}
     size = indenter.size_m or 0.0
