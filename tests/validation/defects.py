@@ -8,12 +8,13 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from carecontact.contract.protocol import Protocol
-from carecontact.regions import STANDARD_REGIONS
+from carecontact.kernel.readings import Readings
+from carecontact.kernel.region import set_law
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.subject import Subject
-from carecontact.world.human.tissue import anchor_joints
 from carecontact.world.scene import Scene, build_scene
 
 
@@ -45,51 +46,70 @@ class ActsInContactOnly(Subject):
         return simulation
 
 
+def _with_laws(scene: Scene, **factors: float) -> Scene:
+    """Fields of every region's law in the compiled model, multiplied."""
+    for name, region in scene.regions.items():
+        scaled = {field: factor * getattr(region.tissue, field) for field, factor in factors.items()}
+        set_law(scene.model, name, region.tissue.model_copy(update=scaled))
+    return scene
+
+
 def undamped(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     scene = build_scene(protocol, target=target, skin=skin)
     scene.model.dof_damping[_human_dofs(scene.model)] = 0.0
-    return scene
+    return _with_laws(scene, damping_ns_m3=0.0, damping_growth_ns_m4=0.0)
 
 
 def overdamped(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     """Tissue alone: three times the declared damping."""
-    scene = build_scene(protocol, target=target, skin=skin)
-    for region in STANDARD_REGIONS:
-        scene.model.dof_damping[scene.model.jnt_dofadr[anchor_joints(scene.model, region)]] *= 3.0
-    return scene
+    return _with_laws(build_scene(protocol, target=target, skin=skin), damping_ns_m3=3.0, damping_growth_ns_m4=3.0)
 
 
 def soft_contact(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
-    scene = build_scene(protocol, target=target, skin=skin)
-    scene.model.flex_solimp[:, :3] = [0.5, 0.9, 0.01]
-    return scene
+    return _with_laws(build_scene(protocol, target=target, skin=skin), contact_n_m3=0.1)
 
 
 def soft_upper_arm(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     scene = build_scene(protocol, target=target, skin=skin)
-    scene.model.jnt_stiffness[anchor_joints(scene.model, "upper_arm")] *= 0.7
+    tissue = scene.regions["upper_arm"].tissue
+    set_law(scene.model, "upper_arm", tissue.model_copy(update={"a_n_m3": 0.7 * tissue.a_n_m3}))
     return scene
 
 
 def slippery(scene: Scene) -> None:
-    scene.model.flex_friction[:, 0] *= 0.9
+    _with_laws(scene, friction=0.9)
+
+
+def frictionless(scene: Scene) -> None:
+    _with_laws(scene, friction=0.0)
 
 
 def half_stiff(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
-    scene = build_scene(protocol, target=target, skin=skin)
-    for region in STANDARD_REGIONS:
-        joints = anchor_joints(scene.model, region)
-        scene.model.jnt_stiffness[joints] *= 0.5
-        scene.model.jnt_stiffnesspoly[joints] *= 0.5
-    # Coupling is declared through the anchors' stiffness: G = a l^2.
-    scene.model.tendon_stiffness[:] *= 0.5
-    return scene
+    """The coupling too: it is declared through the anchors' stiffness, G = a l^2."""
+    return _with_laws(build_scene(protocol, target=target, skin=skin), a_n_m3=0.5, b_n_m4=0.5, c_n_m5=0.5)
 
 
 def uncoupled(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
-    scene = build_scene(protocol, target=target, skin=skin)
-    scene.model.tendon_stiffness[:] = 0.0
-    return scene
+    return _with_laws(build_scene(protocol, target=target, skin=skin), coupling_length_m=0.0, membrane_n_m=0.0)
+
+
+class PushedTheWrongWay(Readings):
+    """Reads the force on the bone with its sign turned round, as a kernel would give it that pushed bone and tool the
+    wrong way."""
+
+    def last(self, data: mujoco.MjData, count: int) -> npt.NDArray[np.void]:
+        rows = super().last(data, count).copy()
+        rows["force_n"] *= -1
+        return rows
+
+
+class WrongSign(Subject):
+    """A sound person whose simulations read the tissue's force with the wrong sign."""
+
+    def hovering(self, region: str) -> Simulation:
+        simulation = super().hovering(region)
+        simulation.tissue = {name: PushedTheWrongWay(simulation.model, name) for name in simulation.tissue}
+        return simulation
 
 
 def unlimited(scene: Scene) -> None:
@@ -128,10 +148,6 @@ def stiff_joints(protocol: Protocol, *, target: str | None, skin: bool) -> Scene
         scene.model.jnt_stiffness[joint] *= 2.0
         scene.model.dof_damping[scene.model.jnt_dofadr[joint]] *= 2.0
     return scene
-
-
-def at_ten_milliseconds(protocol: Protocol) -> Protocol:
-    return protocol.model_copy(update={"physics": protocol.physics.model_copy(update={"dt_s": 0.010})})
 
 
 def _human_dofs(model: mujoco.MjModel) -> np.ndarray:

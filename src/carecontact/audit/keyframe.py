@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -14,10 +13,10 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.episode.prepare import settled_world
 from carecontact.episode.randomization import comfort_arm_deg
 from carecontact.errors import SceneError
+from carecontact.kernel.region import set_law
 from carecontact.policies.motion import UP, Leg, radial_quat, sample, travel
 from carecontact.sim.simulation import Samples, Settled, Simulation
-from carecontact.world.human.tissue import anchor_joints
-from carecontact.world.scene import Scene
+from carecontact.validation.moves import skin_points
 
 F64 = npt.NDArray[np.float64]
 
@@ -32,7 +31,7 @@ BEFORE_S, AFTER_S = 0.30, 0.45
 """How long before the first contact the later keyframe lies, and how much of the press follows it."""
 NEAR_MIDDLE_M = 0.02
 STIFFER = 2.0
-"""How much stiffer the twin's tissue is; still stable at every shipped time step."""
+"""How much stiffer the twin's tissue is."""
 
 
 class Keyframe:
@@ -59,9 +58,14 @@ class Keyframe:
         return self._begin(Simulation(self.scene), self._near)
 
     def twin(self, spec: TrialSpec) -> tuple[Simulation, Settled, str]:
-        """The same moment in a world with other hidden values: those of ``spec`` and stiffer tissue."""
+        """The same moment in a world with other hidden values: those of ``spec`` and stiffer tissue, which moves like
+        the other until contact, because tissue that nothing touches does nothing."""
         scene = replace(self.scene, model=copy.deepcopy(self.scene.model), protocol=spec.protocol)
-        return self._begin(Twin(scene), self._near)
+        for name, region in scene.regions.items():
+            law = region.tissue.model_dump()
+            stiffer = {field: STIFFER * law[field] for field in ("a_n_m3", "b_n_m4", "c_n_m5", "damping_ns_m3")}
+            set_law(scene.model, name, region.tissue.model_copy(update=stiffer))
+        return self._begin(Simulation(scene), self._near)
 
     def _begin(self, simulation: Simulation, state: F64) -> tuple[Simulation, Settled, str]:
         simulation.restore(state, comfort_arm_deg=self._laid_at_deg)
@@ -89,52 +93,13 @@ class Keyframe:
         raise SceneError(f"the audit's press does not touch the {region} at {np.round(skin, 3).tolist()} m in base")
 
 
-class Twin(Simulation):
-    """A world whose model holds stiffer tissue whenever it is looked at, and which moves like the other until contact.
-
-    Springs that differ sag differently under the tissue's own weight: with twice the stiffness 15,000 depth pixels
-    changed before anything was touched. That is not a leak but visible, so until the first contact the steps themselves
-    are taken with the other world's springs.
-    """
-
-    def __init__(self, scene: Scene) -> None:
-        super().__init__(scene)
-        self._touched = False
-        joints = np.concatenate([anchor_joints(self.model, region) for region in self.scene.regions])
-        dofs = self.model.jnt_dofadr[joints]
-        self._soft = {
-            name: (rows, getattr(self.model, name)[rows].copy())
-            for name, rows in (
-                ("jnt_stiffness", joints), ("jnt_stiffnesspoly", joints), ("dof_damping", dofs),
-                ("tendon_stiffness", slice(None)),
-            )
-        }  # fmt: skip
-        self._write(STIFFER)
-
-    def advance(self, steps: int) -> list[Samples]:
-        if self._touched:
-            return super().advance(steps)
-        self._write(1.0)
-        samples = super().advance(steps)
-        self._write(STIFFER)
-        self._touched = touches(samples)
-        return samples
-
-    def _write(self, factor: float) -> None:
-        for name, (rows, values) in self._soft.items():
-            getattr(self.model, name)[rows] = factor * values
-
-
 def touches(samples: list[Samples]) -> bool:
     return any(bool(s.force.any()) for s in samples)
 
 
 def _skin_in_world(simulation: Simulation, region: str) -> F64:
     """(3,) the highest place of the region's shell near its middle."""
-    model = simulation.model
-    flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, region)
-    first = int(model.flex_vertadr[flex])
-    vertices = simulation.data.flexvert_xpos[first : first + int(model.flex_vertnum[flex])]
+    vertices = skin_points(simulation, region)
     middle = vertices.mean(0)
     near = np.linalg.norm(vertices[:, :2] - middle[:2], axis=1) < NEAR_MIDDLE_M
     return np.array([*middle[:2], vertices[near, 2].max()])

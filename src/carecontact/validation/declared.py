@@ -111,7 +111,7 @@ def joint_constants(scene: Scene) -> tuple[Array, Array, Array]:
 
 
 def core_depths(scene: Scene, region: str) -> Array:
-    """(n,) how deep under every free vertex of the shell a ray to the region's axis meets bone that the tool collides
+    """(n,) how deep under every vertex of the shell a ray to the region's axis meets bone that the tool collides
     with [m]; infinite where it meets none. Not along the anchor: slim arms have bones so thin that it leans past."""
     model = scene.model
     data = mujoco.MjData(model)
@@ -127,9 +127,9 @@ def core_depths(scene: Scene, region: str) -> Array:
         and (model.geom_contype[g] & tool.conaffinity[0] or model.geom_conaffinity[g] & tool.contype[0])
     ]  # fmt: skip
     depths = []
-    for k in np.flatnonzero(~shell.pinned):
-        start = data.xpos[bone] + to_world @ (shell.vertices[k] - origin)
-        along = to_world @ (shell.axis_points[k] - shell.vertices[k])
+    for vertex, axis_point in zip(shell.vertices, shell.axis_points, strict=True):
+        start = data.xpos[bone] + to_world @ (vertex - origin)
+        along = to_world @ (axis_point - vertex)
         along /= np.linalg.norm(along)
         hits = (mujoco.mj_rayMesh(model, data, g, start, along, None) for g in cores)
         depths.append(min((d for d in hits if 0 <= d < LONGEST_RAY_M), default=np.inf))

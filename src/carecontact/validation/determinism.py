@@ -1,4 +1,5 @@
-"""Check 6: the same trial in two fresh processes gives the same recording, bit for bit."""
+"""Check 6: the same trial in two fresh processes gives the same recording, bit for bit; so does a contact that goes on
+from a restored state, and one beside another world."""
 
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 
 from carecontact.contract.trial import TrialSpec
@@ -19,7 +21,9 @@ from carecontact.recording import canonical_hash, read_recording
 from carecontact.recording.schema import Recording
 from carecontact.regions import REGIONS
 from carecontact.scoring.contact import find_contact
-from carecontact.validation.result import CheckResult, Measure
+from carecontact.sim.simulation import Simulation
+from carecontact.validation.moves import axes, move_to, surface_point
+from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
 
 if TYPE_CHECKING:
@@ -29,6 +33,8 @@ TITLE = "Determinism"
 TRIAL_S, QUICK_TRIAL_S = 20.0, 7.5
 POLICY, TASK, SEED = "state-machine", "T1", 0
 LONGEST_S = 600.0
+PRESS_S, SLIDE_S, GO_ON_STEPS, DEEP_M, ASIDE_M = 0.6, 0.2, 200, 0.020, 0.02
+"""A press slides aside and is interrupted on the way."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -52,11 +58,52 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
             Measure(name="canonical hashes that differ", value=float(canonical_hash(first) != canonical_hash(second)),
                     limit=0.0),
             Measure(name="arrays that differ in any bit", value=float(different), limit=0.0),
+            *in_one_process(subject),
             Measure(name="physics steps compared", value=float(len(contact.time_s)), limit=1000.0, side="at least"),
             Measure(name="largest force in them", value=float(contact.force_norm.max()), unit="N", limit=0.5,
                     side="at least"),
         ),
     )  # fmt: skip
+
+
+def in_one_process(subject: Subject) -> list[Measure]:
+    """Of a press on each region that slides aside: what differs if its state is restored in mid-contact, in the same
+    world and in another one, and if another world of the same process runs in between."""
+    restored, beside, force = 0, 0, np.inf
+    for region in subject.regions():
+        alone = _pressed(subject.hovering(region), region, ASIDE_M)
+        state = alone.integration_state()
+        force = min(force, float(np.linalg.norm(alone.tissue[region].last(alone.data, 1)[0]["force_n"])))
+        wanted = _continued(alone)
+        restored += not np.array_equal(_continued(alone, state), wanted)
+        other, stranger = subject.hovering(region), _pressed(subject.hovering(region), region, -ASIDE_M)
+        restored += not np.array_equal(_continued(other, state), wanted)
+        beside += not np.array_equal(_continued(other, state, beside=stranger), wanted)
+    return [
+        Measure(name="contacts that go on differently from a restored state", value=float(restored), limit=0.0),
+        Measure(name="contacts that differ beside another world in the process", value=float(beside), limit=0.0),
+        Measure(name="smallest force where they were interrupted", value=force, unit="N", limit=0.5, side="at least"),
+    ]  # fmt: skip
+
+
+def _pressed(simulation: Simulation, region: str, aside_m: float) -> Simulation:
+    """Press, and leave off while the tool slides aside."""
+    top, (along, _) = surface_point(simulation, region), axes(simulation, region)
+    below = top - [0.0, 0.0, DEEP_M]
+    move_to(simulation, below, seconds=PRESS_S)
+    move_to(simulation, below + aside_m * along, seconds=SLIDE_S)
+    return simulation
+
+
+def _continued(simulation: Simulation, state: Array | None = None, *, beside: Simulation | None = None) -> Array:
+    """What the world is after GO_ON_STEPS more steps with the same commands, from a state if one is given."""
+    if state is not None:
+        mujoco.mj_setState(simulation.model, simulation.data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
+    for _ in range(GO_ON_STEPS):
+        mujoco.mj_step(simulation.model, simulation.data)
+        if beside is not None:
+            mujoco.mj_step(beside.model, beside.data)
+    return simulation.integration_state()
 
 
 def two_recordings(spec: TrialSpec) -> tuple[Recording, Recording]:

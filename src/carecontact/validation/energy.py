@@ -1,4 +1,5 @@
-"""Check 2: a dropped limb never gains energy, and a loading loop absorbs as much work as the damping law says."""
+"""Check 2: a dropped limb never gains energy, a tool that touches the skin never does, and a loading loop absorbs as
+much work as the damping law says."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from carecontact.sim.bench import Press
 from carecontact.sim.simulation import Simulation
+from carecontact.validation import ledger
 from carecontact.validation.pressing import declared_bench, person_bench, tool
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
@@ -29,7 +31,7 @@ LOOP_SHARE_PERCENT, LOOP_EXCESS_PERCENT = 80.0, 125.0
 """Share of the work that the declared damping absorbs in the same loop; springs without dampers absorb under a
 fifth."""
 PEAK_LIMIT_PERCENT = 3.0
-"""Chosen. Of the loop's peak on the person's compiled anchors against the declared law's on the same shell; it is the
+"""Chosen. Of the loop's peak under the person's compiled law against the declared law's on the same shell; it is the
 only line on a region's stiffness where no reference is its own."""
 LOST_SPEED_M_S, LOST_LIMIT_PERCENT, RETURNED_LIMIT_PERCENT = 0.020, 5.0, 20.0
 """Chosen, so that a set which declares no damping to speak of, or putty, is detected whatever it declares: living
@@ -56,6 +58,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         ]  # fmt: skip
         curves |= {f"drop/{name}": np.stack([time, energy - settled, own - settled])}
     for region in subject.regions(quick=quick):
+        measures += ledger.measures(subject, region, quick=quick)
         benches = person_bench(subject, region, tool()), declared_bench(subject, region, tool())
         for speed in QUICK_SPEEDS_M_S if quick else LOOP_SPEEDS_M_S:
             loop, declared = (
@@ -117,10 +120,8 @@ def drop(simulation: Simulation, lift_deg: dict[str, float]) -> tuple[Array, Arr
 
 
 class Energy:
-    """Kinetic energy, weight and springs (joints, tissue, coupling) of the person; contacts and the robot are left out.
-
-    A spring's force a x + b x^2 + c x^3 stores a x^2 / 2 + b x^3 / 3 + c x^4 / 4.
-    """
+    """Kinetic energy, weight and joint springs of the person; contacts, the robot and tissue, which nothing touches
+    here, are left out."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._model, self._data = simulation.model, simulation.data
@@ -138,17 +139,14 @@ class Energy:
         # A step leaves poses where it began; bring them and the mass matrix to where it ended.
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        mujoco.mj_tendon(model, data)
         mujoco.mj_makeM(model, data)
         velocity = np.where(self.dof, data.qvel, 0.0)
         mujoco.mj_mulM(model, data, self._mass_times_v, velocity)
         weight = -float(model.body_mass[self._bodies] @ data.xipos[self._bodies] @ model.opt.gravity)
         at = model.jnt_qposadr[self._springs]
         x = data.qpos[at] - model.qpos_spring[at]
-        b, c = model.jnt_stiffnesspoly[self._springs].T
-        springs = float((model.jnt_stiffness[self._springs] * x**2 / 2 + b * x**3 / 3 + c * x**4 / 4).sum())
-        coupling = float((model.tendon_stiffness * data.ten_length**2 / 2).sum())
-        return 0.5 * float(velocity @ self._mass_times_v) + weight + springs + coupling
+        springs = float((model.jnt_stiffness[self._springs] * x**2 / 2).sum())
+        return 0.5 * float(velocity @ self._mass_times_v) + weight + springs
 
 
 def draw(result: CheckResult, figure: Figure) -> None:

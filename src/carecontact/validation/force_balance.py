@@ -51,6 +51,8 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         measures += [
             line("contact against anchors", gap["anchors"].max(), 1.0),
             line("contact against robot joint torques", gap["joint torques"].max(), 2.0),
+            Measure(name=f"{region}: held by skin too far from the tool to move", unit="%",
+                    value=float(100 * (np.linalg.norm(rows["held"], axis=1) / size).max())),
             line("bed reaction against weight and press", gap["bed"].max(), 1.0),
             line("bed against weight before the press", abs(weight / wanted_weight - 1), 1.0),
             Measure(name=f"{region}: tool speed at the readings", value=1000 * float(rows["speed"].max()), unit="mm/s",
@@ -69,9 +71,9 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
     """Press down at the region's middle and stop at each level of indentation.
 
     Returns one row per level, n of them, and the bed's upward force before [N]. Rows: indentation (n,) [m], speed (n,)
-    of the tool [m/s], hard (n,) how often core or pinned vertices bore load, and for each of PATHS the force that the
-    robot exerts on the person (n, 3) [N], with its value before the press taken off. Raises SceneError if a level is
-    not reached.
+    of the tool [m/s], held (n, 3) force at the edge of the skin that moves [N], hard (n,) how often the tool met
+    something rigid, and for each of PATHS the force that the robot exerts on the person (n, 3) [N], with its value
+    before the press taken off. Raises SceneError if a level is not reached.
     """
     column = SEGMENTS.index(REGIONS[region].segment)
     index = simulation.protocol.regions.index(region)
@@ -101,11 +103,11 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
             samples = simulation.advance(1)[-1]
             forces.append([samples.force[-1, column], anchors(), tip_force(simulation), -bed_reaction(simulation)])
             speed = max(speed, float(samples.tcp_speed.max()))
-            hard += touches_hard_parts(simulation, region)
+            hard += touches_hard_parts(simulation)
         return np.mean(forces, axis=0), speed, hard
 
     before = read()[0]
-    rows: dict[str, list] = {name: [] for name in ("indentation", "speed", "hard", *PATHS)}
+    rows: dict[str, list] = {name: [] for name in ("indentation", "speed", "held", "hard", *PATHS)}
     for level in levels_m:
         began = simulation.time_s
         while (depth := float(simulation.indentation()[index])) < level:
@@ -118,6 +120,7 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
         forces, speed, hard = read()
         rows["indentation"].append(float(simulation.indentation()[index]))
         rows["speed"].append(speed)
+        rows["held"].append(anchors.held())
         rows["hard"].append(hard)
         for path, of_path in zip(PATHS, forces - before, strict=True):
             rows[path].append(of_path)

@@ -1,30 +1,57 @@
-"""The same force measured along independent paths: contact solver, anchors, bed, robot joints. All in the world [N]."""
+"""The same force measured along independent paths: contact points, anchors, bed, robot joints. All in the world [N]."""
 
 from __future__ import annotations
+
+from dataclasses import fields
 
 import mujoco
 import numpy as np
 
 from carecontact.contract.embodiment import PANDA
+from carecontact.kernel.region import Law
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.result import Array
-from carecontact.world.human.skeleton import tissue_body_name
-from carecontact.world.human.tissue import anchor_directions
 
 
 class AnchorForce:
-    """Force that a region's anchors (springs and dampers) exert on the bone."""
+    """Force that a region's springs and dampers exert on the bone: anchors, coupling and membrane.
+
+    From how far every vertex is displaced and from the law in the compiled model, by the equations of the law and not
+    by the compiled tissue, which sums what its contact points do. Vertices that the compiled tissue leaves at rest,
+    because they are far from the tool, hold their neighbours and have no balance of their own: see ``held``.
+    """
 
     def __init__(self, simulation: Simulation, region: str) -> None:
-        self._data, model = simulation.data, simulation.model
-        joints, self._directions = anchor_directions(model, region)
-        self._dofs = model.jnt_dofadr[joints]
-        self._bone = model.body(tissue_body_name(region)).id
+        self._data, self._felt = simulation.data, simulation.tissue[region]
+        law = simulation.model.numeric(f"{region}/law").data.tolist()
+        self._law = Law(**{field.name: value for field, value in zip(fields(Law), law, strict=True)})
+        rows = simulation.model.numeric(f"{region}/edges").data.reshape(-1, 3)
+        self._edges, self._weights = rows[:, :2].astype(np.int64), rows[:, 2:]
 
     def __call__(self) -> Array:
         """(3,)"""
-        in_bone = -self._data.qfrc_passive[self._dofs] @ self._directions
-        return self._data.xmat[self._bone].reshape(3, 3) @ in_bone
+        return self._sum(moving=True)
+
+    def held(self) -> Array:
+        """(3,) what the skin around the part that moves is held with."""
+        return self._sum(moving=False)
+
+    def _sum(self, *, moving: bool) -> Array:
+        law, felt = self._law, self._felt
+        moved, rate = felt.displacement(self._data), felt.rate(self._data)
+        borne = law.a_n_m3 * moved
+        inward = moved[:, 0]
+        borne[:, 0] += (law.b_n_m4 * np.abs(inward) + law.c_n_m5 * inward**2) * inward
+        borne += (law.damping_ns_m3 + law.damping_growth_ns_m4 * np.maximum(moved[:, :1], 0.0)) * rate
+        force = felt.areas[:, None] * borne
+        first, second = self._edges.T
+        stiffness = self._weights * [law.coupling_n_m, law.membrane_n_m, law.membrane_n_m]
+        apart = stiffness * (moved[first] - moved[second])
+        np.add.at(force, first, apart)
+        np.add.at(force, second, -apart)
+        chosen = (moved != 0).any(1) == moving
+        in_bone = np.einsum("ij,ijk->k", force[chosen], felt.frames[chosen])
+        return self._data.xmat[felt.bone].reshape(3, 3) @ in_bone
 
 
 def bed_reaction(simulation: Simulation) -> Array:
@@ -33,7 +60,7 @@ def bed_reaction(simulation: Simulation) -> Array:
     total, wrench = np.zeros(3), np.zeros(6)
     for i in range(data.ncon):
         contact = data.contact[i]
-        names = [model.geom(g).name if g >= 0 else "" for g in contact.geom]
+        names = [model.geom(g).name for g in contact.geom]
         if any(n.startswith("bed_") for n in names) and any(n.startswith("human_") for n in names):
             mujoco.mj_contactForce(model, data, i, wrench)
             on_second = contact.frame.reshape(3, 3).T @ wrench[:3]
@@ -44,7 +71,8 @@ def bed_reaction(simulation: Simulation) -> Array:
 def tip_force(simulation: Simulation) -> Array:
     """(3,) that the robot exerts at its tip, from joint torques alone; right where the tip does not accelerate.
 
-    The dynamically consistent inverse (Khatib 1987) lets torques that only move the elbow drop out.
+    The dynamically consistent inverse (Khatib 1987) lets torques that only move the elbow drop out. What the tissue
+    does to the robot is one of MuJoCo's passive forces and is taken out of them.
     """
     model, data = simulation.model, simulation.data
     jacobian = np.zeros((6, model.nv))
@@ -52,27 +80,16 @@ def tip_force(simulation: Simulation) -> Array:
     mobility = np.zeros_like(jacobian)
     mujoco.mj_solveM(model, data, mobility, jacobian)
     dofs = [model.joint(name).dofadr[0] for name in PANDA.joints]
-    torque = (data.qfrc_actuator + data.qfrc_passive + data.qfrc_applied - data.qfrc_bias)[dofs]
+    tissue = sum(felt.generalised_force(model, data) for felt in simulation.tissue.values())
+    torque = (data.qfrc_actuator + data.qfrc_passive - tissue + data.qfrc_applied - data.qfrc_bias)[dofs]
     return np.linalg.solve(jacobian[:, dofs] @ mobility[:, dofs].T, mobility[:, dofs] @ torque)[:3]
 
 
-def touches_hard_parts(simulation: Simulation, region: str) -> bool:
-    """Whether the robot now touches any part of the person other than free vertices of the region's shell."""
+def touches_hard_parts(simulation: Simulation) -> bool:
+    """Whether the robot now touches a rigid part of the person: its contacts with tissue are none of MuJoCo's."""
     model, data = simulation.model, simulation.data
-    flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, region)
-    bone = model.body(tissue_body_name(region)).id
-    corners = model.flex_elem[model.flex_elemdataadr[flex] :]
-    holders = model.flex_vertbodyid[model.flex_vertadr[flex] :]
     for i in range(data.ncon):
-        contact = data.contact[i]
-        geoms = [model.body(model.geom_bodyid[g]).name for g in contact.geom if g >= 0]
-        if not any(name.startswith("robot_") for name in geoms):
-            continue
-        if flex not in contact.flex:
-            return True
-        side = int(np.flatnonzero(np.asarray(contact.flex) == flex)[0])
-        vertex, element = int(contact.vert[side]), int(contact.elem[side])
-        vertices = [vertex] if vertex >= 0 else corners[3 * element : 3 * element + 3]
-        if bone in holders[vertices]:
+        bodies = [model.body(model.geom_bodyid[g]).name for g in data.contact[i].geom]
+        if any(n.startswith("robot_") for n in bodies) and any(n.startswith("human_") for n in bodies):
             return True
     return False

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 from carecontact.contract.geometry import matrix_from_quat
@@ -22,18 +21,16 @@ ABOVE_M = 0.5
 
 
 def skin_points(simulation: Simulation, region: str) -> Array:
-    """(n, 3) free shell vertices in the world now [m]; the skin lies the flex radius above them."""
-    ids = [simulation.model.body(f"{region}_v{k}").id for k in simulation.scene.regions[region].vertex_index]
-    return simulation.data.xpos[ids]
+    """(n, 3) vertices of the region's skin in the world now [m]."""
+    felt, data = simulation.tissue[region], simulation.data
+    return data.xpos[felt.bone] + felt.vertices(data) @ data.xmat[felt.bone].reshape(3, 3).T
 
 
 def surface_point(simulation: Simulation, region: str, offset: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """(3,) skin under the region's place of contact plus a horizontal ``offset`` (along, across) [m], the flex radius
-    below its outside. Raises SceneError where the region's shell does not lie."""
+    """(3,) skin under the region's place of contact plus a horizontal ``offset`` (along, across) [m]. Raises SceneError
+    where the region's shell does not lie."""
     along, across = axes(simulation, region)
-    model, shell = simulation.model, simulation.scene.regions[region].shell
-    first = model.flex_vertadr[mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, region)]
-    corners = simulation.data.flexvert_xpos[first : first + len(shell.vertices)][shell.triangles]
+    corners = skin_points(simulation, region)[simulation.scene.regions[region].shell.triangles]
     middle = simulation.data.site(f"region_{region}").xpos
     above = middle + (REGIONS[region].scripted_along_m + offset[0]) * along + offset[1] * across + [0, 0, ABOVE_M]
     down = np.array([0.0, 0.0, -1.0])
@@ -82,7 +79,7 @@ SCRUB = Motion(name="scrub", overtravel_m=0.020, half_stroke_m=0.040, strokes=2)
 class Performance:
     samples: list[Samples]
     indentation_m: Array
-    """(p, R) largest inward anchor displacement of each region after every target period."""
+    """(p, R) largest inward displacement of each region's shell after every target period."""
 
 
 def perform(simulation: Simulation, region: str, motion: Motion) -> Performance:

@@ -4,17 +4,17 @@ ranking."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
-from carecontact.sim.simulation import Simulation
+from carecontact.contract.protocol import Tissue
+from carecontact.kernel.region import set_law
 from carecontact.validation.moves import Motion, perform
 from carecontact.validation.result import CheckResult, Measure
 from carecontact.validation.scores import Scores, scores_of
 from carecontact.validation.subject import Subject
-from carecontact.world.human.tissue import anchor_joints, coupling_tendons
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,13 +25,33 @@ GENTLE = Motion(name="gentle", overtravel_m=0.012, half_stroke_m=0.030, strokes=
 FIRM = Motion(name="firm", overtravel_m=0.035, half_stroke_m=0.030, strokes=2, speed_m_s=0.15)
 STOP_GO = Motion(name="stop-go", overtravel_m=0.024, half_stroke_m=0.030, strokes=3, speed_m_s=0.20, pause_s=0.25)
 MOTIONS = (GENTLE, FIRM, STOP_GO)
-CHANGES: dict[str, tuple[float, float, float | None]] = {
-    "as shipped": (1.0, 1.0, None), "stiffness x 0.5": (0.5, 1.0, None), "stiffness x 2": (2.0, 1.0, None),
-    "damping x 0.25": (1.0, 0.25, None), "damping x 4": (1.0, 4.0, None), "friction 0.1": (1.0, 1.0, 0.1),
-    "friction 0.3": (1.0, 1.0, 0.3), "friction 1": (1.0, 1.0, 1.0),
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """Factors on K_c (and so on the coupling, which is declared through it), on D_c and on the contact layer, and the
+    coefficient of friction; None: as shipped."""
+
+    stiffness: float = 1.0
+    damping: float = 1.0
+    contact: float = 1.0
+    friction: float | None = None
+
+    def of(self, tissue: Tissue) -> Tissue:
+        scaled = {
+            **dict.fromkeys(("a_n_m3", "b_n_m4", "c_n_m5"), self.stiffness),
+            **dict.fromkeys(("damping_ns_m3", "damping_growth_ns_m4"), self.damping), "contact_n_m3": self.contact,
+        }  # fmt: skip
+        update = {name: factor * getattr(tissue, name) for name, factor in scaled.items()}
+        return tissue.model_copy(update=update if self.friction is None else update | {"friction": self.friction})
+
+
+CHANGES = {
+    "as shipped": Change(), "stiffness x 0.5": Change(stiffness=0.5), "stiffness x 2": Change(stiffness=2.0),
+    "damping x 0.25": Change(damping=0.25), "damping x 4": Change(damping=4.0),
+    "contact layer x 0.5": Change(contact=0.5), "contact layer x 2": Change(contact=2.0),
+    "friction 0.1": Change(friction=0.1), "friction 0.3": Change(friction=0.3), "friction 1": Change(friction=1.0),
 }  # fmt: skip
-"""Factor on K_c (and so on the coupling, which is declared through it), factor on D_c, coefficient of friction (None:
-as shipped)."""
 QUICK_CHANGES, QUICK_MOTIONS = ("as shipped", "stiffness x 0.5"), (GENTLE, FIRM)
 FIELDS = {"c1_n": "C1", "c5_n": "C5", "stroke_m": "stroke"}
 
@@ -39,7 +59,7 @@ FIELDS = {"c1_n": "C1", "c5_n": "C5", "stroke_m": "stroke"}
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     motions = QUICK_MOTIONS if quick else MOTIONS
     names = QUICK_CHANGES if quick else tuple(CHANGES)
-    table = {name: {b.name: _run_one(subject, b, *CHANGES[name]) for b in motions} for name in names}
+    table = {name: {b.name: _run_one(subject, b, CHANGES[name]) for b in motions} for name in names}
     values = np.array([[[getattr(s, f) for f in FIELDS] for s in row.values()] for row in table.values()])
     measures = [
         Measure(name="scores that are not finite", value=float((~np.isfinite(values)).sum()), limit=0.0),
@@ -65,23 +85,10 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     return CheckResult(check="sensitivity", title=TITLE, measures=tuple(measures), curves={"values": values})
 
 
-def _run_one(subject: Subject, motion: Motion, stiffness: float, damping: float, friction: float | None) -> Scores:
+def _run_one(subject: Subject, motion: Motion, change: Change) -> Scores:
     simulation = subject.hovering(REGION)
-    change(simulation, stiffness=stiffness, damping=damping, friction=friction)
+    set_law(simulation.model, REGION, change.of(subject.tissue(REGION)))
     return scores_of(simulation, REGION, perform(simulation, REGION, motion))
-
-
-def change(simulation: Simulation, *, stiffness: float, damping: float, friction: float | None) -> None:
-    """Edit the region's anchors and its skin's friction in the simulation's own model."""
-    model = simulation.model
-    joints = anchor_joints(model, REGION)
-    model.jnt_stiffness[joints] *= stiffness
-    model.jnt_stiffnesspoly[joints] *= stiffness
-    model.tendon_stiffness[coupling_tendons(model, REGION)] *= stiffness
-    model.dof_damping[model.jnt_dofadr[joints]] *= damping
-    if friction is not None:
-        flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, REGION)
-        model.flex_friction[flex, 0] = friction
 
 
 def order(scores: Mapping[str, Scores], column: int) -> list[str]:

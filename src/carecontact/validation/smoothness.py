@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -47,7 +46,7 @@ class Scrub:
     steady: npt.NDArray[np.bool_]
     """(n,) each; steady: the tool moves at speed."""
     friction: Array
-    """(k,) tangential over normal force, summed over the contacts, after every target period at speed."""
+    """(k,) tangential over normal force, summed over the contact points, in every target period at speed."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -121,10 +120,14 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int) -> Scrub:
     place, direction = 0.0, 1.0
     for _ in range(round(strokes * 2 * HALF_STROKE_M / SPEED_M_S / period)):
         place += direction * SPEED_M_S * period
+        before = simulation.tissue[REGION].cells(simulation.data)
         new = go(place)
+        after = simulation.tissue[REGION].cells(simulation.data)
+        rubbed = float((after.shear_ns - before.shear_ns).sum())
+        pressed = float((after.press_ns - before.press_ns).sum())
         samples += new
         if new[-1].tcp_speed[-1] > STEADY * SPEED_M_S:
-            friction.append(friction_now(simulation))
+            friction.append(rubbed / pressed if pressed > 0 else np.nan)
         if abs(place) >= HALF_STROKE_M - 1e-9:
             direction = -np.sign(place)
     time, speed = (np.concatenate([getattr(s, name) for s in samples]) for name in ("time_s", "tcp_speed"))
@@ -132,20 +135,6 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int) -> Scrub:
         time_s=time - time[0], force_n=force_norm(samples, REGIONS[REGION].segment), steady=speed > STEADY * SPEED_M_S,
         friction=np.array(friction),
     )  # fmt: skip
-
-
-def friction_now(simulation: Simulation) -> float:
-    """Tangential over normal force of the region's contacts, their magnitudes summed; NaN where nothing touches."""
-    model, data = simulation.model, simulation.data
-    flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, REGION)
-    wrench, tangential, normal = np.zeros(6), 0.0, 0.0
-    for number in range(data.ncon):
-        contact = data.contact[number]
-        if flex in contact.flex and contact.efc_address >= 0:
-            mujoco.mj_contactForce(model, data, number, wrench)
-            normal += float(wrench[0])
-            tangential += float(np.hypot(wrench[1], wrench[2]))
-    return tangential / normal if normal > 0 else float("nan")
 
 
 def draw(result: CheckResult, figure: Figure) -> None:

@@ -37,10 +37,15 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         rng = np.random.default_rng([SEED, subject.regions().index(region)])
         places = random_places(bench.shell, rng, QUICK_PLACES if quick else PLACES)
         force = np.array([_press(bench, place) for place in places])
+        curvature = np.array([curvatures(bench.shell, place) for place in places])
         for depth, limit, column in zip(DEPTHS_M, CV_LIMITS_PERCENT, force.T, strict=True):
             measures.append(
                 Measure(name=f"{region}: variation of peak force over {len(places)} places at {1000 * depth:.0f} mm",
                         value=float(100 * column.std(ddof=1) / column.mean()), unit="%", limit=limit)
+            )  # fmt: skip
+            measures.append(
+                Measure(name=f"{region}: the same at {1000 * depth:.0f} mm, without what the body's curvature explains",
+                        value=100 * unexplained(column, curvature), unit="%")
             )  # fmt: skip
         shell = bench.shell
         measures.append(
@@ -49,7 +54,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         )  # fmt: skip
         seen = shell.normals @ shell.frame[:, 2] > 0.0
         curves |= {
-            f"{region}/points": np.c_[_flat(shell), mask(shell), shell.pinned][seen], f"{region}/places": places,
+            f"{region}/points": np.c_[_flat(shell), mask(shell)][seen], f"{region}/places": places,
             f"{region}/force": force,
         }  # fmt: skip
     return CheckResult(check="uniformity", title=TITLE, measures=tuple(measures), curves=curves)
@@ -59,6 +64,26 @@ def _press(bench: Bench, place: Array) -> Array:
     return bench.response(DEPTHS_M, along_m=place[0], across_m=place[1], speed_m_s=SPEED_M_S)
 
 
+def curvatures(shell: Shell, place: Array) -> Array:
+    """(2,) of the undeformed surface along the region and across it at a place (along, across) [1/m], from the quadric
+    that fits the vertices within BORDER_M best."""
+    local = (shell.vertices - shell.frame_origin) @ shell.frame
+    upward = shell.normals @ shell.frame[:, 2] > 0.0
+    x, y, z = local[upward & (np.linalg.norm(local[:, :2] - place, axis=1) < BORDER_M)].T
+    x, y = x - place[0], y - place[1]
+    terms = np.stack([np.ones_like(x), x, y, x * y, x**2, y**2], 1)
+    _, sx, sy, _, along, across = np.linalg.lstsq(terms, z, rcond=None)[0]
+    # A slope shortens what is seen from above.
+    return -2 * np.array([along / (1 + sx**2), across / (1 + sy**2)]) / np.sqrt(1 + sx**2 + sy**2)
+
+
+def unexplained(force: Array, curvature: Array) -> float:
+    """Spread of what a linear law of the two curvatures leaves of the force, as a share of its mean."""
+    terms = np.c_[np.ones(len(force)), curvature]
+    left = force - terms @ np.linalg.lstsq(terms, force, rcond=None)[0]
+    return float(np.sqrt((left**2).sum() / (len(force) - terms.shape[1])) / force.mean())
+
+
 def _flat(shell: Shell) -> Array:
     """(N, 2) vertices along and across the region's frame [m]."""
     return ((shell.vertices - shell.frame_origin) @ shell.frame)[:, :2]
@@ -66,7 +91,7 @@ def _flat(shell: Shell) -> Array:
 
 def mask(shell: Shell) -> npt.NDArray[np.bool_]:
     """(N,) vertices of the target: the fine patch as seen by a tool that comes from outside."""
-    return shell.fine & ~shell.pinned & (shell.normals @ shell.frame[:, 2] > UPWARD)
+    return shell.fine & (shell.normals @ shell.frame[:, 2] > UPWARD)
 
 
 def inner(shell: Shell) -> npt.NDArray[np.bool_]:
@@ -96,9 +121,8 @@ def draw(result: CheckResult, figure: Figure) -> None:
     figure.set_size_inches(max(3.4, 2.5 * len(regions)), 4.2)
     axes = figure.subplots(2, len(regions), squeeze=False)
     for (above, below), region in zip(axes.T, regions, strict=True):
-        along, across, inside, pinned = result.curves[f"{region}/points"].T
+        along, across, inside = result.curves[f"{region}/points"].T
         above.plot(1000 * along, 1000 * across, ".", ms=1.5, color="0.8")
-        above.plot(1000 * along[pinned > 0], 1000 * across[pinned > 0], ".", ms=1.5, color="k", label="pinned")
         above.plot(1000 * along[inside > 0], 1000 * across[inside > 0], ".", ms=2.5, color="C5", label="target mask")
         places, force = result.curves[f"{region}/places"], result.curves[f"{region}/force"]
         above.plot(*1000 * places.T, "x", ms=4, color="C1", label="pressed")
