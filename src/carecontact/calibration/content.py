@@ -19,7 +19,7 @@ from carecontact.calibration.identify import Identified
 from carecontact.calibration.replay import Replay
 from carecontact.calibration.trial import Array
 from carecontact.contract.protocol import Protocol
-from carecontact.kernel import library
+from carecontact.kernel.found import sha256 as kernel_sha256
 
 LOOSE = 4.0
 """A parameter whose interval spans more than this factor is called hardly identified."""
@@ -62,7 +62,7 @@ def make_content(
         hashes={"data": file.sha256, **model_hashes(replay, body, tissue)},
         versions={
             "carecontact": __version__, "mujoco": version("mujoco"), "protocol": rules.id,
-            "kernel": library.sha256(),
+            "kernel": kernel_sha256(),
         },
         notes=[
             *file.notes,
