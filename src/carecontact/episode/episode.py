@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Self, cast
@@ -149,7 +150,7 @@ class Episode:
         """What the policy is asked to do."""
         return self.task.prompt
 
-    @property
+    @cached_property
     def session(self) -> Session:
         """What a policy learns before its first observation: limits and cameras, the same in every trial."""
         return Session(
