@@ -106,6 +106,7 @@ class PolicyError(CarecontactError):
         "argument",
         "handshake",
         "died",
+        "killed",
         "timeout",
         "garbage",
         "oversize",

@@ -1,29 +1,31 @@
-"""Calibration finds the law that generated the trials, of seed 0, on forearm and abdomen."""
+"""Calibration finds the law that generated the trials, of drawn seeds, on forearm and abdomen."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 
 from carecontact.calibration.agreement import pooled, tangent
 from carecontact.calibration.checks import read_trials
-from carecontact.calibration.curve import GRID, make_curve
+from carecontact.calibration.curve import GRID, TOUCH_SHARE, make_curve
 from carecontact.calibration.fit import Fit, fit_law
-from carecontact.calibration.replay import Replay, group_curves
+from carecontact.calibration.replay import TIME_STEP_S, Replay, group_curves
 from carecontact.contract.protocol import Tissue
 from carecontact.protocols import load_protocol
-from carecontact.sim.bench import Bench
+from carecontact.sim.bench import Bench, touch_depth
 from carecontact.world.human.library import load_body
 
 REGIONS = ("forearm", "abdomen")
 pytestmark = pytest.mark.slow
-SEED = 0
-"""Draws law and noise. It was chosen before any of its results was seen."""
+SEED, ANALYTIC_SEED = 0, 2027
+"""Draw law and noise. They were chosen before any of their results was seen."""
 
 
 @dataclass
@@ -46,10 +48,19 @@ def say(line: str) -> None:
     sys.stdout.write(line + "\n")
 
 
-def prove(generator: ModuleType, folder: Path, region: str, route: str, *, mesh: float = 0.5) -> Proof:
+def prove(
+    generator: ModuleType,
+    folder: Path,
+    region: str,
+    route: str,
+    *,
+    mesh: float = 0.5,
+    seed: int = SEED,
+    **analytic: str,
+) -> Proof:
     # On one mesh a misplaced press would test that mesh's unevenness, not the fit.
     noise = generator.Noise(location_mm=1.5 if mesh < 1 else 0.0)
-    truth = generator.make(region, route, folder / "trials.csv", seed=SEED, mesh=mesh, noise=noise)["law"]
+    truth = generator.make(region, route, folder / "trials.csv", seed=seed, mesh=mesh, noise=noise, **analytic)["law"]
     curves = [make_curve(trial) for trial in read_trials(folder / "trials.csv", region=region).trials]
     tissue: dict[str, Tissue] = {**load_protocol().person.tissue}
     replay = Replay(body=load_body("man-adult"), region=region, tissue=tissue[region], groups=group_curves(curves))
@@ -86,7 +97,7 @@ def test_twice_as_fine_mesh(region: str, generator: ModuleType, tmp_path: Path) 
     truth = Bench(
         body=body, region=region, tissue=fine.model_copy(update=proof.truth), indenter=setup.indenter, dt_s=0.0005
     )
-    here = Bench(body=body, region=region, tissue=proof.fit.tissue, indenter=setup.indenter, dt_s=0.001)
+    here = Bench(body=body, region=region, tissue=proof.fit.tissue, indenter=setup.indenter, dt_s=TIME_STEP_S)
     error = measures(here, generator, region) / measures(truth, generator, region) - 1
     say(f"secant {error[0]:+.1%}, tangent {error[1]:+.1%}, loop {error[2]:+.1%}")
     assert np.all(np.abs(error[:2]) <= 0.05)
@@ -122,29 +133,50 @@ def test_same_mesh_gives_the_law_s_damping(same_mesh: Proof, request: pytest.Fix
     assert damping == pytest.approx(true, rel=0.20)
 
 
-@pytest.mark.parametrize("region", REGIONS)
-def test_analytic_hunt_crossley(region: str, generator: ModuleType, tmp_path: Path) -> None:
-    """Stiffness of k d^n, none of it simulated, against slow presses of the calibrated tissue at the same places.
+def analytic_errors(proof: Proof, truth: Any, setup: Any, motion: Callable[..., Any]) -> np.ndarray:
+    """(3,) errors of the calibrated tissue at the same places: secant and tangent of slow presses, and all work lost.
 
-    Its damping grows with depth, the anchors' with area, and the contact loses work of its own: the work lost is shown,
-    and required of the other route alone. On the abdomen, pressed deep, the difference also lifts the fitted stiffness,
-    by 4 to 6 % in four runs: another seed may miss the limit of 5 %.
+    Depths count from where the force is TOUCH_SHARE of the peak, as in the trials: a law that begins flat shows nobody
+    where its zero is.
     """
-    proof = prove(generator, tmp_path, region, "analytic")
-    whole = pooled(proof.fit.agreement)
-    setup, (k, n) = generator.SETUPS[region], (proof.truth["k_N_at_1mm"], proof.truth["n"])
     bench = Bench(
-        body=load_body("man-adult"), region=region, tissue=proof.fit.tissue, indenter=setup.indenter, dt_s=0.002
-    )
+        body=load_body("man-adult"), region=proof.region, tissue=proof.fit.tissue, indenter=setup.indenter,
+        dt_s=TIME_STEP_S,
+    )  # fmt: skip
     depth = setup.depth_mm / 1000
-    law = k * (1000 * GRID * depth) ** n
-    errors = []
+    fine = np.linspace(0.0, depth, 20_001)
+    at_rest = truth.force_n(setup.indenter, 1000 * fine, 0.0)
+    touch_n = TOUCH_SHARE * at_rest[-1]
+    zero = touch_depth(fine, at_rest, touch_n)
+    grid = GRID * (depth - zero)
+    law = np.interp(grid + zero, fine, at_rest)
+    stiffness, lost = [], []
     for x, y in setup.places_mm:
-        press = bench.press(along_m=x / 1000, across_m=y / 1000, depth_m=depth, speed_m_s=0.002)
-        force = np.interp(GRID * depth, press.indentation_m, press.force_n)
-        errors.append([force[-1] / law[-1] - 1, tangent(GRID * depth, force) / tangent(GRID * depth, law) - 1])
-    secant, slope = np.mean(errors, 0)
-    say(f"held out {proof.held_out_nrmse:.1%}, secant {secant:+.1%}, tangent {slope:+.1%}, fit {whole}")
+        at = {"along_m": x / 1000, "across_m": y / 1000}
+        slow = bench.press(**at, depth_m=depth + 0.001, speed_m_s=0.002)
+        force = slow.at_depths(grid, zero_n=touch_n)
+        stiffness.append([force[-1] / law[-1] - 1, tangent(grid, force) / tangent(grid, law) - 1])
+        turn = depth - zero + touch_depth(slow.indentation_m, slow.force_n, touch_n)
+        for speed in setup.analytic_speeds_mm_s:
+            press = bench.press(**at, depth_m=turn, speed_m_s=speed / 1000, unload=True, sample_s=0.002)
+            _, path, v = motion(setup.depth_mm, speed)
+            lost.append([np.trapezoid(press.force_n, press.indentation_m),
+                         np.trapezoid(truth.force_n(setup.indenter, path, v), path / 1000)])  # fmt: skip
+    simulated, wanted = np.sum(lost, 0)
+    return np.r_[np.mean(stiffness, 0), simulated / wanted - 1]
+
+
+@pytest.mark.parametrize("loss", ["force", "area"])
+@pytest.mark.parametrize("material", ["nearly-linear", "stiffening"])
+@pytest.mark.parametrize("region", REGIONS)
+def test_analytic_law(region: str, material: str, loss: str, generator: ModuleType, tmp_path: Path) -> None:
+    """None of it is simulated: stiffness within 5 %, work lost within 10 %."""
+    proof = prove(generator, tmp_path, region, "analytic", material=material, loss=loss, seed=ANALYTIC_SEED)
+    truth = generator.Analytic(**proof.truth)
+    secant, slope, work = analytic_errors(proof, truth, generator.SETUPS[region], generator.motion)
+    say(f"held out {proof.held_out_nrmse:.1%}, secant {secant:+.1%}, tangent {slope:+.1%}, work {work:+.1%}")
+    say("; ".join(proof.fit.chosen))
     assert proof.held_out_nrmse <= 0.05
     assert abs(secant) <= 0.05
     assert abs(slope) <= 0.05
+    assert abs(work) <= 0.10

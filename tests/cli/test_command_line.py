@@ -129,6 +129,31 @@ def test_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (BROKEN_PIPE, b"")
 
 
+def test_a_table_whose_reader_goes_away_is_no_failed_check() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-c", "from carecontact.cli.console import *; console(80).print('table')"],
+        env={**os.environ, "PYTHONPATH": SOURCES},
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
+    os.close(writing)
+    assert b"BrokenPipeError" in done.stderr, "which main answers with BROKEN_PIPE"
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_a_run_without_standard_output(tmp_path: Path, closed: str) -> None:
+    command = f"{sys.executable} -m carecontact.cli run --policy zero-action --tasks T1 --seeds 0 --fast --out r"
+    done = subprocess.run(
+        ["sh", "-c", f"{command} --set phases.time_limit_s=1 {closed}"],
+        env={**os.environ, "PYTHONPATH": SOURCES}, cwd=tmp_path, capture_output=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert (tmp_path / "r" / "report.html").stat().st_size > 1000
+
+
 def test_a_run_whose_reader_goes_away_ends_quietly(tmp_path: Path) -> None:
     command = ["run", "--policy", "zero-action", "--tasks", "T1", "--seeds", "0-9", "--out", "r"]
     with subprocess.Popen(

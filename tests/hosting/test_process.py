@@ -18,6 +18,7 @@ import pytest
 import carecontact
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.errors import ObservationError, PolicyError
+from carecontact.hosting.isolation.fence import available
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire import codec
@@ -108,7 +109,7 @@ def test_a_conversation(launch: Launch) -> None:
             "died",
             r"act: its process ended itself without an answer, exit code 0\nit printed last:\nlast words$",
         ),
-        ("os.kill(os.getpid(), 9)", "died", "act: its process was killed by SIGKILL without an answer$"),
+        ("os.kill(os.getpid(), 9)", "killed", "act: its process was killed by SIGKILL without an answer$"),
         (
             "os.kill(os.getpid(), 11)",
             "died",
@@ -167,6 +168,35 @@ def test_a_failing_start(launch: Launch, body: str, at: str, kind: str, says: st
     error = _failure(launch(body), at=at)
     assert error.kind == kind
     assert re.search(says, str(error)), str(error)
+
+
+@pytest.mark.parametrize(
+    ("said", "kind"),
+    [
+        ("b'not JSON\\n'", "garbage"),
+        ("b'[' * 100_000 + b'\\n'", "garbage"),
+        ("b'[]\\n'", "garbage"),
+        ("b'{\"port\": null}\\n'", "garbage"),
+        ('b\'{"error": "x", "kind": "timeout"}\\n\'', "start"),
+        ('b\'{"error": "x", "kind": 3}\\n\'', "start"),
+        ("bytes(3 << 20)", "oversize"),
+    ],
+)
+def test_a_policy_that_writes_its_own_report_fails_by_itself(
+    launch: Launch, tmp_path: Path, said: str, kind: str
+) -> None:
+    """An error of the harness would count for nobody."""
+    process = launch(
+        f"""
+        import sys
+        fd, left = sys.modules["carecontact.hosting.child"].RECEIVED["report_fd"], {said}
+        while left:
+            left = left[os.write(fd, left):]
+        time.sleep(60)
+        """
+    )
+    assert _failure(process, at="start").kind == kind
+    assert process.isolation == f"{available()}; --policy-write {tmp_path}"
 
 
 @pytest.mark.parametrize(

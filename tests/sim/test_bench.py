@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -11,7 +10,6 @@ from carecontact.errors import ConfigError, SceneError
 from carecontact.protocols import load_protocol
 from carecontact.sim.bench import LAW_FIELDS, Bench, Indenter, touch_depth
 from carecontact.world.human.library import load_body
-from carecontact.world.human.tissue import add_tissue, set_damping
 from carecontact.world.scene import region_shell
 
 TISSUE = load_protocol().person.tissue
@@ -33,29 +31,35 @@ def restored(bench: Bench) -> Bench:
     return bench
 
 
-def test_force_is_the_sum_of_the_anchors_where_vertices_lean_from_their_cells_normal() -> None:
-    """Between four of the belly's cells, where it is worst: about 1.3 % go past the springs."""
-    bench = Bench(body=load_body("man-adult"), region="abdomen", tissue=TISSUE["abdomen"], indenter=BALL)
-    press = bench.press(along_m=0.012, across_m=0.014, depth_m=0.015, speed_m_s=0.005)
-    on = press.force_n > 0.5
-    np.testing.assert_allclose(press.anchor_force_n[on], press.force_n[on], rtol=0.02)
-
-
 @pytest.mark.parametrize(
     "indenter", [BALL, Indenter(shape="flat", size_m=0.0107), Indenter(shape="cap")], ids=lambda i: i.shape
 )
-def test_force_is_the_sum_of_the_anchors(indenter: Indenter) -> None:
-    bench = Bench(body=load_body("man-adult"), region="forearm", tissue=TISSUE["forearm"], indenter=indenter)
-    press = bench.press(depth_m=0.004, speed_m_s=0.002)
-    on = press.force_n > 0.5
-    assert on.sum() > 20
-    np.testing.assert_allclose(press.anchor_force_n[on], press.force_n[on], rtol=0.01)
-    # A jump of contact points would show as a step: two samples are at most 10 um apart.
-    assert np.abs(np.diff(press.force_n)).max() < 0.05
+@pytest.mark.parametrize("region", ["forearm", "abdomen"])
+def test_force_is_what_the_anchors_bear(region: str, indenter: Indenter) -> None:
+    """But for what coupling and membrane carry past them: on a limb, neighbours' normals lean from one another."""
+    made = Bench(body=load_body("man-adult"), region=region, tissue=TISSUE[region], indenter=indenter)
+    press = made.press(along_m=0.012, across_m=0.004, depth_m=0.006, speed_m_s=0.002)
+    _, inward, _ = made.place(0.012, 0.004)
+    past = 1 - made.anchor_force() @ inward / press.force_n[-1]
+    assert -0.01 < past < (0.07 if region == "forearm" else 0.02)
+    # Contact points come and go without a jump: two samples are at most 40 um apart.
+    assert np.abs(np.diff(press.force_n)).max() < 0.15
+
+
+def test_a_softening_law_is_followed(restored: Bench) -> None:
+    """The anchor law with b below zero and damping that grows, against the force that its anchors bear."""
+    a, depth = TISSUE["forearm"].a_n_m3, 0.005
+    law = {"a_n_m3": a, "b_n_m4": -0.6 * a / depth, "c_n_m5": 0.2 * a / depth**2, "damping_growth_ns_m4": 1e7}
+    straight = restored.press(depth_m=depth, speed_m_s=0.01).force_n[-1]
+    restored.set_law(TISSUE["forearm"].model_copy(update=law))
+    press = restored.press(depth_m=depth, speed_m_s=0.01)
+    _, inward, _ = restored.place(0.0, 0.0)
+    assert restored.anchor_force() @ inward == pytest.approx(press.force_n[-1], rel=0.05)
+    assert press.force_n[-1] < 0.9 * straight
 
 
 def test_stiffer_law_gives_nearly_as_much_more_force(restored: Bench) -> None:
-    """The contact is a spring in series with the anchors, so that the force grows a little less than the law."""
+    """The contact layer is a spring in series with the anchors: the force grows a little less than the law."""
     depths = np.array([0.001, 0.002, 0.004])
     soft = restored.response(depths, speed_m_s=0.002)
     restored.set_law(scaled(TISSUE["forearm"], 1.5))
@@ -68,17 +72,13 @@ def test_changed_law_is_the_law_that_would_have_been_compiled(restored: Bench) -
         update={"a_n_m3": 3e6, "b_n_m4": 2e8, "c_n_m5": 7e9, "damping_ns_m3": 5e4, "source": "another"}
     )
     restored.set_law(other)
-    spec = mujoco.MjSpec()
-    bone = spec.worldbody.add_body(name="human_right_forearm")
-    bone.add_body(name="human_right_forearm_tissue")
-    region = add_tissue(spec, restored.body, "forearm", restored.shell, other)
-    with pytest.warns(UserWarning, match="not rigid"):
-        compiled = spec.compile()
-    set_damping(compiled, {"forearm": region})
-    n = compiled.njnt
-    np.testing.assert_allclose(restored.model.jnt_stiffness[:n], compiled.jnt_stiffness)
-    np.testing.assert_allclose(restored.model.jnt_stiffnesspoly[:n], compiled.jnt_stiffnesspoly)
-    np.testing.assert_allclose(restored.model.dof_damping[:n], compiled.dof_damping)
+    compiled = Bench(body=restored.body, region="forearm", tissue=other, indenter=BALL, shell=restored.shell)
+    np.testing.assert_array_equal(
+        restored.model.numeric("forearm/law").data, compiled.model.numeric("forearm/law").data
+    )
+    np.testing.assert_array_equal(
+        restored.press(depth_m=0.003, speed_m_s=0.02).force_n, compiled.press(depth_m=0.003, speed_m_s=0.02).force_n
+    )
 
 
 def test_another_mesh_needs_another_bench(restored: Bench) -> None:
@@ -115,7 +115,7 @@ def test_any_path_is_followed(restored: Bench) -> None:
 
 
 def test_more_damping_loses_more(restored: Bench) -> None:
-    """Not twice as much for twice the damping: contact and time stepping lose some of their own."""
+    """Not twice as much for twice the damping: friction loses some of its own."""
     areas = []
     for factor in (1.0, 2.0):
         row = TISSUE["forearm"]
@@ -183,8 +183,7 @@ def test_impossible_indenters_are_refused(shape: str, size: float | None) -> Non
         Indenter(shape=shape, size_m=size)  # type: ignore[arg-type]
 
 
-def test_a_press_that_newton_cannot_solve_is_solved_by_conjugate_gradients() -> None:
-    """A disc of 43 mm has some 100 contacts: with Newton alone its force jumped by hundreds of newtons."""
+def test_a_disc_as_large_as_a_palm_presses_evenly() -> None:
     made = Bench(
         body=load_body("man-adult"), region="abdomen", tissue=TISSUE["abdomen"],
         indenter=Indenter(shape="flat", size_m=0.0214),
@@ -192,4 +191,3 @@ def test_a_press_that_newton_cannot_solve_is_solved_by_conjugate_gradients() -> 
     press = made.press(depth_m=0.006, speed_m_s=0.005)
     assert np.abs(np.diff(press.force_n)).max() < 0.2
     assert press.force_n[-1] > 5.0
-    assert made.model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON

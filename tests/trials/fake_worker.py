@@ -1,4 +1,7 @@
-"""Stands in for the trial worker: does what FAKE_PLAN says for its trial, and notes in FAKE_LOG that it ran."""
+"""Stands in for the trial worker: does what FAKE_PLAN says for its trial, and notes in FAKE_LOG that it ran.
+
+A list in the plan is what the attempts at one trial do, one after another. ``lost:abc`` first tells three answers.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,11 +85,20 @@ def main() -> int:
         stream.write(f"{request.model_dump_json()}\n")
     note(f"{trial_id} {os.getpid()}")
     does = json.loads(os.environ["FAKE_PLAN"]).get(trial_id, "good")
-    if does in ("lost", "lost_once", "lost_after", "stopped"):
-        from carecontact.trials.worker import POLICY_GONE, POLICY_RUNS
+    if isinstance(does, list):
+        does = does[Path(os.environ["FAKE_LOG"]).read_text().count(trial_id) - 1]
+    does, _, answers = does.partition(":")
+    if answers:
+        from carecontact.trials.told import ANSWERED, DIGEST_BYTES
 
-        assert request.phase_fd is not None
-        os.write(request.phase_fd, POLICY_RUNS + (POLICY_GONE if does == "lost_after" else b""))
+        assert request.told_fd is not None
+        for letter in answers:
+            os.write(request.told_fd, ANSWERED + letter.encode() * DIGEST_BYTES)
+    if does in ("lost", "lost_once", "lost_after", "stopped"):
+        from carecontact.trials.told import POLICY_GONE, POLICY_RUNS
+
+        assert request.told_fd is not None
+        os.write(request.told_fd, POLICY_RUNS + (POLICY_GONE if does == "lost_after" else b""))
         if does != "lost_once" or Path(os.environ["FAKE_LOG"]).read_text().count(trial_id) == 1:
             os.kill(os.getpid(), signal.SIGSTOP if does == "stopped" else signal.SIGKILL)
         write(spec, out, "good")
@@ -136,11 +149,16 @@ def note(line: str) -> None:
 
 def write(spec: TrialSpec, out: Path, does: str) -> None:
     from carecontact.recording import write_recording
+    from carecontact.recording.schema import Failure
 
     if does == "other":
         spec = spec.model_copy(update={"seed": spec.seed + 1})
-    endings = {"good": "done", "policy": "process_failure", "late_crash": "done", "other": "done"}
-    write_recording(recording(spec, endings[does]), out)
+    endings = {"policy": "process_failure", "policy_killed": "process_failure"}
+    made = recording(spec, endings.get(does, "done"))
+    if does == "policy_killed":
+        killed = Failure(kind="killed", message="policy 'x' failed at act: its process was killed by SIGKILL")
+        made = replace(made, header=made.header.model_copy(update={"failure": killed}))
+    write_recording(made, out)
     if does == "late_crash":
         os.kill(os.getpid(), signal.SIGSEGV)
 

@@ -62,23 +62,6 @@ def test_a_recording_that_found_no_space_stops_the_run_and_is_made_by_the_next(b
     assert summary.kept == ("T1-s000",)
 
 
-def test_a_killed_trial_is_repeated_once_by_the_same_command(bench: Bench) -> None:
-    bench.run(specs(2), {"T1-s000": "kill", "T1-s001": "exit"})
-    assert bench.recording("T1-s000").header.failure.kind == "signal"  # pyright: ignore[reportOptionalMemberAccess]
-    bench.run(specs(2), {"T1-s000": "kill"})
-    assert bench.ran() == ["T1-s000"], "only what chance may have ended"
-    assert [event.message for event in bench.events if event.kind == "redo"] == ["its process was killed by a signal"]
-    bench.run(specs(2))
-    assert bench.ran() == []
-    assert set(bench.run(specs(2), retry_failed=True).ran) == {"T1-s000", "T1-s001"}
-
-
-def test_what_a_lost_trial_died_of_is_told(bench: Bench) -> None:
-    bench.run(specs(1), {"T1-s000": "lost_once"})
-    told = [event.message for event in bench.events if event.kind == "redo"]
-    assert told == ["the trial's process died of signal 9 (Killed) while the policy was running"]
-
-
 def test_a_real_run_under_a_limit_of_the_file_size(tmp_path: Path) -> None:
     """The recording of 0.3 MB does not fit; with the limit gone, the same command makes it."""
     out = tmp_path / "run"

@@ -1,8 +1,10 @@
-"""SIGKILL for random processes of a run: the same command finishes it, and all recordings are as without."""
+"""SIGKILL for random processes of a run, and closed terminals: the same command finishes it, and all recordings are as
+without."""
 
 from __future__ import annotations
 
 import os
+import pty
 import random
 import signal
 import subprocess
@@ -18,8 +20,10 @@ import pytest
 from carecontact.recording import read_recording
 from carecontact.recording.reader import read_verified
 
-TRIALS, KILLS = 12, 15
+TRIALS, KILLS, HANGUPS = 12, 15, 2
 """Even: half of the trials are of one task, half of another."""
+PAUSE_S = (0.3, 6.0)
+"""Between two attacks: a trial takes some 4 s, and two run at once."""
 GONE_S = 1.0
 """After the death of the command."""
 
@@ -59,38 +63,70 @@ def command(out: Path, trials: int) -> list[str]:
     ]  # fmt: skip
 
 
+class Terminal:
+    """One that a command is started in, and that may be closed under it."""
+
+    def __init__(self, arguments: list[str]) -> None:
+        self._ours, theirs = pty.openpty()
+        os.set_blocking(self._ours, False)
+        self.running = subprocess.Popen(["setsid", "--ctty", *arguments], stdin=theirs, stdout=theirs, stderr=theirs)
+        os.close(theirs)
+
+    def wait(self, seconds: float) -> bool:
+        """Whether the command has ended then. Reads what it prints, for which it would wait."""
+        until = time.monotonic() + seconds
+        while self.running.poll() is None and time.monotonic() < until:
+            with suppress(OSError):
+                os.read(self._ours, 1 << 16)
+            time.sleep(0.02)
+        return self.running.poll() is not None
+
+    def close(self) -> None:
+        if self._ours >= 0:
+            os.close(self._ours)
+            self._ours = -1
+
+
 @dataclass
 class Attack:
     out: Path
     trials: int
     rng: random.Random
+    kills: int
+    hangups: int
+    """How many are left."""
     killed: int = 0
     commands: int = 0
     supervisors: int = 0
     done: dict[str, int] = field(default_factory=dict[str, int])
     """Recording of a trial that did not fail -> time of its last change [ns]."""
 
-    def once(self, kills: int) -> int:
-        """Give the command, kill up to so many of its processes; returns the exit status."""
-        seen = set[Process]()
-        with subprocess.Popen(command(self.out, self.trials), stdout=subprocess.DEVNULL) as running:
-            self.commands += 1
-            while running.poll() is None:
-                with suppress(subprocess.TimeoutExpired):
-                    running.wait(self.rng.uniform(0.3, 2.0))
-                if running.poll() is None and kills > 0 and (found := tree(running.pid)):
-                    seen |= set(found)
-                    if len(found) == 1 and self.rng.random() < 0.8:
-                        continue  # more often while it has workers than while it begins
-                    victim = self.rng.choice(found)
-                    with suppress(ProcessLookupError):
-                        os.kill(victim[0], signal.SIGKILL)
-                        self.killed, kills = self.killed + 1, kills - 1
-                        self.supervisors += victim[0] == running.pid
+    def once(self) -> int:
+        """Give the command and attack it until it ends; returns the exit status."""
+        seen, terminal = set[Process](), Terminal(command(self.out, self.trials))
+        self.commands += 1
+        pid = terminal.running.pid
+        while not terminal.wait(self.rng.uniform(*PAUSE_S)):
+            if self.kills + self.hangups == 0 or not (found := tree(pid)):
+                continue
+            seen |= set(found)
+            if len(found) == 1 and self.rng.random() < 0.8:
+                continue  # more often while it has workers than while it begins
+            if self.rng.randrange(self.kills + self.hangups) < self.hangups:
+                terminal.close()
+                self.hangups -= 1
+                assert terminal.wait(GONE_S + 10.0)
+                break
+            victim = self.rng.choice(found)
+            with suppress(ProcessLookupError):
+                os.kill(victim[0], signal.SIGKILL)
+                self.killed, self.kills = self.killed + 1, self.kills - 1
+                self.supervisors += victim[0] == pid
+        terminal.close()
         time.sleep(GONE_S)
         assert not [process for process in seen if alive(process)]
         self.look()
-        return running.returncode
+        return terminal.running.returncode
 
     def look(self) -> None:
         for name, changed in self.done.items():
@@ -108,29 +144,19 @@ def hashes(out: Path) -> dict[str, str]:
 def test_what_was_killed_at_random_is_finished_by_the_same_command(
     tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
-    trials, kills = int(os.environ.get("KILL_TRIALS", TRIALS)), int(os.environ.get("KILL_KILLS", KILLS))
+    def given(name: str, usual: int) -> int:
+        return int(os.environ.get(name, usual))
+
+    trials, hangups = given("KILL_TRIALS", TRIALS), given("KILL_HANGUPS", HANGUPS)
     undisturbed = tmp_path / "undisturbed"
     subprocess.run(command(undisturbed, trials), check=True, stdout=subprocess.DEVNULL)
-    attack = Attack(tmp_path / "run", trials, random.Random(7))
-    while attack.killed < kills and len(attack.done) < trials:
-        attack.once(kills - attack.killed)
-    # Without a kill, twice: a trial that was killed before its policy ran is repeated by itself.
-    attack.once(0)
-    status = attack.once(0)
-    failed = {
-        path.stem: failure
-        for path in attack.out.glob("*.h5")
-        if (failure := read_recording(path).header.failure) is not None
-    }
-    # A policy that was killed cannot be told from one that killed itself, so that its trial counts until it is told not
-    # to; and a trial whose process was killed in two commands is not repeated a third time.
-    assert {failure.kind for failure in failed.values()} <= {"died", "killed", "start", "signal_again"}
-    assert (status == 0) == (not failed)
-    if failed:
-        again = [*command(attack.out, trials), "--retry-failed"]
-        subprocess.run(again, check=True, stdout=subprocess.DEVNULL)
-        attack.look()
+    attack = Attack(tmp_path / "run", trials, random.Random(7), given("KILL_KILLS", KILLS), hangups)
+    while attack.kills + attack.hangups and len(attack.done) < trials:
+        attack.once()
+    left = attack.trials - len(attack.done)
+    attack.kills = attack.hangups = 0
+    assert attack.once() == 0
     assert hashes(attack.out) == hashes(undisturbed)
     assert not [path.name for path in attack.out.iterdir() if path.name.startswith(".")]
     told = {"kills": attack.killed, "of the command": attack.supervisors, "commands": attack.commands}
-    record_property("random kills", {**told, "trials": trials, "with --retry-failed": len(failed)})
+    record_property("random kills", {**told, "trials": trials, "left for the last command": left})

@@ -21,6 +21,8 @@ class Part:
     counts: dict[str, int]
     """What was examined, and how often. A part that examined nothing has shown nothing, and fails."""
     findings: tuple[Finding, ...]
+    notes: tuple[str, ...] = ()
+    """What it measured and does not judge."""
 
     @property
     def passed(self) -> bool:

@@ -19,6 +19,7 @@ import numpy as np
 
 from carecontact.calibration.trial import Array
 from carecontact.contract.protocol import Tissue
+from carecontact.contract.protocol.person import LARGEST_CONTACT
 
 TERMS = ("bend", "rise", "growth")
 ROUND = 0.9
@@ -74,7 +75,9 @@ class Family:
         bend = of.get("bend", 0.0)
         slope = ROUND * bend
         square = ROUND * max(bend, 0.0) ** 2 + of.get("rise", 0.0)
-        a = level / self.depth_m / (1 - slope + square / 3)
+        # Tissue refuses anchors much softer than the contact layer.
+        softest = 1.01 * (self.base.contact_n_m3 or 0.0) / LARGEST_CONTACT
+        a = max(level / self.depth_m / (1 - slope + square / 3), softest)
         if self.damping:
             half, growth = np.exp(of["damping"]), of.get("growth", 0.0)
             damping, grows = half * (1 - growth), 2 * half * growth / self.depth_m

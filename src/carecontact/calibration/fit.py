@@ -1,5 +1,5 @@
-"""Fits the anchor law to replayed trials: bounded least squares, terms chosen by held-out error, intervals from resampled
-trials.
+"""Fits the anchor law to replayed trials: bounded least squares, terms chosen by held-out error, intervals from
+resampled trials.
 
 scipy's least_squares rather than mujoco.sysid: sysid fits recorded control and sensor sequences of equal time stamps
 and needs packages of its own; here the residual is force over depth past a touch that both sides find by force, the
@@ -63,8 +63,8 @@ def fit_law(
 ) -> Fit:
     """Fit stiffness and, where trials unload, damping; their terms are those that lower the error on held-out trials.
 
-    Where no trial unloads, or the trials do not pin the damping down, it keeps its ratio to stiffness, and the reason is
-    given.
+    Where no trial unloads, or the trials do not pin the damping down, it keeps its ratio to stiffness, and the reason
+    is given.
     """
     problem = Problem(curves, replay, on_progress)
     unloads = any(curve.trial.unloads for curve in curves)

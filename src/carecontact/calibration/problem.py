@@ -112,7 +112,7 @@ class Problem:
 
         found = least_squares(
             told, np.clip(start, family.low, family.high), jac=differences,  # pyright: ignore[reportArgumentType]
-            bounds=(family.low, family.high), x_scale=family.scale, ftol=2e-3, xtol=2e-3, max_nfev=EVALUATIONS,
+            bounds=(family.low, family.high), x_scale=family.scale, ftol=1e-2, xtol=2e-3, max_nfev=EVALUATIONS,
             method="dogbox",
         )  # fmt: skip
         return Solution(family=family, p=found.x, residual=found.fun, jacobian=found.jac, rows=rows)
@@ -124,7 +124,7 @@ class Problem:
         return (self.residuals(family.tissue(p + by))[0] - residual) / by[column]
 
     def with_term(self, found: Solution, term: str) -> Solution:
-        """The optimum seen from a family with one more term, at whose value of 0 it lies: not yet that family's optimum."""
+        """The same law in the family with one more term, whose parameter is 0: not yet that family's optimum."""
         family, p = found.family.plus(term), np.r_[found.p, 0.0]
         column = self.difference(family, p, found.residual, len(found.p))
         return Solution(

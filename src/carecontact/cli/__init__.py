@@ -25,6 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line; returns its exit status. Errors that the user can fix give one message and status 2."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     hide_options(arguments)
+    _open_closed()
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A name out of a file or of a policy may hold what no terminal can show.
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -63,6 +64,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"\ninterrupted{left}", file=sys.stderr)
         return INTERRUPTED
+
+
+def _open_closed() -> None:
+    """Give a command that was started without standard output or errors ones that keep nothing.
+
+    First of all: else the next file that is opened gets their number, and what libraries print goes into it.
+    """
+    if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison]
+        sys.stdout = open(os.devnull, "w")
+    if sys.stderr is None:  # pyright: ignore[reportUnnecessaryComparison]
+        sys.stderr = open(os.devnull, "w")
 
 
 def _readable(arguments: Sequence[str]) -> None:

@@ -12,8 +12,9 @@ from carecontact.cli.groups import FLAT, ArgumentsGroup, PolicyGroup, RulesGroup
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from carecontact.audit.finding import Finding, Part
-    from carecontact.audit.run import Audit as AuditResult
 
 SHOWN = 8
 """Findings of one part that are printed; all are in the file."""
@@ -29,6 +30,9 @@ class Audit:
     given: Annotated[ArgumentsGroup, FLAT] = field(default_factory=ArgumentsGroup)
     quick: Switch = False
     """Audit a single region with short trials. The full audit takes minutes."""
+    run: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Examine nothing but the recordings of this run: does the wall time between two acts tell contact? Only a run with
+    --pace fails if it does."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/audit")
     """Folder for audit.json."""
@@ -42,6 +46,8 @@ class Audit:
         from carecontact.policies.registry import POLICIES
         from carecontact.runs.preflight import check_protocol
 
+        if self.run is not None:
+            return self._audit_time(self.run)
         if self.out.exists() and not self.out.is_dir():
             raise ConfigError(f"--out {self.out}: this is a file; name a folder")
         twice = sorted({name for name in self.policy if self.policy.count(name) > 1})
@@ -70,15 +76,29 @@ class Audit:
             quick=self.quick,
             on_event=lambda event: print(f"  {event}", flush=True),
         )
-        _print(result)
+        _print(result.parts)
         print(f"{'passed' if result.passed else 'FAILED'}: {write(result, self.out)}")
         return 0 if result.passed else 1
 
+    def _audit_time(self, run: Path) -> int:
+        from carecontact.audit.wall_time import audit_time
+        from carecontact.cli.rescoring import need_recordings
+        from carecontact.recording import read_recording
 
-def _print(result: AuditResult) -> None:
-    width = max(len(part.title) for part in result.parts)
-    for part in result.parts:
+        if self.policy or self.quick:
+            raise ConfigError("--run examines only recordings; leave out --policy and --quick")
+        need_recordings(run)
+        part = audit_time(read_recording(path) for path in sorted(run.glob("*.h5")))
+        _print([part])
+        return 0 if part.passed else 1
+
+
+def _print(parts: Sequence[Part]) -> None:
+    width = max(len(part.title) for part in parts)
+    for part in parts:
         print(f"{'pass' if part.passed else 'FAIL'}  {part.name:14} {part.title:{width}}  {_looked_at(part)}")
+        for note in part.notes:
+            print(f"        {note}")
         for finding in part.findings[:SHOWN]:
             print(f"        {_line(finding)}")
         if len(part.findings) > SHOWN:

@@ -14,8 +14,13 @@ def console(width: int) -> Console:
     """As wide as the terminal or as COLUMNS says; ``width`` columns where the output goes elsewhere without COLUMNS."""
     from rich.console import Console
 
+    class OurConsole(Console):
+        def on_broken_pipe(self) -> None:
+            """For the command to answer as it does elsewhere: rich's own answer is status 1, that of a failed check."""
+            raise BrokenPipeError
+
     known = "COLUMNS" in os.environ or Console().is_terminal
-    return Console(highlight=False, markup=False, width=None if known else width)
+    return OurConsole(highlight=False, markup=False, width=None if known else width)
 
 
 def plain_table() -> Table:

@@ -47,6 +47,10 @@ class Run:
     """Simulated time between an observation and the first action that answers it [ms], in place of the protocol's (0:
     the world stands still while the policy computes). The last target holds meanwhile; every output names this
     change."""
+    pace: float | None = None
+    """Wall time for each control period [s], as the policy sees it: the next observation leaves when it has passed,
+    however soon it is ready, so that the time reveals no contact (see docs/threat-model.md). It must be longer than the
+    simulation of a period and the rendering take."""
     unfrozen: Switch = False
     """Run a frozen protocol even if it differs from its lock (see `carecontact protocol verify`). Every output then
     names the difference."""
@@ -72,9 +76,11 @@ class Run:
         from carecontact.cli.policy import check_policy, policy_setup
         from carecontact.runs.alone import alone
         from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
+        from carecontact.trials.pace import check_pace
         from carecontact.trials.supervisor import check_jobs, runs_beside
 
         check_jobs(self.parallel.jobs)
+        check_pace(self.pace)
         if self.restart and self.retry_failed:
             raise ConfigError("--restart runs every trial again, and --retry-failed only some; give one of them")
         setup = policy_setup(self.policy, self.given)
@@ -112,6 +118,7 @@ class Run:
                 policy=setup,
                 card=card,
                 weights=self.vision.weights and self.vision.weights.resolve(),
+                pace_s=self.pace,
                 on_event=lambda event: _show(event, on_event),
                 purpose=purpose,
             )
@@ -138,6 +145,11 @@ class Run:
         scores = rescore(self.out, compare=not summary.ran)
         write_page(self.out, scores)
         print_failed(summary.ended, out=self.out)
+        if summary.late:
+            print(
+                f"warning: --pace {self.pace:g}: {sum(summary.late.values())} observation(s) of {len(summary.late)} "
+                f"trial(s) were not ready in time, which may reveal contact; give a longer --pace, or fewer --jobs"
+            )
         if clipped := clipped_text(scores.scores):
             print(f"warning: {clipped}")
         return failed_status(summary.ended, allow_failures=self.allow_failures) if not scores.skipped else 1

@@ -33,8 +33,8 @@ class Options(TypedDict):
     environment: list[str]
     """Names, for the card, of the variables that --policy-env let pass."""
     report_fd: int
-    """Where this process writes one JSON line: ``{"port": n}`` or ``{"error": text, "kind": kind}``, each with
-    ``isolation``."""
+    """Where this process writes two JSON lines: ``{"isolation": text}`` before anything of the policy is imported, so
+    that the policy cannot say something else, then ``{"port": n}`` or ``{"error": text, "kind": kind}``."""
     lifeline_fd: int
     """Ends when the parent does."""
     parent: int
@@ -64,8 +64,11 @@ def main(options: Options) -> None:
     with os.fdopen(options["report_fd"], "w") as report:
 
         def tell(said: dict[str, str | int]) -> None:
-            report.write(json.dumps({**said, "isolation": options.get("isolation")}) + "\n")
+            report.write(json.dumps(said) + "\n")
             report.close()
+
+        report.write(json.dumps({"isolation": options.get("isolation")}) + "\n")
+        report.flush()
 
         try:
             raise_wall()

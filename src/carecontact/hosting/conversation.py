@@ -20,6 +20,8 @@ from carecontact.hosting.client import ActReply, Client
 GRACE_S = 1.0
 """Between being asked to end and being cut off."""
 EVIDENCE_CHARS = 4000
+GONE = ("died", "killed")
+"""Kinds of failure of a policy that is there no more."""
 WAIT_REPORT_S = 10.0
 """How often a silent policy is reported."""
 BUDGET_S = 3600.0
@@ -118,6 +120,10 @@ class PolicyConversation(ABC):
         """To follow the message of a failure whose remedy is known."""
         return ""
 
+    def _kind(self, error: PolicyError) -> str:
+        """What kind of failure it is, where more is known than the line tells."""
+        return error.kind
+
     def _how_it_ended(self) -> str:
         """In place of the message of a policy that is gone, where more is known than that."""
         return ""
@@ -181,13 +187,15 @@ class PolicyConversation(ABC):
         try:
             yield
         except PolicyError as error:
-            said = (self._how_it_ended() if error.kind == "died" else "") or str(error)[:EVIDENCE_CHARS].rstrip()
+            kind = self._kind(error)
+            said = (self._how_it_ended() if kind in GONE else "") or str(error)[:EVIDENCE_CHARS].rstrip()
             where = self._where(error.kind)[:EVIDENCE_CHARS]
             self._drop()
             message = f"policy {self.policy!r} failed at {doing}: {said}{self._hint(said)}{where}"
             if self.printed:
                 message += f"\nit printed last:\n{self.printed[-EVIDENCE_CHARS // 2 :]}"
-            raise type(error)(error.kind, self._shown(message), notes=error.notes) from None
+            failure = type(error) if kind == error.kind else PolicyError
+            raise failure(kind, self._shown(message), notes=error.notes) from None
         except BaseException:
             self._drop()
             raise

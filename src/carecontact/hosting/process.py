@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,8 @@ from carecontact.policies.registry import policy_target
 if TYPE_CHECKING:
     from carecontact.hosting.child import Options
 
+REPORT_BYTES = 1 << 20
+"""Of what the process says about its start; a traceback is its longest part."""
 OUTPUT_BYTES = 8192
 """Of what the policy printed, the end that is kept as evidence."""
 
@@ -149,21 +152,37 @@ class PolicyProcess(PolicyConversation):
 
     def _reported_port(self, report_read: int, left: Callable[[], float]) -> int:
         with os.fdopen(report_read, "rb", buffering=0) as report:
-            line = b""
-            while not line.endswith(b"\n"):
-                if not select.select([report], [], [], left())[0]:
-                    raise PolicyError(
-                        "timeout", f"the policy was not ready within {self._first_deadline_s:g} s of its start"
-                    )
-                piece = report.read(65536)
-                if not piece:
-                    raise PolicyError("start", self._how_it_ended("before it was ready"))
-                line += piece
-        report_line: dict[str, Any] = json.loads(line)
-        self.isolation = report_line["isolation"]
-        if "error" in report_line:
-            raise PolicyError(report_line["kind"], report_line["error"])
-        return int(report_line["port"])
+            lines = self._report_lines(report, left)
+            try:
+                self.isolation = str(json.loads(next(lines))["isolation"])
+                told: dict[str, Any] = json.loads(next(lines))
+                if "error" not in told:
+                    return int(told["port"])
+                kind, why = told["kind"], str(told["error"])
+            except (ValueError, TypeError, KeyError, RecursionError):
+                # Only code of the policy can have written there; what it breaks is its own failure.
+                raise PolicyError("garbage", "its process reported neither a port nor why it did not start") from None
+        raise PolicyError(kind if kind in ("argument", "start") else "start", why)
+
+    def _report_lines(self, report: io.FileIO, left: Callable[[], float]) -> Iterator[bytes]:
+        """What the process says about its start, line by line; never the end of it."""
+        written = b""
+        while True:
+            line, end, rest = written.partition(b"\n")
+            if end:
+                yield line
+                written = rest
+                continue
+            if not select.select([report], [], [], left())[0]:
+                raise PolicyError(
+                    "timeout", f"the policy was not ready within {self._first_deadline_s:g} s of its start"
+                )
+            piece = report.read(65536)
+            if not piece:
+                raise PolicyError("start", self._how_it_ended("before it was ready"))
+            written += piece
+            if len(written) > REPORT_BYTES:
+                raise PolicyError("oversize", f"its process reported more than {REPORT_BYTES} bytes at its start")
 
     def _drain(self, child: subprocess.Popen[bytes]) -> None:
         assert child.stdout is not None
@@ -175,6 +194,15 @@ class PolicyProcess(PolicyConversation):
             if len(value) >= SECRET_CHARS:
                 text = text.replace(value, "[secret removed]")
         return super()._shown(text)
+
+    def _kind(self, error: PolicyError) -> str:
+        """``killed`` if somebody sent the process SIGKILL, which tells nothing about who."""
+        if self._child is None or error.kind not in ("died", "start", "handshake"):
+            return error.kind
+        with suppress(subprocess.TimeoutExpired):
+            if self._child.wait(GRACE_S) == -signal.SIGKILL:
+                return "killed"
+        return error.kind
 
     def _how_it_ended(self, when: str = "without an answer") -> str:
         if self._child is None:

@@ -72,7 +72,9 @@ happened since the row before it. These paths are allowed as well:
 ``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
 (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``perception/*``
 (``recording.perception``), and ``wall/*``, the only place for what may differ between two runs of the same trial: it is
-outside the canonical hash. ``wall/isolation`` holds, as text, how far the policy's process was isolated."""
+outside the canonical hash. ``wall/isolation`` holds, as text, how far the policy's process was isolated,
+``wall/between_acts_s`` (A - 1,) the wall time [s] from each answer until the next observation left, and ``wall/pace``
+(2,) the pace of the run [s] and how many observations came late (``trials.pace``)."""
 
 
 class Failure(BaseModel):

@@ -24,9 +24,9 @@ from carecontact.runs.results_file import skipped_before
 
 MANIFEST = "manifest.json"
 FAILED: tuple[EndReason, ...] = ("process_failure", "harness_error")
-KILLED, KILLED_AGAIN = "signal", "signal_again"
-"""Kind of the harness error of a trial whose process was killed, so that the next command repeats the trial by itself;
-and of one that was killed then too, which none repeats by itself."""
+KILLED, POLICY_KILLED = "signal", "killed"
+"""Kinds of the failure of a trial that lost its process, or its policy's, to a signal: of the harness error, if the
+policy did not run, and of the process failure, if it did. The same command repeats such a trial by itself."""
 Purpose = Literal["run", "demo"]
 
 
@@ -61,8 +61,8 @@ class Survey:
     """Trial id -> how it ended."""
     redo: dict[str, str]
     """Trial id -> why the file that is there does not count."""
-    repeated: frozenset[str] = frozenset()
-    """Those of them whose process was killed."""
+    killed: frozenset[str] = frozenset()
+    """Those of them that an earlier command lost to a signal."""
 
 
 def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identity: Identity) -> Survey:
@@ -83,7 +83,7 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identit
     skipped = skipped_before(out)
     keep: dict[str, EndReason] = {}
     redo: dict[str, str] = {}
-    repeated = set[str]()
+    killed = set[str]()
     for path in sorted(out.glob("*.h5")):
         try:
             # Damage inside an array is found by the scoring after every run, so what that skipped is read whole here.
@@ -105,16 +105,17 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identit
         elif retry_failed and header.ended in FAILED:
             redo[path.stem] = ended_text(header.ended)
         elif _was_killed(header):
-            redo[path.stem] = "its process was killed by a signal"
-            repeated.add(path.stem)
+            redo[path.stem] = "a process of it was killed by a signal"
+            killed.add(path.stem)
         else:
             keep[path.stem] = header.ended
-    return Survey(keep=keep, redo=redo, repeated=frozenset(repeated))
+    return Survey(keep=keep, redo=redo, killed=frozenset(killed))
 
 
 def _was_killed(header: Header) -> bool:
-    """Whether chance, such as a machine out of memory, may have ended the trial's process."""
-    return header.ended == "harness_error" and header.failure is not None and header.failure.kind == KILLED
+    """Whether chance, such as a machine out of memory, may have ended a process of the trial."""
+    kind = header.failure.kind if header.failure is not None else None
+    return (header.ended, kind) in (("harness_error", KILLED), ("process_failure", POLICY_KILLED))
 
 
 def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity, purpose: Purpose) -> None:

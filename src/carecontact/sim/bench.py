@@ -70,8 +70,8 @@ class Press:
     force_n: Array
     """(n,) along the indenter's axis, positive when the tissue pushes it out"""
     anchor_m: Array
-    """(n,) largest inward displacement of an anchor. The contact layer lets it stay behind the travel, and it may lead by
-    the height of a vertex over its triangles' middles."""
+    """(n,) largest inward displacement of an anchor. The contact layer lets it stay behind the travel; it leads where a
+    vertex stands above its triangles' middles, which carry the contact."""
     loading: npt.NDArray[np.bool_]
     """(n,) moving inward"""
 
@@ -110,6 +110,7 @@ class Bench:
         region: a soft one of ``carecontact.regions``.
         dt_s: time step [s].
         shell: of this body, region and tissue, if it is there already.
+        glides: whether the indenter has a second slide, ``indenter_along``, on which it can be moved along the region.
     """
 
     def __init__(
@@ -121,6 +122,7 @@ class Bench:
         indenter: Indenter,
         dt_s: float = 0.002,
         shell: Shell | None = None,
+        glides: bool = False,
     ) -> None:
         self.body, self.region, self.indenter = body, region, indenter
         self.shell = shell or region_shell(body, region, tissue)
@@ -131,7 +133,7 @@ class Bench:
         spec.option.gravity = [0, 0, 0]
         spec.worldbody.add_body(name=body_name(segment))
         add_tissue(spec, body, region, self.shell, tissue, tools="indenter")
-        _add_indenter(spec, indenter)
+        _add_indenter(spec, indenter, glides=glides)
         self.model = spec.compile()
         self._data = mujoco.MjData(self.model)
         slide = self.model.joint("indenter")
@@ -286,6 +288,10 @@ class Bench:
         )
         return press.at_depths(np.asarray(depths_m), zero_n=zero_n)
 
+    def displacement(self) -> Array:
+        """(N, 3) of the shell's vertices at the end of the last press: inward, and along two tangents [m]."""
+        return self._felt.displacement(self._data).copy()
+
     def skin(self) -> tuple[Array, Array]:
         """The surface at the end of the last press: (n,) distance of its vertices from the indenter's axis before the
         press, and (n,) how far each has moved inward along that axis [m]. Of the side that is pressed."""
@@ -300,7 +306,7 @@ class Bench:
         return distance[facing], (moved @ inward)[facing]
 
     def anchor_force(self) -> Array:
-        """(3,) what the springs and dampers of all anchors bear at the end of the last press, in the bone's frame [N]."""
+        """(3,) what the anchors' springs and dampers bear at the end of the last press, in the bone's frame [N]."""
         law, u = self.tissue, self._felt.displacement(self._data)
         spring = law.a_n_m3 * u
         spring[:, 0] += (law.b_n_m4 * np.abs(u[:, 0]) + law.c_n_m5 * u[:, 0] ** 2) * u[:, 0]
@@ -332,10 +338,12 @@ class Bench:
         return inside, direction
 
 
-def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter) -> None:
+def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter, *, glides: bool) -> None:
     """A mocap carriage, whose pose aims the press, and on it a heavy body on one slide; its tip is at the origin."""
     carriage = spec.worldbody.add_body(name="carriage", mocap=True)
     probe = carriage.add_body(name="indenter", mass=INDENTER_MASS_KG, explicitinertial=True, inertia=[1.0, 1.0, 1.0])
+    if glides:
+        probe.add_joint(name="indenter_along", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
     probe.add_joint(name="indenter", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, -1])
     common = {"contype": 1, "conaffinity": 0, "condim": 3, "mass": 0}
     size = indenter.size_m or 0.0

@@ -7,6 +7,7 @@ import math
 from carecontact.contract.trial import TrialSpec
 from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Header, Recording, empty_arrays
 from carecontact.recording.versions import trial_versions
+from carecontact.runs.manifest import POLICY_KILLED
 
 EVIDENCE_CHARACTERS = 4000
 """Length of the tail of a traceback or of stderr kept in a recording; the whole is in the trial's log."""
@@ -19,7 +20,7 @@ def harness_error_recording(spec: TrialSpec, *, kind: str, message: str) -> Reco
 
 def killed_by_policy_recording(spec: TrialSpec, *, message: str) -> Recording:
     """A zero-length recording with ``ended="process_failure"``: a trial whose process dies whenever its policy runs."""
-    return _without_data(spec, ended="process_failure", kind="killed", message=message)
+    return _without_data(spec, ended="process_failure", kind=POLICY_KILLED, message=message)
 
 
 def _without_data(spec: TrialSpec, *, ended: EndReason, kind: str, message: str) -> Recording:

@@ -26,8 +26,10 @@ class TrialRequest(BaseModel):
     """Recording to write."""
     weights: Path | None = None
     """Folder with the weights of the protocol's segmenter."""
-    phase_fd: int | None = None
-    """File descriptor to which the worker reports when its policy runs."""
+    pace_s: float | None = None
+    """Wall time [s] for each control period, as the policy sees it."""
+    told_fd: int | None = None
+    """File descriptor to which the worker tells when its policy runs and what it answers (``trials.told``)."""
     supervisor: int | None = None
     """Process id of whoever started the worker, which ends with it."""
 

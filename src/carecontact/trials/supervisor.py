@@ -23,6 +23,8 @@ from carecontact.recording.storage import no_space
 from carecontact.runs.alone import alone
 from carecontact.runs.identity import Identity, identity_of
 from carecontact.runs.manifest import MANIFEST, Purpose, Survey, salted, survey, write_manifest
+from carecontact.trials.lost import Losses
+from carecontact.trials.pace import check_pace, late_in
 from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
 from carecontact.trials.workers import ROOM_BYTES, WORKER_COMMAND, Workers
@@ -55,6 +57,8 @@ class RunSummary:
     kept: tuple[str, ...]
     unreached: str | None
     """Why the policy's server could not be reached, so that the run stopped before its end; None: it is complete."""
+    late: dict[str, int]
+    """Trial that this command ran with a pace -> how many of its observations came late, where any did."""
     wall_s: float
 
 
@@ -65,6 +69,7 @@ def run_trials(
     policy: PolicySetup | None = None,
     card: PolicyCard | None = None,
     weights: Path | None = None,
+    pace_s: float | None = None,
     jobs: int | None = None,
     retry_failed: bool = False,
     trial_limit_s: float = DEFAULT_TRIAL_LIMIT_S,
@@ -74,7 +79,8 @@ def run_trials(
 ) -> RunSummary:
     """Run what is missing in ``out``, ``jobs`` trials at once; every trial has a recording afterwards.
 
-    A worker that dies without a recording gets one that says how it died. If a policy's server stays out of reach, no
+    A trial of which a signal killed a process is run once more (``trials.lost``). A worker that dies without a
+    recording gets one that says how it died. If a policy's server stays out of reach, no
     further trial begins; those that run end, and those that did not begin have no recording. On KeyboardInterrupt the
     workers are killed and finished trials stay.
 
@@ -82,12 +88,14 @@ def run_trials(
         policy: how the policy of all trials is reached; default: as its name in the trials alone says.
         card: what the policy showed; of a policy on another host it decides whether this is the same run.
         weights: folder with the weights of the protocol's segmenter.
+        pace_s: wall time [s] for each control period, as the policy sees it; None: as fast as can be.
 
     Raises ConfigError for a folder that holds another run, that another command is at work in, or that cannot be
     written to, and StorageError where there is no space for a recording; those that are there stay.
     """
     began = time.monotonic()
     check_jobs(jobs)
+    check_pace(pace_s)
     if not specs:
         raise ConfigError("no trial to run")
     setup = policy or setup_of(specs[0])
@@ -106,9 +114,10 @@ def run_trials(
                 work=work,
                 policy=setup,
                 weights=weights,
+                pace_s=pace_s,
                 command=worker_command,
                 trial_limit_s=trial_limit_s,
-                repeated=found.repeated,
+                losses=Losses(setup, out=out, before=found.killed),
             )
             try:
                 run = _Run(specs, found, workers, on_event)
@@ -120,6 +129,7 @@ def run_trials(
         ran=tuple(trial_id for trial_id in run.ended if trial_id not in found.keep),
         kept=tuple(found.keep),
         unreached=run.unreached,
+        late=run.late,
         wall_s=time.monotonic() - began,
     )
 
@@ -132,6 +142,7 @@ class _Run:
     ) -> None:
         self.ended: dict[str, EndReason] = dict(found.keep)
         self.unreached: str | None = None
+        self.late: dict[str, int] = {}
         self._full: str | None = None
         self._total, self._workers, self._on_event = len(specs), workers, on_event
         self._next_look = time.monotonic() + WAIT_REPORT_S
@@ -185,10 +196,12 @@ class _Run:
             if recording is None:
                 if self._full is None:
                     self._waiting.insert(0, spec)
-                self._report("redo", spec.trial_id, message=f"{done.lost} while the policy was running")
+                self._report("redo", spec.trial_id, message=done.lost)
                 continue
             header = recording.header
             self.ended[spec.trial_id] = header.ended
+            if late := late_in(recording):
+                self.late[spec.trial_id] = late
             why = reason_of(header.failure) if header.failure else None
             self._report("finished", spec.trial_id, ended=header.ended, message=why)
             if done.warnings is not None and not self._answered:

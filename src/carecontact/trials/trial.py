@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,10 @@ from carecontact.errors import ActionError, PolicyError, UnreachableError
 from carecontact.hosting.conversation import PolicyConversation
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
+from carecontact.hosting.wire.messages import act_message
 from carecontact.observation.builder import RawReadings
 from carecontact.recording.schema import Recording
+from carecontact.trials.pace import Pace
 from carecontact.trials.request import check_setup, setup_of
 
 
@@ -39,6 +42,7 @@ def run_trial(
     *,
     policy: PolicySetup | None = None,
     weights: Path | None = None,
+    pace_s: float | None = None,
     prepare: Callable[[TrialSpec], World] | None = None,
     on_look: Callable[[Look], None] | None = None,
     on_policy: Callable[[bool], None] | None = None,
@@ -50,6 +54,7 @@ def run_trial(
     Args:
         policy: how the trial's policy is reached; by default as its name in ``spec`` alone says.
         weights: folder with the weights of the protocol's segmenter.
+        pace_s: wall time [s] for each control period, as the policy sees it (``trials.pace``); None: as fast as can be.
         prepare: gives the world at t = 0, as ``settled_world`` does; the audit has its own.
         on_look: called after every answer with what the policy was shown and what it was made of.
         on_policy: called with True when the process of a local policy is about to start, with False when it is gone.
@@ -65,7 +70,7 @@ def run_trial(
     report = on_policy if on_policy is not None and setup.ref.kind != "remote" else _report_to_nobody
     with Episode(spec, prepare=prepare, weights=weights) as episode:
         report(True)
-        _converse(episode, setup, on_look, on_wait, on_sent)
+        _converse(episode, setup, Pace(pace_s), on_look, on_wait, on_sent)
         report(False)
         return episode.finish()
 
@@ -77,6 +82,7 @@ def _report_to_nobody(running: bool) -> None:
 def _converse(
     episode: Episode,
     setup: PolicySetup,
+    pace: Pace,
     on_look: Callable[[Look], None] | None,
     on_wait: Callable[[str], None] | None,
     on_sent: Callable[[bytes], None] | None,
@@ -90,10 +96,11 @@ def _converse(
             try:
                 episode.card = policy.start()
                 policy.reset(episode.instruction, episode.session)
-                _act(episode, policy, on_look)
+                _act(episode, policy, pace, on_look)
             finally:
                 # What it printed may hold times and paths, so it is evidence but no part of the recording's hash.
                 policy.close()
+                episode.log.extra.update(pace.arrays())
                 episode.log.extra["wall/policy_output"] = np.frombuffer(policy.printed.encode(), "u1")
                 if policy.isolation is not None:
                     episode.log.extra["wall/isolation"] = np.frombuffer(policy.isolation.encode(), "u1")
@@ -103,10 +110,12 @@ def _converse(
         episode.fail(error)
 
 
-def _act(episode: Episode, policy: PolicyConversation, on_look: Callable[[Look], None] | None) -> None:
+def _act(episode: Episode, policy: PolicyConversation, pace: Pace, on_look: Callable[[Look], None] | None) -> None:
     observation: Observation | None = episode.reset()
     while observation is not None:
+        pace.hold(partial(act_message, observation))
         reply = policy.act(observation)
+        pace.answered(len(reply.actions))
         episode.answered(sent_sha256=reply.sent_sha256, notes=reply.notes)
         if on_look is not None and episode.raw is not None:
             on_look(Look(observation=observation, actions=reply.actions, raw=episode.raw, sent=reply.sent))

@@ -1,9 +1,9 @@
 """One trial in its own process: ``python -m carecontact.trials.worker`` with a ``TrialRequest`` on standard input.
 
-The worker writes POLICY_RUNS to the request's ``phase_fd`` when the process of a local policy is about to start, and
-POLICY_GONE when it is gone. Exit status 0 means that the recording was written, whatever happened to the trial, or that
-UNREACHED says why the trial did not begin; UNSTORED, that there was no space for the recording. A crash of the
-interpreter itself writes nothing; then the supervisor writes a recording.
+The worker tells its supervisor when a local policy runs and what it answered (``trials.told``). Exit status 0 means
+that the recording was written, whatever happened to the trial, or that UNREACHED says why the trial did not begin;
+UNSTORED, that there was no space for the recording. A crash of the interpreter itself writes nothing; then the
+supervisor writes a recording.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import json
 import os
 import sys
 import traceback
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from carecontact.hosting.isolation.kernel import die_with_parent, hide_memory
@@ -37,7 +38,6 @@ FIRST_ANSWER = "first_answer.json"
 """File beside it with the warnings about the policy's first answer: a list of texts."""
 UNREACHED = "unreached.txt"
 """File beside it in which the worker says why it could not reach its policy's server; then there is no recording."""
-POLICY_RUNS, POLICY_GONE = b"+", b"-"
 UNSTORED = 74
 """Exit status: EX_IOERR of sysexits.h."""
 
@@ -64,33 +64,40 @@ def _run() -> None:
     from carecontact.recording import write_recording
     from carecontact.recording.storage import is_full
     from carecontact.trials.failed import harness_error_recording, tail
+    from carecontact.trials.lost import digest_of
     from carecontact.trials.request import TrialRequest
+    from carecontact.trials.told import ANSWERED, POLICY_GONE, POLICY_RUNS
 
     request = TrialRequest.model_validate_json(sys.stdin.buffer.read())
     if request.supervisor is not None:
         die_with_parent(request.supervisor)
 
-    def tell(running: bool) -> None:
-        if request.phase_fd is not None:
-            os.write(request.phase_fd, POLICY_RUNS if running else POLICY_GONE)
+    def tell(said: bytes) -> None:
+        if request.told_fd is not None:
+            os.write(request.told_fd, said)
 
     def wait(line: str) -> None:
-        request.out.with_name(WAITING).write_text(line)
+        with suppress(OSError):
+            request.out.with_name(WAITING).write_text(line)
 
     def look(look: Look) -> None:
         from carecontact.trials.first_answer import look_at
 
+        tell(ANSWERED + digest_of(look.actions))
         note = request.out.with_name(FIRST_ANSWER)
         if not note.exists():
             found = look_at(look.actions, look.observation)
-            note.write_text(json.dumps([f"{finding.topic}: {finding.text}" for finding in found]))
+            # A policy may fill the disk; what it fills is free again when the recording is written.
+            with suppress(OSError):
+                note.write_text(json.dumps([f"{finding.topic}: {finding.text}" for finding in found]))
 
     try:
         from carecontact.trials.trial import run_trial
 
         recording = run_trial(
-            request.spec, policy=request.policy, weights=request.weights, on_look=look, on_policy=tell, on_wait=wait
-        )
+            request.spec, policy=request.policy, weights=request.weights, pace_s=request.pace_s,
+            on_look=look, on_policy=lambda runs: tell(POLICY_RUNS if runs else POLICY_GONE), on_wait=wait,
+        )  # fmt: skip
         write_recording(recording, request.out)
     except UnreachableError as error:
         request.out.with_name(UNREACHED).write_text(str(error))

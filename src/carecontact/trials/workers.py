@@ -24,10 +24,12 @@ from carecontact.hosting.isolation.private_folder import remove_abandoned_folder
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.schema import Recording
-from carecontact.runs.manifest import FAILED, KILLED, KILLED_AGAIN
-from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording, tail
+from carecontact.runs.manifest import FAILED, KILLED
+from carecontact.trials.failed import harness_error_recording, tail
+from carecontact.trials.lost import Losses, is_policy_killed
 from carecontact.trials.request import TrialRequest
-from carecontact.trials.worker import FIRST_ANSWER, POLICY_RUNS, SINGLE_THREAD, UNREACHED, UNSTORED, WAITING
+from carecontact.trials.told import Told
+from carecontact.trials.worker import FIRST_ANSWER, SINGLE_THREAD, UNREACHED, UNSTORED, WAITING
 
 # -P: the folder a user happens to stand in must not shadow a module of the trial's process.
 WORKER_COMMAND = (sys.executable, "-P", "-X", "faulthandler", "-m", "carecontact.trials.worker")
@@ -43,8 +45,7 @@ class _Worker:
     process: subprocess.Popen[bytes]
     partial: Path
     output: Path
-    phase: int
-    """End of the pipe in which the worker reports when its policy runs."""
+    told: Told
     started: float
 
 
@@ -75,13 +76,12 @@ class Workers:
     """Folder for what is not finished."""
     policy: PolicySetup
     weights: Path | None
+    pace_s: float | None
     command: Sequence[str]
     trial_limit_s: float
-    repeated: frozenset[str] = frozenset()
-    """Trials whose process was killed when an earlier command ran them."""
+    losses: Losses
+    """Trials that this command or an earlier one lost to a signal."""
     running: list[_Worker] = field(default_factory=list[_Worker])
-    again: set[str] = field(default_factory=set[str])
-    """Trials whose process was lost once while their policy ran."""
 
     def has_room(self) -> bool:
         """Whether one more recording can be stored beside those of the trials that run."""
@@ -91,8 +91,7 @@ class Workers:
         # Neither a name nor a command line may show the policy, which can read both, what it is tried on.
         folder = Path(tempfile.mkdtemp(dir=self.work))
         partial, output = folder / "trial.h5", folder / "output.txt"
-        phase, phase_fd = os.pipe()
-        os.set_blocking(phase, False)
+        pipe, told_fd = os.pipe()
         try:
             with output.open("wb") as log:
                 process = subprocess.Popen(
@@ -101,35 +100,38 @@ class Workers:
                     stdout=log,
                     stderr=subprocess.STDOUT,
                     env={**os.environ, **SINGLE_THREAD, "PYTHONHASHSEED": "0"},
-                    pass_fds=(phase_fd,),
+                    pass_fds=(told_fd,),
                     start_new_session=True,
                 )
         finally:
-            os.close(phase_fd)
+            os.close(told_fd)
         request = TrialRequest(
-            spec=spec, policy=self.policy, out=partial.resolve(), weights=self.weights, phase_fd=phase_fd,
-            supervisor=os.getpid(),
+            spec=spec, policy=self.policy, out=partial.resolve(), weights=self.weights, told_fd=told_fd,
+            supervisor=os.getpid(), pace_s=self.pace_s,
         )  # fmt: skip
         assert process.stdin is not None
         # A worker that is dead already is found so when it is polled.
         with suppress(BrokenPipeError), process.stdin as stdin:
             stdin.write(request.model_dump_json().encode())
         self.running.append(
-            _Worker(spec=spec, process=process, partial=partial, output=output, phase=phase, started=time.monotonic())
+            _Worker(
+                spec=spec, process=process, partial=partial, output=output, told=Told(pipe), started=time.monotonic()
+            )
         )
 
     def finished(self) -> list[Ended]:
         """Reap the workers that have ended, were stopped or ran out of time; their recordings are then in ``out``."""
         done: list[Ended] = []
         for worker in list(self.running):
+            worker.told.read()
             stopped = _is_stopped(worker.process)
             timed_out = time.monotonic() - worker.started > self.trial_limit_s
             if worker.process.poll() is None and not timed_out and not stopped:
                 continue
             self.running.remove(worker)
             kill_tree(worker.process)
-            with os.fdopen(worker.phase, "rb") as pipe:
-                policy_ran = (pipe.read() or b"").endswith(POLICY_RUNS)
+            worker.told.read()
+            worker.told.close()
             if (unreached := self._unreached(worker)) is not None:
                 done.append(Ended(spec=worker.spec, recording=None, unreached=unreached))
                 continue
@@ -139,9 +141,9 @@ class Workers:
             kind, death = _death(
                 worker.process.returncode, timed_out=timed_out, stopped=stopped, limit_s=self.trial_limit_s
             )
-            recording = self._collected(worker, kind, death, policy_ran=policy_ran)
-            if recording is None:
-                done.append(Ended(spec=worker.spec, recording=None, lost=death))
+            recording = self._collected(worker, kind, death)
+            if isinstance(recording, str):
+                done.append(Ended(spec=worker.spec, recording=None, lost=recording))
                 continue
             os.replace(worker.partial, self.out / f"{worker.spec.trial_id}.h5")
             self._keep_log(worker, recording)
@@ -161,7 +163,7 @@ class Workers:
     def kill_all(self) -> None:
         for worker in self.running:
             kill_tree(worker.process)
-            os.close(worker.phase)
+            worker.told.close()
         self.running.clear()
 
     def _unreached(self, worker: _Worker) -> str | None:
@@ -169,33 +171,25 @@ class Workers:
         note = worker.partial.with_name(UNREACHED)
         return note.read_text() if self.policy.ref.kind == "remote" and note.is_file() else None
 
-    def _collected(self, worker: _Worker, kind: str, message: str, *, policy_ran: bool) -> Recording | None:
-        """Return the recording in ``worker.partial``, writing one if the worker left none; None to run it again."""
-        try:
-            # A complete file counts even if the interpreter then crashed, as graphics drivers do while it shuts down.
-            recording = read_recording(worker.partial)
-            if recording.header.spec == worker.spec:
-                return recording
-            problem = f"the worker recorded another trial, {recording.header.spec.trial_id}"
-        except RecordingError as error:
-            problem = str(error)
+    def _collected(self, worker: _Worker, kind: str, death: str) -> Recording | str:
+        """Return the recording, then in ``worker.partial`` whoever wrote it, or why the trial has to run once more."""
+        found, problem = _read(worker)
+        answers = worker.told.answers
         if kind == "no_recording":
-            message += f": {problem}"
-        evidence = f"\n\n{tail(worker.output.read_text(errors='replace')) or '(no output)'}"
-        if not policy_ran or kind == "timeout":
-            if kind == KILLED and worker.spec.trial_id in self.repeated:
-                kind = KILLED_AGAIN
-            recording = harness_error_recording(worker.spec, kind=kind, message=message + evidence)
-        elif worker.spec.trial_id not in self.again:
-            # Chance, such as a machine out of memory, does not come twice at the same place; a policy that kills
-            # does, and must not be able to leave its bad trials out of the count.
-            self.again.add(worker.spec.trial_id)
-            return None
+            death += f": {problem}"
+        if found is not None and not is_policy_killed(found.header):
+            outcome = self.losses.counted(found, answers)
+        elif found is not None:
+            outcome = self.losses.policy_killed(found, answers)
+        elif worker.told.policy_runs and kind != "timeout":
+            outcome = self.losses.died_with_policy(worker.spec, answers, death, _evidence(worker))
+        elif kind == KILLED:
+            outcome = self.losses.died(worker.spec, answers, death, _evidence(worker))
         else:
-            message = f"{message} while the policy was running, in both attempts{evidence}"
-            recording = killed_by_policy_recording(worker.spec, message=message)
-        write_recording(recording, worker.partial)
-        return recording
+            outcome = harness_error_recording(worker.spec, kind=kind, message=death + _evidence(worker))
+        if isinstance(outcome, Recording) and outcome is not found:
+            write_recording(outcome, worker.partial)
+        return outcome
 
     def _keep_log(self, worker: _Worker, recording: Recording) -> None:
         trial_id, failure = worker.spec.trial_id, recording.header.failure
@@ -208,6 +202,22 @@ class Workers:
         printed = f"\nthe trial's process printed:\n{output}\n" if output else ""
         worker.output.write_text(head + printed, errors="replace")
         os.replace(worker.output, log)
+
+
+def _read(worker: _Worker) -> tuple[Recording | None, str]:
+    """Return the trial's recording, or None and what is wrong with it."""
+    try:
+        # A complete file counts even if the interpreter then crashed, as graphics drivers do while it shuts down.
+        recording = read_recording(worker.partial)
+    except RecordingError as error:
+        return None, str(error)
+    if recording.header.spec == worker.spec:
+        return recording, ""
+    return None, f"the worker recorded another trial, {recording.header.spec.trial_id}"
+
+
+def _evidence(worker: _Worker) -> str:
+    return f"\n\n{tail(worker.output.read_text(errors='replace')) or '(no output)'}"
 
 
 def _warnings(worker: _Worker) -> tuple[str, ...] | None:

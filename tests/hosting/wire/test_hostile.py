@@ -32,6 +32,9 @@ def test_every_call_ends_in_time_and_names_the_failure(
         row for row in found["met"] if row[2] not in (*PolicyError.KINDS, *([None] if row[0] == "close" else []))
     ]
     assert not unnamed
+    # A peer whose handshake never ends reaches no stage behind it.
+    for stage in ("card", "reset", "act"):
+        assert {row[2] for row in found["met"] if row[0] == stage} >= {"died", "garbage", "oversize", "timeout"}
     assert found["peak_mb"] < MEMORY_MB
     record_property("met", len(found["met"]))
     record_property("slowest", max(row[3] for row in found["met"]))

@@ -52,7 +52,7 @@ class Tissue(Section):
     @model_validator(mode="after")
     def _solvable(self) -> Self:
         """The solver was tried with a layer of contact up to LARGEST_CONTACT times as stiff as the anchors."""
-        if self.contact_n_m3 > LARGEST_CONTACT * self.a_n_m3:
+        if self.contact_n_m3 is not None and self.contact_n_m3 > LARGEST_CONTACT * self.a_n_m3:
             raise ValueError(
                 f"contact_n_m3 {self.contact_n_m3:g} is too stiff to be solved with a_n_m3 {self.a_n_m3:g}: expected "
                 f"at most {LARGEST_CONTACT} a = {LARGEST_CONTACT * self.a_n_m3:g}"

@@ -6,12 +6,13 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from carecontact.protocols.frozen_state import frozen_state
-from carecontact.recording.schema import Header
-from carecontact.reports.page.section import Page, section
+from carecontact.recording.schema import Header, Recording
+from carecontact.reports.page.section import Kept, Page, section
 from carecontact.scoring.result import TrialScore
 
 FIRST_VERSIONS = ("carecontact", "mujoco", "numpy", "mediapipe")
 NOT_RECORDED = "not recorded"
+PACE = "wall/pace"
 TEMPLATE = """\
 <section>
 <h2>Where the numbers come from</h2>
@@ -29,12 +30,19 @@ TEMPLATE = """\
 """
 
 
-@section("provenance", order=140, template=TEMPLATE)
+def _keep_pace(score: TrialScore, recording: Recording, kept: Kept) -> None:
+    kept[score.trial_id] = recording[PACE].tolist() if PACE in recording.arrays else None
+
+
+@section("provenance", order=140, template=TEMPLATE, keep=_keep_pace)
 def provenance(page: Page) -> dict[str, Any]:
     return {
         "n": len(page.judged),
         "read": len(page.headers),
-        "provenance": provenance_rows(page.judged or page.scores, list(page.headers.values())),
+        "provenance": [
+            *provenance_rows(page.judged or page.scores, list(page.headers.values())),
+            *_pace(list(page.kept.get("provenance", {}).values())),
+        ],
     }
 
 
@@ -90,6 +98,15 @@ def _language(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
         ("Sampling accepted", [s.language_sent for s in scores]),
     )
     return [(name, _distinct(v for v in values if v)) for name, values in rows if any(values)]
+
+
+def _pace(kept: Sequence[list[float] | None]) -> list[tuple[str, str]]:
+    """Only where a trial had one: the pace [s] and how many of its observations came late."""
+    if not any(kept):
+        return []
+    late = sum(bool(pace and pace[1]) for pace in kept)
+    text = _distinct(f"{pace[0]:g} s for each control period" if pace else "none" for pace in kept)
+    return [("Pace", f"{text}; observations came late in {late} of {len(kept)} recordings read")]
 
 
 def _distinct(values: Iterable[str]) -> str:

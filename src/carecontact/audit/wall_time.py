@@ -1,0 +1,116 @@
+"""Part (g) tests whether the wall time between two acts, as recordings hold it, tells contact from no contact.
+
+Without a pace it does, because a period with contact takes longer to simulate: this is said and fails nothing. A run
+that claims a pace fails if its times tell contact all the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.audit.finding import Finding, Part
+from carecontact.recording.schema import Recording
+from carecontact.trials.pace import BETWEEN, PACED
+
+NAME, TITLE = "time", "wall time between two acts against contact"
+TELLS = 0.1
+"""Distance of an AUC from 0.5 from which on times count as telling: 0.6 is what a policy has by guessing right in 60 of
+100 pairs of periods."""
+SURE_Z = 3.3
+"""Standard errors by which it has to differ from 0.5 as well: by chance in 1 of 1,000 runs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Times:
+    """The intervals between two acts of one trial."""
+
+    per_period_s: npt.NDArray[np.float64]
+    """(n,) wall time from an answer until the next observation left, for each of its control periods [s]."""
+    contact: npt.NDArray[np.bool_]
+    """(n,) whether the robot touched the person meanwhile."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Separation:
+    """How well the times of many trials tell contact from no contact."""
+
+    auc: float
+    """Probability that, of two intervals of one trial, the one with contact took longer; NaN where no trial has
+    both."""
+    z: float
+    """Distance from 0.5 in standard errors, those of independent intervals."""
+
+    @property
+    def tells(self) -> bool:
+        return abs(self.auc - 0.5) >= TELLS and abs(self.z) >= SURE_Z
+
+
+def times_of(recording: Recording) -> Times:
+    """Return what a recording holds; nothing of one that an earlier release made."""
+    between = recording.arrays.get(BETWEEN, np.zeros(0))
+    shown, steps = recording["policy/observation_time_s"], recording["scorer/time_s"]
+    count = min(len(between), max(len(shown) - 1, 0))
+    periods = np.bincount(recording["actions/observation_index"], minlength=len(shown))[:count]
+    touched = recording["scorer/normal_force"].max(1, initial=0.0) > 0.0
+    # Before each step; a sum over none is 0.
+    before = np.concatenate([[0], np.cumsum(touched)])
+    edges = before[np.searchsorted(steps, shown[: count + 1])]
+    kept = periods > 0
+    return Times(per_period_s=(between[:count] / np.maximum(periods, 1))[kept], contact=(np.diff(edges) > 0)[kept])
+
+
+def separation(trials: Iterable[Times]) -> Separation:
+    """Compare intervals within each trial, and never those of two: machine and load differ between them."""
+    wins = pairs = variance = 0.0
+    for times in trials:
+        with_, without = times.per_period_s[times.contact], times.per_period_s[~times.contact]
+        n = len(with_) * len(without)
+        if n == 0:
+            continue
+        order = np.sort(without)
+        wins += (np.searchsorted(order, with_, "left") + np.searchsorted(order, with_, "right")).sum() / 2
+        pairs += n
+        variance += n * (len(with_) + len(without) + 1) / 12
+    if pairs == 0:
+        return Separation(auc=math.nan, z=0.0)
+    return Separation(auc=wins / pairs, z=(wins - pairs / 2) / math.sqrt(variance))
+
+
+def audit_time(recordings: Iterable[Recording]) -> Part:
+    """``recordings``: of one run."""
+    free: list[Times] = []
+    paced: list[Times] = []
+    policy, late = "", 0
+    for recording in recordings:
+        policy = recording.header.spec.policy
+        claims = PACED in recording.arrays
+        (paced if claims else free).append(times_of(recording))
+        late += int(recording[PACED][1]) if claims else 0
+    told: list[str] = []
+    findings: list[Finding] = []
+    for kind, trials in (("without a pace", free), ("with a pace", paced)):
+        if not trials:
+            continue
+        found = separation(trials)
+        text = _told(found)
+        told.append(f"{kind}: {text}")
+        if kind == "with a pace" and found.tells:
+            cause = f"; {late} observation(s) came late: give a longer --pace" if late else ""
+            findings.append(Finding(policy=policy, place="wall time between two acts", told=text + cause))
+    counts = {"recordings": len(free) + len(paced)}
+    if paced:
+        counts["paced intervals in contact"] = sum(int(times.contact.sum()) for times in paced)
+        counts["paced intervals without contact"] = sum(int((~times.contact).sum()) for times in paced)
+    return Part(name=NAME, title=TITLE, counts=counts, findings=tuple(findings), notes=tuple(told))
+
+
+def _told(found: Separation) -> str:
+    if math.isnan(found.auc):
+        return "no trial has acts both with and without contact, so that nothing can be said"
+    said = "tells contact" if found.tells else "does not tell contact"
+    return f"wall time {said} (AUC {found.auc:.2f}, {found.z:+.1f} standard errors from 0.5)"

@@ -1,0 +1,92 @@
+"""A fixed wall time between an answer of a policy and the next observation, so that the time reveals no contact.
+
+The simulation of a period takes longer when the robot touches the person. A policy that waits for its next observation
+could measure that. With a pace, the observation leaves when the pace has passed for each executed period, however soon
+it is ready.
+
+A process that has just slept for long may send a message later than one that was busy until now, because its memory is
+in no cache any more. Therefore the last WARM_S of each wait are the same whatever came before: the message is made once
+in vain, and the process does not sleep.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.errors import ConfigError
+from carecontact.recording.schema import Recording
+
+BETWEEN, PACED = "wall/between_acts_s", "wall/pace"
+"""Arrays of a recording: (A - 1,) wall time [s] from each answer until the next observation left; (2,) the pace [s],
+and how many of these observations came late. Only a run with a pace has the second."""
+WARM_S = 0.1
+"""Some ten times what it takes to make and send a message with every modality of one camera."""
+MAX_PACE_S = 5.0
+"""With the 1,500 observations that a trial can have at most, 2 of the supervisor's 4 hours."""
+
+
+def check_pace(pace_s: float | None) -> None:
+    """Raises ConfigError for a pace that no trial can keep."""
+    if pace_s is not None and not WARM_S < pace_s <= MAX_PACE_S:
+        raise ConfigError(f"--pace {pace_s:g}: must be above {WARM_S:g} and at most {MAX_PACE_S:g} s")
+
+
+def late_in(recording: Recording) -> int:
+    """Return how many observations of a trial came late; 0 without a pace."""
+    return int(recording[PACED][1]) if PACED in recording.arrays else 0
+
+
+class Pace:
+    """Holds back the observations of one trial, and notes when they left."""
+
+    def __init__(
+        self,
+        pace_s: float | None,
+        *,
+        clock: Callable[[], float] = time.perf_counter,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """``pace_s``: wall time [s] for each control period; None: nothing is held back."""
+        self._pace_s, self._clock, self._sleep = pace_s, clock, sleep
+        self._answered_s: float | None = None
+        self._periods = 0
+        self._between_s: list[float] = []
+        self._late = 0
+
+    def answered(self, periods: int) -> None:
+        """An answer came, which is executed in so many control periods."""
+        self._answered_s, self._periods = self._clock(), periods
+
+    def hold(self, rehearse: Callable[[], object] = lambda: None) -> None:
+        """Return when the next observation may leave.
+
+        One that is late, which means not ready WARM_S before its time, leaves after the next whole pace, so that the
+        policy learns that it was late, and not by what fraction.
+
+        Args:
+            rehearse: makes the message.
+        """
+        if self._answered_s is None:
+            return
+        if self._pace_s is not None:
+            needed = math.ceil((self._clock() - self._answered_s + WARM_S) / self._pace_s)
+            self._late += needed > self._periods
+            until = self._answered_s + max(needed, self._periods) * self._pace_s
+            while (left := until - WARM_S - self._clock()) > 0:
+                self._sleep(left)
+            rehearse()
+            while self._clock() < until:
+                pass
+        self._between_s.append(self._clock() - self._answered_s)
+
+    def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
+        """Return what the recording keeps of it."""
+        kept = {BETWEEN: np.array(self._between_s, "<f8")}
+        if self._pace_s is not None:
+            kept[PACED] = np.array([self._pace_s, self._late], "<f8")
+        return kept
