@@ -105,9 +105,9 @@ def test_the_world_has_the_region_as_target_without_a_shell(scene: Scene, protoc
     assert 0.15 < length < 0.25
     assert 0.01 < outward <= half_width * 1.5 < 0.12
     assert list(scene.regions) == ["forearm", "upper_arm", "abdomen"]
-    # What is soft is as coarse as where another region is the target.
+    # What is soft is as fine as where another region is the target.
     own = load_protocol("bathing-draft")
-    assert all(region.tissue != own.person.tissue[name] for name, region in scene.regions.items())
+    assert all(region.tissue == own.person.tissue[name] for name, region in scene.regions.items())
 
 
 def test_a_press_on_the_hand_is_felt_there_and_indents_nothing(scene: Scene) -> None:

@@ -1,8 +1,9 @@
-"""Two recordings of real simulations, written under schema 1, keep every array and every score to the last bit.
+"""Recordings of real simulations keep every array and every score to the last bit.
 
-``T7-s000.h5`` is the state machine on ``bathing-v1``, ``T2-s001.h5`` the replay baseline on ``bathing-moved-v1``. The
-files are never written again: a later schema has to read them as they are. After a definition changed on purpose, run
-``python -m tests.golden.test_simulated`` from the repository's root; it writes the expected values only.
+``T7-s000.h5`` is the state machine on ``bathing-v1``, ``T2-s001.h5`` the replay baseline on ``bathing-moved-v1``, both
+with the earlier model of the tissue and under schema 1; ``T1-s000.h5`` is the state machine on ``bathing-draft`` under
+schema 3. The files are never written again: a later schema has to read them as they are. After a definition changed on
+purpose, run ``python -m tests.golden.test_simulated`` from the repository's root; it writes the expected values only.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from tests.golden.test_scores import same
 
 FOLDER = Path(__file__).parent / "simulated"
 EXPECTED = FOLDER / "expected.json"
-FILES = ("T2-s001.h5", "T7-s000.h5")
+FILES = ("T1-s000.h5", "T2-s001.h5", "T7-s000.h5")
 
 
 def cpu() -> str:

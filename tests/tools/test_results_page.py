@@ -48,7 +48,7 @@ def test_the_rates_of_the_page_are_those_of_the_kept_scores(protocol: str, metho
 
 @pytest.mark.parametrize("page", [*(f"{protocol}.md" for protocol in PROTOCOLS), "README.md"])
 def test_a_page_says_that_it_was_made_with_the_earlier_tissue(page: str) -> None:
-    top = " ".join((RESULTS / page).read_text().replace("\n> ", " ").split("\n\n")[1].split())
+    top = (RESULTS / page).read_text().split("\n\n")[1].replace("\n> ", " ")
     assert top.startswith("> **These results were made with an earlier model of the soft tissue**")
     assert "do not hold for the present draft" in top
 

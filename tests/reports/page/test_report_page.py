@@ -459,6 +459,11 @@ def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     frozen = headers[0].model_copy(update={"spec": headers[0].spec.model_copy(update={"protocol": protocol})})
     assert "Draft protocol" in said
     assert "Draft protocol" not in caveats(run_of_7.scores, [frozen])
+    assert "Earlier tissue" not in said
+    tissue = {name: row.model_copy(update={"contact_n_m3": None}) for name, row in protocol.person.tissue.items()}
+    rules = protocol.model_copy(update={"person": protocol.person.model_copy(update={"tissue": tissue})})
+    earlier = headers[0].model_copy(update={"spec": headers[0].spec.model_copy(update={"protocol": rules})})
+    assert "earlier model of the soft tissue" in caveats(run_of_7.scores, [earlier])["Earlier tissue"]
     assert "stayed within" in caveats([make_score("T1", 0)], [])["Extrapolated tissue"]
 
 

@@ -81,8 +81,11 @@ def _protocol(headers: Sequence[Header]) -> list[Caveat]:
     protocols = {h.spec.protocol.sha256: h.spec.protocol for h in headers}.values()
     found: list[Caveat] = []
     if any(not protocol.frozen for protocol in protocols):
-        text = "The protocol is not frozen: its numbers may still change and must not be compared."
+        text = "The protocol is not frozen: it may still change, and results under different releases must not be compared."
         found.append(("Draft protocol", text))
+    if any(row.contact_n_m3 is None for protocol in protocols for row in protocol.person.tissue.values()):
+        text = "This run was made with an earlier model of the soft tissue. Its numbers do not hold for the present one."
+        found.append(("Earlier tissue", text))
     changed = sorted({state for protocol in protocols if (state := frozen_state(protocol)).startswith("not ")})
     if changed:
         text = f"The protocol is {'; '.join(changed)}. Do not compare these numbers with those of the frozen protocol."
