@@ -84,7 +84,9 @@ def _protocol(headers: Sequence[Header]) -> list[Caveat]:
         text = "The protocol is not frozen: it may still change, and results under different releases must not be compared."
         found.append(("Draft protocol", text))
     if any(row.contact_n_m3 is None for protocol in protocols for row in protocol.person.tissue.values()):
-        text = "This run was made with an earlier model of the soft tissue. Its numbers do not hold for the present one."
+        text = (
+            "This run was made with an earlier model of the soft tissue. Its numbers do not hold for the present one."
+        )
         found.append(("Earlier tissue", text))
     changed = sorted({state for protocol in protocols if (state := frozen_state(protocol)).startswith("not ")})
     if changed:
