@@ -17,7 +17,7 @@ from carecontact.calibration.facts import measured_facts, model_hashes, response
 from carecontact.calibration.problem import agreements
 from carecontact.calibration.replay import Group, Replay, group_curves
 from carecontact.errors import ConfigError
-from carecontact.kernel import found
+from carecontact.kernel.found import sha256 as kernel_sha256
 from carecontact.world.human.library import load_body
 
 
@@ -107,7 +107,7 @@ def _check_value(name: str, stated: Value, here: float | None, *, allowed: float
 def _show_versions(content: Content, hashes: dict[str, str]) -> Iterator[Check]:
     pairs = {
         "mujoco": (content.versions["mujoco"], version("mujoco")),
-        "kernel": (content.versions["kernel"], found.sha256()),
+        "kernel": (content.versions["kernel"], kernel_sha256()),
     }
     pairs |= {name: (content.hashes[name], hashes[name]) for name in ("mesh", "model")}
     for name, (certified, here) in pairs.items():

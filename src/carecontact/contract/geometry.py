@@ -10,13 +10,16 @@ Array = npt.NDArray[np.float64]
 
 def matrix_from_quat(quat_wxyz: Array) -> Array:
     """(..., 4) unit quaternion -> (..., 3, 3)."""
-    w, x, y, z = np.moveaxis(np.asarray(quat_wxyz, np.float64), -1, 0)
+    quat = np.asarray(quat_wxyz, np.float64)
+    # Plain numbers are ten times as fast as arrays of one, and give the same bits.
+    alone = quat.ndim == 1
+    w, x, y, z = quat.tolist() if alone else np.moveaxis(quat, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return np.stack([np.stack(row, -1) for row in rows], -2)
+    return np.array(rows) if alone else np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def quat_from_matrix(matrix: Array) -> Array:

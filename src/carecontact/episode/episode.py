@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Self, cast
@@ -46,6 +47,7 @@ from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Recording
 from carecontact.regions import REGIONS
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.rendering import SceneRenderer
+from carecontact.sim.simulation import lengths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +151,7 @@ class Episode:
         """What the policy is asked to do."""
         return self.task.prompt
 
-    @property
+    @cached_property
     def session(self) -> Session:
         """What a policy learns before its first observation: limits and cameras, the same in every trial."""
         return Session(
@@ -331,7 +333,7 @@ class Episode:
             )  # fmt: skip
             if self.log.wants_state(simulation.time_s):
                 self.log.add_state(simulation.time_s, simulation.integration_state())
-            force_n = np.concatenate([np.linalg.norm(s.force, axis=2) for s in samples])
+            force_n = np.concatenate([lengths(s.force) for s in samples])
             self._peak.look(force_n)
             cut = self._force_cut.cut(force_n) or cut_by_speed(simulation.fastest_joint)
             if cut is not None:

@@ -7,7 +7,7 @@ from typing import Any
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.ended import Ended
-from carecontact.kernel import found
+from carecontact.kernel.found import sha256 as kernel_sha256
 from carecontact.recording.schema import SEGMENTS, Header
 from carecontact.recording.versions import trial_versions
 from carecontact.sim.simulation import Settled, Simulation
@@ -46,7 +46,7 @@ def header_of(
             "protocol": spec.protocol.sha256,
             "body": simulation.scene.body.sha256,
             "robot": panda_sha256(),
-            "kernel": found.sha256(),
+            "kernel": kernel_sha256(),
         },
         solver_warnings=warnings,
     )

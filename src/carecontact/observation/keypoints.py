@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import ModuleType
@@ -91,6 +91,15 @@ def _without_pyplot() -> Iterator[None]:
                 del sys.modules[name]
 
 
+def import_pose() -> Any:
+    """MediaPipe's class, which no thread belongs to before an object of it is made."""
+    os.environ.setdefault("GLOG_minloglevel", "3")
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    with _quiet_stderr(), _without_pyplot():
+        from mediapipe.python.solutions.pose import Pose
+    return Pose
+
+
 class MediaPipePose:
     """MediaPipe Pose 0.10.21, the model its wheel carries: median over three rotations, then again on a crop.
 
@@ -125,10 +134,7 @@ class MediaPipePose:
         found = [result for turns in ROTATIONS if (result := self._single(rgb, turns)) is not None]
         if not found:
             return None
-        return KeyPoints(
-            landmarks=np.median([f.landmarks for f in found], axis=0).astype(np.float32),
-            person=np.median([f.person for f in found], axis=0).astype(np.float32),
-        )
+        return KeyPoints(landmarks=_median([f.landmarks for f in found]), person=_median([f.person for f in found]))
 
     def _single(self, rgb: U8, turns: int) -> KeyPoints | None:
         turned = np.ascontiguousarray(np.rot90(rgb, turns))
@@ -145,18 +151,23 @@ class MediaPipePose:
     def _process(self, rgb: U8) -> Any:
         if self._graph is not None:
             return self._graph.process(rgb)
-        os.environ.setdefault("GLOG_minloglevel", "3")
-        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-        with _quiet_stderr(), _without_pyplot():
-            from mediapipe.python.solutions.pose import Pose
-
-            self._graph = Pose(
+        pose = import_pose()
+        with _quiet_stderr():
+            self._graph = pose(
                 static_image_mode=True,
                 model_complexity=1,
                 enable_segmentation=True,
                 min_detection_confidence=MIN_DETECTION_CONFIDENCE,
             )
             return self._graph.process(rgb)
+
+
+def _median(views: Sequence[F32]) -> F32:
+    if len(views) != 3:
+        return np.median(views, axis=0).astype(np.float32)
+    # The same number, found twenty times as fast.
+    a, b, c = views
+    return np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
 
 
 def _crop_box(uv: F32, height: int, width: int) -> tuple[int, int, int, int]:

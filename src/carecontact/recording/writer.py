@@ -19,6 +19,8 @@ HEADER, CHECKSUM = "header_json", "sha256"
 """Datasets of bytes at the file's root: the header, and the canonical hash of everything else."""
 TEMPORARY = ".tmp"
 """Ending of a hidden file that is not whole yet."""
+GZIP_LEVEL = 1
+"""Level 4, h5py's own, takes a quarter longer for files that are 6 % smaller."""
 CHUNKED_FROM_BYTES = 1024
 CHUNK_BYTES = 1 << 18
 """Of whole rows: h5py's own guess cuts columns apart, and reading a trial takes twice as long."""
@@ -42,7 +44,15 @@ def write_recording(recording: Recording, path: Path | str) -> Path:
             array = little_endian(recording.arrays[name])
             if array.nbytes >= CHUNKED_FROM_BYTES:
                 chunks = (max(1, min(len(array), CHUNK_BYTES // max(1, array[0].nbytes))), *array.shape[1:])
-                file.create_dataset(name, data=array, chunks=chunks, compression="gzip", shuffle=True, fletcher32=True)
+                file.create_dataset(
+                    name,
+                    data=array,
+                    chunks=chunks,
+                    compression="gzip",
+                    compression_opts=GZIP_LEVEL,
+                    shuffle=True,
+                    fletcher32=True,
+                )
             else:
                 file.create_dataset(name, data=array)
         file.flush()

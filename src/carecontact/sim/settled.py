@@ -17,7 +17,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from carecontact.kernel import found
+from carecontact.kernel.found import sha256 as kernel_sha256
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.world.place import place_in_model
 
@@ -60,7 +60,7 @@ def settle(simulation: Simulation, comfort_arm_deg: float, *, model_sha256: str)
 def _key(simulation: Simulation, comfort_arm_deg: float, model_sha256: str) -> str:
     protocol = simulation.protocol
     facts = {
-        "model": model_sha256, "mujoco": mujoco.__version__, "kernel": found.sha256(),
+        "model": model_sha256, "mujoco": mujoco.__version__, "kernel": kernel_sha256(),
         "comfort_arm_deg": comfort_arm_deg.hex(),
         "phases": protocol.phases.model_dump(mode="json"), "target_period_s": protocol.physics.target_period_s,
         "parked": protocol.scene.parked_joint_rad, "place": [v.hex() for v in place_in_model(simulation.model)],
