@@ -62,5 +62,3 @@ def test_the_cells_lie_on_the_region_and_those_under_the_tool_are_pressed(press:
     pose = press["scorer/region_pose_in_world"][-1, press.header.regions.index("forearm")].astype(float)
     tool = matrix_from_quat(pose[3:]).T @ (press["scorer/pose_tcp_in_world"][-1, :3] - pose[:3])
     assert np.linalg.norm(last @ centres / last.sum() - tool) < 0.012
-
-
