@@ -41,7 +41,7 @@ def test_bend_softens_and_rise_stiffens() -> None:
     bent = family("bend").tissue(np.array([0.0, 10.0, 0.6]))
     assert bent.b_n_m4 < 0
     assert pressure(bent, DEPTH / 4) > pressure(straight, DEPTH / 4)
-    risen = family("rise").tissue(np.array([0.0, 10.0, 2.0]))
+    risen = family("rise").tissue(np.array([0.0, 10.0, 1.0]))
     assert risen.b_n_m4 == 0.0
     assert pressure(risen, DEPTH / 4) < pressure(straight, DEPTH / 4)
     grown = family("growth").tissue(np.array([0.0, 10.0, 0.5]))

@@ -124,10 +124,7 @@ def test_same_mesh_gives_the_law_s_pressure(same_mesh: Proof, generator: ModuleT
         assert pressure[0] == pytest.approx(pressure[1], rel=0.05)
 
 
-def test_same_mesh_gives_the_law_s_damping(same_mesh: Proof, request: pytest.FixtureRequest) -> None:
-    """Within 20 %. The abdomen misses that with this seed: seeds 0 to 3 gave +35, +7, +4 and +1 %."""
-    if same_mesh.region == "abdomen":
-        request.applymarker(pytest.mark.xfail(strict=True, raises=AssertionError, reason="D_c is 35 % too high"))
+def test_same_mesh_gives_the_law_s_damping(same_mesh: Proof) -> None:
     damping, true = same_mesh.fit.tissue.damping_ns_m3, same_mesh.truth["damping_ns_m3"]
     say(f"D_c {damping / true - 1:+.1%}")
     assert damping == pytest.approx(true, rel=0.20)

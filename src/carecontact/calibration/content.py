@@ -32,9 +32,8 @@ def make_content(
     """``laws``: the candidates that describe the measured response, best first."""
     facts, groups = measured_facts(file, curves), replay.groups
     gate = rules.limits.gamma * rules.f_pain(region)
-    source = (
-        f"carecontact calibrate on the kernel, {count_of(curves, facts['synthetic'])}, data sha256 {file.sha256[:12]}"
-    )
+    counted = count_of(curves, facts["synthetic"])
+    source = f"carecontact calibrate on the kernel, {counted}, data sha256 {file.sha256[:12]}"
     # A recording's results count how deep the anchors go, not how far the tool travels.
     reached = np.repeat([one.press.anchor_m.max() for one in fit.replayed], [len(g.members) for g in groups])
     tissue = fit.tissue.model_copy(update={"measured_depth_m": float(np.median(reached)), "source": source})
@@ -71,8 +70,8 @@ def make_content(
             *_notes_on_the_fit(fit, trials=len(curves)),
             *hardly_identified(law),
             *_notes_on_use(facts["measured_depth_mm"], facts["measured_force_n"], gate),
-            "thickness, mass, friction, coupling, membrane and contact layer are those of the protocol's row; they were "
-            "not calibrated",
+            "thickness, mass, friction, coupling, membrane and contact layer are those of the protocol's row; they were"
+            " not calibrated",
         ],
     )  # fmt: skip
 
@@ -102,9 +101,7 @@ def _notes_on_the_fit(fit: Fit, *, trials: int) -> list[str]:
         notes.append("the data are a single trial: no interval, also none of damping, and no held-out error; "
                      "record at least five")  # fmt: skip
     if not fit.damping_identified:
-        notes.append(
-            f"damping is not identified ({fit.damping_reason}): the row keeps the ratio of damping to stiffness"
-        )
+        notes.append(f"damping is not identified ({fit.damping_reason}): the row keeps its ratio to stiffness")
     return notes
 
 

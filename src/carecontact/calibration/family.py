@@ -4,8 +4,8 @@ Every law has a level, the anchor's pressure at the typical depth, and, where da
 that depth. A *term* adds one parameter to it:
 
 - ``bend`` k: the tangent a + 2 b x + 3 c x^2 follows (1 - k x / depth)^2, ``ROUND`` of it, so that it never reaches
-  zero. Where k is above zero, b is below it;
-- ``rise``: the tangent grows with the square of the depth, which is c;
+  zero. Where k is above zero, b is below it. Where it is below zero, b is a (exp(-k) - 1) ``ROUND`` / depth and c is 0;
+- ``rise`` q: the tangent grows by a (exp(q) - 1) times the square of the depth, which is c;
 - ``growth``: the share of the damping at half depth that grows with indentation, as in Hunt and Crossley's contact.
 
 Every choice of parameters within the bounds is a convex law, so that a fit never meets one that ``Tissue`` refuses.
@@ -24,8 +24,8 @@ from carecontact.contract.protocol.person import LARGEST_CONTACT
 TERMS = ("bend", "rise", "growth")
 ROUND = 0.9
 """The tangent of a bent law falls to no less than 1 minus this share of what it is at first touch."""
-_LOW = {"level": np.log(1e-3), "damping": np.log(1.0), "bend": -10.0, "rise": 0.0, "growth": 0.0}
-_HIGH = {"level": np.log(1e3), "damping": np.log(1e9), "bend": 3.0, "rise": 100.0, "growth": 0.95}
+_LOW = {"level": np.log(1e-3), "damping": np.log(1.0), "bend": -4.0, "rise": 0.0, "growth": 0.0}
+_HIGH = {"level": np.log(1e3), "damping": np.log(1e9), "bend": 3.0, "rise": 5.0, "growth": 0.95}
 _SCALE = {"level": 0.3, "damping": 1.0, "bend": 0.3, "rise": 0.5, "growth": 0.5}
 STEP = {"level": 0.03, "damping": 0.1, "bend": 0.05, "rise": 0.1, "growth": 0.1}
 """Of the finite differences."""
@@ -73,8 +73,8 @@ class Family:
         of = dict(zip(self.names, map(float, p), strict=True))
         level = np.exp(of["level"]) * _pressure(self.base, self.depth_m)
         bend = of.get("bend", 0.0)
-        slope = ROUND * bend
-        square = ROUND * max(bend, 0.0) ** 2 + of.get("rise", 0.0)
+        slope = ROUND * (bend if bend > 0 else -np.expm1(-bend))
+        square = ROUND * max(bend, 0.0) ** 2 + np.expm1(of.get("rise", 0.0))
         # Tissue refuses anchors much softer than the contact layer.
         softest = 1.01 * (self.base.contact_n_m3 or 0.0) / LARGEST_CONTACT
         a = max(level / self.depth_m / (1 - slope + square / 3), softest)

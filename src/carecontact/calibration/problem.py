@@ -112,7 +112,7 @@ class Problem:
 
         found = least_squares(
             told, np.clip(start, family.low, family.high), jac=differences,  # pyright: ignore[reportArgumentType]
-            bounds=(family.low, family.high), x_scale=family.scale, ftol=1e-2, xtol=2e-3, max_nfev=EVALUATIONS,
+            bounds=(family.low, family.high), x_scale=family.scale, ftol=3e-3, xtol=2e-3, max_nfev=EVALUATIONS,
             method="dogbox",
         )  # fmt: skip
         return Solution(family=family, p=found.x, residual=found.fun, jacobian=found.jac, rows=rows)
