@@ -32,7 +32,7 @@ def test_a_shipped_body_passes_the_short_form(body: str) -> None:
 
 @pytest.mark.parametrize("body", ["man-adult", "man-adult-heavy", "man-old-heavy", "woman-adult-heavy"])
 def test_a_body_that_the_readme_names_passes_the_full_form(body: str) -> None:
-    """Ten to twenty minutes each."""
+    """Minutes each."""
     validation = validate(load_protocol(), body=body)
     assert {r.check: r.error or [f"{m.name} {m.value:.3g}" for m in r.missed] for r in validation.results} == {
         name: [] for name in CHECKS

@@ -35,8 +35,8 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures = [
         Measure(name="mass of the person", value=float(masses[:, 0].sum()), unit="kg"),
         _off("deviation of the person's mass from the declared one", [masses.sum(0)]),
-        _off("mass of a segment with its shell, largest difference", masses),
-        Measure(name="centre of mass of a segment with its shell, largest distance", value=1000 * float(centres.max()),
+        _off("mass of a segment, largest difference", masses),
+        Measure(name="centre of mass of a segment, largest distance", value=1000 * float(centres.max()),
                 unit="mm", limit=1.0),
         _off("spring of a joint, largest difference", springs),
         _off("damper of a joint, largest difference", dampers),
@@ -63,24 +63,17 @@ def _off(name: str, rows: Array | list[Array]) -> Measure:
 
 
 def segment_masses(scene: Scene) -> tuple[Array, Array]:
-    """(S, 2) mass of every segment with its shell and as declared [kg]; (S,) distance of the centres of mass [m]."""
+    """(S, 2) mass of every segment and as declared [kg]; (S,) distance of the centres of mass [m]."""
     model, body = scene.model, scene.body
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    ids = {model.body(body_name(segment)).id: segment for segment in body.segments}
-    owner = np.full(model.nbody, -1)
-    for i in range(model.nbody):
-        # Shell vertices and their cells are children of the segment; bodies come after their parents.
-        owner[i] = i if i in ids else owner[model.body_parentid[i]]
     declared = segment_inertias(body)
     masses, distances = [], []
-    for i, segment in ids.items():
-        mass = model.body_mass[owner == i]
-        centre = mass @ data.xipos[owner == i] / mass.sum()
-        here = data.xmat[i].reshape(3, 3).T @ (centre - data.xpos[i])
-        row = declared[segment]
-        masses.append([mass.sum(), row.mass_kg])
+    for segment in body.segments:
+        i, row = model.body(body_name(segment)).id, declared[segment]
+        here = data.xmat[i].reshape(3, 3).T @ (data.xipos[i] - data.xpos[i])
+        masses.append([model.body_mass[i], row.mass_kg])
         distances.append(np.linalg.norm(here - (row.centre_m - body.joint_centre[segment])))
     return np.array(masses), np.array(distances)
 
