@@ -1,9 +1,11 @@
 """Make indentation trials whose law is known, by another route than the one that calibration fits with.
 
     python tools/make_synthetic_trials.py forearm --route fine-mesh --out trials.csv --truth truth.json
+    python tools/make_synthetic_trials.py abdomen --route analytic --material nearly-linear --loss area --out trials.csv
 
 Two routes:
-  analytic   F = k d^n (1 + beta v), Hunt and Crossley 1975, no simulation at all;
+  analytic   F = k d^n + loss, no simulation at all. The loss is k d^n beta v (--loss force; Hunt and Crossley 1975) or
+             eta A(d) v with the indenter's area in contact (--loss area); both lose about the same work;
   fine-mesh  the region's shell with vertices half as far apart, stepped at half the time step; a drawn law, every
              subject stiffer or softer by a few percent, every press a little beside the place that the file records.
 Both add what a recording has: indentation counted from a wrong zero, sensor noise, an offset and a drift of the force,
@@ -46,12 +48,9 @@ class Setup:
     places_mm: tuple[tuple[float, float], ...]
     speeds_mm_s: tuple[float, ...]
     analytic_speeds_mm_s: tuple[float, ...]
-    """Where beta v stays below 0.2: the law's loss grows with the force, the anchors' with the area in contact, and
-    beyond that share the difference bends the fitted stiffness (the docs give the figure)."""
+    """Where beta v stays below 0.2."""
     k_n: tuple[float, float]
     """Range of the force at full depth for the analytic route [N]."""
-    n: tuple[float, float]
-    """Its exponent. Anchors stiffen and never soften: on linear ones the disc has about 1.3, the ball 1.35."""
     beta_s_m: tuple[float, float]
     """Its loss."""
 
@@ -62,16 +61,21 @@ class Setup:
             yield f"synthetic-{number % SUBJECTS + 1}", place, speed
 
 
+EXPONENTS = {"nearly-linear": (1.05, 1.25), "middling": (1.35, 1.75), "stiffening": (1.75, 2.25)}
+"""Of depth, for each material of the analytic route."""
+LOSSES = ("force", "area")
+RIM_MM = 0.3
+"""Depth over which a disc comes to lie on the skin."""
 SETUPS = {
     "forearm": Setup(
         indenter=Indenter(shape="flat", size_m=0.0107), depth_mm=4.5, speeds_mm_s=(3.0, 10.0, 25.0),
         analytic_speeds_mm_s=(3.0, 10.0, 25.0),
-        places_mm=((-20.0, -4.0), (0.0, 0.0), (20.0, 4.0)), k_n=(3.5, 7.0), n=(1.35, 1.75), beta_s_m=(4.0, 8.0),
+        places_mm=((-20.0, -4.0), (0.0, 0.0), (20.0, 4.0)), k_n=(3.5, 7.0), beta_s_m=(4.0, 8.0),
     ),
     "abdomen": Setup(
         indenter=Indenter(shape="hemisphere", size_m=0.010), depth_mm=15.0, speeds_mm_s=(10.0, 25.0, 50.0),
         analytic_speeds_mm_s=(5.0, 10.0, 25.0),
-        places_mm=((-25.0, 20.0), (0.0, 0.0), (25.0, -15.0)), k_n=(4.0, 8.0), n=(1.4, 1.8), beta_s_m=(4.0, 8.0),
+        places_mm=((-25.0, 20.0), (0.0, 0.0), (25.0, -15.0)), k_n=(4.0, 8.0), beta_s_m=(4.0, 8.0),
     ),
 }  # fmt: skip
 
@@ -110,23 +114,58 @@ def motion(depth_mm: float, speed_mm_s: float) -> tuple[np.ndarray, np.ndarray, 
     return time, depth_mm - lost, speed
 
 
-def analytic(region: str, rng: np.random.Generator) -> tuple[dict[str, float], Iterator[tuple[str, Press]]]:
-    """Truth (k in N at 1 mm, n, beta in s/m) and presses."""
-    setup = SETUPS[region]
-    n, beta = float(rng.uniform(*setup.n)), float(rng.uniform(*setup.beta_s_m))
-    k = float(rng.uniform(*setup.k_n)) / setup.depth_mm**n
+@dataclass(frozen=True, kw_only=True)
+class Analytic:
+    """F = k d^n + loss, as the module says."""
 
-    def press(depth_mm: float, speed: float, factor: float) -> Press:
-        time, depth, v = motion(depth_mm, speed)
-        d = np.maximum(depth, 0.0)
-        return Press(time_s=time, depth_mm=depth, force_n=factor * k * d**n * (1 + beta * v / 1000), unload=v < 0)
+    k_n_at_1mm: float
+    n: float
+    beta_s_m: float
+    """0 where the loss is by area."""
+    eta_ns_m3: float
+    """0 where the loss is by force."""
+
+    @classmethod
+    def drawn(cls, region: str, rng: np.random.Generator, *, material: str, loss: str) -> Analytic:
+        setup = SETUPS[region]
+        n, beta = float(rng.uniform(*EXPONENTS[material])), float(rng.uniform(*setup.beta_s_m))
+        k = float(rng.uniform(*setup.k_n)) / setup.depth_mm**n
+        if loss == "force":
+            return cls(k_n_at_1mm=k, n=n, beta_s_m=beta, eta_ns_m3=0.0)
+        depth = np.linspace(0.0, setup.depth_mm, 500)
+        eta = beta * np.mean(k * depth**n) / np.mean(area_m2(setup.indenter, depth))
+        return cls(k_n_at_1mm=k, n=n, beta_s_m=0.0, eta_ns_m3=float(eta))
+
+    def force_n(self, indenter: Indenter, depth_mm: np.ndarray, speed_mm_s: np.ndarray | float) -> np.ndarray:
+        """Never below zero: nothing pulls the indenter."""
+        d, v = np.maximum(depth_mm, 0.0), np.asarray(speed_mm_s) / 1000
+        force = self.k_n_at_1mm * d**self.n * (1 + self.beta_s_m * v) + self.eta_ns_m3 * area_m2(indenter, d) * v
+        return np.maximum(force, 0.0)
+
+
+def area_m2(indenter: Indenter, depth_mm: np.ndarray) -> np.ndarray:
+    """In contact, at a depth."""
+    size, depth = indenter.size_m or 0.0, depth_mm / 1000
+    if indenter.shape == "hemisphere":
+        deep = np.minimum(depth, size)
+        return np.pi * (2 * size * deep - deep**2)
+    return np.pi * size**2 * (1 - np.exp(-depth_mm / RIM_MM))
+
+
+def analytic(
+    region: str, rng: np.random.Generator, *, material: str = "middling", loss: str = "force"
+) -> tuple[dict[str, float], Iterator[tuple[str, Press]]]:
+    """Truth (the fields of Analytic) and presses."""
+    setup, truth = SETUPS[region], Analytic.drawn(region, rng, material=material, loss=loss)
 
     def presses() -> Iterator[tuple[str, Press]]:
         for subject, _, speed in setup.cells("analytic"):
             factor = subject_factor(subject, rng)
-            yield subject, press(setup.depth_mm * float(rng.uniform(0.98, 1.02)), speed, factor)
+            time, depth, v = motion(setup.depth_mm * float(rng.uniform(0.98, 1.02)), speed)
+            force = factor * truth.force_n(setup.indenter, depth, v)
+            yield subject, Press(time_s=time, depth_mm=depth, force_n=force, unload=v < 0)
 
-    return {"k_N_at_1mm": k, "n": n, "beta_s_m": beta}, presses()
+    return asdict(truth), presses()
 
 
 def drawn_law(tissue: Tissue, depth_mm: float, rng: np.random.Generator) -> Tissue:
@@ -206,11 +245,15 @@ def write_trials(
 
 
 def make(
-    region: str, route: str, path: Path, *, seed: int, mesh: float = 0.5, noise: Noise | None = None
-) -> dict[str, object]:
-    """Write the trials; returns the truth."""
+    region: str, route: str, path: Path, *, seed: int, mesh: float = 0.5, noise: Noise | None = None,
+    material: str = "middling", loss: str = "force",
+) -> dict[str, object]:  # fmt: skip
+    """Write the trials; returns the truth. Material and loss are those of the analytic route."""
     rng, noise = np.random.default_rng(seed), noise or Noise()
-    truth, presses = analytic(region, rng) if route == "analytic" else simulated(region, rng, mesh=mesh, noise=noise)
+    if route == "analytic":
+        truth, presses = analytic(region, rng, material=material, loss=loss)
+    else:
+        truth, presses = simulated(region, rng, mesh=mesh, noise=noise)
     write_trials(path, region, route, presses, rng, noise)
     return {"region": region, "route": route, "seed": seed, "law": truth, "noise": asdict(noise)}
 
@@ -219,12 +262,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("region", choices=sorted(SETUPS))
     parser.add_argument("--route", choices=("analytic", "fine-mesh"), default="fine-mesh")
+    parser.add_argument("--material", choices=tuple(EXPONENTS), default="middling", help="of the analytic route")
+    parser.add_argument("--loss", choices=LOSSES, default="force", help="of the analytic route")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--truth", type=Path, help="where to write the law and the seed")
     parser.add_argument("--seed", type=int, help="default: a new one")
     arguments = parser.parse_args()
     seed = secrets.randbits(32) if arguments.seed is None else arguments.seed
-    truth = make(arguments.region, arguments.route, arguments.out, seed=seed)
+    truth = make(
+        arguments.region, arguments.route, arguments.out, seed=seed, material=arguments.material, loss=arguments.loss
+    )
     if arguments.truth:
         arguments.truth.write_text(json.dumps(truth, indent=2) + "\n")
     print(f"{arguments.out}: {arguments.out.stat().st_size / 1000:.0f} kB, route {arguments.route}")

@@ -5,7 +5,7 @@
 The run is the state machine's, every task once, with a seed that no shipped protocol has:
 
     sed -e 's/^seeds = .*/seeds = [1000]/; s/^id = .*/id = "replay-source"/; s/^frozen = .*/frozen = false/' \\
-        src/carecontact/protocols/bathing-v1.toml > /tmp/replay.toml
+        src/carecontact/protocols/bathing-draft.toml > /tmp/replay.toml
     carecontact run --policy state-machine --protocol /tmp/replay.toml --out runs/replay-source
 """
 

@@ -8,9 +8,10 @@ import pytest
 
 from carecontact.cli import main
 from carecontact.recording import Recording, write_recording
+from tests.protocols.held import HELD, ship_frozen
 from tests.scoring.synthetic import touch
 
-CHANGED = "not the frozen bathing-v1 (sha256 "
+CHANGED = f"not the frozen {HELD} (sha256 "
 
 
 def eased(recording: Recording) -> Recording:
@@ -25,13 +26,16 @@ def test_score_report_and_compare_name_eased_rules(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name, made in (("good", touch(seed=0)), ("a", eased(touch(seed=0))), ("b", eased(touch(seed=0)))):
+    shipped = tmp_path / "shipped"
+    shipped.mkdir()
+    good = touch(seed=0, protocol=ship_frozen(monkeypatch, shipped))
+    for name, made in (("good", good), ("a", eased(good)), ("b", eased(good))):
         Path(name).mkdir()
         write_recording(made, Path(name) / "T1-s000.h5")
         assert main(["score", name]) == 0
-        assert (f"protocol: bathing-v1, {CHANGED}" in capsys.readouterr().out) == (name != "good")
+        assert (f"protocol: {HELD}, {CHANGED}" in capsys.readouterr().out) == (name != "good")
         assert main(["report", name]) == 0
-        assert ("bathing-v1 (not the frozen protocol)" in (Path(name) / "report.html").read_text()) == (name != "good")
+        assert (f"{HELD} (not the frozen protocol)" in (Path(name) / "report.html").read_text()) == (name != "good")
     capsys.readouterr()
     assert main(["compare", "a", "b"]) == 0
     assert f"protocol: {CHANGED}" in capsys.readouterr().out

@@ -9,6 +9,7 @@ from carecontact.cli import main
 from carecontact.contract.protocol import Protocol, Variation
 from carecontact.protocols import load_protocol, protocol_file, shipped_protocols
 from carecontact.runs import freeze
+from tests.protocols.held import ship_frozen
 from tests.runs.test_freeze import frozen_file
 
 WORLD_SUMS = freeze.world_sums
@@ -32,11 +33,11 @@ def sums_of(region: str, protocol: str) -> dict[str, float]:
 
 def test_list_and_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["protocol", "list"]) == 0
-    assert "bathing-v1               frozen" in capsys.readouterr().out
+    assert "bathing-draft            draft: " in capsys.readouterr().out
     assert main(["protocol", "show"]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("# bathing-v1, sha256 ")
-    assert "# frozen, bathing-v1.lock.json" in out
+    assert out.startswith("# bathing-draft, sha256 ")
+    assert "# draft, no lock" in out
     assert "# paper-mapping, abdomen: " in out
     assert "[physics]" in out
 
@@ -46,6 +47,25 @@ def test_what_is_shipped_is_here_what_was_frozen(name: str, capsys: pytest.Captu
     """Compiled worlds included."""
     assert main(["protocol", "verify", name]) == 0
     assert capsys.readouterr().out == f"{name}: equals its lock\n"
+
+
+def test_a_draft_does_not_verify(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["protocol", "verify"]) == 1
+    assert capsys.readouterr().out == "bathing-draft has no lock: a draft, which may change with every release\n"
+
+
+@pytest.fixture
+def held(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Protocol:
+    return ship_frozen(monkeypatch, tmp_path_factory.mktemp("shipped"), worlds=True)
+
+
+def test_a_shipped_protocol_with_its_lock_is_shown_and_verified(
+    held: Protocol, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["protocol", "show", held.id]) == 0
+    assert f"# frozen, {held.id}.lock.json" in capsys.readouterr().out
+    assert main(["protocol", "verify", held.id]) == 0
+    assert capsys.readouterr().out == f"{held.id}: equals its lock\n"
 
 
 @pytest.mark.parametrize(
@@ -66,19 +86,19 @@ def test_a_file_without_a_lock_does_not_verify(
 
 @pytest.mark.parametrize("frozen", ["true", "false"])
 def test_a_file_with_a_shipped_id_is_verified_by_the_shipped_lock(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], frozen: str
+    tmp_path: Path, held: Protocol, capsys: pytest.CaptureFixture[str], frozen: str
 ) -> None:
     path = tmp_path / "drift.toml"
-    text = protocol_file("bathing-v1").read_text(encoding="utf-8")
+    text = protocol_file(held.id).read_text(encoding="utf-8")
     path.write_text(text.replace("on_n = 0.5", "on_n = 0.4").replace("frozen = true", f"frozen = {frozen}"))
     assert main(["protocol", "verify", str(path)]) == 1
     out = capsys.readouterr().out
     assert out.startswith(f"{path} has the id of a shipped protocol, so it must equal the lock of that protocol\n")
     assert "contact.on_n: locked 0.5, here 0.4" in out
-    assert out.endswith("bathing-v1: differs from its lock\n")
+    assert out.endswith(f"{held.id}: differs from its lock\n")
     path.write_text(text)
     assert main(["protocol", "verify", str(path)]) == 0
-    assert capsys.readouterr().out.endswith("bathing-v1: equals its lock\n")
+    assert capsys.readouterr().out.endswith(f"{held.id}: equals its lock\n")
 
 
 def test_lock_verify_and_drift(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -99,7 +119,7 @@ def test_lock_verify_and_drift(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 @pytest.mark.parametrize(
     ("old", "new", "told"),
-    [("frozen = true", "frozen = false", "set frozen = true"), ("mine-v1", "bathing-v1", "own")],
+    [("frozen = true", "frozen = false", "set frozen = true"), ("mine-v1", "bathing-draft", "own")],
 )
 def test_what_cannot_be_locked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, told: str
@@ -111,5 +131,5 @@ def test_what_cannot_be_locked(
 
 
 def test_a_shipped_protocol_is_not_locked_in_place(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["protocol", "lock", "bathing-v1"]) == 2
+    assert main(["protocol", "lock", "bathing-draft"]) == 2
     assert "copy its file" in capsys.readouterr().err

@@ -6,7 +6,6 @@ import functools
 import json
 import shutil
 import sys
-from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -15,9 +14,11 @@ import carecontact
 from carecontact.cli import main
 from carecontact.cli.changes import differences
 from carecontact.cli.demo import missing_successes
+from carecontact.protocols import protocol_file
 from carecontact.recording import Recording, read_recording, write_recording
 from carecontact.runs import score_run
 from carecontact.trials import supervisor
+from tests.protocols.held import ship_frozen
 
 FAKE = (sys.executable, str(Path(__file__).parents[1] / "trials" / "fake_worker.py"))
 
@@ -152,13 +153,14 @@ def test_a_missing_recording_is_told_and_a_folder_for_results_is_one_line(
 
 
 def test_an_edited_protocol_is_not_shown_as_the_shipped_one(
-    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    fake: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shipped = (resources.files("carecontact.protocols") / "bathing-v1.toml").read_text()
+    held = ship_frozen(fake, tmp_path_factory.mktemp("shipped"))
+    shipped = protocol_file(held.id).read_text()
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--protocol", "p.toml", "--out"]
     Path("p.toml").write_text(shipped)
     main([*command, "a"])
-    assert "1 trial(s) of bathing-v1 into a\n" in capsys.readouterr().out
+    assert f"1 trial(s) of {held.id} into a\n" in capsys.readouterr().out
     Path("p.toml").write_text(shipped.replace("time_limit_s = 30.0", "time_limit_s = 31.0"))
     assert main([*command, "b"]) == 2
     told = capsys.readouterr().err
@@ -166,9 +168,9 @@ def test_an_edited_protocol_is_not_shown_as_the_shipped_one(
     assert "Give p.toml an id of its own" in told
     assert not Path("b").exists()
     main([*command, "b", "--unfrozen"])
-    assert "1 trial(s) of bathing-v1 with differences from its lock (protocol sha256" in capsys.readouterr().out
+    assert f"1 trial(s) of {held.id} with differences from its lock (protocol sha256" in capsys.readouterr().out
     Path("p.toml").write_text(
-        shipped.replace('"bathing-v1"', '"mine"').replace('body = "man-adult"', 'body = "nobody"')
+        shipped.replace(f'"{held.id}"', '"mine"').replace('body = "man-adult"', 'body = "nobody"')
     )
     Path("p.toml").write_text(Path("p.toml").read_text().replace("frozen = true", "frozen = false"))
     assert main([*command, "c"]) == 2
@@ -253,7 +255,7 @@ def test_another_body_shows_everywhere_and_is_never_pooled(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
-    title = "bathing-v1 with body woman-old-light"
+    title = "bathing-draft with body woman-old-light"
     assert main([*command, "--body", "woman-old-light"]) == 0
     told = capsys.readouterr().out
     assert f"1 trial(s) of {title} into r" in told
@@ -287,11 +289,11 @@ def test_a_sweeps_run_says_what_it_varies(
 ) -> None:
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
     assert main([*command, option, value]) == 0
-    assert f"1 trial(s) of bathing-v1 with {title} into r" in capsys.readouterr().out
+    assert f"1 trial(s) of bathing-draft with {title} into r" in capsys.readouterr().out
     assert list(json.loads(Path("r/results.json").read_text())["protocol"]["overrides"].values()) == [value]
-    assert f"bathing-v1 with {title}" in Path("r/report.html").read_text()
+    assert f"bathing-draft with {title}" in Path("r/report.html").read_text()
     assert main(command) == 2
-    assert "bathing-v1 with" in capsys.readouterr().err
+    assert "bathing-draft with" in capsys.readouterr().err
     assert main([*command[:-1], "own"]) == 0
     assert main(["compare", "r", "own"]) == 2
     assert "only runs of the same protocol" in capsys.readouterr().err

@@ -19,8 +19,8 @@ def test_the_shipped_protocols_park_it_inside_them(name: str) -> None:
     assert (np.array(PANDA.joint_high_rad) > parked).all()
 
 
-def test_bathing_v1_parks_it_at_its_own_posture() -> None:
-    assert load_protocol("bathing-v1").scene.parked_joint_rad == PANDA.parked_joint_rad
+def test_the_draft_parks_it_at_its_own_posture() -> None:
+    assert load_protocol("bathing-draft").scene.parked_joint_rad == PANDA.parked_joint_rad
 
 
 def test_the_tool_centre_point_is_the_cap_s_outermost_point() -> None:

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from carecontact.episode.randomization import STREAMS, comfort_arm_deg, sensor_noise, streams
 from carecontact.protocols import load_protocol
 
-PROTOCOL = load_protocol("bathing-v1")
+PROTOCOL = load_protocol("bathing-draft")
 SEEDS = PROTOCOL.randomization.seeds
 
-GOLDEN_DEG = {0: 50.819586263484, 1: 59.029952654987, 7: 54.585761398755, 19: 50.774196870261}
+GOLDEN_DEG = {0: 56.626637197785, 1: 47.763313707470, 7: 49.565814360566, 19: 52.910800175566}
 """Seeds of published results: an angle that changes here changes every trial of the protocol."""
 
 

@@ -108,3 +108,31 @@ CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
 BOX = mujoco.mjtGeom.mjGEOM_BOX
 CAPSULE = mujoco.mjtGeom.mjGEOM_CAPSULE
 ELLIPSOID = mujoco.mjtGeom.mjGEOM_ELLIPSOID
+
+
+def model_xml(law: Tissue, mesh: Mesh) -> str:
+    """A ball of 0.1 kg that falls onto a sheet from 1 mm above it, as MJCF."""
+    made = Sheet(law, mesh, bottom_m=0.02, type=SPHERE, size=[0.02, 0, 0]).model
+    numerics = "".join(
+        f'<numeric name="{made.numeric(k).name}" size="{made.numeric(k).data.size}" '
+        f'data="{" ".join(repr(float(x)) for x in made.numeric(k).data)}"/>'
+        for k in range(made.nnumeric)
+    )
+    counts = {"vertices": 13, "edges": 3, "points": 8}
+    config = "".join(
+        f'<config key="{kind}" value="{made.numeric(f"sheet/{kind}").data.size // columns}"/>'
+        for kind, columns in counts.items()
+    )
+    return f"""
+<mujoco>
+  <extension><plugin plugin="carecontact.tissue"><instance name="sheet">
+    <config key="key" value="sheet"/><config key="tools" value="ball"/><config key="cells" value="{mesh.cell_count}"/>
+    {config}
+  </instance></plugin></extension>
+  <custom>{numerics}</custom>
+  <worldbody>
+    <body name="bone"><plugin instance="sheet"/></body>
+    <body name="ball" pos="0 0 0.021"><freejoint/><geom size="0.02" mass="0.1" conaffinity="0"/></body>
+  </worldbody>
+</mujoco>
+"""

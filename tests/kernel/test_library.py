@@ -13,13 +13,8 @@ import pytest
 
 from carecontact.errors import DependencyError
 from carecontact.kernel import binary, found, library
-
-MODEL = """
-<mujoco>
-  <extension><plugin plugin="carecontact.tissue"><instance name="region"/></plugin></extension>
-  <worldbody><body><freejoint/><geom size=".1"/><plugin instance="region"/></body></worldbody>
-</mujoco>
-"""
+from carecontact.kernel.readings import Readings
+from tests.kernel.sheets import model_xml, sheet, tissue
 
 
 def test_the_library_says_what_it_was_made_of() -> None:
@@ -29,11 +24,12 @@ def test_the_library_says_what_it_was_made_of() -> None:
 
 def test_a_model_that_names_the_plugin_steps() -> None:
     library.load()
-    model = mujoco.MjModel.from_xml_string(MODEL)
+    model = mujoco.MjModel.from_xml_string(model_xml(tissue(), sheet(half_m=0.02)))
     data = mujoco.MjData(model)
-    mujoco.mj_step(model, data)
+    mujoco.mj_step(model, data, 500)
     assert model.nplugin == 1
-    assert data.qpos[2] < 0, "it falls"
+    assert 0.015 < data.qpos[2] < 0.02, "the ball rests in the sheet"
+    assert Readings(model, "sheet").last(data, 1)["force_n"][0, 2] == pytest.approx(-0.981, rel=0.05)
 
 
 def test_a_library_that_needs_another_mujoco_is_told_in_one_line(

@@ -10,8 +10,8 @@ from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.protocols import load_protocol
 from carecontact.protocols.tissue_sets import load_tissue_set
 
-BASE = load_protocol("bathing-v1")
-HEAD = 'base = "bathing-v1"\nid = "mine-v1"\ndescription = "Mine."\n'
+BASE = load_protocol("bathing-draft")
+HEAD = 'base = "bathing-draft"\nid = "mine-v1"\ndescription = "Mine."\n'
 
 
 def written(folder: Path, text: str, name: str = "mine.toml") -> str:
@@ -39,9 +39,9 @@ def test_tasks_are_replaced_as_a_whole(tmp_path: Path) -> None:
 
 
 def test_the_shipped_moved_protocol_in_a_few_lines(tmp_path: Path) -> None:
-    moved = load_protocol("bathing-moved-v1")
+    moved = load_protocol("bathing-moved-draft")
     text = (
-        f'base = "bathing-v1"\nid = "{moved.id}"\ndescription = "{moved.description}"\nfrozen = true\n'
+        f'base = "bathing-draft"\nid = "{moved.id}"\ndescription = "{moved.description}"\nfrozen = false\n'
         "[variation]\nplace_along_m = 0.036\nplace_across_m = 0.027\nplace_yaw_deg = 4.5\n"
     )
     mine = load_protocol(written(tmp_path, text))
@@ -71,12 +71,12 @@ def test_a_base_may_have_a_base_and_lies_relative_to_its_heir(tmp_path: Path) ->
     [
         (
             'base = "bathing"\n',
-            r"mine\.toml: base: no protocol named 'bathing'.*; valid: bathing-droid-v1, .*FILE\.toml",
+            r"mine\.toml: base: no protocol named 'bathing'.*; valid: bathing-draft, .*FILE\.toml",
         ),
         ("base = 3\n", r"mine\.toml: base: expected the id of a protocol or a \.toml file, got 3"),
         ('base = "mine.toml"\n', r"mine\.toml: base: .*inherits from this file itself"),
         ('base = "gone.toml"\n', r"mine\.toml: base: .*gone\.toml does not exist"),
-        ('base = "bathing-v1"\n', r"mine\.toml: 2 field\(s\) wrong\n  id: missing; .*\n  description: missing; "),
+        ('base = "bathing-draft"\n', r"mine\.toml: 2 field\(s\) wrong\n  id: missing; .*\n  description: missing; "),
         (f"{HEAD}[gates.touch]\nduration_s = -1\n", r"mine\.toml: gates\.touch\.duration_s: .*got -1"),
         (f"{HEAD}gates = 3\n", r"mine\.toml: gates: "),
     ],

@@ -242,8 +242,8 @@ def test_an_optional_array_is_stored_and_has_to_fit(tmp_path: Path, path: str) -
     kept = read_recording(write_recording(stored, tmp_path / "T1-s000.h5"))
     assert kept[path].shape == stored[path].shape
     assert canonical_hash(stored) != canonical_hash(plain)
-    fits_alone = path in ("scorer/cell_area", "scorer/cell_in_region")  # their length is the number of cells
-    cells = {"scorer/cell_pressure": shaped("scorer/cell_pressure", plain)} if fits_alone else {}
+    fits_alone = path in ("scorer/cell_area_m2", "scorer/cell_in_region")  # their length is the number of cells
+    cells = {"scorer/cell_press_ns": shaped("scorer/cell_press_ns", plain)} if fits_alone else {}
     wrong = Recording(header=plain.header, arrays=plain.arrays | cells | {path: shaped(path, plain, more=1)})
     with pytest.raises(RecordingError, match=path if not fits_alone else "scorer/cell_"):
         write_recording(wrong, tmp_path / "T1-s001.h5")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
-from carecontact.errors import RecordingError
+from carecontact.errors import RecordingError, SceneError
+from carecontact.kernel.region import Law
 from carecontact.recording import MIGRATIONS, SCHEMA_VERSION, RawRecording, canonical_hash, read_recording
 from carecontact.recording.canonical import header_json
 from carecontact.runs import score_run, write_scores
@@ -94,6 +97,38 @@ def test_a_header_of_another_spelling_is_the_same_recording(tmp_path: Path) -> N
     del header["spec"]["protocol"]["overrides"]
     recording = read_recording(store(tmp_path / "T1-s000.h5", header, touch().arrays))
     assert canonical_hash(recording) == canonical_hash(touch())
+
+
+def earlier_rules() -> dict[str, Any]:
+    """A header of schema 2, whose rows of tissue had coarser meshes and no contact layer."""
+    header = json.loads(header_json(touch().header)) | {"schema_version": "carecontact-recording-2"}
+    for row in header["spec"]["protocol"]["person"]["tissue"].values():
+        del row["contact_n_m3"]
+        row |= {"off_target_spacing_m": 0.028, "off_target_scale": 0.369}
+    return header
+
+
+def test_schema_2_loses_the_coarse_meshes_and_its_contact_layer_is_no_number(tmp_path: Path) -> None:
+    header = earlier_rules()
+    written = header["spec"]["protocol"]
+    lifted = read_recording(store(tmp_path / "T1-s000.h5", header, touch().arrays)).header
+    assert lifted.schema_version == SCHEMA_VERSION
+    now = touch().header.spec.protocol.person.tissue
+    for region, row in lifted.spec.protocol.person.tissue.items():
+        assert row == now[region].model_copy(update={"contact_n_m3": None})
+    # The hash is that of the rules as they were written, whatever the header says of it.
+    rules = {name: value for name, value in written.items() if name != "overrides"}
+    assert lifted.protocol_sha256 == hashlib.sha256(json.dumps(rules, sort_keys=True).encode()).hexdigest()
+    assert lifted.protocol_sha256 != lifted.spec.protocol.sha256
+    with pytest.raises(SceneError, match="made with the earlier model of the tissue"):
+        Law.of(lifted.spec.protocol.person.tissue["forearm"])
+
+
+def test_the_hash_of_rules_of_today_is_their_own(tmp_path: Path) -> None:
+    header = json.loads(header_json(touch().header)) | {"schema_version": "carecontact-recording-2"}
+    header["sha256"]["protocol"] = "0" * 64
+    lifted = read_recording(store(tmp_path / "T1-s000.h5", header, touch().arrays)).header
+    assert lifted.protocol_sha256 == touch().header.spec.protocol.sha256
 
 
 @pytest.mark.parametrize(("card", "control"), [({"name": "p"}, "cartesian-impedance"), (None, None)])

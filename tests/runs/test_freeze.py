@@ -11,10 +11,11 @@ import pytest
 
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError
-from carecontact.protocols import load_protocol, protocol_file, shipped_protocols
+from carecontact.protocols import load_protocol, protocol_file
 from carecontact.protocols.lock import Lock, lock_path, read_lock, write_lock
 from carecontact.runs import freeze
 from carecontact.runs.freeze import check_frozen, drift, make_lock
+from tests.protocols.held import frozen_text, ship_frozen
 
 
 @pytest.fixture(scope="module")
@@ -23,10 +24,8 @@ def here() -> Lock:
 
 
 def frozen_file(folder: Path, *, extra: str = "") -> Path:
-    text = protocol_file("bathing-v1").read_text()
-    text = text.replace('id = "bathing-v1"', 'id = "mine-v1"')
     path = folder / "mine.toml"
-    path.write_text(text + extra)
+    path.write_text(frozen_text("mine-v1") + extra)
     return path
 
 
@@ -55,6 +54,7 @@ def test_nothing_drifts_here_and_compiling_again_gives_the_same_sums(here: Lock)
         ({"metrics": ["C1@0"]}, "metric C1@0: locked, not here"),
         ({"versions": {"mujoco": "3.0.0", "mediapipe": "0.10.21"}}, "version of mujoco: locked 3.0.0"),
         ({"assets": {}}, "asset bodies/man-adult.npz: locked none"),
+        ({"assets": {}}, "asset kernel/c: locked none"),
         ({"fields": {}}, "physics: locked null"),
     ],
 )
@@ -108,12 +108,12 @@ def test_a_damaged_lock_is_named(tmp_path: Path, text: str) -> None:
 # -- what is shipped -------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=[name for name in shipped_protocols() if load_protocol(name).frozen])
-def shipped(request: pytest.FixtureRequest) -> Protocol:
-    return load_protocol(request.param)
+@pytest.fixture
+def shipped(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Protocol:
+    return ship_frozen(monkeypatch, tmp_path_factory.mktemp("shipped"))
 
 
-def test_shipped_protocols_are_frozen_and_run_here(shipped: Protocol) -> None:
+def test_a_shipped_protocol_with_its_lock_runs_here(shipped: Protocol) -> None:
     assert shipped.frozen
     assert check_frozen(shipped.id, shipped, unfrozen=False) == shipped
 

@@ -54,11 +54,15 @@ def pressing(forearm_scene: Scene, pressing_state: np.ndarray) -> Simulation:
     return simulation
 
 
+def surface(simulation: Simulation, region: str) -> np.ndarray:
+    """(N, 3) vertices of a region's shell, world."""
+    felt, data = simulation.tissue[region], simulation.data
+    return data.xpos[felt.bone] + felt.vertices(data) @ data.xmat[felt.bone].reshape(3, 3).T
+
+
 def top_of_forearm(simulation: Simulation) -> np.ndarray:
     """Surface point over the region's middle (3,)."""
-    region = simulation.scene.regions["forearm"]
-    ids = [simulation.model.body(f"forearm_v{k}").id for k in region.vertex_index]
-    points, middle = simulation.data.xpos[ids], simulation.data.site("region_forearm").xpos
+    points, middle = surface(simulation, "forearm"), simulation.data.site("region_forearm").xpos
     near = points[np.linalg.norm(points[:, :2] - middle[:2], axis=1) < 0.015]
     return np.array([middle[0], middle[1], near[:, 2].max()])
 

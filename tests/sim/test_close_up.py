@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from carecontact.kernel.readings import Readings
 from carecontact.regions import REGIONS, STANDARD_REGIONS
 from carecontact.sim.close_up import dent
 from carecontact.world.human.skeleton import body_name
@@ -55,14 +56,12 @@ def arrays(made: mujoco.MjvScene) -> tuple[np.ndarray, np.ndarray]:
 
 def press(scene: Scene, data: mujoco.MjData, region: str, depth_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Push the shell's middle in; returns world place and outward normal of the pressed point."""
-    soft = scene.regions[region]
-    shell, index = soft.shell, soft.vertex_index
+    shell, felt = scene.regions[region].shell, Readings(scene.model, region)
     top = shell.frame_origin + shell.frame[:, 2] * shell.axis_depth_m
-    middle = index[np.linalg.norm(shell.vertices[index] - top, axis=1).argmin()]
-    for k in index:
-        if np.linalg.norm(shell.vertices[k] - shell.vertices[middle]) < RADIUS_M:
-            data.qpos[scene.model.joint(f"{region}_v{k}_n").qposadr[0]] = depth_m
-    mujoco.mj_forward(scene.model, data)
+    middle = np.linalg.norm(shell.vertices - top, axis=1).argmin()
+    pressed = np.linalg.norm(shell.vertices - shell.vertices[middle], axis=1) < RADIUS_M
+    felt.displacement(data)[pressed, 0] = depth_m
+    mujoco.mj_kinematics(scene.model, data)
     bone = data.body(body_name(REGIONS[region].segment))
     turn = bone.xmat.reshape(3, 3)
     place = bone.xpos + turn @ (shell.vertices[middle] - scene.body.joint_centre[REGIONS[region].segment])
@@ -93,7 +92,7 @@ def test_a_dent_moves_only_skin_near_the_pressed_shell_and_inward(
     # A vertex follows its four nearest shell vertices, so the rim may lie a mesh width or two beyond the press.
     spacing = scene.regions[region].tissue.spacing_m
     assert np.linalg.norm(before[moved] - place, axis=1).max() < RADIUS_M + NEAR_M + 2 * spacing
-    free = scene.regions[region].shell.vertices[scene.regions[region].vertex_index]
+    free = scene.regions[region].shell.vertices
     bind = np.asarray(scene.model.skin_vert).reshape(-1, 3)[moved]
     assert cKDTree(free).query(bind)[0].max() < NEAR_M
     assert (change[moved] @ outward < 0).mean() > 0.95

@@ -10,7 +10,7 @@ from carecontact.regions import STANDARD_REGIONS
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import build_scene
 
-from .conftest import COMFORT_ARM_DEG, DOWN, in_base
+from .conftest import COMFORT_ARM_DEG, DOWN, in_base, surface
 
 TRIAL_S, NEW_TARGET_S = 5.0, 0.5
 BELOW_SKIN_M, ABOVE_SKIN_M, SIDE_M = 0.040, 0.060, 0.080
@@ -21,8 +21,7 @@ def hammer(simulation: Simulation, start: np.ndarray, region: str, rng: np.rando
     simulation.restore(start, comfort_arm_deg=COMFORT_ARM_DEG)
     simulation.set_stiffness(*(high for _, high in _stiffness_bounds(simulation)))
     model, data = simulation.model, simulation.data
-    ids = [model.body(f"{region}_v{k}").id for k in simulation.scene.regions[region].vertex_index]
-    skin = data.xpos[ids]
+    skin = surface(simulation, region)
     middle = data.site(f"region_{region}").xpos
     top = skin[np.linalg.norm(skin[:, :2] - middle[:2], axis=1) < 0.03][:, 2].max()
     low = np.array([*(middle[:2] - SIDE_M), top - BELOW_SKIN_M])

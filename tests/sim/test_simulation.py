@@ -11,8 +11,11 @@ import pytest
 from carecontact.recording.schema import SEGMENTS
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import Scene
+from tests.sim.conftest import surface
 
 FOREARM = SEGMENTS.index("right_forearm")
+OUTWARD_M_S = 5.0
+"""Of the skin under the tool, as if it had been kicked from within."""
 
 
 def test_every_step_of_a_period_is_kept_bit_for_bit(pressing: Simulation) -> None:
@@ -22,29 +25,32 @@ def test_every_step_of_a_period_is_kept_bit_for_bit(pressing: Simulation) -> Non
 
     mujoco.mj_step(model, data, 10)
     times, together = pressing.history.last(data, 10)
+    felt = pressing.tissue["forearm"]
+    felt_together = felt.last(data, 10)
     mujoco.mj_setState(model, data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
-    singly = []
+    singly, felt_singly = [], []
     for _ in range(10):
         mujoco.mj_step(model, data)
         singly.append(data.sensordata.copy())
+        felt_singly.append(felt.last(data, 1)[0])
 
     assert np.array_equal(together, np.array(singly))
+    assert np.array_equal(felt_together, np.array(felt_singly, felt_together.dtype))
     assert np.allclose(np.diff(times), model.opt.timestep)
-    force = together[:, pressing.history.columns("net_right_forearm_tissue")][:, :3]
+    force = felt_together["force_n"]
     assert (np.linalg.norm(force, axis=1) > 3.0).all()
     assert len(np.unique(force, axis=0)) > 1
 
 
 def test_a_one_step_spike_is_in_the_force_stream(pressing: Simulation) -> None:
     """A blow that lasts one physics step in the middle of a period, invisible at the period's end, is kept."""
-    region, data = pressing.scene.regions["forearm"], pressing.data
-    bodies = np.array([pressing.model.body(f"forearm_v{k}").id for k in region.vertex_index])
-    under_tool = bodies[np.linalg.norm(data.xpos[bodies] - data.site("tcp").xpos, axis=1).argmin()]
+    felt, data = pressing.tissue["forearm"], pressing.data
+    under_tool = np.linalg.norm(surface(pressing, "forearm") - data.site("tcp").xpos, axis=1) < 0.010
     for step in range(10):
-        data.xfrc_applied[under_tool, 2] = 10.0 if step == 4 else 0.0
+        if step == 4:
+            felt.rate(data)[under_tool, 0] = -OUTWARD_M_S
         mujoco.mj_step(pressing.model, data)
-    _, values = pressing.history.last(data, 10)
-    forces = np.linalg.norm(values[:, pressing.history.columns("net_right_forearm_tissue")][:, :3], axis=1)
+    forces = np.linalg.norm(felt.last(data, 10)["force_n"], axis=1)
     assert forces.argmax() == 4
     assert forces[4] > forces[[3, 9]].max() + 3.0
 
@@ -137,19 +143,23 @@ def test_mass_is_the_bodys(forearm_scene: Scene) -> None:
     assert model.body_subtreemass[model.body("human_pelvis").id] == pytest.approx(forearm_scene.body.mass_kg, rel=1e-6)
 
 
-def test_net_force_sensor_equals_the_sum_over_contacts(pressing: Simulation) -> None:
+def test_force_is_that_of_tissue_and_of_contacts(pressing: Simulation) -> None:
     samples = pressing.advance(10)[-1]
     model, data = pressing.model, pressing.data
-    total, normal, wrench = np.zeros(3), 0.0, np.zeros(6)
-    # Sensors hold the forces of the last step, which are still those of the contact list.
+    row, wrench = pressing.tissue["forearm"].last(data, 1)[0], np.zeros(6)
+    total, normal = row["force_n"].copy(), float(row["normal_n"])
+    assert np.linalg.norm(total) > 1.0
+    assert np.linalg.norm(row["centroid_m"] - data.site("tcp").xpos) < 0.015
+    # Sensors hold the forces of the last step, which are still those of the contact list: those of the bone's core.
+    bone = model.body("human_right_forearm").id
     for i in range(data.ncon):
         contact = data.contact[i]
-        on_forearm = contact.flex[1] == mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, "forearm")
-        if not on_forearm or contact.efc_address < 0:
+        on_forearm = model.geom_bodyid[contact.geom[1]] == bone
+        by_robot = model.geom(contact.geom[0]).name.startswith("robot_")
+        if not (on_forearm and by_robot) or contact.efc_address < 0:
             continue
         mujoco.mj_contactForce(model, data, i, wrench)
         total += contact.frame.reshape(3, 3).T @ wrench[:3]
         normal += wrench[0]
-    assert np.linalg.norm(total) > 1.0
     assert samples.force[-1, FOREARM] == pytest.approx(total, abs=1e-9)
     assert samples.normal[-1, FOREARM] == pytest.approx(normal, abs=1e-9)

@@ -10,7 +10,7 @@ from carecontact.scoring import TrialScore, score_recording
 from carecontact.trials.trial import run_trial
 
 pytestmark = pytest.mark.slow
-MOVED = "bathing-moved-v1"
+MOVED = "bathing-moved-draft"
 
 
 def run(protocol: str, policy: str, task_id: str, seed: int) -> TrialScore:

@@ -17,8 +17,8 @@ import pytest
 from tools.compile_kernel import arguments, mujoco_headers
 
 import carecontact
-from carecontact.kernel import binary
-from tests.kernel.test_library import MODEL
+from carecontact.kernel import binary, library
+from tests.kernel.sheets import model_xml, sheet, tissue
 
 pytestmark = pytest.mark.slow
 
@@ -102,7 +102,8 @@ def test_the_tests_of_the_kernel_pass(runtime: str, package: Path) -> None:
 
 def test_the_plugin_frees_what_it_allocates(runtime: str, tmp_path: Path) -> None:
     model = tmp_path / "model.xml"  # an mjb file names a plugin by the order in which a process registered it
-    model.write_text(MODEL)
+    library.load()
+    model.write_text(model_xml(tissue(), sheet(half_m=0.02)))
     program = tmp_path / "steps_a_model"
     parts = [part for part in arguments(mujoco_headers(), binary.platform_here(), SANITIZED) if part != "-shared"]
     sanitized(*parts, "tests/slow/steps_a_model.c", *to_link(), "-o", str(program))

@@ -336,7 +336,7 @@ def test_manifest_names_the_run_and_does_not_depend_on_order(bench: Bench) -> No
     identity = held.pop("identity")
     assert identity["policy_sha256"] is None
     assert identity["versions"] == {"carecontact": __version__, "mujoco": metadata.version("mujoco")}
-    assert {what: len(digest) for what, digest in identity["sha256"].items()} == {"body": 64, "robot": 64}
+    assert {what: len(digest) for what, digest in identity["sha256"].items()} == {"body": 64, "robot": 64, "kernel": 64}
     assert held == {
         "schema": "carecontact-run-1",
         "purpose": "run",

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import astuple
 
 import mujoco
 import numpy as np
 import pytest
 
 from carecontact.contract.policy import CAMERAS
+from carecontact.kernel.readings import Readings
+from carecontact.kernel.region import Law
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS, STANDARD_REGIONS
 from carecontact.world.human.pose import FIXED_SEGMENTS
-from carecontact.world.human.skeleton import body_name, tissue_body_name
+from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene, build_scene
 from carecontact.world.sensors import CONTACT_SLOTS
 
@@ -21,7 +24,6 @@ PROTOCOL = load_protocol()
 # Every body is built and settled in test_every_body.
 BODIES = ("man-adult", "woman-old-heavy")
 TARGETS = (*STANDARD_REGIONS, None)
-SOFT = {REGIONS[name].segment for name in STANDARD_REGIONS}
 ROBOT_BIT, PERSON_BIT = 1, 2
 
 
@@ -49,7 +51,7 @@ def model(scene: Scene) -> mujoco.MjModel:
 
 
 def owner_segment(model: mujoco.MjModel, body: int) -> str | None:
-    """Segment that a body of the model is or hangs on; vertices and tissue carriers hang on bones."""
+    """Segment that a body of the model is or hangs on."""
     names = {body_name(s): s for s in SEGMENTS}
     while body:
         name = model.body(body).name
@@ -60,7 +62,7 @@ def owner_segment(model: mujoco.MjModel, body: int) -> str | None:
 
 
 def colliders(model: mujoco.MjModel) -> Iterator[tuple[str, str, int, int]]:
-    """(name, whose, contype, conaffinity) of every geom and flex that can collide."""
+    """(name, whose, contype, conaffinity) of every geom that can collide."""
     for g in range(model.ngeom):
         if not (model.geom_contype[g] or model.geom_conaffinity[g]):
             continue
@@ -68,9 +70,6 @@ def colliders(model: mujoco.MjModel) -> Iterator[tuple[str, str, int, int]]:
         on = model.body(model.body_rootid[body]).name
         kind = "robot" if on == "robot_base" else "human" if on == body_name("pelvis") else "bed"
         yield name, kind, int(model.geom_contype[g]), int(model.geom_conaffinity[g])
-    for f in range(model.nflex):
-        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f)
-        yield name, "human", int(model.flex_contype[f]), int(model.flex_conaffinity[f])
 
 
 def test_persons_mass_is_the_bodys(scene: Scene) -> None:
@@ -78,9 +77,9 @@ def test_persons_mass_is_the_bodys(scene: Scene) -> None:
     assert model.body_subtreemass[model.body("human_pelvis").id] == pytest.approx(scene.body.mass_kg, rel=1e-6)
     assert model.body_mass[1:].min() >= 0
     for region, soft in scene.regions.items():
+        # The shell's mass is part of its bone's.
         bone = model.body_mass[model.body(body_name(REGIONS[region].segment)).id]
-        shell = soft.tissue.areal_mass_kg_m2 * soft.shell.area[~soft.shell.pinned].sum()
-        assert 0 < shell < bone + shell, region
+        assert 0 < soft.tissue.areal_mass_kg_m2 * soft.shell.area.sum() < bone, region
 
 
 def test_physics_is_the_protocols(model: mujoco.MjModel) -> None:
@@ -112,11 +111,7 @@ def test_robot_meets_every_segment(model: mujoco.MjModel) -> None:
     for g in range(model.ngeom):
         if model.geom_conaffinity[g] & ROBOT_BIT:
             met.add(owner_segment(model, int(model.geom_bodyid[g])))
-    soft = {owner_segment(model, int(b)) for b in model.flex_vertbodyid}
     assert met >= set(SEGMENTS)
-    assert soft == SOFT
-    assert (model.flex_conaffinity == ROBOT_BIT).all()
-    assert (model.flex_selfcollide == mujoco.mjtFlexSelf.mjFLEXSELF_NONE).all()
 
 
 def test_proxies_meet_only_the_bed(model: mujoco.MjModel) -> None:
@@ -127,21 +122,20 @@ def test_proxies_meet_only_the_bed(model: mujoco.MjModel) -> None:
 
 
 def test_every_contact_would_be_sensed(model: mujoco.MjModel) -> None:
-    """One net force and one normal sum for each segment of the recording; soft segments have two surfaces."""
+    """One net force and one normal sum for each segment of the recording; what a shell feels the plugin says."""
     sensors = {model.sensor(i).name: i for i in range(model.nsensor)}
     expected = {f"{kind}_{s}" for kind in ("net", "normal") for s in SEGMENTS}
-    expected |= {f"{kind}_{s}_tissue" for kind in ("net", "normal") for s in SOFT}
     of_contact = {n for n, i in sensors.items() if model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT}
     assert of_contact == expected
     for name in expected:
         kind, _, place = name.partition("_")
         i = sensors[name]
-        wanted = body_name(place) if not place.endswith("_tissue") else f"human_{place}"
-        assert model.body(model.sensor_refid[i]).name == wanted
+        assert model.body(model.sensor_refid[i]).name == body_name(place)
         assert model.body(model.sensor_objid[i]).name == "robot_base"
-        slots = 1 if kind == "net" else CONTACT_SLOTS["soft" if place.endswith("_tissue") else "rigid"]
+        slots = 1 if kind == "net" else CONTACT_SLOTS
         assert model.sensor_dim[i] == slots * (6 if kind == "net" else 4)
-    assert {tissue_body_name(r) for r in STANDARD_REGIONS} == {f"human_{s}_tissue" for s in SOFT}
+    for region in STANDARD_REGIONS:
+        assert owner_segment(model, Readings(model, region).bone) == REGIONS[region].segment
 
 
 def test_other_streams_of_the_recording_have_sensors(scene: Scene) -> None:
@@ -162,45 +156,28 @@ def test_a_finer_step_keeps_every_sample_of_a_period() -> None:
     assert set(model.sensor_history[:, 0].tolist()) == {20}
 
 
-def test_only_the_targets_shell_is_fine(scene: Scene, target: str | None, scene_of: Callable[..., Scene]) -> None:
-    fine = scene_of(None).regions
+def test_every_target_has_the_same_person_and_only_its_skin_is_finer(
+    scene: Scene, target: str | None, scene_of: Callable[..., Scene]
+) -> None:
     assert list(scene.regions) == list(scene.frames) == list(STANDARD_REGIONS)
     for name, region in scene.regions.items():
-        if target in (None, name):
-            assert region.tissue == PROTOCOL.person.tissue[name]
-            if scene.body.name == PROTOCOL.person.body:
-                assert len(region.shell.vertices) == len(fine[name].shell.vertices)
-        else:
-            assert len(region.shell.vertices) < 0.3 * len(fine[name].shell.vertices)
-            own = PROTOCOL.person.tissue[name]
-            assert region.tissue.spacing_m == own.off_target_spacing_m
-            for law in ("a_n_m3", "c_n_m5", "damping_ns_m3"):
-                assert getattr(region.tissue, law) == pytest.approx(own.off_target_scale * getattr(own, law))
-            assert region.tissue.thickness_m == own.thickness_m
+        assert region.tissue == PROTOCOL.person.tissue[name]
+    if scene.body.name == PROTOCOL.person.body:
+        plain = scene_of(None).model
+        for field in ("body_mass", "body_inertia", "geom_pos", "numeric_data", "jnt_stiffness", "dof_damping"):
+            np.testing.assert_array_equal(getattr(scene.model, field), getattr(plain, field), err_msg=field)
+        assert (scene.model.nskinvert > plain.nskinvert) is (target is not None)
 
 
-def test_shell_vertices_are_anchored_by_the_law(scene: Scene) -> None:
-    """Stiffness and damping of the slides are per area: p = a x + b x^2 + c x^3."""
+def test_shells_are_anchored_by_the_law(scene: Scene) -> None:
+    """Law and surface, as the plugin reads them, are those of the protocol and of the body."""
     model = scene.model
     for name, region in scene.regions.items():
-        tissue, index = region.tissue, region.vertex_index
-        assert (~region.shell.pinned).nonzero()[0].tolist() == index.tolist()
-        for k in index[:: max(1, len(index) // 20)]:
-            area = region.shell.area[k]
-            joint = model.joint(f"{name}_v{k}_n")
-            assert model.jnt_stiffness[joint.id] == pytest.approx(tissue.a_n_m3 * area)
-            assert model.dof_damping[joint.dofadr[0]] == pytest.approx(tissue.damping_ns_m3 * area)
-            np.testing.assert_allclose(
-                model.jnt_stiffnesspoly[joint.id], [tissue.b_n_m4 * area, tissue.c_n_m5 * area], rtol=1e-9
-            )
-            np.testing.assert_allclose(joint.axis, region.shell.inward[k], atol=1e-9)
-        for c, frame in enumerate(region.shell.cell_frames):
-            area = region.shell.area[region.shell.cell == c].sum()
-            for kind, axis in zip("tb", frame.T[:2], strict=True):
-                joint = model.joint(f"{name}_cell{c}_{kind}")
-                np.testing.assert_allclose(joint.axis, axis, atol=1e-9)
-                assert model.jnt_stiffness[joint.id] == pytest.approx(tissue.a_n_m3 * area)
-                assert model.dof_damping[joint.dofadr[0]] == pytest.approx(tissue.damping_ns_m3 * area)
+        np.testing.assert_array_equal(model.numeric(f"{name}/law").data, astuple(Law.of(region.tissue)))
+        felt, segment = Readings(model, name), REGIONS[name].segment
+        np.testing.assert_allclose(felt.places, region.shell.vertices - scene.body.joint_centre[segment], atol=1e-12)
+        np.testing.assert_allclose(felt.frames[:, 0], -region.shell.normals, atol=1e-12)
+        np.testing.assert_allclose(felt.areas, region.shell.area, rtol=1e-12)
 
 
 def test_cameras_are_those_of_the_protocol_and_look_where_it_says(model: mujoco.MjModel) -> None:

@@ -24,16 +24,15 @@ NAME, TITLE = "frozen frames", "hidden state of the world scrambled while the im
 ROUNDS = 2
 POSES = (
     "xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat",
-    "cam_xpos", "cam_xmat", "light_xpos", "light_xdir", "flexvert_xpos", "flexelem_aabb", "flexedge_length",
-    "ten_wrapadr", "ten_wrapnum", "wrap_obj", "wrap_xpos", "bvh_aabb_dyn", "bvh_active", "mocap_pos", "mocap_quat",
+    "cam_xpos", "cam_xmat", "light_xpos", "light_xdir", "bvh_aabb_dyn", "bvh_active", "mocap_pos", "mocap_quat",
 )  # fmt: skip
 """Fields of MjData that are drawn; all others are hidden."""
 HIDDEN_OF_MODEL = (
     "jnt_stiffness", "jnt_stiffnesspoly", "jnt_range", "jnt_solref", "qpos_spring", "dof_damping", "dof_armature",
-    "dof_frictionloss", "body_mass", "body_inertia", "geom_friction", "geom_solref", "geom_solimp", "flex_friction",
-    "flex_solref", "flex_solimp", "tendon_stiffness", "tendon_damping", "actuator_gainprm", "actuator_biasprm",
+    "dof_frictionloss", "body_mass", "body_inertia", "geom_friction", "geom_solref", "geom_solimp", "numeric_data",
+    "actuator_gainprm", "actuator_biasprm",
 )  # fmt: skip
-"""Fields of MjModel: mechanics of person, tissue and robot, none of which is drawn."""
+"""Fields of MjModel: mechanics of person, tissue (``numeric_data``) and robot, none of which is drawn."""
 
 
 def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruction: str) -> Part:

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError
 
-VERSION = "carecontact-calibration-1"
+VERSION = "carecontact-calibration-2"
 BAND = {"response_share_of_peak": 0.02, "error_change": 0.01}
 """``--verify`` fails where a replayed force differs by more than this share of its peak, or an error by this much."""
 
@@ -59,8 +59,10 @@ class Content(Part):
     tissue: Tissue
     """The row as written; its damping is the fitted one only where ``law`` has it."""
     law: dict[str, Value]
+    terms: list[str]
+    """What was found of each term that the law could have: whether it lowered the error on held-out trials."""
     damping: str
-    """Where D_c comes from."""
+    """Where the damping comes from."""
     stiffness: dict[str, Value]
     """Of the calibrated simulation, mean over trials [N/mm]."""
     measured_stiffness: dict[str, float]

@@ -18,10 +18,8 @@ from carecontact.calibration.fit import BOOTSTRAP_SEED, BOOTSTRAPS, DAMPING, LAW
 from carecontact.calibration.identify import Identified
 from carecontact.calibration.replay import Replay
 from carecontact.calibration.trial import Array
-from carecontact.contract.protocol import Protocol, Tissue
-from carecontact.errors import ConfigError
-from carecontact.protocols import FAST_DT_S
-from carecontact.world.human.tissue import check_step
+from carecontact.contract.protocol import Protocol
+from carecontact.kernel import library
 
 LOOSE = 4.0
 """A parameter whose interval spans more than this factor is called hardly identified."""
@@ -34,7 +32,7 @@ def make_content(
     """``laws``: the candidates that describe the measured response, best first."""
     facts, groups = measured_facts(file, curves), replay.groups
     gate = rules.limits.gamma * rules.f_pain(region)
-    source = f"carecontact calibrate, {count_of(curves, facts['synthetic'])}, data sha256 {file.sha256[:12]}"
+    source = f"carecontact calibrate on the kernel, {count_of(curves, facts['synthetic'])}, data sha256 {file.sha256[:12]}"
     # A recording's results count how deep the anchors go, not how far the tool travels.
     reached = np.repeat([one.press.anchor_m.max() for one in fit.replayed], [len(g.members) for g in groups])
     tissue = fit.tissue.model_copy(update={"measured_depth_m": float(np.median(reached)), "source": source})
@@ -45,6 +43,7 @@ def make_content(
         base_tissue_set=rules.person.tissue_set,
         tissue=tissue,
         law=law,
+        terms=list(fit.chosen),
         damping=fit.damping_reason,
         stiffness=_stiffness_values(simulated_stiffness(groups, fit.replayed), fit),
         identified=[
@@ -61,14 +60,17 @@ def make_content(
         responses=responses(curves, groups, fit.replayed),
         band=BAND,
         hashes={"data": file.sha256, **model_hashes(replay, body, tissue)},
-        versions={"carecontact": __version__, "mujoco": version("mujoco"), "protocol": rules.id},
+        versions={
+            "carecontact": __version__, "mujoco": version("mujoco"), "protocol": rules.id,
+            "kernel": library.sha256(),
+        },
         notes=[
             *file.notes,
             *_notes_on_the_fit(fit, trials=len(curves)),
             *hardly_identified(law),
             *_notes_on_use(facts["measured_depth_mm"], facts["measured_force_n"], gate),
-            *_notes_on_the_time_step(region, replay, tissue, rules),
-            "off_target_scale and thickness are those of the protocol's row; they were not calibrated",
+            "thickness, mass, friction, coupling, membrane and contact layer are those of the protocol's row; they were "
+            "not calibrated",
         ],
     )  # fmt: skip
 
@@ -79,12 +81,12 @@ def count_of(curves: Sequence[Curve], synthetic: bool = False) -> str:
 
 
 def hardly_identified(law: dict[str, Value]) -> list[str]:
-    """A note for each stiffness parameter that is at its bound or has an interval wider than LOOSE."""
+    """A note for each stiffness parameter that is 0 or has an interval wider than LOOSE."""
     notes = []
     for name, one in law.items():
-        if name != DAMPING and one.value == 0.0:
-            notes.append(f"{name} is at its bound 0: tissue is assumed to stiffen, so an interval would say nothing")
-        elif one.ci95 is not None and one.ci95[1] > LOOSE * max(one.ci95[0], 0.0):
+        if name in LAW and one.value == 0.0:
+            notes.append(f"{name} is 0: a law with it did not describe held-out trials better")
+        elif one.ci95 is not None and not 0 < max(map(abs, one.ci95)) <= LOOSE * min(map(abs, one.ci95)):
             notes.append(
                 f"{name} is hardly identified ({one.ci95[0]:.3g} to {one.ci95[1]:.3g}): the data fix the response in "
                 "the measured range, but not this parameter's share in it; deeper, the row extrapolates by it"
@@ -98,7 +100,7 @@ def _notes_on_the_fit(fit: Fit, *, trials: int) -> list[str]:
         notes.append("the data are a single trial: no interval, also none of damping, and no held-out error; "
                      "record at least five")  # fmt: skip
     if not fit.damping_identified:
-        notes.append(f"damping is not identified ({fit.damping_reason}): the row keeps the ratio of D_c to stiffness")
+        notes.append(f"damping is not identified ({fit.damping_reason}): the row keeps the ratio of damping to stiffness")
     return notes
 
 
@@ -108,21 +110,10 @@ def _notes_on_use(depth_mm: float, force_n: float, gate_n: float) -> list[str]:
     return [f"beyond {depth_mm:.1f} mm or {force_n:.1f} N the row extrapolates; the safety gate is {gate_n:g} N"]
 
 
-def _notes_on_the_time_step(region: str, replay: Replay, tissue: Tissue, rules: Protocol) -> list[str]:
-    """Time steps at which a run would refuse the row: worth knowing, and no reason to lose the fit."""
-    notes, shell = [], next(iter(replay.benches.values())).shell
-    for dt in (rules.physics.dt_s, FAST_DT_S):
-        try:
-            check_step(region, shell, tissue, dt)
-        except ConfigError as error:
-            notes.append(f"a run with time steps of {1000 * dt:g} ms will refuse this row: {error}")
-    return notes
-
-
 def _law_values(fit: Fit) -> dict[str, Value]:
     out = {}
-    for name in (*LAW, DAMPING):
-        if name == DAMPING and not fit.damping_identified:
+    for name in (*LAW, *DAMPING):
+        if name in DAMPING and not fit.damping_identified:
             out[name] = Value(value=None, ci95=None)
             continue
         value = float(getattr(fit.tissue, name))

@@ -14,9 +14,10 @@ from carecontact.calibration.certificate import BAND, Certificate, Content, Resp
 from carecontact.calibration.checks import read_trials
 from carecontact.calibration.curve import Curve, make_curve
 from carecontact.calibration.facts import measured_facts, model_hashes, responses, simulated_stiffness
-from carecontact.calibration.fit import agreements
+from carecontact.calibration.problem import agreements
 from carecontact.calibration.replay import Group, Replay, group_curves
 from carecontact.errors import ConfigError
+from carecontact.kernel import library
 from carecontact.world.human.library import load_body
 
 
@@ -104,7 +105,10 @@ def _check_value(name: str, stated: Value, here: float | None, *, allowed: float
 
 
 def _show_versions(content: Content, hashes: dict[str, str]) -> Iterator[Check]:
-    pairs = {"mujoco": (content.versions["mujoco"], version("mujoco"))}
+    pairs = {
+        "mujoco": (content.versions["mujoco"], version("mujoco")),
+        "kernel": (content.versions["kernel"], library.sha256()),
+    }
     pairs |= {name: (content.hashes[name], hashes[name]) for name in ("mesh", "model")}
     for name, (certified, here) in pairs.items():
         yield Check(name=name, certified=certified[:12], here=here[:12], fine=certified == here, decides=False)
@@ -120,7 +124,8 @@ def _check_facts(content: Content, facts: dict[str, object]) -> None:
             same = bool(np.isclose(stated, here, rtol=1e-6)) if isinstance(here, float) else stated == here
         if not same:
             raise ConfigError(f"the certificate states {name} {stated}, its data give {here}")
-    if not 0 < content.tissue.measured_depth_m <= content.measured_depth_mm / 1000:
+    # A vertex may lead its triangles' middles, which carry the contact, by a little.
+    if not 0 < content.tissue.measured_depth_m <= 1.1 * content.measured_depth_mm / 1000:
         raise ConfigError(
             f"the certificate's row has measured_depth_m {content.tissue.measured_depth_m:g}, but no anchor went "
             f"deeper than the indenter, {content.measured_depth_mm:.3g} mm"
@@ -149,5 +154,6 @@ def _check_consistent(content: Content) -> None:
     missing = {"data", "body", "mesh", "model"} - set(content.hashes)
     if missing:
         raise ConfigError(f"the certificate has no hash of: {', '.join(sorted(missing))}")
-    if "mujoco" not in content.versions:
-        raise ConfigError("the certificate does not name the mujoco version that made it")
+    for name in ("mujoco", "kernel"):
+        if name not in content.versions:
+            raise ConfigError(f"the certificate does not name the {name} that made it")

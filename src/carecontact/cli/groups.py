@@ -23,7 +23,7 @@ Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR", help
 
 @dataclass(frozen=True, kw_only=True)
 class ProtocolGroup:
-    protocol: str = "bathing-v1"
+    protocol: str = "bathing-draft"
     """Id of a shipped protocol (see `carecontact list protocols`) or a .toml file."""
 
 

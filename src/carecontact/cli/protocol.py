@@ -17,7 +17,7 @@ class Protocols:
 
     what: Annotated[Literal["list", "show", "verify", "lock"], tyro.conf.Positional]
     """What to do: list all protocols, show one, verify it against its lock, or write its lock."""
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME|FILE.toml]")] = "bathing-v1"
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME|FILE.toml]")] = "bathing-draft"
     """Id of a shipped protocol, or a .toml file; `list` needs none."""
 
     after_interrupt: ClassVar[str] = ""

@@ -29,6 +29,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.session import ActionBounds, Session
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.cells import CellLog
 from carecontact.episode.drivers import Driver, driver_of
 from carecontact.episode.ended import Ended, ForceCut, cut_by_solver, cut_by_speed
 from carecontact.episode.header import header_of
@@ -111,10 +112,11 @@ class Episode:
 
     def _equip(self) -> None:
         """Make what belongs to one compiled world: log, renderer and the memory of the peak. t = 0."""
+        self._cells = CellLog(self.simulation, self.task.region)
         self.log = TrialLog(
             human_joints=len(self.simulation.joint_names),
             regions=len(self.protocol.regions),
-            constants=constants_of(self.simulation, self._settled),
+            constants={**constants_of(self.simulation, self._settled), **self._cells.constants()},
         )
         self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol)
         self._peak = Peak(self.simulation, target=SEGMENTS.index(REGIONS[self.task.region].segment))
@@ -325,7 +327,7 @@ class Episode:
                 return cut
             self.log.add_period(
                 samples, time_s=simulation.time_s, indentation_m=simulation.indentation(),
-                target_in_base=simulation.control.target_in_base,
+                target_in_base=simulation.control.target_in_base, cells=self._cells.period(),
             )  # fmt: skip
             if self.log.wants_state(simulation.time_s):
                 self.log.add_state(simulation.time_s, simulation.integration_state())

@@ -7,6 +7,7 @@ from typing import Any
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.ended import Ended
+from carecontact.kernel import library
 from carecontact.recording.schema import SEGMENTS, Header
 from carecontact.recording.versions import trial_versions
 from carecontact.sim.simulation import Settled, Simulation
@@ -45,6 +46,7 @@ def header_of(
             "protocol": spec.protocol.sha256,
             "body": simulation.scene.body.sha256,
             "robot": panda_sha256(),
+            "kernel": library.sha256(),
         },
         solver_warnings=warnings,
     )

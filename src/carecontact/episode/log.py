@@ -57,6 +57,7 @@ class TrialLog:
         self._empty, self._constants = empty_arrays(human_joints, regions=regions), dict(constants)
         self._samples: list[Samples] = []
         self._periods: list[tuple[float, F64, F64]] = []
+        self._cells: list[Mapping[str, F64]] = []
         self._observations: list[tuple[float, bytes]] = []
         self._actions: list[tuple[float, int, Mapping[str, F64]]] = []
         self._states: list[tuple[float, F64]] = []
@@ -65,13 +66,23 @@ class TrialLog:
         self.extra: Arrays = {}
         """Optional arrays, by their path."""
 
-    def add_period(self, samples: Sequence[Samples], *, time_s: float, indentation_m: F64, target_in_base: F64) -> None:
+    def add_period(
+        self,
+        samples: Sequence[Samples],
+        *,
+        time_s: float,
+        indentation_m: F64,
+        target_in_base: F64,
+        cells: Mapping[str, F64] | None = None,
+    ) -> None:
         """One control period: its samples, and what held at its end, ``time_s``.
 
         Args:
             indentation_m: (R,) largest indentation of each region.
             target_in_base: (7,) position [m] and quat_wxyz of the impedance target.
+            cells: array path -> (C,) what each cell felt in the period; the same paths in every period of a trial.
         """
+        self._cells.append(cells or {})
         self._samples.extend(samples)
         self._periods.append((time_s, indentation_m, target_in_base))
 
@@ -142,6 +153,8 @@ class TrialLog:
             out["scorer/period_time_s"] = np.array([p[0] for p in self._periods], "<f8")
             out["scorer/indentation_m"] = np.array([p[1] for p in self._periods], "<f4")
             out["scorer/target_in_base"] = np.array([p[2] for p in self._periods], "<f4")
+        for path in self._cells[0] if self._cells else ():
+            out[path] = np.array([row[path] for row in self._cells], "<f4")
         if self._observations:
             digests = b"".join(sha256 for _, sha256 in self._observations)
             out["policy/observation_time_s"] = np.array([time_s for time_s, _ in self._observations], "<f8")

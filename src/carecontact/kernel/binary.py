@@ -66,13 +66,18 @@ def library_file(name: str) -> Path:
     return FOLDER / PLATFORMS[name].library
 
 
-def mark(name: str) -> str:
-    """What the binary of a platform says of itself: its platform, the sha256 of its sources, MuJoCo's version."""
+def sources_sha256() -> str:
+    """Of the C sources, the compiler's version and its flags: the same on every platform."""
     digest = hashlib.sha256("\0".join((ZIG, *FLAGS)).encode())
     for source in sorted(SOURCES.glob("*.[ch]")):
         digest.update(f"\0{source.name}\0".encode())
         digest.update(hashlib.sha256(source.read_bytes()).digest())
-    return f"carecontact kernel for {name}, sources {digest.hexdigest()}, MuJoCo {MUJOCO}"
+    return digest.hexdigest()
+
+
+def mark(name: str) -> str:
+    """What the binary of a platform says of itself: its platform, the sha256 of its sources, MuJoCo's version."""
+    return f"carecontact kernel for {name}, sources {sources_sha256()}, MuJoCo {MUJOCO}"
 
 
 def mark_in(file: Path) -> str | None:

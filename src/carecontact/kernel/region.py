@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.protocol import Tissue
+from carecontact.errors import SceneError
 from carecontact.kernel import library
 
 Array = npt.NDArray[np.float64]
@@ -98,11 +99,17 @@ class Law:
 
     @classmethod
     def of(cls, tissue: Tissue) -> Law:
+        """Raises SceneError for a row of an earlier release's recording, which has no contact layer."""
+        if (contact_n_m3 := tissue.contact_n_m3) is None:
+            raise SceneError(
+                "this row of tissue has no contact_n_m3: it comes from a recording made with the earlier model of the "
+                "tissue, and this release cannot build a world with it"
+            )
         return cls(
             a_n_m3=tissue.a_n_m3, b_n_m4=tissue.b_n_m4, c_n_m5=tissue.c_n_m5, damping_ns_m3=tissue.damping_ns_m3,
             damping_growth_ns_m4=tissue.damping_growth_ns_m4, mass_kg_m2=tissue.areal_mass_kg_m2,
             coupling_n_m=tissue.a_n_m3 * tissue.coupling_length_m**2, membrane_n_m=tissue.membrane_n_m,
-            friction=tissue.friction, contact_n_m3=tissue.contact_n_m3, thickness_m=tissue.thickness_m,
+            friction=tissue.friction, contact_n_m3=contact_n_m3, thickness_m=tissue.thickness_m,
         )  # fmt: skip
 
 

@@ -7,6 +7,13 @@ from pathlib import Path
 
 from carecontact.errors import ConfigError, UnknownNameError
 
+SUCCESSORS = {
+    "bathing-v1": "bathing-draft",
+    "bathing-moved-v1": "bathing-moved-draft",
+    "bathing-droid-v1": "bathing-droid-draft",
+}
+"""Protocol of an earlier release, which had another model of the tissue -> the draft with the same tasks."""
+
 
 def shipped_protocols() -> list[str]:
     """Ids of the protocols that come with carecontact."""
@@ -17,8 +24,11 @@ def shipped_protocols() -> list[str]:
 def protocol_file(name_or_path: str) -> Path:
     """The file of a shipped protocol, or the TOML file itself.
 
-    Raises UnknownNameError for a name that is neither, or ConfigError for a file that is missing.
+    Raises UnknownNameError for a name that is neither, or ConfigError for a file that is missing and for a protocol of
+    an earlier release.
     """
+    if name_or_path in SUCCESSORS:
+        raise ConfigError(no_longer(name_or_path))
     if name_or_path in shipped_protocols():
         return Path(str(resources.files("carecontact.protocols") / f"{name_or_path}.toml"))
     if not name_or_path.endswith(".toml"):
@@ -28,3 +38,11 @@ def protocol_file(name_or_path: str) -> Path:
     if not Path(name_or_path).is_file():
         raise ConfigError(f"protocol file {name_or_path} does not exist")
     return Path(name_or_path)
+
+
+def no_longer(name: str) -> str:
+    """What is said of a protocol in SUCCESSORS."""
+    return (
+        f"no protocol named {name!r}: earlier releases had it, with another model of the tissue; its successor is the "
+        f"draft {SUCCESSORS[name]!r}, whose results cannot be compared with those of {name!r}"
+    )

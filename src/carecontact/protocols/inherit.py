@@ -6,7 +6,7 @@ import tomllib
 from typing import Any
 
 from carecontact.errors import ConfigError, did_you_mean
-from carecontact.protocols.files import protocol_file, shipped_protocols
+from carecontact.protocols.files import SUCCESSORS, no_longer, protocol_file, shipped_protocols
 
 Table = dict[str, Any]
 
@@ -33,6 +33,8 @@ def ancestry(name_or_path: str, *, heirs: tuple[str, ...] = ()) -> list[tuple[st
         raise ConfigError(f"{name_or_path}: base: expected the id of a protocol or a .toml file, got {base!s:.80}")
     if base.endswith(".toml"):
         base = str(path.parent / base)
+    elif base in SUCCESSORS:
+        raise ConfigError(f"{name_or_path}: base: {no_longer(base)}")
     elif base not in shipped_protocols():
         valid = ", ".join([*shipped_protocols(), "FILE.toml"])
         raise ConfigError(

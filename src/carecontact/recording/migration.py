@@ -6,6 +6,8 @@ stay as they are; reading lifts what it read, after the checksum of the file as 
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -36,7 +38,37 @@ def from_1(raw: RawRecording) -> RawRecording:
     )
 
 
-MIGRATIONS: dict[str, Migration] = {"carecontact-recording-1": from_1}
+def from_2(raw: RawRecording) -> RawRecording:
+    """Version 3 has the compiled tissue: rows of tissue lost what described the coarser meshes of other regions, and
+    got a contact layer, which is None in an earlier row. No array changed; those of cells are new.
+
+    ``sha256.protocol`` becomes the hash of the rules as they were written, so that the trial can still be told from
+    and compared with others of its protocol.
+    """
+    header, spec = raw.header, raw.header["spec"]
+    protocol = spec["protocol"]
+    rows, new = protocol["person"]["tissue"], "carecontact-recording-3"
+    if all("contact_n_m3" in row for row in rows.values()):
+        return RawRecording(header={**header, "schema_version": new}, arrays=raw.arrays)
+    written = {name: value for name, value in protocol.items() if name != "overrides" or value}
+    digest = hashlib.sha256(json.dumps(written, sort_keys=True).encode()).hexdigest()
+    tissue = {
+        region: {name: value for name, value in row.items() if name not in COARSE_MESHES} | {"contact_n_m3": None}
+        for region, row in rows.items()
+    }
+    lifted = {**protocol, "person": {**protocol["person"], "tissue": tissue}}
+    return RawRecording(
+        header={
+            **header, "schema_version": new, "spec": {**spec, "protocol": lifted},
+            "sha256": {**header["sha256"], "protocol": digest},
+        },
+        arrays=raw.arrays,
+    )  # fmt: skip
+
+
+COARSE_MESHES = ("off_target_spacing_m", "off_target_scale")
+"""Fields of a row of tissue until version 2."""
+MIGRATIONS: dict[str, Migration] = {"carecontact-recording-1": from_1, "carecontact-recording-2": from_2}
 """Schema version -> pure function that returns the recording in a later version. Version 1 is the first."""
 
 

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict
 from carecontact.contract.trial import TrialSpec
 from carecontact.regions import SEGMENTS, STANDARD_REGIONS
 
-SCHEMA_VERSION = "carecontact-recording-2"
+SCHEMA_VERSION = "carecontact-recording-3"
 
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
 
@@ -59,13 +59,16 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "policy/believed_pose_camera_in_base": ("f8", "(A, V, 7) as the policy was shown it, with its calibration error"),
     "policy/believed_pose_base_in_world": ("f8", "(A, 7) where the cell's calibration has the robot's base"),
     "scorer/human_joint_reaction": ("f4", "(T, J) [N m] torque of each scored joint's end stop"),
-    "scorer/cell_in_region": ("f4", "(C, 3) [m] centre of each cell in the target region's frame"),
-    "scorer/cell_area": ("f4", "(C,) [m^2]"),
-    "scorer/cell_pressure": ("f4", "(P, C) [Pa]"),
-    "scorer/cell_slip": ("f4", "(P, C) [m] way that the tool slid over the cell during the period"),
-    "scorer/cell_shear": ("f4", "(P, C, 2) [Pa] along the region's axis and along its circumference"),
+    "scorer/cell_in_region": ("f4", "(C, 3) [m] centre of each cell at rest, in the target region's frame"),
+    "scorer/cell_area_m2": ("f4", "(C,)"),
+    "scorer/cell_press_ns": ("f4", "(P, C) normal force times time, summed over the period"),
+    "scorer/cell_shear_ns": ("f4", "(P, C) size of the friction force times time, summed over the period"),
+    "scorer/cell_slip_m3": ("f4", "(P, C) distance that the tool slid times area, summed over the period"),
+    "scorer/cell_touch_m2s": ("f4", "(P, C) area in contact times time, summed over the period"),
 }
-"""Arrays that are there only where they were used, with dtype and meaning. These paths are allowed as well:
+"""Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
+soft region since schema 3: cells are patches of about 15 mm (``world.human.tissue.DeclaredCells``), and a row sums what
+happened since the row before it. These paths are allowed as well:
 ``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
 (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``perception/*``
 (``recording.perception``), and ``wall/*``, the only place for what may differ between two runs of the same trial: it is
@@ -101,8 +104,16 @@ class Header(BaseModel):
     """(7,) position, quat_wxyz"""
     versions: dict[str, str]
     sha256: dict[str, str]
-    """model, body and mesh assets"""
+    """model, body and mesh assets, and the binary of the compiled tissue (``kernel``)"""
     solver_warnings: list[str]
+
+    @property
+    def protocol_sha256(self) -> str:
+        """Of the protocol as the trial was recorded. The rules of a trial with the earlier model of the tissue have
+        lost fields since (``recording.migration``), so the hash is the one that the migration took before."""
+        protocol = self.spec.protocol
+        earlier = any(row.contact_n_m3 is None for row in protocol.person.tissue.values())
+        return self.sha256.get("protocol", protocol.sha256) if earlier else protocol.sha256
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ import numpy as np
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError
+from carecontact.kernel import binary
 from carecontact.protocols import shipped_protocols
 from carecontact.protocols.lock import SUFFIX, Lock, lock_path, read_lock
 from carecontact.recording.versions import package_versions
@@ -21,10 +22,11 @@ PACKAGES = ("mujoco", "mediapipe")
 """Their releases change the physics or what is seen; numpy's and scipy's are held by the sums and the score hashes."""
 WORLD_FIELDS = (
     "body_mass", "body_inertia", "body_pos", "geom_size", "geom_pos", "geom_friction", "jnt_pos", "jnt_range",
-    "jnt_stiffness", "jnt_stiffnesspoly", "dof_damping", "dof_frictionloss", "tendon_stiffness", "flex_vert",
-    "flex_friction", "mesh_vert", "actuator_gainprm", "actuator_biasprm", "cam_pos", "cam_fovy", "light_dir",
+    "jnt_stiffness", "jnt_stiffnesspoly", "dof_damping", "dof_frictionloss", "numeric_data",
+    "mesh_vert", "skin_vert", "actuator_gainprm", "actuator_biasprm", "cam_pos", "cam_fovy", "light_dir",
 )  # fmt: skip
-"""Of the compiled model. Each gives a sum of magnitudes and one weighted by place, so that a swap is seen too."""
+"""Of the compiled model; ``numeric_data`` has the shells and laws of the tissue. Each gives a sum of magnitudes and one
+weighted by place, so that a swap is seen too."""
 SAME = 1e-6
 """Relative difference of sums that counts as rounding."""
 
@@ -41,11 +43,12 @@ def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
 
 
 def asset_hashes(protocol: Protocol) -> dict[str, str]:
-    """Of the protocol's body, its skin and the robot; files that are not there have no entry."""
+    """Of the protocol's body, its skin, the robot and the C sources of the tissue; files that are not there have no
+    entry. Sources and not the binary, which differs between platforms."""
     folder = resources.files("carecontact") / "assets"
     body = protocol.person.body
     places = [("bodies", f"{body}.npz"), ("bodies", f"{body}.skin.png"), ("panda", "panda.npz")]
-    return {
+    return {"kernel/c": binary.sources_sha256()} | {
         f"{place}/{name}": hashlib.sha256(file.read_bytes()).hexdigest()
         for place, name in places
         if (file := folder / place / name).is_file()

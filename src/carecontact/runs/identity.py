@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
+from carecontact.kernel import library
 from carecontact.policies.language.selection import language_name
 from carecontact.policies.registry import POLICIES, policy_target
 from carecontact.recording.versions import package_versions, supplier_versions
@@ -43,7 +44,8 @@ class Identity(BaseModel):
     """Names of the variables that --policy-env let pass."""
     versions: dict[str, str]
     sha256: dict[str, str]
-    """Of the body's and the robot's baked archives; keys and values are those of a recording's header."""
+    """Of the body's and the robot's baked archives and of the compiled tissue; keys and values are those of a
+    recording's header."""
 
     def differences(self, *, versions: Mapping[str, str], sha256: Mapping[str, str]) -> list[str]:
         """Of this one from what something older says; what that does not mention does not count."""
@@ -80,7 +82,8 @@ def identity_of(
         versions={name: versions[name] for name in ("carecontact", "mujoco")}
         | supplier_versions(spec.protocol)
         | policy_package(ref),
-        sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()},
+        sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()}
+        | {"kernel": library.sha256()},
     )
 
 

@@ -49,7 +49,7 @@ def _check_one_world(scores: Sequence[TrialScore]) -> None:
 def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, TrialScore] | None:
     """The first part of the world in which two scores differ, and the two; None in one world.
 
-    The compiled model has the fine mesh on the task's region, so that models are compared region by region.
+    The compiled model has the fine skin on the task's region, so that models are compared region by region.
     """
     first: dict[tuple[str, ...], TrialScore] = {}
     for score in scores:

@@ -93,7 +93,7 @@ def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
         "language_served": spoken.served,
         "language_sent": spoken.sent,
         "protocol_id": protocol.id,
-        "protocol_sha256": protocol.sha256,
+        "protocol_sha256": header.protocol_sha256,
         "overrides": protocol.overrides,
         "recording_sha256": sha256,
         "world": _world(contact),
@@ -116,7 +116,7 @@ def _clipped_actions(contact: Contact) -> int:
 
 def _world(contact: Contact) -> dict[str, str]:
     header = contact.recording.header
-    world = {name: header.sha256[name] for name in ("body", "robot", "model") if name in header.sha256}
+    world = {name: header.sha256[name] for name in ("body", "robot", "model", "kernel") if name in header.sha256}
     if "mujoco" in header.versions:
         world["mujoco"] = header.versions["mujoco"]
     return world

@@ -69,10 +69,9 @@ class Press:
     """(n,) prescribed; positive inward"""
     force_n: Array
     """(n,) along the indenter's axis, positive when the tissue pushes it out"""
-    anchor_force_n: Array
-    """(n,) sum of spring and damper forces of the shell's anchors along the same axis"""
     anchor_m: Array
-    """(n,) largest inward displacement of an anchor; less than the travel, for the contact gives way too"""
+    """(n,) largest inward displacement of an anchor. The contact layer lets it stay behind the travel, and it may lead by
+    the height of a vertex over its triangles' middles."""
     loading: npt.NDArray[np.bool_]
     """(n,) moving inward"""
 
@@ -141,7 +140,7 @@ class Bench:
         self.tissue = tissue
 
     def set_law(self, tissue: Tissue) -> None:
-        """Change stiffness and damping in the compiled model. Raises ConfigError where the mesh would change too."""
+        """Change stiffness and damping in the compiled model. Raises ConfigError where more than these would change."""
         for name in Tissue.model_fields:
             before, after = getattr(self.tissue, name), getattr(tissue, name)
             if name not in (*LAW_FIELDS, "source", "measured_depth_m") and before != after:
@@ -249,14 +248,13 @@ class Bench:
         travel = touch + np.interp(time, time_s, depth_m)
         speed = np.r_[np.diff(travel) / (stride * dt), 0.0]
         model, data = self.model, self._data
-        force, anchors, deepest = np.zeros(count + 1), np.zeros(count + 1), np.zeros(count + 1)
+        force, deepest = np.zeros(count + 1), np.zeros(count + 1)
         for k in range(count):
             data.qpos[self._slide_q], data.qvel[self._slide_v] = travel[k], speed[k]
             mujoco.mj_step(model, data, stride)
             # The row belongs to the pose in which the last step began, one step before sample k + 1.
             row = self._felt.last(data, 1)[0]
             force[k + 1] = row["force_n"] @ inward
-            anchors[k + 1] = self._anchor_force() @ inward
             deepest[k + 1] = row["depth_m"]
         time = time - dt
         depth = np.interp(time, time_s, depth_m)
@@ -267,7 +265,6 @@ class Bench:
             indentation_m=depth[first:],
             speed_m_s=speed[first:],
             force_n=force[first:],
-            anchor_force_n=anchors[first:],
             anchor_m=deepest[first:],
             loading=(speed > 0)[first:],
         )
@@ -302,8 +299,8 @@ class Bench:
         moved = self._felt.vertices(self._data) - self._felt.places
         return distance[facing], (moved @ inward)[facing]
 
-    def _anchor_force(self) -> Array:
-        """(3,) sum over the vertices of what springs, dampers and inertia bear, in the bone's frame [N]."""
+    def anchor_force(self) -> Array:
+        """(3,) what the springs and dampers of all anchors bear at the end of the last press, in the bone's frame [N]."""
         law, u = self.tissue, self._felt.displacement(self._data)
         spring = law.a_n_m3 * u
         spring[:, 0] += (law.b_n_m4 * np.abs(u[:, 0]) + law.c_n_m5 * u[:, 0] ** 2) * u[:, 0]

@@ -1,8 +1,8 @@
 """Keeps settled persons between trials, since lying down takes longer than loading the final state.
 
 A file is named by all that the settled state depends on: the compiled model, the comfort angle, the place on the bed,
-the settling rules and MuJoCo's version. A trial continues from the stored state in the same way whether it was just
-computed or read, so the recording is the same bit for bit.
+the settling rules, MuJoCo's version and the compiled tissue. A trial continues from the stored state in the same way
+whether it was just computed or read, so the recording is the same bit for bit.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from carecontact.kernel import library
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.world.place import place_in_model
 
@@ -59,7 +60,8 @@ def settle(simulation: Simulation, comfort_arm_deg: float, *, model_sha256: str)
 def _key(simulation: Simulation, comfort_arm_deg: float, model_sha256: str) -> str:
     protocol = simulation.protocol
     facts = {
-        "model": model_sha256, "mujoco": mujoco.__version__, "comfort_arm_deg": comfort_arm_deg.hex(),
+        "model": model_sha256, "mujoco": mujoco.__version__, "kernel": library.sha256(),
+        "comfort_arm_deg": comfort_arm_deg.hex(),
         "phases": protocol.phases.model_dump(mode="json"), "target_period_s": protocol.physics.target_period_s,
         "parked": protocol.scene.parked_joint_rad, "place": [v.hex() for v in place_in_model(simulation.model)],
     }  # fmt: skip

@@ -32,9 +32,10 @@ class Tissue(Section):
     membrane_n_m: Annotated[float, Field(ge=0, le=20_000)] = 0.0
     """In-plane stiffness of the skin (Young's modulus times thickness): a patch that the tool drags along pulls its
     neighbours with it. 0: no membrane; neighbouring patches move independently."""
-    contact_n_m3: Positive
+    contact_n_m3: Positive | None
     """[N/m per m^2] of the layer between the shell and the tool, which stands for skin compressed across its thickness:
-    its pressure over the depth by which the tool's surface lies in it."""
+    its pressure over the depth by which the tool's surface lies in it. None, which no file can say: the row is of a
+    recording from before there was this layer, and no world can be built with it."""
     areal_mass_kg_m2: Positive
     spacing_m: Length
     """Vertex spacing on the patch that the tool can reach."""

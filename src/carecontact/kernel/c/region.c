@@ -151,7 +151,6 @@ static void allocate(Region* r, int nedge) {
   r->pz = calloc(n, sizeof(float));
   r->u = calloc(3 * n, sizeof(double));
   r->rate = calloc(3 * n, sizeof(double));
-  r->moved = calloc(3 * n, sizeof(double));
   r->balance = calloc(n, sizeof(Balance));
   r->force = calloc((size_t)r->nv, sizeof(double));
 }
@@ -197,7 +196,7 @@ void region_free(Region* r) {
   for (int k = 0; k < r->ntool; k++) tool_free(r->tool + k);
   void* all[] = {r->vertex, r->point, r->contact, r->tool, r->neighbour, r->neighbour_weight, r->use_point,
                  r->use_corner, r->window, r->contact_of, r->moves, r->hit, r->px, r->py, r->pz, r->u, r->rate,
-                 r->moved, r->balance, r->force};
+                 r->balance, r->force};
   for (size_t k = 0; k < sizeof all / sizeof *all; k++) free(all[k]);
 }
 
@@ -214,7 +213,6 @@ void region_copy(Region* to, const Region* from) {
   for (int i = 0; i < to->ncontact; i++) to->contact_of[to->contact[i].point] = i;
   memcpy(to->u, from->u, sizeof(double) * 3 * n);
   memcpy(to->rate, from->rate, sizeof(double) * 3 * n);
-  memcpy(to->moved, from->moved, sizeof(double) * 3 * n);
   memcpy(to->row, from->row, sizeof to->row);
   memcpy(to->force, from->force, sizeof(double) * (size_t)from->nv);
 }

@@ -88,6 +88,7 @@ typedef struct {
   double held[3];        // friction carried over from the step before, turned onto the tool's tangent plane [Pa]
   double shift[3];       // how far the tool's material moved past it in the last step [m]
   double local[3][3];    // the normal in the frame of each corner
+  double moved[3];       // since the start of the step [m]
   double pressure;       // [Pa]
   double slipped;        // [m]
 } Contact;
@@ -110,7 +111,6 @@ typedef struct {
   unsigned char *moves, *hit;  // (nvertex) AWAY, MOVES or CLOSE; near the tool that is looked at
   Contact* contact;
   double *u, *rate;         // (nvertex, 3)
-  double* moved;            // (nvertex, 3) displacement since the start of the step, in the bone's frame
   Balance* balance;
   double row[ROW_SIZE];
   double* force;            // (nv) generalised force of the step

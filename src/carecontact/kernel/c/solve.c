@@ -19,14 +19,8 @@ static const double CAUTION = 0.5;
 
 // Pressure and friction of a contact for the displacements as they stand; returns the share of the friction layer's
 // stiffness that is left: 1 where it sticks.
-static double respond(const Region* r, const Law* law, Contact* c) {
-  const Point* p = r->point + c->point;
-  double moved[3] = {0, 0, 0}, slide[3], size = 0;
-  for (int k = 0; k < p->corners; k++) {
-    const double* d = r->moved + 3 * p->corner[k];
-    for (int j = 0; j < 3; j++) moved[j] += p->share[k] * d[j];
-  }
-  double gap = c->gap + dot(c->normal, moved);
+static double respond(const Law* law, Contact* c) {
+  double slide[3], size = 0, gap = c->gap + dot(c->normal, c->moved);
   c->touching = gap < 0;
   c->slipped = 0;
   if (!c->touching) {
@@ -34,7 +28,7 @@ static double respond(const Region* r, const Law* law, Contact* c) {
     return 0;
   }
   c->pressure = -c->stiff * gap;
-  for (int j = 0; j < 3; j++) slide[j] = moved[j] - c->shift[j];
+  for (int j = 0; j < 3; j++) slide[j] = c->moved[j] - c->shift[j];
   double along = dot(slide, c->normal);
   for (int j = 0; j < 3; j++) {
     c->traction[j] = c->held[j] - c->stiff * (slide[j] - along * c->normal[j]);
@@ -65,7 +59,7 @@ static int add_contacts(Region* r, const Law* law, const Vertex* v, double g[3],
     int at = r->contact_of[r->use_point[k]];
     if (at < 0) continue;
     Contact* c = r->contact + at;
-    double sticks = respond(r, law, c);
+    double sticks = respond(law, c);
     if (!c->touching) continue;
     any = 1;
     int corner = r->use_corner[k];
@@ -86,6 +80,18 @@ static int add_contacts(Region* r, const Law* law, const Vertex* v, double g[3],
     for (int j = 0; j < 3; j++) g[j] += turned[j];
   }
   return any;
+}
+
+// Carries the contact points of a vertex along with it, by x in the vertex's frame.
+static void carry(Region* r, const Vertex* v, const double x[3]) {
+  double moved[3];
+  rotate_back(moved, v->frame, x);
+  for (int k = v->use; k < v->use + v->uses; k++) {
+    int at = r->contact_of[r->use_point[k]];
+    if (at < 0) continue;
+    double share = r->point[r->use_point[k]].share[r->use_corner[k]];
+    for (int j = 0; j < 3; j++) r->contact[at].moved[j] += share * moved[j];
+  }
 }
 
 // What of a vertex's balance stays the same throughout the step.
@@ -124,18 +130,23 @@ static double relax(Region* r, const Law* law, int i, double share) {
     x[2] = g[2] * b->over;
   }
   for (int j = 0; j < 3; j++) u[j] += x[j];
-  if (r->moves[i] == CLOSE) {
-    double* moved = r->moved + 3 * i;
-    for (int j = 0; j < 3; j++) moved[j] += x[0] * v->frame[j] + x[1] * v->frame[3 + j] + x[2] * v->frame[6 + j];
-  }
+  if (r->moves[i] == CLOSE) carry(r, v, x);
   return most3(x);
 }
 
 void solve(Region* r, const State* s, const Law* law, double dt, double tolerance, int sweeps) {
-  // Every vertex keeps its place from the step before as its first guess, those outside the window for good.
+  // The first guess: a vertex goes on as in the step before; those outside the window stay where they are.
   memcpy(r->u, s->u, sizeof(double) * 3 * (size_t)r->nvertex);
-  memset(r->moved, 0, sizeof(double) * 3 * (size_t)r->nvertex);
-  for (int k = 0; k < r->nwindow; k++) prepare(r, s, law, r->window[k], dt);
+  for (int k = 0; k < r->nwindow; k++) {
+    int i = r->window[k];
+    prepare(r, s, law, i, dt);
+    double ahead[3];
+    for (int j = 0; j < 3; j++) {
+      ahead[j] = dt * s->rate[3 * i + j];
+      r->u[3 * i + j] += ahead[j];
+    }
+    if (r->moves[i] == CLOSE) carry(r, r->vertex + i, ahead);
+  }
   int sweep = 0;
   double worst = 0;
   while (sweep < sweeps) {
@@ -145,7 +156,7 @@ void solve(Region* r, const State* s, const Law* law, double dt, double toleranc
     sweep++;
     if (worst < tolerance) break;
   }
-  for (int i = 0; i < r->ncontact; i++) respond(r, law, r->contact + i);
+  for (int i = 0; i < r->ncontact; i++) respond(law, r->contact + i);
   for (int k = 0; k < r->nwindow; k++)
     for (int j = 0; j < 3; j++) {
       int at = 3 * r->window[k] + j;

@@ -13,14 +13,6 @@ static void apply(const mjModel* m, mjData* d, Region* r, int body, const double
   mj_applyFT(m, d, f, t, at, body, r->force);
 }
 
-// Where a contact point is at the end of the step, in the bone's frame.
-static void point_now(const Region* r, const Contact* c, double out[3]) {
-  const Point* p = r->point + c->point;
-  memcpy(out, c->at, 3 * sizeof(double));
-  for (int k = 0; k < p->corners; k++)
-    for (int j = 0; j < 3; j++) out[j] += p->share[k] * r->moved[3 * p->corner[k] + j];
-}
-
 void wrench_apply(const mjModel* m, mjData* d, Region* r) {
   double total[6] = {0}, centre[3] = {0}, weight = 0, *row = r->row;
   memset(r->force, 0, sizeof(double) * (size_t)m->nv);
@@ -33,8 +25,10 @@ void wrench_apply(const mjModel* m, mjData* d, Region* r) {
       if (c->tool != t || !c->touching) continue;
       double area = r->point[c->point].area, at[3], f[3], moment[3];
       touching++;
-      point_now(r, c, at);
-      for (int j = 0; j < 3; j++) f[j] = area * (c->pressure * c->normal[j] + c->traction[j]);
+      for (int j = 0; j < 3; j++) {
+        at[j] = c->at[j] + c->moved[j];
+        f[j] = area * (c->pressure * c->normal[j] + c->traction[j]);
+      }
       cross(moment, at, f);
       for (int j = 0; j < 3; j++) {
         force[j] += f[j];

@@ -1,0 +1,211 @@
+"""The least-squares problem of a calibration: residuals of replayed trials, its solution, and what other weights or
+fewer trials would make of it by one Gauss-Newton step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.calibration.agreement import Agreement, agreement
+from carecontact.calibration.curve import Curve
+from carecontact.calibration.family import STEP, Family
+from carecontact.calibration.replay import Group, Replay, Replayed, on_trial
+from carecontact.calibration.trial import Array
+from carecontact.contract.protocol import Tissue
+
+FOLDS = 5
+EVALUATIONS = 12
+"""At most, of points that the solver tries; each has finite differences of its own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    family: Family
+    p: Array
+    residual: Array
+    jacobian: Array
+    rows: tuple[slice, ...]
+    """Of each trial, in their order."""
+
+    def step(self, weight: Array) -> Array:
+        """One Gauss-Newton step from the optimum with each trial weighted, within the bounds."""
+        n = len(self.p)
+        normal, gradient = np.zeros((n, n)), np.zeros(n)
+        for w, rows in zip(weight, self.rows, strict=True):
+            j = self.jacobian[rows]
+            normal += w * j.T @ j
+            gradient += w * j.T @ self.residual[rows]
+        return step_within(self.p, normal, gradient, self.family.low, self.family.high)
+
+    def resampled(self, weight: Array) -> Array:
+        """As ``step``, less the step that all trials together would make: the optimum is found to a tolerance, and the
+        rest of the way to it belongs to no resample."""
+        rest = self.step(np.ones(len(self.rows))) - self.p
+        return moved_back(self.step(weight), rest, self.family.low, self.family.high)
+
+    def squares(self, p: Array | None = None) -> Array:
+        """Sum of each trial's squared residuals, at the optimum or, by the Jacobian, at ``p``."""
+        residual = self.residual if p is None else self.residual + self.jacobian @ (p - self.p)
+        return np.array([np.sum(residual[rows] ** 2) for rows in self.rows])
+
+
+class Problem:
+    def __init__(self, curves: Sequence[Curve], replay: Replay, on_progress: Callable[[str], None]) -> None:
+        self.curves, self.replay, self.on_progress = curves, replay, on_progress
+        self.base = replay.tissue
+        self.depth = float(np.median([curve.deepest_m for curve in curves]))
+        self.owner = {k: number for number, group in enumerate(replay.groups) for k in group.members}
+        self.evaluations = 0
+
+    def at(self, tissue: Tissue, only: Sequence[int] | None = None) -> list[Replayed | None]:
+        self.evaluations += 1
+        return self.replay.run(tissue, only)
+
+    def start(self, family: Family) -> Array:
+        """The base law, scaled so that its forces are the measured ones on average."""
+        scale = 1.0
+        for _ in range(2):
+            replayed = self.at(family.tissue(family.start(scale)))
+            pairs = [
+                (np.nansum(on_trial(one, g, self.curves[k])[0] * self.curves[k].loading_n),
+                 np.nansum(on_trial(one, g, self.curves[k])[0] ** 2))
+                for g, one in zip(self.replay.groups, replayed, strict=True) if one is not None for k in g.members
+            ]  # fmt: skip
+            scale *= float(np.median([mixed / own for mixed, own in pairs]))
+        return family.start(scale)
+
+    def residuals(self, tissue: Tissue) -> tuple[Array, tuple[slice, ...]]:
+        """Differences divided by the measured peak, and the rows of each trial; every trial weighs the same."""
+        replayed = self.at(tissue)
+        parts = []
+        for index, curve in enumerate(self.curves):
+            number = self.owner[index]
+            one = replayed[number]
+            assert one is not None
+            load, back = on_trial(one, self.replay.groups[number], curve)
+            part = np.r_[load - curve.loading_n, back - curve.unloading_n] / curve.peak_n
+            fine = np.isfinite(part)
+            parts.append(part[fine] / np.sqrt(fine.sum()))
+        stops = np.cumsum([0, *map(len, parts)])
+        return np.concatenate(parts), tuple(slice(int(a), int(b)) for a, b in pairwise(stops))
+
+    def solve(self, family: Family, start: Array) -> Solution:
+        from scipy.optimize import least_squares
+
+        rows: tuple[slice, ...] = ()
+        last, last_at = np.zeros(0), np.zeros(0)
+
+        def told(p: Array) -> Array:
+            nonlocal rows, last, last_at
+            last, rows = self.residuals(family.tissue(p))
+            last_at = p.copy()
+            self.on_progress(f"evaluation {self.evaluations}: NRMSE {np.sqrt(last @ last / len(rows)):.2%}")
+            return last
+
+        def differences(p: Array) -> Array:
+            base = last if np.array_equal(p, last_at) else told(p)
+            return np.stack([self.difference(family, p, base, k) for k in range(len(p))], 1)
+
+        found = least_squares(
+            told, np.clip(start, family.low, family.high), jac=differences,  # pyright: ignore[reportArgumentType]
+            bounds=(family.low, family.high), x_scale=family.scale, ftol=2e-3, xtol=2e-3, max_nfev=EVALUATIONS,
+            method="dogbox",
+        )  # fmt: skip
+        return Solution(family=family, p=found.x, residual=found.fun, jacobian=found.jac, rows=rows)
+
+    def difference(self, family: Family, p: Array, residual: Array, column: int) -> Array:
+        """One column of the Jacobian, by a step that stays within the bounds."""
+        by, step = np.zeros(len(p)), STEP[family.names[column]]
+        by[column] = -step if p[column] + step > family.high[column] else step
+        return (self.residuals(family.tissue(p + by))[0] - residual) / by[column]
+
+    def with_term(self, found: Solution, term: str) -> Solution:
+        """The optimum seen from a family with one more term, at whose value of 0 it lies: not yet that family's optimum."""
+        family, p = found.family.plus(term), np.r_[found.p, 0.0]
+        column = self.difference(family, p, found.residual, len(found.p))
+        return Solution(
+            family=family, p=p, residual=found.residual, jacobian=np.c_[found.jacobian, column], rows=found.rows
+        )
+
+    def folds(self) -> Array:
+        """(trials,) number of the fold of each; trials of one replay are spread over the folds."""
+        out = np.zeros(len(self.curves), int)
+        order = [k for group in self.replay.groups for k in group.members]
+        out[order] = np.arange(len(order)) % min(FOLDS, len(order))
+        return out
+
+    def held_out_squares(self, found: Solution) -> Array:
+        """(trials,) squared error of each under the law of the other folds, one Gauss-Newton step away; by the Jacobian
+        and not simulated anew."""
+        folds, out = self.folds(), np.zeros(len(self.curves))
+        for fold in np.unique(folds):
+            gone = folds == fold
+            out[gone] = found.squares(found.step((~gone).astype(float)))[gone]
+        return out
+
+    def held_out(self, found: Solution) -> list[Agreement]:
+        """Every trial once: the law comes from the other folds (one Gauss-Newton step), the press is simulated anew."""
+        folds = self.folds()
+        out: dict[int, Agreement] = {}
+        for fold in np.unique(folds):
+            gone = [int(k) for k in np.flatnonzero(folds == fold)]
+            law = found.family.tissue(found.resampled((folds != fold).astype(float)))
+            replayed = self.at(law, only=sorted({self.owner[k] for k in gone}))
+            seen = [k for k in range(len(self.curves)) if replayed[self.owner[k]] is not None]
+            rows = agreements(self.curves, self.replay.groups, replayed)
+            out |= {k: rows[n] for n, k in enumerate(seen) if k in gone}
+        return [out[k] for k in range(len(self.curves))]
+
+    def stiffness_change(self, found: Solution, draws: Array) -> Array:
+        """(draws, 2) linearised relative change of the mean simulated secant and tangent stiffness."""
+        secant, slope = [], []
+        for curve, rows in zip(self.curves, found.rows, strict=True):
+            j = found.jacobian[rows] * np.sqrt(rows.stop - rows.start)
+            last = min(int(np.isfinite(curve.loading_n).sum()), len(j)) - 1
+            secant.append(j[last])
+            slope.append((j[last] - j[last // 2]) * 2)
+        delta = draws - found.p
+        return np.stack([delta @ np.mean(secant, 0), delta @ np.mean(slope, 0)], 1)
+
+
+def step_within(p: Array, normal: Array, gradient: Array, low: Array, high: Array) -> Array:
+    """One Newton step; a parameter that would leave its bounds stops at them, and the others make up for it."""
+    out, free = p.copy(), np.ones(len(p), bool)
+    for _ in range(len(p)):
+        fixed = out - p
+        fixed[free] = 0.0
+        system = normal[np.ix_(free, free)]
+        ridge = 1e-9 * np.trace(system) / len(system) * np.eye(len(system))
+        out[free] = p[free] - np.linalg.solve(system + ridge, (gradient + normal @ fixed)[free])
+        outside = free & ((out < low) | (out > high))
+        if not outside.any():
+            break
+        out = np.clip(out, low, high)
+        free &= ~outside
+        if not free.any():
+            break
+    return np.clip(out, low, high)
+
+
+def moved_back(stepped: Array, rest: Array, low: Array, high: Array) -> Array:
+    """``stepped`` less ``rest``; what a step held at a bound stays there, and nothing leaves the bounds."""
+    held: npt.NDArray[np.bool_] = (stepped <= low) | (stepped >= high)
+    return np.where(held, stepped, np.clip(stepped - rest, low, high))
+
+
+def agreements(
+    curves: Sequence[Curve], groups: Sequence[Group], replayed: Sequence[Replayed | None]
+) -> list[Agreement]:
+    """In the order of the trials, without those whose group was not replayed."""
+    out: dict[int, Agreement] = {}
+    for group, one in zip(groups, replayed, strict=True):
+        if one is None:
+            continue
+        for k in group.members:
+            curve = curves[k]
+            out[k] = agreement(curve.grid_m, (curve.loading_n, curve.unloading_n), on_trial(one, group, curve))
+    return [out[k] for k in sorted(out)]

@@ -1,0 +1,50 @@
+"""What the declared cells of a trial's region felt in each control period, for its recording."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.kernel.readings import Cells
+from carecontact.sim.simulation import Simulation
+
+F64 = npt.NDArray[np.float64]
+Rows = dict[str, F64]
+SUMS = {f"scorer/cell_{field.name}": field.name for field in fields(Cells)}
+"""Array of a recording -> field of ``Cells``."""
+
+
+class CellLog:
+    """The sums of the compiled tissue as what was added in each period; nothing where the region is rigid."""
+
+    def __init__(self, simulation: Simulation, region: str) -> None:
+        """The first period begins now."""
+        self._simulation, self._region = simulation, region
+        self._before = self._sums()
+
+    def constants(self) -> dict[str, npt.NDArray[np.float32]]:
+        """Centres (C, 3) in the region's frame and areas (C,), by their path."""
+        scene = self._simulation.scene
+        if self._region not in scene.regions:
+            return {}
+        cells, frame = scene.regions[self._region].cells, scene.frames[self._region]
+        return {
+            "scorer/cell_in_region": ((cells.centres - frame.origin) @ frame.axes).astype("<f4"),
+            "scorer/cell_area_m2": cells.areas.astype("<f4"),
+        }
+
+    def period(self) -> Rows:
+        """(C,) sums since the last call, by their path."""
+        now = self._sums()
+        added = {path: now[path] - self._before[path] for path in now}
+        self._before = now
+        return added
+
+    def _sums(self) -> Rows:
+        tissue = self._simulation.tissue.get(self._region)
+        if tissue is None:
+            return {}
+        cells = tissue.cells(self._simulation.data)
+        return {path: getattr(cells, name) for path, name in SUMS.items()}
