@@ -48,18 +48,20 @@ def _table(done: Comparison) -> Table:
 
     from carecontact.validation.fem.compare import CLOSE_PERCENT
 
-    radius = done.ground.limb_radius_m
+    ground = done.case.ground
+    radius = ground.limb_radius_m
     shape = "flat" if radius is None else f"round, radius {1000 * radius:.0f} mm"
     table = Table(box=None, pad_edge=False, header_style="bold", title_justify="left")
-    table.title = f"{done.case.region}: {1000 * done.ground.thickness_m:.0f} mm of tissue over bone, {shape}"
+    table.title = f"{done.case.region}: {1000 * ground.thickness_m:.0f} mm of tissue over bone, {shape}"
     for header in ("measured", "skins", "middle skin", "no skin", "simulator", f"within {CLOSE_PERCENT:g} %"):
         table.add_column(header, justify="left" if header == "measured" else "right")
     for row in done.rows():
+        standard = row.standard
         verdict = "[green]yes[/green]" if row.agrees else f"[red]{row.outside_percent:.0f} % outside[/red]"
         table.add_row(
-            f"{row.name}{f' [{row.unit}]' if row.unit else ''}".replace("[N]", "(N)"),
-            f"{min(row.skins):.2f} to {max(row.skins):.2f}", f"{row.skins[0]:.2f}", f"{row.plain:.2f}",
-            f"{row.simulated:.2f}", verdict,
+            f"{standard.name}{f' ({standard.unit})' if standard.unit else ''}",
+            f"{min(standard.skins):.2f} to {max(standard.skins):.2f}", f"{standard.skins[0]:.2f}",
+            f"{standard.plain:.2f}", f"{row.simulated:.2f}", verdict,
         )  # fmt: skip
     moduli = ", ".join(f"{answer.modulus_pa / 1000:.1f}" for answer in done.skins)
     table.caption = f"tissue under the skins: {moduli} kPa; without skin {done.plain.modulus_pa / 1000:.1f} kPa"

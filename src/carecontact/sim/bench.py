@@ -110,6 +110,7 @@ class Bench:
         region: a soft one of ``carecontact.regions``.
         dt_s: time step [s].
         shell: of this body, region and tissue, if it is there already.
+        glides: whether the indenter has a second slide, ``indenter_along``, on which it can be moved along the region.
     """
 
     def __init__(
@@ -121,6 +122,7 @@ class Bench:
         indenter: Indenter,
         dt_s: float = 0.002,
         shell: Shell | None = None,
+        glides: bool = False,
     ) -> None:
         self.body, self.region, self.indenter = body, region, indenter
         self.shell = shell or region_shell(body, region, tissue)
@@ -131,12 +133,13 @@ class Bench:
         spec.option.gravity = [0, 0, 0]
         spec.worldbody.add_body(name=body_name(segment))
         add_tissue(spec, body, region, self.shell, tissue, tools="indenter")
-        _add_indenter(spec, indenter)
+        _add_indenter(spec, indenter, glides=glides)
         self.model = spec.compile()
         self._data = mujoco.MjData(self.model)
         slide = self.model.joint("indenter")
         self._slide_q, self._slide_v = int(slide.qposadr[0]), int(slide.dofadr[0])
-        self._felt = Readings(self.model, region)
+        self.felt = Readings(self.model, region)
+        """What the region feels."""
         self.tissue = tissue
 
     def set_law(self, tissue: Tissue) -> None:
@@ -253,7 +256,7 @@ class Bench:
             data.qpos[self._slide_q], data.qvel[self._slide_v] = travel[k], speed[k]
             mujoco.mj_step(model, data, stride)
             # The row belongs to the pose in which the last step began, one step before sample k + 1.
-            row = self._felt.last(data, 1)[0]
+            row = self.felt.last(data, 1)[0]
             force[k + 1] = row["force_n"] @ inward
             deepest[k + 1] = row["depth_m"]
         time = time - dt
@@ -292,21 +295,21 @@ class Bench:
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, self._data.mocap_quat[0])
         inward = -turn.reshape(3, 3)[:, 2]
-        from_tip = self._felt.places - self._data.mocap_pos[0]
+        from_tip = self.felt.places - self._data.mocap_pos[0]
         depth = from_tip @ inward
         distance = np.linalg.norm(from_tip - np.outer(depth, inward), axis=1)
         facing = depth < self.tissue.thickness_m
-        moved = self._felt.vertices(self._data) - self._felt.places
+        moved = self.felt.vertices(self._data) - self.felt.places
         return distance[facing], (moved @ inward)[facing]
 
     def anchor_force(self) -> Array:
         """(3,) what the springs and dampers of all anchors bear at the end of the last press, in the bone's frame [N]."""
-        law, u = self.tissue, self._felt.displacement(self._data)
+        law, u = self.tissue, self.felt.displacement(self._data)
         spring = law.a_n_m3 * u
         spring[:, 0] += (law.b_n_m4 * np.abs(u[:, 0]) + law.c_n_m5 * u[:, 0] ** 2) * u[:, 0]
         growth = law.damping_growth_ns_m4 * np.maximum(u[:, :1], 0.0)
-        borne = spring + (law.damping_ns_m3 + growth) * self._felt.rate(self._data)
-        return np.einsum("i,ij,ijk->k", self._felt.areas, borne, self._felt.frames)
+        borne = spring + (law.damping_ns_m3 + growth) * self.felt.rate(self._data)
+        return np.einsum("i,ij,ijk->k", self.felt.areas, borne, self.felt.frames)
 
     def _touch(self, along_m: float, across_m: float, tilt_deg: float) -> tuple[float, Array]:
         """Reset the bench, aim the indenter; the slide's travel at first touch, and the inward direction."""
@@ -321,7 +324,7 @@ class Bench:
         def touches(travel: float) -> bool:
             data.qpos[self._slide_q] = travel
             mujoco.mj_forward(model, data)
-            return bool(self._felt.now(data)["points"] > 0)
+            return bool(self.felt.now(data)["points"] > 0)
 
         outside, inside = -SEARCH_M, 0.001
         if touches(outside) or not touches(inside):
@@ -332,10 +335,12 @@ class Bench:
         return inside, direction
 
 
-def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter) -> None:
+def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter, *, glides: bool) -> None:
     """A mocap carriage, whose pose aims the press, and on it a heavy body on one slide; its tip is at the origin."""
     carriage = spec.worldbody.add_body(name="carriage", mocap=True)
     probe = carriage.add_body(name="indenter", mass=INDENTER_MASS_KG, explicitinertial=True, inertia=[1.0, 1.0, 1.0])
+    if glides:
+        probe.add_joint(name="indenter_along", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
     probe.add_joint(name="indenter", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, -1])
     common = {"contype": 1, "conaffinity": 0, "condim": 3, "mass": 0}
     size = indenter.size_m or 0.0

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from carecontact.regions import REGIONS
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
 from carecontact.world.human.anthropometry import segment_inertias
+from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
 
@@ -104,8 +106,9 @@ def joint_constants(scene: Scene) -> tuple[Array, Array, Array]:
 
 
 def core_depths(scene: Scene, region: str) -> Array:
-    """(n,) how deep under every vertex of the shell a ray to the region's axis meets bone that the tool collides
-    with [m]; infinite where it meets none. Not along the anchor: slim arms have bones so thin that it leans past."""
+    """(n,) how deep under every vertex inside the shell's border a ray to the region's axis meets bone that the tool
+    collides with [m]; infinite where it meets none. Not along the anchor: slim arms have bones so thin that it leans
+    past."""
     model = scene.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -120,13 +123,21 @@ def core_depths(scene: Scene, region: str) -> Array:
         and (model.geom_contype[g] & tool.conaffinity[0] or model.geom_conaffinity[g] & tool.contype[0])
     ]  # fmt: skip
     depths = []
-    for vertex, axis_point in zip(shell.vertices, shell.axis_points, strict=True):
+    inside = ~border(shell)
+    for vertex, axis_point in zip(shell.vertices[inside], shell.axis_points[inside], strict=True):
         start = data.xpos[bone] + to_world @ (vertex - origin)
         along = to_world @ (axis_point - vertex)
         along /= np.linalg.norm(along)
         hits = (mujoco.mj_rayMesh(model, data, g, start, along, None) for g in cores)
         depths.append(min((d for d in hits if 0 <= d < LONGEST_RAY_M), default=np.inf))
     return np.array(depths)
+
+
+def border(shell: Shell) -> npt.NDArray[np.bool_]:
+    """(N,) vertices on an open edge, of one triangle only. The core ends there: a ray from one runs along its face."""
+    sides = np.concatenate([np.roll(shell.triangles, k, axis=1)[:, :2] for k in range(3)])
+    edges, count = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
+    return np.isin(np.arange(len(shell.vertices)), edges[count == 1])
 
 
 def draw(result: CheckResult, figure: Figure) -> None:

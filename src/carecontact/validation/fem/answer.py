@@ -6,15 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from carecontact.sim.bench import touch_depth
-from carecontact.validation.fem.cases import DEPTHS_M, TOUCH_N, Case
+from carecontact.errors import CarecontactError
+from carecontact.validation.fem.cases import DEPTHS_M, RING_M, RINGS_M, TOUCH_N, Case
 from carecontact.validation.result import Array
 
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Presses with one indenter, each from before touch on: one for finite elements, one for each place of a person."""
+    """Presses with one tool, each from before touch on: one for finite elements, one for each place of a person."""
 
     presses: tuple[tuple[Array, Array], ...]
     """For each, (n,) travel past geometric touch [m], increasing, and (n,) force [N]."""
@@ -22,37 +23,73 @@ class Curve:
     def at(self, depths_m: Array, *, touch_n: float = TOUCH_N) -> Array:
         """(k,) mean force at depths past each press's own touch, where its force first exceeds ``touch_n``."""
         return np.mean(
-            [np.interp(depths_m, d - touch_depth(d, force, touch_n), force) for d, force in self.presses], axis=0
+            [np.interp(depths_m, d - touch_m(d, force, touch_n), force) for d, force in self.presses], axis=0
         )
+
+    def touch_m(self, touch_n: float = TOUCH_N) -> float:
+        """Mean travel past geometric touch at which the force first exceeds ``touch_n``."""
+        return float(np.mean([touch_m(travel, force, touch_n) for travel, force in self.presses]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drag:
+    """A tool that was pressed in to the deepest of DEPTHS_M past touch and then moved along at that depth."""
+
+    way_m: Array
+    """(n,) from 0 on"""
+    force_n: Array
+    """(n,) against the motion, with friction"""
+    normal_n: Array
+    """(n,) along the press"""
+    stuck_n_m: float
+    """Force over way at first, where tool and surface are glued together."""
+    contact_radius_m: float = float("nan")
+    """Of a circle as large as the touched area; not a number for the simulator."""
+
+    def at(self, ways_m: ArrayLike) -> Array:
+        """Force against the motion, of the input's shape."""
+        return np.interp(np.asarray(ways_m, np.float64), self.way_m, self.force_n)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """How one tissue answers every indenter of a case."""
+    """How one tissue answers every tool of a case."""
 
     curves: Mapping[str, Curve]
-    """By the indenter's name."""
-    dimple_m: Array
-    """(k,) how far the surface sank at ``dimple_at_m``, under the reference's indenter at its deepest"""
-    dimple_at_m: Array
-    """(k,) distance from the indenter's axis, increasing"""
-    dimple_travel_m: float
-    """Travel of the indenter past geometric touch there."""
+    """By the tool's name."""
+    dimple: Array
+    """(k,) share of the main tool's travel by which the surface sank at RINGS_M"""
+    drags: Mapping[str, Drag]
+    """By the tool's name."""
     modulus_pa: float = float("nan")
     """Of the tissue under the skin; not a number for the simulator, which has no modulus."""
 
-    def exponents(self, word: str) -> Array:
-        """(d,) exponent of force over radius at DEPTHS_M, of all indenters whose name begins with ``word``."""
-        names = [name for name in self.curves if name.startswith(word)]
-        radius = np.log([float(name.split()[1]) for name in names])
-        force = np.log([self.curves[name].at(DEPTHS_M) for name in names])
-        return np.polyfit(radius, force, 1)[0]
+    def exponents(self, case: Case, word: str) -> Array:
+        """(d,) exponent of force over radius at DEPTHS_M, over the RADII of the balls or discs."""
+        tools = [tool for name, tool in case.tools().items() if name.startswith(word) and tool not in case.more]
+        force = np.log([self.curves[tool.name].at(DEPTHS_M) for tool in tools])
+        return np.polyfit(np.log([tool.radius_m for tool in tools]), force, 1)[0]
 
     def shares(self, case: Case, *, touch_n: float = TOUCH_N) -> Array:
         """(d,) force at DEPTHS_M over the force at the deepest, of the reference's own indenter."""
-        force = self.curves[case.main()].at(DEPTHS_M, touch_n=touch_n)
+        force = self.curves[case.main.name].at(DEPTHS_M, touch_n=touch_n)
         return force / force[-1]
 
-    def dimple(self, at_m: Array) -> Array:
-        """(k,) share of the indenter's travel by which the surface sank at these distances."""
-        return np.interp(at_m, self.dimple_at_m, self.dimple_m) / self.dimple_travel_m
+    def dimple_at(self, distances_m: Array) -> Array:
+        """(k,) share of the main tool's travel by which the surface sank at these distances."""
+        return np.interp(distances_m, RINGS_M, self.dimple)
+
+
+def touch_m(travel_m: Array, force_n: Array, threshold_n: float) -> float:
+    """Travel at which a press first crosses the threshold, interpolated. Raises CarecontactError if it never does."""
+    over = np.flatnonzero(force_n > threshold_n)
+    if not len(over):
+        raise CarecontactError(f"a press never exceeds {threshold_n} N")
+    k = max(int(over[0]), 1)
+    return float(np.interp(threshold_n, force_n[k - 1 : k + 1], travel_m[k - 1 : k + 1]))
+
+
+def rings(distance_m: Array, sunk_m: Array) -> Array:
+    """(r,) mean over the points in each ring of RINGS_M; not a number where there is none."""
+    near = [np.abs(distance_m - ring) <= RING_M for ring in RINGS_M]
+    return np.array([sunk_m[pick].mean() if pick.any() else np.nan for pick in near])

@@ -1,4 +1,4 @@
-"""What is compared: the regions with a published curve, the indenters, the depths and the places."""
+"""What is compared: the regions with a published curve, the tools, the depths and the places."""
 
 from __future__ import annotations
 
@@ -6,19 +6,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carecontact.sim.bench import Indenter
-from carecontact.validation.reference import ABDOMEN, FOREARM, Reference
+from carecontact.validation.fem.ground import Ground
+from carecontact.validation.fem.tools import CAP, Tool, ball, disc
+from carecontact.validation.reference import ABDOMEN, FOREARM, UPPER_ARM_ANTERIOR, UPPER_ARM_POSTERIOR, Reference
 
 DEPTHS_M = np.array([0.0005, 0.001, 0.002, 0.003, 0.004])
 """Past touch. A linear layer is used no deeper than 4 mm."""
+TRAVEL_M = 0.006
+"""Of a press past geometric touch: the force that counts as touch comes later."""
 TOUCH_N = 0.02
 """Force that counts as touch, on both sides."""
-LATE_TOUCH_N = 0.1
-"""Another touch, to see how far the curves depend on it."""
+TOUCHES_N = (0.02, 0.05, 0.1)
+"""No publication tells at which force its depth is zero: comparisons with published curves are told for each."""
 DIMPLE_M = np.array([0.010, 0.015, 0.020])
-"""Distances from the indenter's axis at which the sunken surface is compared."""
+"""Distances from the tool's axis at which the sunken surface is compared."""
+RINGS_M, RING_M = np.arange(0.004, 0.0301, 0.002), 0.002
+"""The dimple at a distance is the mean over the surface within RING_M of it."""
 RADII = (0.5, 1.0, 2.0)
 """Factors of an indenter's radius over which the exponent is taken."""
+WAYS_M = np.r_[0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0] / 1000
+"""How far a tool has moved along the limb, or from head to foot over the belly, where its force is told."""
+TOLD_WAYS_M = np.array([0.0005, 0.001, 0.002, 0.010])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,23 +34,42 @@ class Case:
     region: str
     reference: Reference
     """The published curve that gives the layer its modulus."""
-    limb: bool
-    """Whether the region is round, and not nearly flat."""
+    ground: Ground
+    """Of the reference results. A comparison takes the thickness and the radius of the body that is compared."""
+    main: Tool
+    """The reference's own indenter."""
+    more: tuple[Tool, ...] = ()
 
-    def indenters(self) -> dict[str, Indenter]:
-        """Every indenter of this region by name: balls and discs of three sizes, and the shipped cap."""
-        found = {}
-        for word, middle in (("ball", BALL), ("disc", DISC)):
-            for factor in RADII:
-                size = factor * (middle.size_m or 0.0)
-                found[f"{word} {1000 * size:.1f} mm"] = Indenter(shape=middle.shape, size_m=size)
-        return {**found, "cap": Indenter(shape="cap")}
+    def tools(self) -> dict[str, Tool]:
+        """Every tool of this region by name: balls and discs of three sizes, those of further references, the cap."""
+        sized = [make(factor * size) for make, size in ((ball, BALL_M), (disc, DISC_M)) for factor in RADII]
+        return {tool.name: tool for tool in (*sized, *self.more, CAP)}
 
-    def main(self) -> str:
-        """Name of the reference's own indenter."""
-        return next(name for name, indenter in self.indenters().items() if indenter == self.reference.indenter)
+    @property
+    def references(self) -> tuple[Tool, ...]:
+        """The indenters of all published curves, some of them of other regions."""
+        return ball(BALL_M), disc(DISC_M), disc(PROBE_M)
+
+    def gliding(self) -> tuple[Tool, ...]:
+        """The tools that are moved along the surface."""
+        return self.main, CAP
 
 
-BALL, DISC = ABDOMEN.indenter, FOREARM.indenter
-"""The references' own indenters: a ball of 10 mm radius, and a disc of 10.7 mm."""
-CASES = (Case(region="abdomen", reference=ABDOMEN, limb=False), Case(region="forearm", reference=FOREARM, limb=True))
+def _size(reference: Reference) -> float:
+    return reference.indenter.size_m or 0.0
+
+
+BALL_M, DISC_M, PROBE_M = _size(ABDOMEN), _size(FOREARM), _size(UPPER_ARM_POSTERIOR)
+"""Radii of the references' indenters: a ball of 10 mm, and discs as large as ultrasound probes, 10.7 and 14.7 mm."""
+CASES = (
+    Case(region="abdomen", reference=ABDOMEN, ground=Ground(thickness_m=0.050), main=ball(BALL_M)),
+    Case(
+        region="forearm", reference=FOREARM, ground=Ground(thickness_m=0.018, limb_radius_m=0.034), main=disc(DISC_M)
+    ),
+    Case(
+        region="upper_arm", reference=UPPER_ARM_ANTERIOR, ground=Ground(thickness_m=0.032, limb_radius_m=0.0475),
+        main=disc(DISC_M), more=(disc(PROBE_M),),
+    ),
+)  # fmt: skip
+"""Thickness: arms measured (MULTIS, Neumann et al. 2018), the belly's assumed, all as in the tissue sets. Radius of the
+limbs: of the body man-adult; circumferences of 214 and 298 mm."""

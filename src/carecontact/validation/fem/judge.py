@@ -1,91 +1,127 @@
-"""The answers of the finite elements."""
+"""The answers of the finite elements, from geometry, materials and one published force: nothing here simulates."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import PchipInterpolator
 
 from carecontact.errors import CarecontactError
-from carecontact.sim.bench import Indenter
-from carecontact.validation.fem.answer import Answer, Curve
-from carecontact.validation.fem.cases import BALL, Case
-from carecontact.validation.fem.contact import press, press_sticking
-from carecontact.validation.fem.layer import FINE_M, layer
-from carecontact.validation.fem.materials import MATCHED_M, POISSON, Skin
-from carecontact.validation.fem.profiles import Profile, on_a_cylinder, profile
-from carecontact.validation.fem.surface import Surface
+from carecontact.validation.fem.answer import Answer, Curve, Drag, rings
+from carecontact.validation.fem.cases import DEPTHS_M, TRAVEL_M, WAYS_M, Case
+from carecontact.validation.fem.contact import balance
+from carecontact.validation.fem.glide import glide, stuck_stiffness
+from carecontact.validation.fem.ground import Medium
+from carecontact.validation.fem.kernel import Kernel, Spectrum, finest
+from carecontact.validation.fem.materials import FRICTION, MATCHED_M, Skin
+from carecontact.validation.fem.surface import PRESS, Surface, around
+from carecontact.validation.fem.tools import Tool
+from carecontact.validation.result import Array
 
-TRAVELS_M = np.r_[np.linspace(0.0, 0.001, 11), np.linspace(0.0012, 0.006, 25)]
-"""Depths past geometric touch at which a press is solved."""
-REACH_M = 0.026
+SOLVED_M = np.r_[np.linspace(0.0, 0.001, 11), np.linspace(0.00125, 0.002, 4), np.linspace(0.0024, TRAVEL_M, 10)]
+"""Travels past geometric touch at which a press is solved; between them, the force is interpolated."""
+TOLD_M = np.linspace(0.0, TRAVEL_M, 241)
+PATCHES, FINEST_M, COARSEST_M = 18, 0.00045, 0.0010
+"""Patches over a tool's reach, and bounds of their side. A test halves the side: forces change by 1 % at most."""
+GLIDING_M = 0.0012
+"""Side of the patches under a gliding tool, which are many more."""
+MARGIN = 1.05
 FIRST_GUESS_PA = 15e3
-RATIO_POWER = 0.35
-"""About the power of the skin's relative modulus with which a layer's force grows; it only speeds the search up."""
-MATCHED, MOST_SOLVES = 0.002, 12
+MATCHED, MOST_SOLVES = 0.001, 15
 
 
-@dataclass(frozen=True, kw_only=True)
-class Ground:
-    """The layer's shape and material, apart from its skin and its stiffness."""
+class Sample:
+    """A medium and the presses into it; kernels are computed once for each size of patch."""
 
-    thickness_m: float
-    limb_radius_m: float | None = None
-    """Of a round limb; None: flat."""
-    poisson: float = POISSON
-    fine_m: float = FINE_M
+    def __init__(self, medium: Medium, *, refined: float = 1.0) -> None:
+        """``refined``: how many times finer the patches are than usual."""
+        self.medium, self._refined = medium, refined
+        self._kernels: dict[float, Kernel] = {}
 
-    def shape(self, indenter: Indenter) -> Profile:
-        """The indenter's surface over the layer's."""
-        own = profile(indenter)
-        return own if self.limb_radius_m is None else on_a_cylinder(own, self.limb_radius_m)
+    @cached_property
+    def _spectrum(self) -> Spectrum:
+        return Spectrum(self.medium, finest(FINEST_M / self._refined))
+
+    def press(self, tool: Tool, travels_m: ArrayLike) -> Array:
+        """(n,) force of a press without friction at increasing travels past geometric touch."""
+        surface = self._under(tool)
+        joint, active, forces = surface.compliance((PRESS,), (PRESS,)), None, []
+        for travel in np.asarray(travels_m):
+            push, active = balance(joint, surface.gap(tool, float(travel)), active)
+            forces.append(surface.count * push.sum())
+            active = active if active.any() else None
+        return np.array(forces)
+
+    def curve(self, tool: Tool) -> Curve:
+        force = PchipInterpolator(SOLVED_M, self.press(tool, SOLVED_M))(TOLD_M)
+        return Curve(presses=((TOLD_M, force),))
+
+    def dimple(self, tool: Tool, travel_m: float) -> Array:
+        """Share of the travel by which the surface sinks at RINGS_M."""
+        surface = self._under(tool)
+        push, _ = balance(surface.compliance((PRESS,), (PRESS,)), surface.gap(tool, travel_m))
+        return rings(*surface.everywhere(push)) / travel_m
+
+    def drag(self, tool: Tool, travel_m: float, friction: float) -> Drag:
+        step = GLIDING_M / self._refined
+        radius, reach = self.medium.ground.limb_radius_m, MARGIN * tool.reach_m(travel_m) + 2 * step
+        stiffness, contact = stuck_stiffness(around(self._kernel(step), radius, reach, glides=True), tool, travel_m)
+        way = around(self._kernel(step), radius, reach, glides=True, ahead_m=float(WAYS_M[-1]))
+        found = glide(way, tool, travel_m, WAYS_M, friction)
+        return Drag(
+            way_m=WAYS_M, force_n=found.tangential_n, normal_n=found.normal_n, stuck_n_m=stiffness,
+            contact_radius_m=contact,
+        )  # fmt: skip
+
+    def _under(self, tool: Tool) -> Surface:
+        reach = tool.reach_m(TRAVEL_M)
+        step = float(np.clip(reach / PATCHES, FINEST_M, COARSEST_M)) / self._refined
+        return around(self._kernel(step), self.medium.ground.limb_radius_m, MARGIN * reach + 2 * step)
+
+    def _kernel(self, step_m: float) -> Kernel:
+        if step_m not in self._kernels:
+            self._kernels[step_m] = Kernel(self._spectrum, step_m)
+        return self._kernels[step_m]
 
 
-def answer(case: Case, skin: Skin, ground: Ground) -> Answer:
-    """How a layer with this skin answers, its tissue as stiff as the reference's middle curve asks.
+def answer(case: Case, skin: Skin) -> Answer:
+    """How the case's ground with this skin answers, its tissue as stiff as the reference's middle curve asks.
 
     Raises CarecontactError if no modulus of the tissue does.
     """
-    surface, modulus = matched(case, skin, ground)
-    curves = {name: pressed(surface, ground.shape(indenter)) for name, indenter in case.indenters().items()}
-    deepest = press(surface, ground.shape(case.reference.indenter), MATCHED_M)
+    found = matched(case, skin)
+    curves = {name: found.curve(tool) for name, tool in case.tools().items()}
+    drags = {
+        tool.name: found.drag(tool, curves[tool.name].touch_m() + float(DEPTHS_M[-1]), FRICTION)
+        for tool in case.gliding()
+    }
     return Answer(
-        curves=curves, dimple_m=surface.dimple(deepest.nodal_n), dimple_at_m=surface.outline_m,
-        dimple_travel_m=MATCHED_M, modulus_pa=modulus,
-    )  # fmt: skip
+        curves=curves, dimple=found.dimple(case.main, MATCHED_M), drags=drags, modulus_pa=found.medium.tissue_pa
+    )
 
 
-def matched(case: Case, skin: Skin, ground: Ground) -> tuple[Surface, float]:
-    """The layer and its tissue's modulus [Pa], with the force of the reference at MATCHED_M past touch."""
-    reference, shape = case.reference, ground.shape(case.reference.indenter)
-    wanted = float(np.interp(MATCHED_M, reference.depth_m, reference.force_n))
-    modulus = FIRST_GUESS_PA
+def sample(case: Case, skin: Skin, answered: Answer) -> Sample:
+    """The medium of an answer, to ask it for more."""
+    return Sample(Medium(ground=case.ground, skin=skin, tissue_pa=answered.modulus_pa))
+
+
+def matched(case: Case, skin: Skin) -> Sample:
+    """The medium whose tissue gives the force of the reference at MATCHED_M past touch, by the secant method in the
+    logarithms of modulus and force. Raises CarecontactError if it finds none."""
+    wanted = float(np.interp(MATCHED_M, case.reference.depth_m, case.reference.force_n))
+    modulus, power, last = FIRST_GUESS_PA, 0.6, None
     for _ in range(MOST_SOLVES):
-        unit = layer(
-            thickness_m=ground.thickness_m, poisson=ground.poisson, skin_m=skin.thickness_m,
-            skin_ratio=skin.modulus_pa / modulus, reach_m=REACH_M, fine_m=ground.fine_m,
-        )  # fmt: skip
-        surface = unit.scaled(modulus)
-        force = float(pressed(surface, shape).at(np.array([MATCHED_M]))[0])
-        if abs(force / wanted - 1) < MATCHED:
-            return surface, modulus
-        # The skin's share of the force does not follow the tissue's modulus.
-        modulus *= (wanted / force) ** (1 / (1 - RATIO_POWER) if skin.thickness_m else 1.0)
+        tried = Sample(Medium(ground=case.ground, skin=skin, tissue_pa=modulus))
+        off = float(np.log(tried.curve(case.main).at(np.array([MATCHED_M]))[0] / wanted))
+        if abs(off) < MATCHED:
+            return tried
+        if last is not None:
+            power = (off - last[1]) / (np.log(modulus) - last[0])
+        last = float(np.log(modulus)), off
+        modulus *= float(np.exp(np.clip(-off / power, -2.0, 2.0)))
     raise CarecontactError(
         f"finite elements: no modulus of the {case.region}'s tissue gives {wanted:.2f} N under a skin of "
         f"{1000 * skin.thickness_m:.1f} mm and {skin.modulus_pa / 1e6:.2f} MPa"
     )
-
-
-def pressed(surface: Surface, shape: Profile) -> Curve:
-    """A frictionless press through TRAVELS_M."""
-    return Curve(presses=((TRAVELS_M, np.array([press(surface, shape, float(d)).force_n for d in TRAVELS_M])),))
-
-
-def sticking_gain(case: Case, skin: Skin, ground: Ground) -> float:
-    """Force of the 10 mm ball at MATCHED_M past geometric touch if it never slips, over the frictionless one. Of the
-    ball alone: a disc with a rounded rim has nodes at its rim that find no balance without slip."""
-    surface, _ = matched(case, skin, ground)
-    shape = ground.shape(BALL)
-    stuck = press_sticking(surface, shape, np.linspace(0.0, MATCHED_M, 17)[1:])[-1]
-    return stuck.force_n / press(surface, shape, MATCHED_M).force_n

@@ -13,6 +13,11 @@ POISSON = 0.49
 """Assumption: nearly incompressible, as soft tissue is usually taken within seconds of loading."""
 OTHER_POISSON = (0.45, 0.495)
 """Shown beside POISSON, with the middle skin."""
+FRICTION = 0.5
+"""Between tool and skin, the middle of what is reported for dry skin on smooth materials, about 0.2 to 0.8 (Derler and
+Gerhardt 2012, Tribol Lett 45:1); the tissue sets take the same."""
+OTHER_FRICTION = (0.25, 0.8)
+"""Shown beside FRICTION, with the middle skin: cotton on forearm and chest (Temel et al. 2022, second hand)."""
 THICKNESS_M = (0.0008, 0.0015, 0.0022)
 """Skin, least, middle and most: the mean over people was 0.79 mm (foot) to 1.48 mm (chest) at 24 sites (Krackowizer
 and Brenner 2008, Phlebologie 37:83, abstract) and 2.2 mm at arm and abdomen (Gibney et al. 2010, Curr Med Res Opin

@@ -1,62 +1,144 @@
-"""The part of a layer's surface that an indenter can reach, condensed to a compliance matrix."""
+"""The part of a surface that a tool can reach, as square patches and the compliance between them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_matrix
+import numpy.typing as npt
 
-from carecontact.validation.fem.profiles import Profile
+from carecontact.validation.fem.kernel import Kernel
+from carecontact.validation.fem.tools import Tool
 from carecontact.validation.result import Array
+
+PRESS, ALONG, ACROSS = range(3)
+"""Directions of displacement and force: inward along the press, along the limb, across it. They are the same for every
+patch, and on a limb they lean from the patches' own."""
+QUARTER = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+HALF = ((1, 1), (1, -1))
+"""Mirror images, as signs along and across: of a press, and of a tool that glides along."""
+SAMPLES = 4
+"""Points along each side of a patch over which the gap is averaged."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """A node's displacement is its mean over the node's hat function, inward along the press direction, and so is its
-    gap: contact holds in this mean (a mortar method), with which quadratic elements need no care for their corners.
+    """Patches, each of which stands for its mirror images too. Displacement and gap of a patch are means over it."""
+
+    kernel: Kernel
+    limb_radius_m: float | None
+    places: npt.NDArray[np.int64]
+    """(m, 2) number of the patch across and along from the axis; 0 is the first on the positive side."""
+    images: tuple[tuple[int, int], ...]
+
+    @property
+    def count(self) -> int:
+        """How many patches one stands for, itself among them."""
+        return len(self.images)
+
+    @cached_property
+    def points_m(self) -> Array:
+        """(m, SAMPLES^2, 3) sample points of each patch: along, across the press direction, and how deep they lie
+        under the limb's top."""
+        inside = (np.arange(SAMPLES) + 0.5) / SAMPLES
+        across = (self.places[:, 0, None] + inside) * self.kernel.step_m[0]
+        along = (self.places[:, 1, None] + inside) * self.kernel.step_m[1]
+        radius = self.limb_radius_m
+        drop = np.zeros_like(across) if radius is None else radius * (1 - np.cos(across / radius))
+        flat = across if radius is None else radius * np.sin(across / radius)
+        shape = (len(self.places), SAMPLES, SAMPLES)
+        grids = along[:, None, :], flat[:, :, None], drop[:, :, None]
+        return np.stack([np.broadcast_to(grid, shape).reshape(len(self.places), -1) for grid in grids], 2)
+
+    def gap(self, tool: Tool, depth_m: float, *, moved_m: Array | float = 0.0) -> Array:
+        """(m,) by how much each patch has to yield to a tool this far past first touch; negative: not at all.
+
+        Args:
+            moved_m: how far the tool has moved along over each patch.
+        """
+        along, across, drop = np.moveaxis(self.points_m, 2, 0)
+        moved = np.broadcast_to(moved_m, len(self.places))[:, None]
+        return (depth_m - drop - tool.height(along - moved, across)).mean(1)
+
+    def compliance(self, to: tuple[int, ...], by: tuple[int, ...]) -> Array:
+        """(len(to) m, len(by) m) displacement in the directions ``to`` by force in the directions ``by`` on each patch
+        and its mirror images."""
+        m = len(self.places)
+        found = np.zeros((len(to) * m, len(by) * m))
+        here = self._directions(self.places)
+        for along, across in self.images:
+            # A patch is numbered by its near corner: the mirror image of 0 is -1.
+            mirrored = np.where([across < 0, along < 0], -1 - self.places, self.places)
+            there = self._directions(mirrored)
+            apart = self.places[:, None, :] - mirrored[None, :, :]
+            for a in range(3):
+                for b in range(3):
+                    left, right = here[list(to), a], there[list(by), b]
+                    if not (left.any() and right.any()):
+                        continue
+                    value = self.kernel.between(apart, a, b)
+                    for i, one in enumerate(left):
+                        for j, two in enumerate(right):
+                            if one.any() and two.any():
+                                sign = {PRESS: 1, ALONG: along, ACROSS: across}[by[j]]
+                                found[i * m : (i + 1) * m, j * m : (j + 1) * m] += (
+                                    sign * value * one[:, None] * two[None, :]
+                                )
+        return found
+
+    def everywhere(self, push: Array) -> tuple[Array, Array]:
+        """Distance from the press's axis of every patch of the upper side, (n,), and how far it moves inward under
+        (m,) pushes."""
+        shape = self.kernel.shape
+        index = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), 2)
+        index -= np.where(index >= np.array(shape) / 2, shape, 0)
+        directions = self._directions(index.reshape(-1, 2))[PRESS]
+        load = np.zeros(shape)
+        for along, across in self.images:
+            places = np.where([across < 0, along < 0], -1 - self.places, self.places)
+            load[places[:, 0], places[:, 1]] = push
+        inward = np.zeros(shape)
+        for a, to in enumerate(directions):
+            for b, by in enumerate(directions):
+                if to.any() and by.any():
+                    waves = np.fft.rfft2(load * by.reshape(shape)) * np.fft.rfft2(self.kernel.values(a, b))
+                    inward += to.reshape(shape) * np.fft.irfft2(waves, s=shape)
+        middle = (index + 0.5) * self.kernel.step_m
+        radius = self.limb_radius_m
+        across_m = middle[..., 0] if radius is None else radius * np.sin(middle[..., 0] / radius)
+        upper = np.ones(shape, bool) if radius is None else np.abs(middle[..., 0]) < np.pi / 2 * radius
+        return np.hypot(across_m, middle[..., 1])[upper], inward[upper]
+
+    def _directions(self, places: npt.NDArray[np.int64]) -> Array:
+        """(3, 3, n) PRESS, ALONG and ACROSS at each patch, in its own directions outward, across and along."""
+        radius = self.limb_radius_m
+        middle = (places[:, 0] + 0.5) * self.kernel.step_m[0]
+        angle = np.zeros(len(places)) if radius is None else middle / radius
+        found = np.zeros((3, 3, len(places)))
+        found[PRESS, 0], found[PRESS, 1] = -np.cos(angle), np.sin(angle)
+        found[ACROSS, 0], found[ACROSS, 1] = np.sin(angle), np.cos(angle)
+        found[ALONG, 2] = 1.0
+        return found
+
+
+def around(
+    kernel: Kernel, limb_radius_m: float | None, reach_m: float, *, glides: bool = False, ahead_m: float = 0.0
+) -> Surface:
+    """The patches within ``reach_m`` of the axis, from the nearest to the farthest.
+
+    Args:
+        glides: whether tool and surface move along, so that only the two sides across are mirror images.
+        ahead_m: how far the axis moves along; patches within reach of any of its places are kept.
     """
-
-    normal: Array
-    """(m, m) inward displacement [m] by inward force [N]"""
-    cross: Array
-    """(m, m) inward displacement by outward radial force"""
-    radial: Array
-    """(m, m) outward radial displacement by outward radial force"""
-    distance_m: Array
-    """(m,) from the indenter's axis"""
-    mean: csr_matrix
-    """(m, q) from values at the surface's quadrature points to the nodes' means"""
-    mean_distance_m: Array
-    """(q,) distance of the quadrature points from the indenter's axis"""
-    outline_m: Array
-    """(k,) distance from the axis of points at which the deformed surface is told, increasing"""
-    outline: Array
-    """(k, m) inward displacement there by inward nodal force"""
-
-    def gap(self, profile: Profile, depth_m: float) -> Array:
-        """(m,) by how much each node has to yield to an indenter this far past first touch; negative: not at all."""
-        return self.mean @ (depth_m - profile(self.mean_distance_m))
-
-    def dimple(self, nodal_n: Array) -> Array:
-        """(k,) inward displacement [m] of the points of ``outline_m`` under these pushes."""
-        return self.outline @ nodal_n[: self.outline.shape[1]]
-
-    def scaled(self, modulus: float) -> Surface:
-        """The same layer with every modulus multiplied."""
-        return Surface(
-            normal=self.normal / modulus, cross=self.cross / modulus, radial=self.radial / modulus,
-            distance_m=self.distance_m, mean=self.mean, mean_distance_m=self.mean_distance_m,
-            outline_m=self.outline_m, outline=self.outline / modulus,
-        )  # fmt: skip
-
-
-def graded(fine_m: float, fine_to_m: float, end_m: float, growth: float = 1.2) -> Array:
-    """(n,) increasing from 0 to ``end_m``: steps of at most ``fine_m`` up to ``fine_to_m``, then longer and longer."""
-    points = list(np.linspace(0.0, min(fine_to_m, end_m), max(1, int(np.ceil(min(fine_to_m, end_m) / fine_m))) + 1))
-    step, rest = fine_m, []
-    while points[-1] + sum(rest) < end_m - 1e-12:
-        step *= growth
-        rest.append(step)
-    scale = (end_m - points[-1]) / sum(rest) if rest else 1.0
-    return np.r_[points, points[-1] + scale * np.cumsum(rest)]
+    across = np.arange(int(np.ceil(reach_m / kernel.step_m[0])))
+    back = int(np.ceil(reach_m / kernel.step_m[1])) if glides else 0
+    along = np.arange(-back, int(np.ceil((reach_m + ahead_m) / kernel.step_m[1])))
+    places = np.array([(i, j) for i in across for j in along])
+    middle = (places + 0.5) * kernel.step_m
+    distance = np.hypot(middle[:, 0], middle[:, 1] - np.clip(middle[:, 1], 0.0, ahead_m))
+    order = np.argsort(distance, kind="stable")
+    return Surface(
+        kernel=kernel, limb_radius_m=limb_radius_m, places=places[order[distance[order] <= reach_m]],
+        images=HALF if glides else QUARTER,
+    )  # fmt: skip

@@ -1,0 +1,71 @@
+"""Rigid tools that are pressed into tissue, as the height of their surface above the tip. Lengths along the limb come
+first, lengths across it second."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from carecontact.contract.embodiment import PANDA
+from carecontact.validation.result import Array
+
+STEEPEST = 4.0
+"""Slope at which a round tool continues as a straight cone, 76 degrees: contact never reaches it here, and a height
+stays finite everywhere."""
+EDGE_M, DOME_M = 0.002, 0.0003
+"""Rounding of a disc's rim, as the simulator's cylinders have it (``kernel/c/tool.c``), and rise of its face from the
+middle to the rim, which the simulator's discs do not have: the stored results were computed with it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tool:
+    """A tool lying with its longer side across the limb, as the shipped cap is held."""
+
+    name: str
+    shape: Literal["ellipsoid", "disc"]
+    semi_axes_m: tuple[float, float, float]
+    """Along, across and up; of a disc its radius, its radius and the rounding of its rim."""
+
+    @property
+    def radius_m(self) -> float:
+        """Of the circle with the same area as the tool seen from above."""
+        return float(np.sqrt(self.semi_axes_m[0] * self.semi_axes_m[1]))
+
+    def height(self, along_m: Array, across_m: Array) -> Array:
+        """Height above the tip [m], of the inputs' shape."""
+        a, b, up = self.semi_axes_m
+        if self.shape == "ellipsoid":
+            return _dome(np.hypot(along_m / a, across_m / b), up, STEEPEST * min(a, b) / up)
+        r, face = np.hypot(along_m, across_m), a - up
+        share = np.minimum(r / face, 1.0) if face > 0 else np.ones_like(r)
+        return DOME_M * share**2 + _dome(np.maximum(r - face, 0.0) / up, up, STEEPEST)
+
+    def reach_m(self, depth_m: float) -> float:
+        """Distance from the axis to which the tool can touch at this depth; a disc touches up to its radius."""
+        a, b, up = self.semi_axes_m
+        if self.shape == "disc":
+            return a
+        sunk = min(depth_m / up, 1.0)
+        return max(a, b) * float(np.sqrt(1 - (1 - sunk) ** 2))
+
+
+def _dome(share: Array, up_m: float, steepest: float) -> Array:
+    """Half an ellipse's height at a share of its half width, and a straight line where its slope is ``steepest``."""
+    last = steepest / np.hypot(1.0, steepest)
+    inside = np.minimum(share, last)
+    return up_m * (1 - np.sqrt(1 - inside**2) + steepest * np.maximum(share - last, 0.0))
+
+
+def ball(radius_m: float) -> Tool:
+    return Tool(name=f"ball {1000 * radius_m:.1f} mm", shape="ellipsoid", semi_axes_m=(radius_m, radius_m, radius_m))
+
+
+def disc(radius_m: float) -> Tool:
+    edge = min(EDGE_M, radius_m)
+    return Tool(name=f"disc {1000 * radius_m:.1f} mm", shape="disc", semi_axes_m=(radius_m, radius_m, edge))
+
+
+CAP = Tool(name="cap", shape="ellipsoid", semi_axes_m=PANDA.cap_semi_axes_m)
+"""The shipped tool: an ellipsoid, wider across the limb than along it."""
