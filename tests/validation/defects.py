@@ -141,6 +141,12 @@ def light_arm(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     return scene
 
 
+def lopsided_arm(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    scene = build_scene(protocol, target=target, skin=skin)
+    scene.model.body_ipos[scene.model.body("human_right_forearm").id] += [0.0, 0.0, 0.003]
+    return scene
+
+
 def stiff_joints(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     scene = build_scene(protocol, target=target, skin=skin)
     for hinge in scene.hinges:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from carecontact.validation import smoothness
 from carecontact.validation.smoothness import dropouts
 from carecontact.validation.subject import Subject
-from tests.validation.defects import ActsInContactOnly, slippery
+from tests.validation.defects import ActsInContactOnly, frictionless, slippery
 
 
 def steady_force(count: int = 200, dt: float = 0.002) -> tuple[np.ndarray, np.ndarray]:
@@ -50,3 +50,8 @@ def test_skin_more_slippery_than_declared_is_found(subject: Subject) -> None:
         "scrubbing at 5 N: deviation of the sliding friction from the declared one"
     ]
     assert result.missed[0].value == pytest.approx(10.0, abs=1.0)
+
+
+def test_skin_without_friction_is_found(subject: Subject) -> None:
+    missed = smoothness.run(ActsInContactOnly(subject, frictionless), quick=True).missed
+    assert "scrubbing at 5 N: deviation of the sliding friction from the declared one" in {m.name for m in missed}

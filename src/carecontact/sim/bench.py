@@ -138,7 +138,8 @@ class Bench:
         self._data = mujoco.MjData(self.model)
         slide = self.model.joint("indenter")
         self._slide_q, self._slide_v = int(slide.qposadr[0]), int(slide.dofadr[0])
-        self._felt = Readings(self.model, region)
+        self.felt = Readings(self.model, region)
+        """What the region feels."""
         self.tissue = tissue
 
     def set_law(self, tissue: Tissue) -> None:
@@ -255,7 +256,7 @@ class Bench:
             data.qpos[self._slide_q], data.qvel[self._slide_v] = travel[k], speed[k]
             mujoco.mj_step(model, data, stride)
             # The row belongs to the pose in which the last step began, one step before sample k + 1.
-            row = self._felt.last(data, 1)[0]
+            row = self.felt.last(data, 1)[0]
             force[k + 1] = row["force_n"] @ inward
             deepest[k + 1] = row["depth_m"]
         time = time - dt
@@ -298,21 +299,21 @@ class Bench:
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, self._data.mocap_quat[0])
         inward = -turn.reshape(3, 3)[:, 2]
-        from_tip = self._felt.places - self._data.mocap_pos[0]
+        from_tip = self.felt.places - self._data.mocap_pos[0]
         depth = from_tip @ inward
         distance = np.linalg.norm(from_tip - np.outer(depth, inward), axis=1)
         facing = depth < self.tissue.thickness_m
-        moved = self._felt.vertices(self._data) - self._felt.places
+        moved = self.felt.vertices(self._data) - self.felt.places
         return distance[facing], (moved @ inward)[facing]
 
     def anchor_force(self) -> Array:
         """(3,) what the anchors' springs and dampers bear at the end of the last press, in the bone's frame [N]."""
-        law, u = self.tissue, self._felt.displacement(self._data)
+        law, u = self.tissue, self.felt.displacement(self._data)
         spring = law.a_n_m3 * u
         spring[:, 0] += (law.b_n_m4 * np.abs(u[:, 0]) + law.c_n_m5 * u[:, 0] ** 2) * u[:, 0]
         growth = law.damping_growth_ns_m4 * np.maximum(u[:, :1], 0.0)
-        borne = spring + (law.damping_ns_m3 + growth) * self._felt.rate(self._data)
-        return np.einsum("i,ij,ijk->k", self._felt.areas, borne, self._felt.frames)
+        borne = spring + (law.damping_ns_m3 + growth) * self.felt.rate(self._data)
+        return np.einsum("i,ij,ijk->k", self.felt.areas, borne, self.felt.frames)
 
     def _touch(self, along_m: float, across_m: float, tilt_deg: float) -> tuple[float, Array]:
         """Reset the bench, aim the indenter; the slide's travel at first touch, and the inward direction."""
@@ -327,7 +328,7 @@ class Bench:
         def touches(travel: float) -> bool:
             data.qpos[self._slide_q] = travel
             mujoco.mj_forward(model, data)
-            return bool(self._felt.now(data)["points"] > 0)
+            return bool(self.felt.now(data)["points"] > 0)
 
         outside, inside = -SEARCH_M, 0.001
         if touches(outside) or not touches(inside):

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from carecontact.regions import REGIONS
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
 from carecontact.world.human.anthropometry import segment_inertias
+from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
 
@@ -35,8 +37,8 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures = [
         Measure(name="mass of the person", value=float(masses[:, 0].sum()), unit="kg"),
         _off("deviation of the person's mass from the declared one", [masses.sum(0)]),
-        _off("mass of a segment with its shell, largest difference", masses),
-        Measure(name="centre of mass of a segment with its shell, largest distance", value=1000 * float(centres.max()),
+        _off("mass of a segment, largest difference", masses),
+        Measure(name="centre of mass of a segment, largest distance", value=1000 * float(centres.max()),
                 unit="mm", limit=1.0),
         _off("spring of a joint, largest difference", springs),
         _off("damper of a joint, largest difference", dampers),
@@ -63,24 +65,17 @@ def _off(name: str, rows: Array | list[Array]) -> Measure:
 
 
 def segment_masses(scene: Scene) -> tuple[Array, Array]:
-    """(S, 2) mass of every segment with its shell and as declared [kg]; (S,) distance of the centres of mass [m]."""
+    """(S, 2) mass of every segment and as declared [kg]; (S,) distance of the centres of mass [m]."""
     model, body = scene.model, scene.body
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    ids = {model.body(body_name(segment)).id: segment for segment in body.segments}
-    owner = np.full(model.nbody, -1)
-    for i in range(model.nbody):
-        # Shell vertices and their cells are children of the segment; bodies come after their parents.
-        owner[i] = i if i in ids else owner[model.body_parentid[i]]
     declared = segment_inertias(body)
     masses, distances = [], []
-    for i, segment in ids.items():
-        mass = model.body_mass[owner == i]
-        centre = mass @ data.xipos[owner == i] / mass.sum()
-        here = data.xmat[i].reshape(3, 3).T @ (centre - data.xpos[i])
-        row = declared[segment]
-        masses.append([mass.sum(), row.mass_kg])
+    for segment in body.segments:
+        i, row = model.body(body_name(segment)).id, declared[segment]
+        here = data.xmat[i].reshape(3, 3).T @ (data.xipos[i] - data.xpos[i])
+        masses.append([model.body_mass[i], row.mass_kg])
         distances.append(np.linalg.norm(here - (row.centre_m - body.joint_centre[segment])))
     return np.array(masses), np.array(distances)
 
@@ -111,8 +106,9 @@ def joint_constants(scene: Scene) -> tuple[Array, Array, Array]:
 
 
 def core_depths(scene: Scene, region: str) -> Array:
-    """(n,) how deep under every vertex of the shell a ray to the region's axis meets bone that the tool collides
-    with [m]; infinite where it meets none. Not along the anchor: slim arms have bones so thin that it leans past."""
+    """(n,) how deep under every vertex inside the shell's border a ray to the region's axis meets bone that the tool
+    collides with [m]; infinite where it meets none. Not along the anchor: slim arms have bones so thin that it leans
+    past."""
     model = scene.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -127,13 +123,21 @@ def core_depths(scene: Scene, region: str) -> Array:
         and (model.geom_contype[g] & tool.conaffinity[0] or model.geom_conaffinity[g] & tool.contype[0])
     ]  # fmt: skip
     depths = []
-    for vertex, axis_point in zip(shell.vertices, shell.axis_points, strict=True):
+    inside = ~border(shell)
+    for vertex, axis_point in zip(shell.vertices[inside], shell.axis_points[inside], strict=True):
         start = data.xpos[bone] + to_world @ (vertex - origin)
         along = to_world @ (axis_point - vertex)
         along /= np.linalg.norm(along)
         hits = (mujoco.mj_rayMesh(model, data, g, start, along, None) for g in cores)
         depths.append(min((d for d in hits if 0 <= d < LONGEST_RAY_M), default=np.inf))
     return np.array(depths)
+
+
+def border(shell: Shell) -> npt.NDArray[np.bool_]:
+    """(N,) vertices on an open edge, of one triangle only. The core ends there: a ray from one runs along its face."""
+    sides = np.concatenate([np.roll(shell.triangles, k, axis=1)[:, :2] for k in range(3)])
+    edges, count = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
+    return np.isin(np.arange(len(shell.vertices)), edges[count == 1])
 
 
 def draw(result: CheckResult, figure: Figure) -> None:

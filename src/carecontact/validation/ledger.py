@@ -74,7 +74,7 @@ def contact(subject: Subject, region: str, tool: Tool, case: Case, *, dt_s: floa
     rig = Rig(subject, region, tool, joints="slides" if case == "dragged" else "free", dt_s=dt_s)
     model, data = rig.model, rig.data
     if case == "dragged":
-        rig.reset(position=(DRAG_FROM_M, GAP_M))
+        rig.reset(position=(DRAG_FROM_M, GAP_M + rig.clear_of_m(DRAG_FROM_M)))
     else:
         # A free body's velocity is in the world's axes.
         along, _, outward = data.body("tool").xmat.reshape(3, 3).T

@@ -25,6 +25,8 @@ from carecontact.world.scene import set_physics
 
 HEAVY_KG = 1e6
 """A tool of this mass moves as it was told to, whatever pushes it."""
+WIDE_M = 0.03
+"""Half of what the widest tool here covers."""
 UPWARD = 0.3
 """Cosine between the region's outward direction and the normals of the skin that a tool may be set on."""
 
@@ -85,6 +87,7 @@ class Rig:
     def _add_tool(
         self, spec: mujoco.MjSpec, tool: Tool, joints: str, mass_kg: float, point: Array, axes: Array
     ) -> None:  # fmt: skip
+        self._skin = (self.shell.vertices - point) @ axes
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, axes.ravel())
         body = spec.worldbody.add_body(name="tool", pos=point - self._origin + tool.height_m * axes[:, 2], quat=quat)
@@ -102,6 +105,11 @@ class Rig:
         self.data.qpos[: np.size(position)] = position
         self.data.qvel[: np.size(velocity)] = velocity
         mujoco.mj_forward(self.model, self.data)
+
+    def clear_of_m(self, along_m: float) -> float:
+        """How far the tool has to go away from the skin to touch none of it, at a place along the region."""
+        under = (np.abs(self._skin[:, 0] - along_m) < WIDE_M) & (np.abs(self._skin[:, 1]) < WIDE_M)
+        return float(self._skin[under, 2].max())
 
     def kinetic_j(self) -> float:
         """Of the tool."""

@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carecontact.kernel.region import set_law
 from carecontact.protocols import load_protocol
 from carecontact.validation.fem import simulated
 from carecontact.validation.fem.cases import CASES, TOUCH_N
@@ -44,6 +43,6 @@ def test_a_tool_that_glides_drags_with_its_friction_and_a_glued_one_with_more(su
     # Pushes lean back on the tool's front.
     assert 0.45 < tangential[2] / normal[2] < 0.65
     assert normal[2] > 10 * TOUCH_N
-    set_law(bench.model, "forearm", bench.tissue.model_copy(update={"friction": simulated.GLUE}))
+    simulated.friction_of(bench)[:] = simulated.GLUE
     glued, _ = simulated._glide(bench, (0.016, -0.007), 0.003, way)
     assert glued[2] > 1.5 * tangential[2]

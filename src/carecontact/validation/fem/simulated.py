@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import mujoco
 import numpy as np
 
-from carecontact.kernel.readings import Readings
-from carecontact.kernel.region import set_law
+from carecontact.kernel.region import Law
 from carecontact.sim.bench import Bench, Indenter
 from carecontact.validation.calibration_residual import held_out_m
 from carecontact.validation.fem.answer import Answer, Curve, Drag, rings, touch_m
@@ -73,16 +72,22 @@ def _press(bench: Bench, place: tuple[float, float]) -> tuple[Array, Array]:
 
 def _drag(subject: Subject, case: Case, tool: Tool, curve: Curve) -> Drag:
     bench = person_bench(subject, case.region, indenter(tool), glides=True)
-    tissue, found, stuck = subject.tissue(case.region), [], []
-    glued = tissue.model_copy(update={"friction": GLUE})
+    friction = friction_of(bench)
+    declared, found, stuck = friction.copy(), [], []
     for place, press in list(zip(held_out_m(case.region), curve.presses, strict=True))[:GLIDE_PLACES]:
         depth = touch_m(*press, TOUCH_N) + DEPTHS_M[-1]
-        set_law(bench.model, case.region, tissue)
+        friction[:] = declared
         found.append(_glide(bench, place, depth, WAYS_M))
-        set_law(bench.model, case.region, glued)
+        friction[:] = GLUE
         stuck.append(_glide(bench, place, depth, np.array([0.0, GLUED_WAY_M]))[0, -1] / GLUED_WAY_M)
     tangential, normal = np.mean(found, axis=0)
     return Drag(way_m=WAYS_M, force_n=tangential, normal_n=normal, stuck_n_m=float(np.mean(stuck)))
+
+
+def friction_of(bench: Bench) -> Array:
+    """(1,) the coefficient in the bench's law, which a change of it changes."""
+    at = [field.name for field in fields(Law)].index("friction")
+    return bench.model.numeric(f"{bench.region}/law").data[at : at + 1]
 
 
 def _glide(bench: Bench, place: tuple[float, float], depth_m: float, way_m: Array) -> Array:
@@ -90,7 +95,6 @@ def _glide(bench: Bench, place: tuple[float, float], depth_m: float, way_m: Arra
     bench.press(along_m=place[0], across_m=place[1], depth_m=depth_m, speed_m_s=SPEED_M_S, hold_s=HOLD_S)
     _, inward, axis = bench.place(*place)
     model, data = bench.model, bench._data
-    readings = Readings(model, bench.region)
     along, press = (model.joint(name) for name in ("indenter_along", "indenter"))
     held, dt = float(data.qpos[press.qposadr[0]]), model.opt.timestep
     start = float(data.qpos[along.qposadr[0]])
@@ -100,6 +104,6 @@ def _glide(bench: Bench, place: tuple[float, float], depth_m: float, way_m: Arra
         data.qpos[along.qposadr[0]], data.qvel[along.dofadr[0]] = start + moved, SPEED_M_S if k else 0.0
         data.qpos[press.qposadr[0]], data.qvel[press.dofadr[0]] = held, 0.0
         mujoco.mj_step(model, data)
-        felt = readings.last(data, 1)[0]["force_n"]
+        felt = bench.felt.last(data, 1)[0]["force_n"]
         force[k] = felt @ axis, felt @ inward
     return np.array([np.interp(way_m, way, component) for component in (force - [force[0, 0], 0.0]).T])
