@@ -291,7 +291,7 @@ class Bench:
 
     def displacement(self) -> Array:
         """(N, 3) of the shell's vertices at the end of the last press: inward, and along two tangents [m]."""
-        return self._felt.displacement(self._data).copy()
+        return self.felt.displacement(self._data).copy()
 
     def skin(self) -> tuple[Array, Array]:
         """The surface at the end of the last press: (n,) distance of its vertices from the indenter's axis before the
