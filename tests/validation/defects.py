@@ -108,7 +108,7 @@ class WrongSign(Subject):
 
     def hovering(self, region: str) -> Simulation:
         simulation = super().hovering(region)
-        simulation.tissue = {name: PushedTheWrongWay(simulation.model, name) for name in simulation.tissue}
+        simulation.tissue.update({name: PushedTheWrongWay(simulation.model, name) for name in simulation.tissue})
         return simulation
 
 
