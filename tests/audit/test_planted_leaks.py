@@ -154,7 +154,7 @@ def leaky_pair(
 
     def leaky_build(self: ObservationBuilder, data: mujoco.MjData, **known: Any) -> Observation:
         seen = build(self, data, **known)
-        hidden = 1e-15 * float(self._renderer._model.jnt_stiffness.sum())
+        hidden = 1e-15 * float(self._renderer._model.numeric_data.sum())
         return dataclasses.replace(seen, joint_velocity=seen.joint_velocity + hidden)
 
     def leaky_session(self: Episode) -> Session:

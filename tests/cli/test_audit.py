@@ -27,7 +27,8 @@ def test_nothing_leaks_to_any_registered_policy(tmp_path: Path, capsys: pytest.C
     # The press that is seen, at every third action, and the blind one at every action.
     # How many of them are in contact depends on the laws of the tissue, which may change while the protocol is a draft.
     assert 8 <= counts["re-derivation"]["observations in contact"] <= 3 + 9
-    assert counts["readings"]["looks"] == counts["readings"]["looks timed"] == len(POLICIES) + 6 + 16
+    # One of each policy, and those of both presses until a while after their first contact.
+    assert counts["readings"]["looks"] == counts["readings"]["looks timed"] > len(POLICIES) + 16
     assert counts["readings"]["images drawn again"] > 30
     assert counts["canary"]["observations before contact"] >= 2
     assert counts["frozen frames"]["fields of the world scrambled"] > 100

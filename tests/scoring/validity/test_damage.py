@@ -76,7 +76,7 @@ def put(*keys: str, value: object) -> Callable[[dict[str, Any]], None]:
 
 
 HEADERS: dict[str, Callable[[dict[str, Any]], object]] = {
-    "schema of the future": put("schema_version", value="carecontact-recording-3"),
+    "schema of the future": put("schema_version", value="carecontact-recording-4"),
     "schema is a list": put("schema_version", value=["carecontact-recording-1"]),
     "no schema": lambda h: h.pop("schema_version"),
     "no spec": lambda h: h.pop("spec"),
