@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import pty
+import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -41,6 +44,28 @@ def _alive(pid: int) -> bool:
         return False
 
 
+class _Terminal:
+    """Reads what is written to it, until it is closed: one that is not read fills up, and who writes to it waits."""
+
+    def __init__(self) -> None:
+        self._ours, self.theirs = pty.openpty()
+        self._closed = threading.Event()
+        self._reader = threading.Thread(target=self._read)
+        self._reader.start()
+
+    def _read(self) -> None:
+        with suppress(OSError):
+            while not self._closed.is_set():
+                if select.select([self._ours], [], [], 0.05)[0]:
+                    os.read(self._ours, 4096)
+
+    def close(self) -> None:
+        if not self._closed.is_set():
+            self._closed.set()
+            self._reader.join()
+            os.close(self._ours)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel kills worker and policy")
 @pytest.mark.parametrize("how", ["SIGKILL", "SIGQUIT", "closed terminal"])
 def test_nothing_is_left_running(tmp_path: Path, how: str) -> None:
@@ -50,7 +75,8 @@ def test_nothing_is_left_running(tmp_path: Path, how: str) -> None:
         sys.executable, "-m", "carecontact.cli", "run", "--policy", "mine:P", "--out", "r", "--tasks", "T1", "--seeds",
         "17", "--fast", "--policy-write", "told",
     ]  # fmt: skip
-    ours, theirs = pty.openpty()
+    terminal = _Terminal()
+    theirs = terminal.theirs
     run = subprocess.Popen(
         ["setsid", "--ctty", *command] if how == "closed terminal" else command,
         cwd=tmp_path, stdin=theirs, stdout=theirs, stderr=theirs,
@@ -66,8 +92,7 @@ def test_nothing_is_left_running(tmp_path: Path, how: str) -> None:
             assert b"--tasks" not in shown, shown
             assert b"17" not in shown, shown
         if how == "closed terminal":
-            os.close(ours)
-            ours = -1
+            terminal.close()
         else:
             run.send_signal(getattr(signal, how))
         assert run.wait(20) == (-signal.SIGKILL if how == "SIGKILL" else cli.INTERRUPTED)
@@ -78,8 +103,7 @@ def test_nothing_is_left_running(tmp_path: Path, how: str) -> None:
     finally:
         run.kill()
         run.wait()
-        if ours >= 0:
-            os.close(ours)
+        terminal.close()
 
 
 def test_what_the_caller_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import select
 import signal
 import sys
 from collections.abc import Sequence
@@ -108,12 +109,16 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _drop_if_gone(stream: TextIO | None) -> None:
-    """What is still printed must not fail where the terminal is gone, which refuses even nothing."""
+    """What is still printed must not fail where the terminal is gone or nobody reads the pipe any more.
+
+    It is looked at and not written to, because a terminal that is full and not read would keep the writer waiting.
+    """
     if stream is None:
         return
-    try:
-        os.write(stream.fileno(), b"")
-    except OSError:
+    watch = select.poll()
+    # Without any event asked for, only hang-ups and errors are told.
+    watch.register(stream.fileno(), 0)
+    if watch.poll(0):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
