@@ -22,17 +22,10 @@ from statistics import median
 import numpy as np
 
 from carecontact.contract.observation import Observation
-from carecontact.contract.session import ActionBounds, Session
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
+from some_session import SESSION
 
-SESSION = Session(
-    action_bounds=ActionBounds(
-        workspace_low_m=(0.0, -1.0, 0.0), workspace_high_m=(1.0, 1.0, 1.0), translational_stiffness=(100.0, 1000.0),
-        rotational_stiffness=(5.0, 50.0),
-    ),
-    joint_low_rad=(-3.0,) * 7, joint_high_rad=(3.0,) * 7, camera_sizes_px={}, time_limit_s=30.0,
-)  # fmt: skip
 SEEN = Observation(
     instruction="gently touch the right forearm", sim_time_s=0.0, joint_position=np.zeros(7),
     joint_velocity=np.zeros(7), gripper_position=np.zeros(1), cameras={},

@@ -30,7 +30,6 @@ import numpy as np
 from carecontact.audit.wall_time import Separation, Times, separation, times_of
 from carecontact.contract.action import MAX_CHUNK
 from carecontact.contract.observation import CameraView, Observation
-from carecontact.contract.session import ActionBounds, Session
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire.messages import act_message
@@ -39,14 +38,8 @@ from carecontact.recording import Recording, read_recording
 from carecontact.runs.plan import parse_tasks, plan_trials
 from carecontact.trials.pace import PACED, Pace
 from carecontact.trials.supervisor import run_trials
+from some_session import SESSION
 
-SESSION = Session(
-    action_bounds=ActionBounds(
-        workspace_low_m=(0.0, -1.0, 0.0), workspace_high_m=(1.0, 1.0, 1.0), translational_stiffness=(100.0, 1000.0),
-        rotational_stiffness=(5.0, 50.0),
-    ),
-    joint_low_rad=(-3.0,) * 7, joint_high_rad=(3.0,) * 7, camera_sizes_px={}, time_limit_s=30.0,
-)  # fmt: skip
 POLICY = """
 import json, os, time
 import numpy as np
