@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from carecontact.protocols import load_protocol
 from carecontact.recording import SEGMENTS, Recording
+from carecontact.reports.limit_rows import limit_rows
 from carecontact.scoring import METRICS, score_recording
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.limits import LIMIT_PACKS, LimitPack
@@ -24,12 +25,12 @@ def test_every_pack_has_provenance_and_a_limit_for_every_segment(pack: LimitPack
     assert pack.title
     assert pack.source
     assert all(pack.limit(segment) > 0 for segment in SEGMENTS)
-    assert pack.limit("something else") == min(pack.limit_n.values())
+    assert pack.limit("something else") == min(pack.limits.values())
 
 
 def test_the_protocols_pack_is_the_registered_one() -> None:
     limits = load_protocol().limits
-    assert dict(LIMIT_PACKS[limits.pack].limit_n) == limits.f_pain_n
+    assert dict(LIMIT_PACKS[limits.pack].limits) == limits.f_pain_n
 
 
 def test_the_iso_pack_says_that_it_is_to_be_checked() -> None:
@@ -38,6 +39,14 @@ def test_the_iso_pack_says_that_it_is_to_be_checked() -> None:
     assert "to be checked" in METRICS["iso_utilisation@1"].title
     assert pack.limit("right_forearm") == pack.limit("left_forearm") == 160.0
     assert pack.limit("abdomen") == 110.0
+
+
+def test_the_pressure_pack_is_in_pascals_and_in_no_table_of_forces() -> None:
+    assert LIMIT_PACKS["iso-ts-15066-2016-pressure"].unit == "Pa"
+    assert {pack.unit for name, pack in LIMIT_PACKS.items() if "pressure" not in name} == {"N"}
+    shown = " ".join(row.name for row in limit_rows([score_recording(touch())], gamma=0.35))
+    assert "Quasi-static force" in shown
+    assert "pressure" not in shown
 
 
 def test_utilisation_is_the_peak_over_the_limit_of_the_worst_segment() -> None:

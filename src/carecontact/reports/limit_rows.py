@@ -47,7 +47,7 @@ def limit_rows(scores: Sequence[TrialScore], *, gamma: float | None) -> list[Lim
         _row(title, "the protocol's pain limits, F_pain", counted, _pain_ratio, None),
     ]  # fmt: skip
     for name, pack in LIMIT_PACKS.items():
-        if name not in own:
+        if name not in own and pack.unit == "N":
             rows.append(
                 _row(pack.title, f"{pack.status}: {pack.source}", counted,
                      lambda s, segment, pack=pack: s.peak_force_n[segment] / pack.limit(segment), None)

@@ -53,7 +53,7 @@ def results(run: RunScores) -> dict[str, Any]:
         "per_region": {region: summarise([s for s in scores if s.region == region]) for region in regions},
         "sweeps": {"gamma": gamma_sweep(judged(scores)), **gate_sweep(judged(scores))},
         "limit_packs": {
-            name: {"title": pack.title, "source": pack.source, "status": pack.status}
+            name: {"title": pack.title, "source": pack.source, "status": pack.status, "unit": pack.unit}
             for name, pack in LIMIT_PACKS.items()
         },
         "trials": [s.model_dump(mode="json") for s in scores],

@@ -1,4 +1,4 @@
-"""Packs of force limits: the force that a segment may bear, its source, and how certain it is.
+"""Packs of limits: the force or pressure that a segment may bear, its source, and how certain it is.
 
 Packages add packs through the entry-point group ``carecontact.limit_packs``. A pack that changes gets a new id.
 """
@@ -20,12 +20,13 @@ class LimitPack:
     source: str
     status: Literal["as published", "to be checked"]
     """``to be checked``: entered from secondary sources; whoever shows a number of it says so."""
-    limit_n: Mapping[str, float]
-    """Segment without its side -> limit [N]."""
+    unit: Literal["N", "Pa"] = "N"
+    limits: Mapping[str, float]
+    """Segment without its side -> limit [unit]."""
 
     def limit(self, segment: str) -> float:
-        """Limit of a segment [N]; one that the pack does not name takes the strictest entry."""
-        return self.limit_n.get(sideless(segment), min(self.limit_n.values()))
+        """Limit of a segment [unit]; one that the pack does not name takes the strictest entry."""
+        return self.limits.get(sideless(segment), min(self.limits.values()))
 
 
 LIMIT_PACKS: Registry[LimitPack] = Registry("limit pack", row=LimitPack, plural="limit_packs")
@@ -37,7 +38,7 @@ LIMIT_PACKS.register(
         title="Pain onset by pinching, Behrens et al. 2021, Table 8",
         source="Behrens et al. 2021, Table 8: forearm muscle, deltoid muscle, abdominal muscle",
         status="as published",
-        limit_n={"forearm": 100.0, "upper_arm": 100.0, "abdomen": 60.0},
+        limits={"forearm": 100.0, "upper_arm": 100.0, "abdomen": 60.0},
     ),
 )
 
@@ -50,7 +51,7 @@ LIMIT_PACKS.register(
         "way, so the quasi-static limit applies and not the transient one. Head: the face's, which is stricter than "
         "the skull's; feet are not in the table and take the strictest entry",
         status="to be checked",
-        limit_n={
+        limits={
             "head": 65.0,
             "neck": 150.0,
             "thorax": 140.0,
@@ -61,6 +62,28 @@ LIMIT_PACKS.register(
             "hand": 140.0,
             "thigh": 220.0,
             "shank": 130.0,
+        },
+    ),
+)
+
+LIMIT_PACKS.register(
+    "iso-ts-15066-2016-pressure",
+    LimitPack(
+        id="iso-ts-15066-2016-pressure",
+        title="Quasi-static pressure, ISO/TS 15066:2016 (to be checked against the standard)",
+        source="ISO/TS 15066:2016, Table A.2, P_S (1 N/cm^2 is 10 kPa), entered from secondary "
+        "transcriptions; the least of a segment's places: deltoid, forearm muscle, sternum, pelvic bone, abdominal "
+        "muscle, thigh muscle, calf muscle",
+        status="to be checked",
+        unit="Pa",
+        limits={
+            "upper_arm": 1.9e6,
+            "forearm": 1.8e6,
+            "thorax": 1.2e6,
+            "abdomen": 1.4e6,
+            "pelvis": 2.1e6,
+            "thigh": 2.5e6,
+            "shank": 2.1e6,
         },
     ),
 )

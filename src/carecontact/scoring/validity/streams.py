@@ -6,13 +6,19 @@ from carecontact.recording import Recording
 from carecontact.scoring.validity.actions import check_actions
 from carecontact.scoring.validity.forces import check_forces
 from carecontact.scoring.validity.times import check_times
-from carecontact.scoring.validity.values import check_bounds, check_finite_streams, check_joint_ranges, check_rotations
+from carecontact.scoring.validity.values import (
+    check_bounds,
+    check_cells,
+    check_finite_streams,
+    check_joint_ranges,
+    check_rotations,
+)
 
 
 def check_streams(recording: Recording) -> None:
     """Raises RecordingError naming the trial, the array, the place in it and what would be valid.
 
-    The checks are ``check_finite_streams``, ``check_actions``, ``check_times``, ``check_bounds``, ``check_rotations``,
+    The checks are ``check_finite_streams``, ``check_actions``, ``check_times``, ``check_bounds``, ``check_cells``, ``check_rotations``,
     ``check_joint_ranges`` and ``check_forces``. They do not find what is wrong by less than their generous bounds: 5 %
     on every force, a wrist shifted by 1 cm. A trial that the solver cut needs only finite values and clocks that agree.
     """
@@ -25,6 +31,7 @@ def check_streams(recording: Recording) -> None:
     if len(recording["scorer/time_s"]) == 0 or diverged:
         return
     check_bounds(recording)
+    check_cells(recording)
     check_rotations(recording)
     check_joint_ranges(recording)
     check_forces(recording)

@@ -30,6 +30,9 @@ BOUNDS: dict[str, tuple[float, float, str]] = {
     "scorer/target_in_base": (-ROOM_M, ROOM_M, "m"),
 }
 """Array -> lowest and highest value [unit]. Generous: they detect another unit or another sign, not a bad trial."""
+CELLS = ("area_m2", "press_ns", "shear_ns", "slip_m3", "touch_m2s")
+ROUNDING = 1e-3
+"""By which the area in contact of a cell may exceed the cell's own, since both are sums of 32-bit floats."""
 
 
 def check_finite_streams(recording: Recording) -> None:
@@ -61,6 +64,24 @@ def check_bounds(recording: Recording) -> None:
         raise RecordingError(
             f"{trial_id}: pose_base_in_world holds {base}; valid: positions of at most {ROOM_M:g} m, quat_wxyz"
         )
+
+
+def check_cells(recording: Recording) -> None:
+    """Raises RecordingError for a negative sum of a cell, and for a cell with more area in contact than it has."""
+    arrays, trial_id = recording.arrays, recording.header.spec.trial_id
+    for path in (path for name in CELLS if (path := f"scorer/cell_{name}") in arrays):
+        if (arrays[path] < 0).any():
+            place = _first(arrays[path] < 0)
+            raise RecordingError(f"{trial_id}: {path} holds {arrays[path][place]:g} at {place}; valid: 0 or more")
+    if "scorer/cell_touch_m2s" in arrays and len(arrays["scorer/period_time_s"]):
+        period = np.diff(arrays["scorer/period_time_s"], prepend=0.0)
+        most = (1 + ROUNDING) * period[:, None] * arrays["scorer/cell_area_m2"]
+        if (beyond := arrays["scorer/cell_touch_m2s"] > most).any():
+            place = _first(beyond)
+            raise RecordingError(
+                f"{trial_id}: scorer/cell_touch_m2s holds {arrays['scorer/cell_touch_m2s'][place]:g} at {place}; "
+                f"valid: at most the cell's area times the period, {most[place] / (1 + ROUNDING):g} m^2 s"
+            )
 
 
 def check_rotations(recording: Recording) -> None:

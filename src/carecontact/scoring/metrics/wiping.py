@@ -1,0 +1,43 @@
+"""coverage@1, effective_wiping@1: how much of the region was wiped, and how much of it well enough to be clean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from carecontact.scoring.contact import Contact
+from carecontact.scoring.metrics.metric import metric
+from carecontact.scoring.touched_cells import MMHG_PA, TouchedCells, touched_cells
+
+CLEANS: Sequence[tuple[int, float]] = ((3, 10 * MMHG_PA), (2, 40 * MMHG_PA), (1, 50 * MMHG_PA))
+"""(passes, least mean pressure [Pa]) after which at least 80 % of oily dirt was gone from the forearms of 50 adults:
+Konya et al., "Combination of minimum wiping pressure and number of wipings that can remove pseudo skin dirt" (only its
+abstract was read). Konya et al. 2023 (BMC Nursing 22:18) found 5 to 10 mmHg to suffice with disposable towels."""
+
+
+@metric("coverage@1", title="Share of the region wiped", unit="1", better="higher", order=12)
+def coverage(contact: Contact) -> float | None:
+    """Share of the area of the target's cells over which the tool slid at least once. 0 where it touched none; None
+    (NA) where the recording has no cells."""
+    return _share(contact, [(1, 0.0)])
+
+
+@metric("effective_wiping@1", title="Share of the region wiped clean", unit="1", better="higher", order=13)
+def effective_wiping(contact: Contact) -> float | None:
+    """Share of the area that was passed as often, and with as much mean pressure, as one of CLEANS asks. 0 where the
+    tool touched none; None (NA) where the recording has no cells."""
+    return _share(contact, CLEANS)
+
+
+def _share(contact: Contact, enough: Sequence[tuple[int, float]]) -> float | None:
+    if "scorer/cell_area_m2" not in contact.recording.arrays:
+        return None
+    cells = touched_cells(contact)
+    return 0.0 if cells is None else wiped_share(cells, enough)
+
+
+def wiped_share(cells: TouchedCells, enough: Sequence[tuple[int, float]]) -> float:
+    """Share of the area for which one of (passes, least mean pressure [Pa]) holds."""
+    passed = np.max([cells.share_passed(times, pressure) for times, pressure in enough], axis=0)
+    return float((passed * cells.area_m2).sum() / cells.area_m2.sum())
