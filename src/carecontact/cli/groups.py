@@ -103,16 +103,22 @@ class PhysicsGroup:
     tissue: str | None = None
     """Tissue in place of the protocol's: a name from `carecontact list tissue` or a .toml file that `carecontact
     calibrate` wrote."""
+    friction: str | None = None
+    """Coefficient of friction between tool and skin in place of the tissue's: a number, or dry (0.5), wet (1.0) or
+    soapy (0.2); see docs/tissue.md for the sources. Every output names this change."""
     fast: Switch = False
     """Use physics steps of 4 ms in place of the protocol's. This is faster and less exact: use it for development."""
 
-    def changes(self) -> dict[str, Mapping[str, object]]:
-        """The option's name -> fields that it replaces, as ``ChangedProtocolGroup.changed`` takes them."""
+    def changes(self, rules: Protocol) -> dict[str, Mapping[str, object]]:
+        """The option's name -> fields of ``rules`` that it replaces, as ``ChangedProtocolGroup.changed`` takes them."""
         from carecontact.protocols import FAST_DT_S
+        from carecontact.protocols.friction import friction_changes
 
         changes: dict[str, Mapping[str, object]] = {}
         if self.tissue is not None:
             changes["tissue"] = {"person.tissue_set": self.tissue}
+        if self.friction is not None:
+            changes["friction"] = friction_changes(rules, self.friction)
         if self.fast:
             changes["fast"] = {"physics.dt_s": FAST_DT_S}
         return changes

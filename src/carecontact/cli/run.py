@@ -165,7 +165,9 @@ class Run:
         loaded = check_frozen(name, load_protocol(name), unfrozen=self.unfrozen)
         stiffness = {} if self.stiffness is None else {"impedance.translational_n_m": self.stiffness}
         latency = {} if self.latency_ms is None else {"phases.latency_s": self.latency_ms / 1000}
-        changed = self.rules.changed(loaded, **self.physics.changes(), stiffness=stiffness, **{"latency-ms": latency})
+        changed = self.rules.changed(
+            loaded, **self.physics.changes(loaded), stiffness=stiffness, **{"latency-ms": latency}
+        )
         rules = with_vision(changed, self.vision)
         check_protocol(rules)
         check_rows(rules)

@@ -45,7 +45,8 @@ class Validate:
         from carecontact.validation.run import CHECKS
         from carecontact.world.human.library import load_body
 
-        rules = self.rules.changed(load_protocol(self.rules.protocol), **self.physics.changes())
+        loaded = load_protocol(self.rules.protocol)
+        rules = self.rules.changed(loaded, **self.physics.changes(loaded))
         names = tuple(CHECKS) if self.checks == "all" else tuple(part.strip() for part in self.checks.split(","))
         if not all(names) or len(set(names)) != len(names):
             raise ConfigError(

@@ -17,7 +17,9 @@ from carecontact.scoring.metrics.metric import METRICS
 from carecontact.scoring.result import TrialScore
 
 TABLE_NAME = "results.parquet"
-UNIT_SUFFIX = {"1": "", "N": "_n", "N s": "_ns", "N/s": "_n_s", "s": "_s", "J": "_j", "kPa": "_kpa", "m": "_m", "rad": "_rad"}
+UNIT_SUFFIX = {
+    "1": "", "N": "_n", "N s": "_ns", "N/s": "_n_s", "s": "_s", "J": "_j", "kPa": "_kpa", "m": "_m", "rad": "_rad",
+}  # fmt: skip
 """Unit of a metric -> end of its column's name."""
 NEEDS = f"{TABLE_NAME} needs pyarrow: pip install 'carecontact[tables]'"
 

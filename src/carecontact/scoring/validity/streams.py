@@ -18,9 +18,10 @@ from carecontact.scoring.validity.values import (
 def check_streams(recording: Recording) -> None:
     """Raises RecordingError naming the trial, the array, the place in it and what would be valid.
 
-    The checks are ``check_finite_streams``, ``check_actions``, ``check_times``, ``check_bounds``, ``check_cells``, ``check_rotations``,
-    ``check_joint_ranges`` and ``check_forces``. They do not find what is wrong by less than their generous bounds: 5 %
-    on every force, a wrist shifted by 1 cm. A trial that the solver cut needs only finite values and clocks that agree.
+    The checks are ``check_finite_streams``, ``check_actions``, ``check_times``, ``check_bounds``, ``check_cells``,
+    ``check_rotations``, ``check_joint_ranges`` and ``check_forces``. They do not find what is wrong by less than their
+    generous bounds: 5 % on every force, a wrist shifted by 1 cm. A trial that the solver cut needs only finite values
+    and clocks that agree.
     """
     check_finite_streams(recording)
     check_actions(recording)
