@@ -60,7 +60,7 @@ def test_what_is_wrong_is_named(given: tuple[str, ...], message: str) -> None:
 def test_an_option_and_a_set_of_one_field_contradict_each_other() -> None:
     rules = RulesGroup(changes=("physics.dt_s=0.005",))
     with pytest.raises(ConfigError, match=r"--fast: another option replaces physics\.dt_s"):
-        rules.changed(load_protocol(), **PhysicsGroup(fast=True).changes())
+        rules.changed(load_protocol(), **PhysicsGroup(fast=True).changes(load_protocol()))
 
 
 def test_a_run_says_what_was_set(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

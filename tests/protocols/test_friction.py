@@ -34,5 +34,5 @@ def test_a_title_says_one_friction_once() -> None:
 
 @pytest.mark.parametrize("friction", ["slimy", "", "wet "])
 def test_another_word_is_refused(friction: str) -> None:
-    with pytest.raises(ConfigError, match="--friction .*: expected dry, wet, soapy or a coefficient, such as 0.8"):
+    with pytest.raises(ConfigError, match=r"--friction .*: expected dry, wet, soapy or a coefficient, such as 0\.8"):
         friction_changes(RULES, friction)

@@ -22,7 +22,7 @@ SKIN_STATES = {
     ),
     "wet": SkinState(
         coefficient=1.0,
-        source="the least of what the same review calls typical of moist or wet skin, above 1 and falling with pressure",
+        source="the least of what the same review calls typical of moist or wet skin: above 1, falling with pressure",
     ),
     "soapy": SkinState(
         coefficient=0.2,
