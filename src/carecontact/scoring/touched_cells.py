@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from carecontact.scoring.contact import Contact, Mask, runs
+from carecontact.scoring.contact import Contact, runs
 from carecontact.scoring.filters import F64
 
 MMHG_PA = 133.322
@@ -29,7 +30,7 @@ and is carried along is not wiped; assumed, above the 1 to 2 mm by which a press
 class Passes:
     """Each time that the tool slid over a cell. N passes, in no particular order."""
 
-    cell: Mask
+    cell: npt.NDArray[np.intp]
     """(N,) index of the cell"""
     share: F64
     """(N,) share of the cell's area that was touched when most of it was"""
@@ -68,8 +69,10 @@ class TouchedCells:
 
     def passes(self) -> Passes:
         """A *visit* of a cell lasts while the tool touches it; a visit is a pass if the tool slid by SLID_M."""
-        cell, share, pressure = [], [], []
-        for c in np.flatnonzero((self.touch_m2s > 0).any(axis=0)):
+        cell: list[int] = []
+        share: list[float] = []
+        pressure: list[float] = []
+        for c in np.flatnonzero((self.touch_m2s > 0).any(axis=0)).tolist():
             for start, stop in self._visits(c):
                 touch, press, slip = (a[start:stop, c] for a in (self.touch_m2s, self.press_ns, self.slip_m3))
                 most = float((touch / self.period_s[start:stop]).max())
@@ -77,7 +80,7 @@ class TouchedCells:
                     continue
                 cell.append(c)
                 share.append(min(1.0, most / self.area_m2[c]))
-                pressure.append(press.sum() / touch.sum())
+                pressure.append(float(press.sum() / touch.sum()))
         return Passes(cell=np.array(cell, np.intp), share=np.array(share), pressure_pa=np.array(pressure))
 
     def _visits(self, cell: int) -> list[tuple[int, int]]:
