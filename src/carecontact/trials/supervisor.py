@@ -25,11 +25,11 @@ from carecontact.runs.alone import alone
 from carecontact.runs.identity import Identity, identity_of
 from carecontact.runs.manifest import MANIFEST, Purpose, Survey, salted, survey, write_manifest
 from carecontact.trials.engine import Engine, EngineName
-from carecontact.trials.lost import Losses
+from carecontact.trials.engines import Conditions, engine_of
 from carecontact.trials.pace import check_pace, late_in
 from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
-from carecontact.trials.workers import ROOM_BYTES, WORKER_COMMAND, Workers
+from carecontact.trials.workers import ROOM_BYTES, WORKER_COMMAND
 
 EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
 POLL_S = 0.05
@@ -61,6 +61,8 @@ class RunSummary:
     """Why the policy's server could not be reached, so that the run stopped before its end; None: it is complete."""
     late: dict[str, int]
     """Trial that this command ran with a pace -> how many of its observations came late, where any did."""
+    most_at_once: int
+    """Trials that ran at the same time; of a policy with an address, its connections."""
     wall_s: float
 
 
@@ -95,6 +97,7 @@ def open_run(
     weights: Path | None = None,
     pace_s: float | None = None,
     engine: EngineName = "local",
+    gpus: float = 0.0,
     retry_failed: bool = False,
     trial_limit_s: float = DEFAULT_TRIAL_LIMIT_S,
     on_event: Callable[[TrialEvent], None] = lambda event: None,
@@ -108,6 +111,8 @@ def open_run(
         card: what the policy showed; of a policy on another host it decides whether this is the same run.
         weights: folder with the weights of the protocol's segmenter.
         pace_s: wall time [s] for each control period, as the policy sees it; None: as fast as can be.
+        engine: where the trials run.
+        gpus: share of a GPU that a cluster reserves for each trial.
 
     Raises ConfigError for a folder that holds another run, that another command is at work in, or that cannot be
     written to, and for an engine that cannot be reached; DependencyError for one that is not installed.
@@ -126,14 +131,15 @@ def open_run(
         kill_abandoned()
         remove_abandoned_folders()
         with work_folder(out) as work:
-            workers = Workers(
-                out=out, work=work, policy=setup, weights=weights, pace_s=pace_s, command=worker_command,
-                trial_limit_s=trial_limit_s, losses=Losses(setup, out=out, before=found.killed),
+            conditions = Conditions(
+                out=out, work=work, policy=setup, identity=identity, weights=weights, pace_s=pace_s,
+                command=worker_command, trial_limit_s=trial_limit_s, killed=found.killed,
             )  # fmt: skip
+            carrying_out = engine_of(engine, conditions, gpus=gpus)
             try:
-                yield Run(specs, found, workers, out, on_event)
+                yield Run(specs, found, carrying_out, out, on_event)
             finally:
-                workers.kill_all()
+                carrying_out.kill_all()
 
 
 class Run:
@@ -156,6 +162,7 @@ class Run:
         self._began = time.monotonic()
         self._next_look = self._began + WAIT_REPORT_S
         self._answered = False
+        self._most = 0
         for trial_id, how in found.keep.items():
             self._report("kept", trial_id, ended=how)
         for trial_id, why in found.redo.items():
@@ -188,6 +195,7 @@ class Run:
                 break
             spec = self._waiting.pop(0)
             self._engine.start(spec)
+            self._most = max(self._most, self.running)
             self._report("started", spec.trial_id)
         self._take_finished()
         self._report_silence()
@@ -205,6 +213,7 @@ class Run:
             kept=tuple(self._found.keep),
             unreached=self.unreached,
             late=self.late,
+            most_at_once=self._most,
             wall_s=time.monotonic() - self._began,
         )
 
