@@ -21,7 +21,8 @@ lint: env ## check style, types and import rules only
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/lint-imports
 
-test-slow: env ## run the long simulations
+test-slow: env ## run the long simulations, Ray among them (the extra cluster, 200 MB)
+	.venv-uv/bin/uv sync --frozen --inexact --quiet --extra cluster --python $(BIN)/python
 	$(BIN)/python -m pytest -m slow
 
 test-grounded-sam: env ## test the segmenter on tiny random models, in .venv-torch (5 GB)

@@ -33,6 +33,8 @@ CONFIG = (tyro.conf.DisallowNone,)
 """An option that is not given is left out: nobody types None."""
 COMMANDS = {
     "run": "run:Run",
+    "merge": "merge:Merge",
+    "sweep": "sweep:Sweep",
     "check": "check:Check",
     "serve": "serve:Serve",
     "demo": "demo:Demo",

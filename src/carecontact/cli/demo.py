@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.groups import FLAT, JobsGroup
+from carecontact.cli.groups import FLAT, EngineGroup, JobsGroup
 from carecontact.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class Demo:
 
         began = time.monotonic()
         check_jobs(self.parallel.jobs)
-        run = Run(policy=POLICY, out=self.out, seeds=str(SEED), parallel=self.parallel)
+        run = Run(policy=POLICY, out=self.out, seeds=str(SEED), parallel=EngineGroup(jobs=self.parallel.jobs))
         trial_ids = [f"{task.id}-s{SEED:03d}" for task in load_protocol(run.rules.protocol).tasks]
         with alone(self.out, make=True):
             remove_earlier_demo(self.out, trial_ids=trial_ids)

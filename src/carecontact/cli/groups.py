@@ -140,6 +140,19 @@ class JobsGroup:
 
 
 @dataclass(frozen=True, kw_only=True)
+class EngineGroup:
+    engine: Literal["local", "ray"] = "local"
+    """Where the trials run: on this machine, or on the nodes of the Ray cluster that RAY_ADDRESS names (see
+    docs/cluster.md)."""
+    jobs: int | None = None
+    """Number of trials that run at once; default: one per core, of this machine or of the cluster. A policy's server
+    gets as many connections."""
+    gpus: float = 0.0
+    """Share of a GPU that a Ray cluster reserves for each trial, such as 0.25, for a policy that runs beside its
+    trial."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ArgumentsGroup:
     policy_arg: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
     """Argument for the policy's constructor; `carecontact list policies` shows those of registered policies. Repeat the

@@ -210,7 +210,7 @@ def check_isolation() -> Finding:
 
 
 def check_machine() -> Finding:
-    from carecontact.trials.supervisor import available_cores
+    from carecontact.trials.workers import available_cores
 
     cores = available_cores()
     detail = f"{cores} core(s)"

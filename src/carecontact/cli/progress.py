@@ -61,7 +61,7 @@ def _bar(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
             tally.close()
 
 
-class _Silence:
+class Silence:
     """When the line of a policy that does not answer is due: at once, then every HEARTBEAT_S."""
 
     def __init__(self) -> None:
@@ -83,7 +83,7 @@ class _Silence:
 def _plain(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
     began = time.monotonic()
     kept = 0
-    tally, silence, ended = Tally(out), _Silence(), threading.Event()
+    tally, silence, ended = Tally(out), Silence(), threading.Event()
 
     def beat() -> None:
         while not ended.wait(HEARTBEAT_S):

@@ -68,7 +68,7 @@ def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:
 
 def processes(recordings: int) -> int:
     """How many processes pay."""
-    from carecontact.trials.supervisor import available_cores
+    from carecontact.trials.workers import available_cores
 
     return max(1, min(available_cores(), recordings // FEW))
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.groups import FLAT, JobsGroup, PhysicsGroup, PolicyGroup, RulesGroup, Switch, VisionGroup
+from carecontact.cli.groups import FLAT, EngineGroup, PhysicsGroup, PolicyGroup, RulesGroup, Switch, VisionGroup
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -54,7 +54,13 @@ class Run:
     unfrozen: Switch = False
     """Run a frozen protocol even if it differs from its lock (see `carecontact protocol verify`). Every output then
     names the difference."""
-    parallel: Annotated[JobsGroup, FLAT] = field(default_factory=JobsGroup)
+    parallel: Annotated[EngineGroup, FLAT] = field(default_factory=EngineGroup)
+    shard: str | None = None
+    """Run one part of the trials: 2/4 is the second of four parts. Give each part a folder of its own; `carecontact
+    merge` makes one run of them."""
+    noise_salt: str | None = None
+    """Secret from which the sensor noise of a protocol is drawn: 32 hexadecimal digits. The parts of one run need the
+    same; default: a fresh one."""
     retry_failed: Switch = False
     """Run again the trials in which the policy crashed (process_failure) or the harness failed (harness_error). The
     harness is the benchmark's own process that runs a trial."""
@@ -75,15 +81,19 @@ class Run:
         A policy that fails its tasks is a result. Raises ConfigError if the policy's server stays out of reach."""
         from carecontact.cli.policy import check_policy, policy_setup
         from carecontact.runs.alone import alone
-        from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
+        from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials, with_noise_salt
+        from carecontact.runs.shard import Shard
+        from carecontact.trials.engines import check_engine
         from carecontact.trials.pace import check_pace
         from carecontact.trials.supervisor import check_jobs, runs_beside
 
         check_jobs(self.parallel.jobs)
         check_pace(self.pace)
+        shard = None if self.shard is None else Shard.parse(self.shard)
         if self.restart and self.retry_failed:
             raise ConfigError("--restart runs every trial again, and --retry-failed only some; give one of them")
         setup = policy_setup(self.policy, self.given)
+        check_engine(self.parallel.engine, setup, gpus=self.parallel.gpus)
         rules = self._protocol()
         tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
         with ExitStack() as held:
@@ -98,6 +108,8 @@ class Run:
                 arguments=setup.arguments,
                 environment=setup.environment,
             )
+            specs = with_noise_salt(specs, self.noise_salt, one_of_several=shard is not None)
+            specs = specs if shard is None else shard.of(specs)
             if self.restart and restart(self.out):
                 held.enter_context(alone(self.out, make=True))
             return self._run(specs, setup, card, purpose)
@@ -108,12 +120,15 @@ class Run:
         from carecontact.trials.supervisor import run_trials
 
         title = specs[0].protocol.title
-        print(f"{setup.ref}{arguments_text(setup)}: {len(specs)} trial(s) of {title} into {self.out}", flush=True)
+        part = f", part {self.shard}," if self.shard else ""
+        print(f"{setup.ref}{arguments_text(setup)}: {len(specs)} trial(s) of {title}{part} into {self.out}", flush=True)
         with progress(self.out) as on_event:
             summary = run_trials(
                 specs,
                 out=self.out,
                 jobs=self.parallel.jobs,
+                engine=self.parallel.engine,
+                gpus=self.parallel.gpus,
                 retry_failed=self.retry_failed,
                 policy=setup,
                 card=card,
@@ -145,6 +160,8 @@ class Run:
         scores = rescore(self.out, compare=not summary.ran)
         write_page(self.out, scores)
         print_failed(summary.ended, out=self.out)
+        if summary.ran:
+            print(throughput(len(summary.ran), summary.wall_s, summary.most_at_once))
         if summary.late:
             print(
                 f"warning: --pace {self.pace:g}: {sum(summary.late.values())} observation(s) of {len(summary.late)} "
@@ -178,6 +195,11 @@ def _show(event: TrialEvent, on_event: Callable[[TrialEvent], None]) -> None:
     on_event(event)
     if event.kind == "warned":
         print(f"warning: the first answer of {event.trial_id}, {event.message}", flush=True)
+
+
+def throughput(trials: int, wall_s: float, most_at_once: int) -> str:
+    """One line about how fast trials ran; ``wall_s`` [s]."""
+    return f"{trials} trial(s) in {wall_s:.0f} s, at most {most_at_once} at once: {60 * trials / wall_s:.1f} a minute"
 
 
 def restart(out: Path) -> bool:

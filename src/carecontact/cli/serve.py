@@ -32,7 +32,7 @@ class Serve:
         """Serve until interrupted. Raises ConfigError for what cannot be served or where nothing can listen."""
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.hosting.serving import LOAD_DEADLINE_S, serve_trials
-        from carecontact.trials.supervisor import available_cores
+        from carecontact.trials.workers import available_cores
 
         if not 0 <= self.port <= 65535:
             raise ConfigError(f"--port {self.port}: expected 0 to 65535")

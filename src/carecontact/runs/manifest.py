@@ -20,6 +20,7 @@ from carecontact.recording.schema import EndReason, Header
 from carecontact.recording.writer import replace_file
 from carecontact.runs.identity import Identity
 from carecontact.runs.other_release import ELSEWHERE, damaged, install_line, lost_trials
+from carecontact.runs.plan import SALT_DIGITS
 from carecontact.runs.results_file import skipped_before
 
 MANIFEST = "manifest.json"
@@ -129,6 +130,11 @@ def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity,
         noise_salt=specs[0].noise_salt,
         trials=sorted({*(earlier.trials if earlier else ()), *(spec.trial_id for spec in specs)}),
     )
+    store_manifest(manifest, out=out)
+
+
+def store_manifest(manifest: Manifest, *, out: Path) -> None:
+    """Atomically; the same manifest gives the same bytes."""
     unsalted = set[str]() if manifest.noise_salt else {"noise_salt"}
     text = json.dumps(manifest.model_dump(mode="json", by_alias=True, exclude=unsalted), indent=2)
     replace_file(out / MANIFEST, f"{text}\n".encode("ascii"))
@@ -136,11 +142,15 @@ def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity,
 
 def salted(specs: Sequence[TrialSpec], *, out: Path) -> list[TrialSpec]:
     """The trials with the noise salt of the run in ``out``, a fresh one for a new run; as they are where the protocol
-    names no sensor noise or they have a salt. Raises ConfigError as ``read_manifest``."""
-    if not specs[0].protocol.variation.sensor_noise or specs[0].noise_salt:
+    names no sensor noise or they have a salt. Raises ConfigError as ``read_manifest``, and for another salt than that
+    of the run."""
+    if not specs[0].protocol.variation.sensor_noise:
         return list(specs)
-    earlier = read_manifest(out)
-    salt = (earlier.noise_salt if earlier else "") or secrets.token_hex(16)
+    earlier, given = read_manifest(out), specs[0].noise_salt
+    kept = earlier.noise_salt if earlier else ""
+    if given and kept not in ("", given):
+        raise ConfigError(f"{out} was started with another --noise-salt: {ELSEWHERE}")
+    salt = given or kept or secrets.token_hex(SALT_DIGITS // 2)
     return [spec.model_copy(update={"noise_salt": salt}) for spec in specs]
 
 

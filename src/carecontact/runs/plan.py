@@ -8,6 +8,9 @@ from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, did_you_mean
 
+SALT_DIGITS = 32
+"""Of the salt of a run's sensor noise, in base 16."""
+
 
 def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
     """``T1,T2``, ``T1-T7`` (in the protocol's order) or ``all`` -> task ids in the protocol's order.
@@ -81,6 +84,26 @@ def plan_trials(
         for seed in seeds
         for task in task_ids
     ]
+
+
+def with_noise_salt(specs: list[TrialSpec], salt: str | None, *, one_of_several: bool) -> list[TrialSpec]:
+    """The trials with the salt of their sensor noise, where their protocol has any and a salt is given.
+
+    Args:
+        one_of_several: whether the trials are a part of a run, whose other parts need the same salt.
+
+    Raises ConfigError for what is no salt, for one where there is no noise, and where a part has none.
+    """
+    noisy = specs[0].protocol.variation.sensor_noise
+    if salt is None:
+        if noisy and one_of_several:
+            raise ConfigError("--shard: this protocol has sensor noise; give every part the same --noise-salt")
+        return specs
+    if len(salt) != SALT_DIGITS or not set(salt) <= set("0123456789abcdef"):
+        raise ConfigError(f"--noise-salt: expected {SALT_DIGITS} hexadecimal digits, as `openssl rand -hex 16` prints")
+    if not noisy:
+        raise ConfigError("--noise-salt: this protocol has no sensor noise; leave the option out")
+    return [spec.model_copy(update={"noise_salt": salt}) for spec in specs]
 
 
 def compact(numbers: Iterable[int]) -> str:

@@ -1,14 +1,15 @@
-"""Many trials on one machine, each in a process of its own, so that a crash costs one trial."""
+"""The trials of a run: which of them begin when, and what is told of them; an engine carries them out."""
 
 from __future__ import annotations
 
 import errno
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
@@ -23,11 +24,12 @@ from carecontact.recording.storage import no_space
 from carecontact.runs.alone import alone
 from carecontact.runs.identity import Identity, identity_of
 from carecontact.runs.manifest import MANIFEST, Purpose, Survey, salted, survey, write_manifest
-from carecontact.trials.lost import Losses
+from carecontact.trials.engine import Engine, EngineName
+from carecontact.trials.engines import Conditions, engine_of
 from carecontact.trials.pace import check_pace, late_in
 from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
-from carecontact.trials.workers import ROOM_BYTES, WORKER_COMMAND, Workers
+from carecontact.trials.workers import ROOM_BYTES, WORKER_COMMAND
 
 EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
 POLL_S = 0.05
@@ -59,24 +61,12 @@ class RunSummary:
     """Why the policy's server could not be reached, so that the run stopped before its end; None: it is complete."""
     late: dict[str, int]
     """Trial that this command ran with a pace -> how many of its observations came late, where any did."""
+    most_at_once: int
+    """Trials that ran at the same time; of a policy with an address, its connections."""
     wall_s: float
 
 
-def run_trials(
-    specs: Sequence[TrialSpec],
-    *,
-    out: Path,
-    policy: PolicySetup | None = None,
-    card: PolicyCard | None = None,
-    weights: Path | None = None,
-    pace_s: float | None = None,
-    jobs: int | None = None,
-    retry_failed: bool = False,
-    trial_limit_s: float = DEFAULT_TRIAL_LIMIT_S,
-    on_event: Callable[[TrialEvent], None] = lambda event: None,
-    worker_command: Sequence[str] = WORKER_COMMAND,
-    purpose: Purpose = "run",
-) -> RunSummary:
+def run_trials(specs: Sequence[TrialSpec], *, out: Path, jobs: int | None = None, **options: Any) -> RunSummary:
     """Run what is missing in ``out``, ``jobs`` trials at once; every trial has a recording afterwards.
 
     A trial of which a signal killed a process is run once more (``trials.lost``). A worker that dies without a
@@ -85,16 +75,48 @@ def run_trials(
     workers are killed and finished trials stay.
 
     Args:
+        jobs: default: as many as the engine can run.
+        options: further ones of ``open_run``.
+
+    Raises as ``open_run`` and ``Run.advance``.
+    """
+    check_jobs(jobs)
+    with open_run(specs, out=out, **options) as run:
+        while run.advance(jobs):
+            time.sleep(POLL_S if run.running else 0)
+    return run.summary()
+
+
+@contextmanager
+def open_run(
+    specs: Sequence[TrialSpec],
+    *,
+    out: Path,
+    policy: PolicySetup | None = None,
+    card: PolicyCard | None = None,
+    weights: Path | None = None,
+    pace_s: float | None = None,
+    engine: EngineName = "local",
+    gpus: float = 0.0,
+    retry_failed: bool = False,
+    trial_limit_s: float = DEFAULT_TRIAL_LIMIT_S,
+    on_event: Callable[[TrialEvent], None] = lambda event: None,
+    worker_command: Sequence[str] = WORKER_COMMAND,
+    purpose: Purpose = "run",
+) -> Generator[Run]:
+    """Keep the folder of a run for the trials that it still lacks; the end of the block kills those that run.
+
+    Args:
         policy: how the policy of all trials is reached; default: as its name in the trials alone says.
         card: what the policy showed; of a policy on another host it decides whether this is the same run.
         weights: folder with the weights of the protocol's segmenter.
         pace_s: wall time [s] for each control period, as the policy sees it; None: as fast as can be.
+        engine: where the trials run.
+        gpus: share of a GPU that a cluster reserves for each trial.
 
     Raises ConfigError for a folder that holds another run, that another command is at work in, or that cannot be
-    written to, and StorageError where there is no space for a recording; those that are there stay.
+    written to, and for an engine that cannot be reached; DependencyError for one that is not installed.
     """
-    began = time.monotonic()
-    check_jobs(jobs)
     check_pace(pace_s)
     if not specs:
         raise ConfigError("no trial to run")
@@ -109,66 +131,91 @@ def run_trials(
         kill_abandoned()
         remove_abandoned_folders()
         with work_folder(out) as work:
-            workers = Workers(
-                out=out,
-                work=work,
-                policy=setup,
-                weights=weights,
-                pace_s=pace_s,
-                command=worker_command,
-                trial_limit_s=trial_limit_s,
-                losses=Losses(setup, out=out, before=found.killed),
-            )
+            conditions = Conditions(
+                out=out, work=work, policy=setup, identity=identity, weights=weights, pace_s=pace_s,
+                command=worker_command, trial_limit_s=trial_limit_s, killed=found.killed,
+            )  # fmt: skip
+            carrying_out = engine_of(engine, conditions, gpus=gpus)
             try:
-                run = _Run(specs, found, workers, on_event)
-                run.to_the_end(available_cores() if jobs is None else jobs)
+                yield Run(specs, found, carrying_out, out, on_event)
             finally:
-                workers.kill_all()
-    return RunSummary(
-        ended=run.ended,
-        ran=tuple(trial_id for trial_id in run.ended if trial_id not in found.keep),
-        kept=tuple(found.keep),
-        unreached=run.unreached,
-        late=run.late,
-        wall_s=time.monotonic() - began,
-    )
+                carrying_out.kill_all()
 
 
-class _Run:
-    """The order of the trials, and what is told of them."""
+class Run:
+    """The order of the trials of one run, and what is told of them."""
 
     def __init__(
-        self, specs: Sequence[TrialSpec], found: Survey, workers: Workers, on_event: Callable[[TrialEvent], None]
+        self,
+        specs: Sequence[TrialSpec],
+        found: Survey,
+        engine: Engine,
+        out: Path,
+        on_event: Callable[[TrialEvent], None],
     ) -> None:
         self.ended: dict[str, EndReason] = dict(found.keep)
         self.unreached: str | None = None
         self.late: dict[str, int] = {}
         self._full: str | None = None
-        self._total, self._workers, self._on_event = len(specs), workers, on_event
-        self._next_look = time.monotonic() + WAIT_REPORT_S
+        self._found, self._total, self._out = found, len(specs), out
+        self._engine, self._on_event = engine, on_event
+        self._began = time.monotonic()
+        self._next_look = self._began + WAIT_REPORT_S
         self._answered = False
+        self._most = 0
         for trial_id, how in found.keep.items():
             self._report("kept", trial_id, ended=how)
         for trial_id, why in found.redo.items():
             self._report("redo", trial_id, message=why)
         self._waiting = [spec for spec in specs if spec.trial_id not in found.keep]
 
-    def to_the_end(self, jobs: int) -> None:
-        while self._waiting or self._workers.running:
-            while self._waiting and len(self._workers.running) < jobs:
-                if not self._workers.has_room():
-                    self._stop_full(f"less than {ROOM_BYTES >> 20} MB are free for each trial")
-                    break
-                spec = self._waiting.pop(0)
-                self._workers.start(spec)
-                self._report("started", spec.trial_id)
-            self._take_finished()
-            self._report_silence()
-            if self._workers.running:
-                time.sleep(POLL_S)
+    @property
+    def running(self) -> int:
+        """How many trials have started and not ended."""
+        return self._engine.count()
+
+    @property
+    def waiting(self) -> int:
+        """How many have not started."""
+        return len(self._waiting)
+
+    def slots(self) -> int:
+        """How many the engine can run at once, just now."""
+        return self._engine.slots()
+
+    def advance(self, jobs: int | None) -> bool:
+        """Begin trials until ``jobs`` of them run, and take those that have ended; returns whether any are left.
+
+        It waits for nothing: call it again and again. Raises StorageError where there is no space for a recording;
+        those that are there stay.
+        """
+        while self._waiting and self.running < (self.slots() if jobs is None else jobs):
+            if not self._engine.has_room():
+                self._stop_full(f"less than {ROOM_BYTES >> 20} MB are free for each trial")
+                break
+            spec = self._waiting.pop(0)
+            self._engine.start(spec)
+            self._most = max(self._most, self.running)
+            self._report("started", spec.trial_id)
+        self._take_finished()
+        self._report_silence()
+        if self._waiting or self.running:
+            return True
         if self._full is not None:
             done = f"the run stops with {len(self.ended)} of {self._total} trial(s) done"
-            raise StorageError(f"{done}: {no_space(self._workers.out, self._full)} to continue")
+            raise StorageError(f"{done}: {no_space(self._out, self._full)} to continue")
+        return False
+
+    def summary(self) -> RunSummary:
+        return RunSummary(
+            ended=self.ended,
+            ran=tuple(trial_id for trial_id in self.ended if trial_id not in self._found.keep),
+            kept=tuple(self._found.keep),
+            unreached=self.unreached,
+            late=self.late,
+            most_at_once=self._most,
+            wall_s=time.monotonic() - self._began,
+        )
 
     def _stop_full(self, why: str) -> None:
         """Begin no trial that cannot be stored; those that run may end."""
@@ -180,11 +227,11 @@ class _Run:
         if time.monotonic() < self._next_look:
             return
         self._next_look = time.monotonic() + WAIT_REPORT_S
-        for trial_id, line in self._workers.waiting().items():
+        for trial_id, line in self._engine.waiting().items():
             self._report("waiting", trial_id, message=line)
 
     def _take_finished(self) -> None:
-        for done in self._workers.finished():
+        for done in self._engine.finished():
             spec, recording = done.spec, done.recording
             if done.unreached is not None:
                 self.unreached = done.unreached
@@ -237,10 +284,3 @@ def check_jobs(jobs: int | None) -> None:
     """Raises ConfigError for a number of workers below 1."""
     if jobs is not None and jobs < 1:
         raise ConfigError(f"--jobs {jobs}: must be at least 1")
-
-
-def available_cores() -> int:
-    """Return the number of cores that this process may use, which inside a container are fewer than the machine's."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -25,6 +25,7 @@ from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.schema import Recording
 from carecontact.runs.manifest import FAILED, KILLED
+from carecontact.trials.engine import Ended
 from carecontact.trials.failed import harness_error_recording, tail
 from carecontact.trials.lost import Losses, is_policy_killed
 from carecontact.trials.request import TrialRequest
@@ -49,26 +50,9 @@ class _Worker:
     started: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class Ended:
-    """A trial whose process has ended."""
-
-    spec: TrialSpec
-    recording: Recording | None
-    """None: the trial has to run once more, or it did not begin."""
-    warnings: tuple[str, ...] | None = None
-    """About the policy's first answer; None: it gave none."""
-    unreached: str | None = None
-    """Why the policy's server could not be reached, so that the trial did not begin."""
-    unstored: bool = False
-    """Whether there was no space for the recording."""
-    lost: str | None = None
-    """How its process died, if it has to run once more."""
-
-
 @dataclass(kw_only=True)
 class Workers:
-    """The processes of one run's trials."""
+    """The engine ``local``: the trials of one run, each in a process of this machine."""
 
     out: Path
     """Folder for the recordings and logs."""
@@ -83,8 +67,13 @@ class Workers:
     """Trials that this command or an earlier one lost to a signal."""
     running: list[_Worker] = field(default_factory=list[_Worker])
 
+    def slots(self) -> int:
+        return available_cores()
+
+    def count(self) -> int:
+        return len(self.running)
+
     def has_room(self) -> bool:
-        """Whether one more recording can be stored beside those of the trials that run."""
         return shutil.disk_usage(self.work).free >= ROOM_BYTES * (len(self.running) + 1)
 
     def start(self, spec: TrialSpec) -> None:
@@ -120,7 +109,7 @@ class Workers:
         )
 
     def finished(self) -> list[Ended]:
-        """Reap the workers that have ended, were stopped or ran out of time; their recordings are then in ``out``."""
+        """Reap the workers that have ended, were stopped or ran out of time."""
         done: list[Ended] = []
         for worker in list(self.running):
             worker.told.read()
@@ -151,7 +140,6 @@ class Workers:
         return done
 
     def waiting(self) -> dict[str, str]:
-        """Trial id -> the line of a worker whose policy was silent just now."""
         lines: dict[str, str] = {}
         for worker in self.running:
             note = worker.partial.with_name(WAITING)
@@ -227,6 +215,13 @@ def _warnings(worker: _Worker) -> tuple[str, ...] | None:
         if isinstance(found, list):
             return tuple(readable(str(text)) for text in cast(list[object], found))
     return None
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use, which inside a container are fewer than the machine's."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def kill_tree(process: subprocess.Popen[bytes]) -> None:

@@ -1,0 +1,87 @@
+"""One row for each cell of a sweep, and what holds over all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from carecontact.reports.sweep.stability import Group, Stability, stability
+from carecontact.reports.table import SummaryRow, summary_rows
+from carecontact.scoring.result import TrialScore
+
+RATES = {"safety_gated": "safety-gated", "region_correct": "region-correct", "success": "success"}
+"""Field of a plan -> what tables call it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellScores:
+    label: str
+    """The policy's name."""
+    values: dict[str, str]
+    """Axis -> value."""
+    folder: str
+    """Of the cell's run, from the sweep's folder."""
+    planned: int
+    """Trials."""
+    scores: Sequence[TrialScore]
+    """Of those that have run; empty for a cell that has not."""
+
+    @property
+    def is_whole(self) -> bool:
+        return len(self.scores) == self.planned
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellRow:
+    cell: CellScores
+    counts: SummaryRow | None
+    """Over all judged trials of the cell; None where nothing has run."""
+    crashed: int
+    harness_errors: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepTable:
+    title: str
+    axes: tuple[str, ...]
+    policies: tuple[str, ...]
+    rank_by: str
+    rows: tuple[CellRow, ...]
+    stability: Stability | None
+    """None with one policy, or where no place has a trial of every policy."""
+
+    @property
+    def unfinished(self) -> int:
+        """Cells that lack a trial."""
+        return sum(not row.cell.is_whole for row in self.rows)
+
+
+def sweep_table(title: str, cells: Sequence[CellScores], *, rank_by: str) -> SweepTable:
+    """``cells``: in the order of the plan. Raises ConfigError for a cell whose trials must not be pooled."""
+    policies = tuple(dict.fromkeys(cell.label for cell in cells))
+    places: dict[tuple[tuple[str, str], ...], dict[str, Sequence[TrialScore]]] = {}
+    for cell in cells:
+        places.setdefault(tuple(cell.values.items()), {})[cell.label] = cell.scores
+    groups = [Group(values=dict(values), scores=of_policy) for values, of_policy in places.items()]
+    return SweepTable(
+        title=title,
+        axes=tuple(cells[0].values) if cells else (),
+        policies=policies,
+        rank_by=rank_by,
+        rows=tuple(map(_row, cells)),
+        stability=stability(groups, policies, outcome=OUTCOMES[rank_by]) if len(policies) > 1 else None,
+    )
+
+
+OUTCOMES = {"safety_gated": "safety_gated", "region_correct": "region_correct", "success": "c3_success"}
+"""Field of a plan -> field of a score."""
+
+
+def _row(cell: CellScores) -> CellRow:
+    rows = summary_rows(cell.scores)
+    return CellRow(
+        cell=cell,
+        counts=rows[-1] if rows else None,
+        crashed=sum(score.is_crash for score in cell.scores),
+        harness_errors=sum(not score.is_judged for score in cell.scores),
+    )

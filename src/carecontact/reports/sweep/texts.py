@@ -1,0 +1,146 @@
+"""The table of a sweep as CSV, for programs, and as Markdown, for a page."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+
+from carecontact.reports.sweep.stability import Order, Stability
+from carecontact.reports.sweep.table import RATES, CellRow, SweepTable
+from carecontact.reports.table import headlines
+from carecontact.reports.text import NA, percent
+from carecontact.scoring.metrics.metric import Metric
+from carecontact.stats import wilson_interval
+
+
+def as_csv(table: SweepTable) -> str:
+    """One row for each cell; percentages are not rounded, and a cell without trials has empty fields."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    metrics = headlines()
+    rates = [(name, f"{name}_pc", f"{name}_pc_low", f"{name}_pc_high") for name in RATES]
+    writer.writerow(
+        ["policy", *table.axes, "folder", "planned", "trials", "crashed", "harness_errors",
+         *(column for of_rate in rates for column in of_rate), *(f"median_{_field(metric)}" for metric in metrics)]
+    )  # fmt: skip
+    for row in table.rows:
+        cell = row.cell
+        writer.writerow([cell.label, *cell.values.values(), cell.folder, cell.planned, *_numbers(row, metrics)])
+    return stream.getvalue()
+
+
+def _numbers(row: CellRow, metrics: Sequence[Metric]) -> list[object]:
+    counts = row.counts
+    if counts is None:
+        return [0, 0, 0, *[""] * (4 * len(RATES) + len(metrics))]
+    out: list[object] = [counts.n, row.crashed, row.harness_errors]
+    for name in RATES:
+        found = wilson_interval(getattr(counts, name), counts.n)
+        estimate = "" if found.estimate is None else 100 * found.estimate
+        out += [found.k, estimate, 100 * found.low, 100 * found.high]
+    return out + [counts.medians[metric.id].estimate for metric in metrics]
+
+
+def _field(metric: Metric) -> str:
+    return metric.field or metric.id
+
+
+def heads(table: SweepTable) -> list[str]:
+    """Of the columns of ``cells``."""
+    return ["policy", *table.axes, "trials", *RATES.values(), *(metric.label for metric in headlines())]
+
+
+def cells(row: CellRow) -> list[str]:
+    """As tables for people show a row."""
+    left = [row.cell.label, *row.cell.values.values()]
+    if row.counts is None:
+        return [*left, f"0/{row.cell.planned}", *[NA] * (len(RATES) + len(headlines()))]
+    counts = row.counts
+    trials = str(counts.n) if counts.n == row.cell.planned else f"{counts.n}/{row.cell.planned}"
+    rates = [f"{getattr(counts, name)}/{counts.n}" for name in RATES]
+    return [*left, trials, *rates, *counts.median_cells()]
+
+
+def as_markdown(table: SweepTable) -> str:
+    lines = [f"# Sweep {table.title}", "", *sentences(table), ""]
+    if table.stability is not None:
+        lines += ["## Order of the policies", "", *_markdown(ORDER_HEADS, map(order_cells, table.stability.orders)), ""]
+        lines += [*_markdown(marginal_heads(table), marginal_rows(table)), ""]
+    lines += ["## Cells", "", *_markdown(heads(table), map(cells, table.rows)), ""]
+    return "\n".join(lines)
+
+
+def sentences(table: SweepTable) -> list[str]:
+    """What stands above the tables."""
+    told = [f"{len(table.rows)} cells of {len(table.policies)} policies, {_trials(table)}."]
+    if table.unfinished:
+        told.append(f"Unfinished: {table.unfinished} cells lack trials.")
+    failed = sum(row.harness_errors for row in table.rows)
+    if failed:
+        told.append(f"The harness failed in {failed} trials, which are in no count.")
+    found = table.stability
+    if found is None:
+        told.append("There is no order of policies: it needs a trial of the same task and seed of two policies.")
+        return told
+    told.append(f"{_order(found)}, by the share of {RATES[table.rank_by]} trials over all.")
+    if found.groups > 1:
+        told.append(_held(found))
+    return told
+
+
+def _trials(table: SweepTable) -> str:
+    done, planned = (sum(len(row.cell.scores) for row in table.rows), sum(row.cell.planned for row in table.rows))
+    return f"{done} of {planned} trials" if done < planned else f"{done} trials"
+
+
+def _order(found: Stability) -> str:
+    parts: list[str] = []
+    names = list(found.passed)
+    for before, name in zip([None, *names], names, strict=False):
+        equal = before is not None and found.passed[before] == found.passed[name]
+        sign = "" if before is None else " = " if equal else " > "
+        parts.append(f"{sign}{name} ({percent(found.passed[name] / found.n)})")
+    return "".join(parts)
+
+
+def _held(found: Stability) -> str:
+    held = f"The whole order is the same in {found.same} of {found.groups} combinations of the axes"
+    if not found.taus:
+        return f"{held}; no combination orders the policies at all."
+    least, middle = min(found.taus), sorted(found.taus)[len(found.taus) // 2]
+    unordered = f"; {found.unordered} order nothing" if found.unordered else ""
+    return f"{held}. Kendall's tau with the overall order: least {least:.2f}, median {middle:.2f}{unordered}."
+
+
+ORDER_HEADS = (
+    "policies", "difference", "combinations: higher", "equal", "lower", "resampled seeds: higher", "equal", "lower",
+)  # fmt: skip
+
+
+def order_cells(order: Order) -> list[str]:
+    resampled = (order.resampled_higher, order.resampled_equal, order.resampled_lower)
+    return [
+        f"{order.a} - {order.b}",
+        f"{100 * order.difference:+.0f} points",
+        *(str(count) for count in (order.higher, order.equal, order.lower)),
+        *(NA if share is None else f"{100 * share:.1f} %" for share in resampled),
+    ]
+
+
+def marginal_heads(table: SweepTable) -> list[str]:
+    return ["axis", "value", "trials of each policy", *table.policies, "tau with the overall order"]
+
+
+def marginal_rows(table: SweepTable) -> list[list[str]]:
+    found = table.stability
+    return [
+        [row.axis, row.value, str(row.n), *(percent(row.passed[name] / row.n) for name in table.policies),
+         NA if row.tau is None else f"{row.tau:.2f}"]
+        for row in (found.marginals if found is not None else ())
+    ]  # fmt: skip
+
+
+def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]] | map[list[str]]) -> list[str]:
+    lines = [head, ["---"] * len(head), *rows]
+    return [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines]

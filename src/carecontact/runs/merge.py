@@ -1,0 +1,127 @@
+"""Make one run of its parts, which ran on several machines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from carecontact.errors import ConfigError
+from carecontact.recording import read_header, stored_sha256
+from carecontact.recording.writer import replace_file
+from carecontact.runs.alone import LOCK, alone
+from carecontact.runs.identity import Identity
+from carecontact.runs.manifest import MANIFEST, Manifest, read_manifest, store_manifest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Merged:
+    copied: int
+    already: int
+    """Recordings that an earlier merge into the same folder had copied."""
+    missing: tuple[str, ...]
+    """Trials that some part planned and no part has a recording of."""
+
+
+def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
+    """Copy the recordings, logs and plans of ``runs`` into ``out``, a new folder or one that holds more of this run.
+
+    The same command continues an interrupted merge. Nothing is scored, and the parts stay as they are.
+
+    Raises ConfigError for what is not a run, for parts that differ in anything that decides their numbers, for a trial
+    of which two parts have different recordings, and for a folder in which another command is at work; then nothing
+    was copied. RecordingError for a recording that cannot be read.
+    """
+    _check_places(out, runs)
+    with ExitStack() as held:
+        for run in runs:
+            held.enter_context(alone(run))
+        held.enter_context(alone(out, make=True))
+        parts = {run: _manifest(run) for run in runs}
+        first = runs[0]
+        for run, manifest in parts.items():
+            _check_same(first, parts[first], run, manifest)
+        earlier = read_manifest(out)
+        if earlier is not None:
+            _check_same(first, parts[first], out, earlier)
+        elif any(path.name != LOCK for path in out.iterdir()):
+            raise ConfigError(f"{out} is not a run, and it is not empty; name a new folder")
+        folders = {**parts, **({out: earlier} if earlier else {})}
+        files = _recordings(folders)
+        trials = sorted({trial for manifest in folders.values() for trial in manifest.trials})
+        # First, so that the same command knows the folder again after an interruption.
+        store_manifest(parts[first].model_copy(update={"trials": trials}), out=out)
+        copied = [trial for trial, file in files.items() if file.parent != out]
+        for trial in copied:
+            for source in (files[trial].with_suffix(".log"), files[trial]):
+                if source.is_file():
+                    replace_file(out / source.name, source.read_bytes())
+    missing = tuple(trial for trial in trials if trial not in files)
+    return Merged(copied=len(copied), already=len(files) - len(copied), missing=missing)
+
+
+def _check_places(out: Path, runs: Sequence[Path]) -> None:
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"{out}: this is a file; name a folder first, then the parts")
+    places = [run.resolve() for run in runs]
+    if twice := next((run for run, place in zip(runs, places, strict=True) if places.count(place) > 1), None):
+        raise ConfigError(f"{twice} is given twice; name each part once")
+    if out.resolve() in places:
+        raise ConfigError(f"{out} is the folder to write and one of the parts; name a new folder first, then the parts")
+
+
+def _manifest(run: Path) -> Manifest:
+    manifest = read_manifest(run)
+    if manifest is None:
+        raise ConfigError(f"{run} is not a run: it holds no {MANIFEST}; name the --out of `carecontact run --shard`")
+    return manifest
+
+
+def _check_same(first: Path, one: Manifest, run: Path, other: Manifest) -> None:
+    pairs = [
+        ("policies", one.policy, other.policy),
+        ("protocols", *(f"{held.protocol.id} {held.protocol.sha256[:12]}" for held in (one, other))),
+        ("noise salts", one.noise_salt[:6] or "none", other.noise_salt[:6] or "none"),
+        *((what, getattr(one.identity, name), getattr(other.identity, name)) for name, what in IDENTITY.items()),
+    ]  # fmt: skip
+    for what, a, b in pairs:
+        if a != b:
+            told = [_differing(a, b), _differing(b, a)] if isinstance(a, dict) and isinstance(b, dict) else [a, b]
+            raise ConfigError(f"{first} and {run} are not parts of one run: different {what}, {told[0]} and {told[1]}")
+
+
+IDENTITY = {name: name for name in Identity.model_fields} | {
+    "policy_sha256": "sources of the policy",
+    "card": "cards of the policy's server",
+    "language": "language backends",
+    "argument_files": "contents of policy arguments",
+    "environment": "policy variables",
+    "arguments": "policy arguments",
+    "sha256": "assets",
+}
+"""Field of an identity -> what it is, as messages name it."""
+
+
+def _differing(one: dict[str, object], other: dict[str, object]) -> str:
+    rows = [f"{name} {str(value)[:12]}" for name, value in one.items() if other.get(name) != value]
+    return ", ".join(rows) or "nothing"
+
+
+def _recordings(folders: dict[Path, Manifest]) -> dict[str, Path]:
+    """Trial -> its file; that of the last folder where several have the same recording."""
+    found: dict[str, Path] = {}
+    for folder, manifest in folders.items():
+        for trial in manifest.trials:
+            path = folder / f"{trial}.h5"
+            if not path.is_file():
+                continue
+            held = read_header(path).spec.trial_id
+            if held != trial:
+                raise ConfigError(f"{path} holds trial {held}; remove it and run that part again")
+            if trial in found and stored_sha256(found[trial]) != stored_sha256(path):
+                raise ConfigError(
+                    f"{found[trial]} and {path} are different recordings of one trial; leave out or remove one of them"
+                )
+            found[trial] = path
+    return dict(sorted(found.items()))

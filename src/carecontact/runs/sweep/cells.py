@@ -1,0 +1,170 @@
+"""The cells of a plan: one run for each policy and each combination of the axes' values."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from pathlib import Path
+
+from carecontact.contract.protocol import Protocol
+from carecontact.contract.trial import TrialSpec
+from carecontact.errors import ConfigError, did_you_mean
+from carecontact.protocols import load_protocol, overridden
+from carecontact.runs.freeze import check_frozen
+from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
+from carecontact.runs.preflight import check_protocol, check_rows
+from carecontact.runs.sweep.plan import AXES, Plan, Value
+
+NAME_CHARACTERS = 100
+DIGEST_CHARACTERS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """One combination of the axes' values, in which every policy runs."""
+
+    values: dict[str, str]
+    """Axis -> value, as tables show it."""
+    protocol: Protocol
+    tasks: tuple[str, ...]
+    seeds: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    policy: int
+    """Its number in the plan."""
+    label: str
+    """The policy's name in tables."""
+    place: Place
+    specs: tuple[TrialSpec, ...]
+
+    @property
+    def name(self) -> str:
+        """Of its folder: readable, and the same in every plan that has this cell."""
+        first = self.specs[0]
+        whole = [first.policy, first.policy_arguments, first.policy_environment, first.protocol.sha256, self.label]
+        digest = hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:DIGEST_CHARACTERS]
+        told = [re.sub(r"[^A-Za-z0-9.-]+", "-", text) for text in (self.label, *self.place.values.values())]
+        return f"{'_'.join(told).strip('-.')[:NAME_CHARACTERS]}_{digest}"
+
+
+def places_of(plan: Plan, *, named: str) -> list[Place]:
+    """Every combination, in the order of the plan's axes.
+
+    Args:
+        named: how messages name the plan.
+
+    Raises ConfigError naming the axis, the value and what is valid.
+    """
+    axes = [name for name in plan.axes if name != "protocol"]
+    places: list[Place] = []
+    for protocol_name in plan.protocols:
+        try:
+            whole = check_frozen(protocol_name, load_protocol(protocol_name), unfrozen=False)
+        except ConfigError as error:
+            raise ConfigError(f"plan {named}: axes.protocol: {error}") from None
+        rules = _changed(whole, plan.set, place=f"plan {named}: set")
+        for axis in axes:
+            for value in plan.axes[axis]:
+                _checked(_along(rules, axis, value, place=f"plan {named}: axes.{axis}"), place=f"{named}: axes.{axis}")
+        tasks, seeds = _trials(plan, rules, named)
+        shown = {"protocol": protocol_name} if "protocol" in plan.axes else {}
+        for values in product(*(plan.axes[axis] for axis in axes)):
+            chosen = dict(zip(axes, values, strict=True))
+            made = rules
+            # The tissue first: its rows have frictions of their own.
+            for axis, value in sorted(chosen.items(), key=lambda pair: pair[0] != "tissue"):
+                made = _along(made, axis, value, place=f"plan {named}: {_told(chosen)}")
+            texts = shown | {axis: _text(value) for axis, value in chosen.items()}
+            places.append(Place(values=texts, protocol=made, tasks=tasks, seeds=seeds))
+    return places
+
+
+def cells_of(
+    plan: Plan, places: Sequence[Place], policies: Sequence[tuple[str, str, Mapping[str, str], Sequence[str]]]
+) -> list[Cell]:
+    """One cell for each place and policy, place by place.
+
+    Args:
+        policies: label, text of the reference, arguments and names of variables of each policy of the plan.
+    """
+    labels = [label for label, *_ in policies]
+    if twice := next((label for label in labels if labels.count(label) > 1), None):
+        raise ConfigError(f"policies: {twice!r} is there twice; give each a label of its own")
+    return [
+        Cell(
+            policy=number,
+            label=label,
+            place=place,
+            specs=tuple(
+                plan_trials(
+                    protocol=place.protocol, policy=text, tasks=place.tasks, seeds=place.seeds, arguments=arguments,
+                    environment=environment,
+                )
+            ),
+        )
+        for place in places
+        for number, (label, text, arguments, environment) in enumerate(policies)
+    ]  # fmt: skip
+
+
+def _along(protocol: Protocol, axis: str, value: Value, *, place: str) -> Protocol:
+    """The protocol with one value of an axis."""
+    if axis == "friction":
+        changes: dict[str, Value] = {f"person.tissue.{name}.friction": value for name in protocol.soft_regions}
+    elif axis == "latency_ms":
+        if isinstance(value, str):
+            raise ConfigError(f"{place}: expected a number of milliseconds, got {value!r}")
+        changes = {AXES[axis]: value / 1000}
+    elif axis in AXES or "." in axis:
+        changes = {AXES.get(axis, axis): value}
+    else:
+        valid = ["protocol", *AXES]
+        raise ConfigError(
+            f"{place}: no such axis{did_you_mean(axis, valid)}; valid: {', '.join(valid)}, and any field of the "
+            'protocol by its dotted name, such as "gates.touch.duration_s"'
+        )
+    return _changed(protocol, changes, place=place)
+
+
+def _changed(protocol: Protocol, changes: Mapping[str, Value], *, place: str) -> Protocol:
+    try:
+        return overridden(protocol, changes)
+    except ConfigError as error:
+        raise ConfigError(f"{place}: {error}") from None
+
+
+def _checked(protocol: Protocol, *, place: str) -> None:
+    try:
+        check_protocol(protocol)
+        check_rows(protocol)
+    except ConfigError as error:
+        raise ConfigError(f"plan {place}: {error}") from None
+
+
+def _trials(plan: Plan, protocol: Protocol, named: str) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    parsers = (partial(parse_tasks, plan.tasks, protocol=protocol), partial(parse_seeds, plan.seeds, protocol=protocol))
+    try:
+        tasks, seeds = (parse() for parse in parsers)
+    except ConfigError as error:
+        raise ConfigError(f"plan {named}: {str(error).removeprefix('--')}") from None
+    return tuple(map(str, tasks)), tuple(map(int, seeds))
+
+
+def _told(chosen: Mapping[str, Value]) -> str:
+    return ", ".join(f"{axis} = {_text(value)}" for axis, value in chosen.items())
+
+
+def _text(value: Value) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:g}"
+    text = str(value)
+    return Path(text).stem if text.endswith((".toml", ".npz")) else text

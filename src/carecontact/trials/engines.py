@@ -1,0 +1,66 @@
+"""From the name of an engine to the one that carries out the trials of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from carecontact.errors import ConfigError
+from carecontact.hosting.setup import PolicySetup
+from carecontact.runs.identity import Identity
+from carecontact.trials.engine import Engine, EngineName
+from carecontact.trials.lost import Losses
+from carecontact.trials.workers import WORKER_COMMAND, Workers
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """Of all trials of one run."""
+
+    out: Path
+    work: Path
+    """Folder for what is not finished."""
+    policy: PolicySetup
+    identity: Identity
+    weights: Path | None
+    pace_s: float | None
+    trial_limit_s: float
+    command: Sequence[str]
+    """Of a trial's process."""
+    killed: frozenset[str]
+    """Trials that an earlier command lost to a signal."""
+
+
+def check_engine(name: EngineName, policy: PolicySetup, *, gpus: float) -> None:
+    """Raises ConfigError for what the engine cannot give or reach, DependencyError for one that is not installed."""
+    if name == "local":
+        if gpus:
+            raise ConfigError("--gpus: only --engine ray reserves GPUs; on one machine every trial may use all of them")
+        return
+    if gpus < 0:
+        raise ConfigError(f"--gpus {gpus:g}: must be 0 or more")
+    if policy.record is not None:
+        raise ConfigError("--record: not with --engine ray, whose nodes write no common file; record on one machine")
+    from carecontact.trials.ray_engine import connect
+
+    connect(policy.ref)
+
+
+def engine_of(name: EngineName, run: Conditions, *, gpus: float) -> Engine:
+    """``gpus``: share of a GPU that a cluster reserves for each trial. Raises as ``check_engine``."""
+    check_engine(name, run.policy, gpus=gpus)
+    if name == "local":
+        return Workers(
+            out=run.out, work=run.work, policy=run.policy, weights=run.weights, pace_s=run.pace_s,
+            command=run.command, trial_limit_s=run.trial_limit_s,
+            losses=Losses(run.policy, out=run.out, before=run.killed),
+        )  # fmt: skip
+    from carecontact.trials.ray_engine import RayTrials
+
+    shared = {
+        "policy": run.policy, "shipped": run.policy.ref.kind == "importable", "identity": run.identity,
+        "weights": run.weights, "pace_s": run.pace_s, "trial_limit_s": run.trial_limit_s,
+        "command": None if run.command == WORKER_COMMAND else run.command,
+    }  # fmt: skip
+    return RayTrials(out=run.out, work=run.work, task=shared, killed=run.killed, gpus=gpus)
