@@ -93,11 +93,16 @@ def test_only_a_run_that_claims_a_pace_can_fail(
     assert says in capsys.readouterr().out
 
 
-def test_a_paced_run_without_contact_has_shown_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_paced_run_without_contact_has_nothing_to_examine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = timed(silent, pace=0.2)
     quiet = {**recording.arrays, "scorer/normal_force": np.zeros_like(recording["scorer/normal_force"])}
-    part = audit_time([replace(recording, arrays=quiet)])
-    assert not part.passed
-    assert part.missing == ["paced intervals in contact"]
+    write_recording(replace(recording, arrays=quiet), tmp_path / f"{recording.header.spec.trial_id}.h5")
+    assert main(["audit", "--run", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("none  time")
+    assert "with a pace: nothing to examine, because no trial has intervals both with and without contact" in out
+
+
+def test_what_is_given_with_a_run(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["audit", "--run", "somewhere", "--quick"]) == 2
     assert "leave out --policy and --quick" in capsys.readouterr().err

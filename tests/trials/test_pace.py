@@ -60,7 +60,7 @@ def test_without_a_pace_nothing_waits_and_the_time_is_noted() -> None:
 
 @pytest.mark.parametrize("wrong", [0.1, -1.0, 5.1, float("nan")])
 def test_a_pace_that_no_trial_can_keep_is_refused(wrong: float) -> None:
-    with pytest.raises(ConfigError, match=r"--pace .*: must be above 0.1 and at most 5 s"):
+    with pytest.raises(ConfigError, match=r"--pace .*: must be above 0.1 s, because .* and at most 5 s"):
         check_pace(wrong)
 
 

@@ -23,6 +23,8 @@ class Part:
     findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
     """What it measured and does not judge."""
+    nothing_to_examine: bool = False
+    """Nothing that was there could have shown a leak; this is no fault, and the part does not fail."""
 
     @property
     def passed(self) -> bool:

@@ -93,24 +93,25 @@ def audit_time(recordings: Iterable[Recording]) -> Part:
         late += int(recording[PACED][1]) if claims else 0
     told: list[str] = []
     findings: list[Finding] = []
+    compared = 0
     for kind, trials in (("without a pace", free), ("with a pace", paced)):
         if not trials:
             continue
         found = separation(trials)
         text = _told(found)
+        compared += not math.isnan(found.auc)
         told.append(f"{kind}: {text}")
         if kind == "with a pace" and found.tells:
             cause = f"; {late} observation(s) came late: give a longer --pace" if late else ""
             findings.append(Finding(policy=policy, place="wall time between two acts", told=text + cause))
-    counts = {"recordings": len(free) + len(paced)}
-    if paced:
-        counts["paced intervals in contact"] = sum(int(times.contact.sum()) for times in paced)
-        counts["paced intervals without contact"] = sum(int((~times.contact).sum()) for times in paced)
-    return Part(name=NAME, title=TITLE, counts=counts, findings=tuple(findings), notes=tuple(told))
+    return Part(
+        name=NAME, title=TITLE, counts={"recordings": len(free) + len(paced)}, findings=tuple(findings),
+        notes=tuple(told), nothing_to_examine=not compared,
+    )  # fmt: skip
 
 
 def _told(found: Separation) -> str:
     if math.isnan(found.auc):
-        return "no trial has acts both with and without contact, so that nothing can be said"
+        return "nothing to examine, because no trial has intervals both with and without contact"
     said = "tells contact" if found.tells else "does not tell contact"
     return f"wall time {said} (AUC {found.auc:.2f}, {found.z:+.1f} standard errors from 0.5)"

@@ -32,7 +32,7 @@ class Audit:
     """Audit a single region with short trials. The full audit takes minutes."""
     run: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Examine nothing but the recordings of this run: does the wall time between two acts tell contact? Only a run with
-    --pace fails if it does."""
+    --pace fails if it does. A run in which no trial has acts both with and without contact has nothing to examine."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/audit")
     """Folder for audit.json."""
@@ -96,7 +96,8 @@ class Audit:
 def _print(parts: Sequence[Part]) -> None:
     width = max(len(part.title) for part in parts)
     for part in parts:
-        print(f"{'pass' if part.passed else 'FAIL'}  {part.name:14} {part.title:{width}}  {_looked_at(part)}")
+        verdict = "none" if part.nothing_to_examine else "pass"
+        print(f"{verdict if part.passed else 'FAIL'}  {part.name:14} {part.title:{width}}  {_looked_at(part)}")
         for note in part.notes:
             print(f"        {note}")
         for finding in part.findings[:SHOWN]:

@@ -33,7 +33,10 @@ MAX_PACE_S = 5.0
 def check_pace(pace_s: float | None) -> None:
     """Raises ConfigError for a pace that no trial can keep."""
     if pace_s is not None and not WARM_S < pace_s <= MAX_PACE_S:
-        raise ConfigError(f"--pace {pace_s:g}: must be above {WARM_S:g} and at most {MAX_PACE_S:g} s")
+        raise ConfigError(
+            f"--pace {pace_s:g}: must be above {WARM_S:g} s, because an observation has to be ready {WARM_S:g} s "
+            f"before it leaves, and at most {MAX_PACE_S:g} s"
+        )
 
 
 def late_in(recording: Recording) -> int:

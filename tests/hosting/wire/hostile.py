@@ -105,6 +105,8 @@ def noise(line: socket.socket, answer: bytes) -> None:
 
 Attack = Callable[[socket.socket, bytes], None]
 PINGS = frame(PING, bytes(125)) * 500
+MANY_VALUES = b"\xdc\x04\x00" + 1024 * (b"\xdc\x0f\xf0" + 4080 * b"\x80")
+"""4 MB of msgpack: empty maps in lists."""
 ATTACKS: dict[str, Attack] = {
     "silence": silence,
     "ping-flood": lambda line, _: flood(line, PINGS),
@@ -123,6 +125,7 @@ ATTACKS: dict[str, Attack] = {
     "empty-fragments": then(frame(BINARY, fin=False), flood, frame(CONTINUED, fin=False) * 2000),
     "message-flood": lambda line, _: flood(line, frame(BINARY, b"\x80") * 2000),
     "large-message-flood": lambda line, _: flood(line, frame(BINARY, bytes(4 << 20))),
+    "many-values": then(frame(BINARY, MANY_VALUES), silence),
     "text-not-utf8-and-pings": then(frame(TEXT, b"\xff\xfe"), flood, PINGS),
     "fragments-and-pings": then(frame(BINARY, fin=False) + frame(CONTINUED, fin=False) * 5000, flood, PINGS),
     "close-and-pings": then(frame(CLOSE, b"\x03\xe8"), flood, PINGS),

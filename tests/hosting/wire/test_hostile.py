@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable
 
 import pytest
 
 from carecontact.errors import PolicyError
+from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
 from tests.hosting.wire.hostile import STAGES, attacks_at, hostile_server
-from tests.hosting.wire.hostile_client import DEADLINE_S
+from tests.hosting.wire.hostile_client import DEADLINE_S, meet
 
 LATE_S, MEMORY_MB = 2.0, 512
 AT_ONCE = 8
@@ -39,3 +41,14 @@ def test_every_call_ends_in_time_and_names_the_failure(
     record_property("met", len(found["met"]))
     record_property("slowest", max(row[3] for row in found["met"]))
     record_property("peak_mb", found["peak_mb"])
+
+
+def test_a_flood_of_large_messages_is_not_kept() -> None:
+    with hostile_server() as port:
+        tracemalloc.start()
+        try:
+            assert meet(port, "card", "large-message-flood")[2] == "garbage"
+            peak = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+    assert peak < 8 * MAX_REPLY_BYTES

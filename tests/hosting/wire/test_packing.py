@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import tracemalloc
+
 import msgpack
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from carecontact.errors import ContractError
-from carecontact.hosting.wire.packing import DTYPES, MAX_ITEMS, MAX_REPLY_BYTES, pack, unpack
+from carecontact.hosting.wire.packing import DTYPES, MAX_ITEMS, MAX_REPLY_BYTES, MAX_VALUES, pack, unpack
 
 plain = st.recursive(
     st.none()
@@ -99,6 +101,25 @@ def _array(**changes: object) -> bytes:
 def test_hostile_bytes_are_refused(data: bytes, says: str) -> None:
     with pytest.raises(ContractError, match="(?s)" + says.replace("|", r"\|")):
         unpack(data)
+
+
+@pytest.mark.parametrize("value", [b"\xc0", b"\x90", b"\x80", b"\x81\xa1a\x01"])
+def test_many_small_values_are_refused_before_they_fill_memory(value: bytes) -> None:
+    data = b"\xdc\x04\x00" + 1024 * (b"\xdc\x03\xe8" + 1000 * value)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ContractError, match=f"at most {MAX_VALUES} lists, maps"):
+            unpack(data)
+        assert tracemalloc.get_traced_memory()[1] < 64 << 20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("data", [bytes(1 << 20), pack({"k" * 60_000: {"__ndarray__": True}})])
+def test_a_refusal_does_not_repeat_the_message(data: bytes) -> None:
+    with pytest.raises(ContractError) as caught:
+        unpack(data)
+    assert len(str(caught.value)) < 1000
 
 
 def test_size_bound() -> None:

@@ -88,7 +88,7 @@ def _with_arrays(value: object, *, depth: int, place: str) -> object:
             return array_of(entries[b"dtype"], entries[b"shape"], entries[b"data"], place=place)
         if SCALAR in entries:
             return _number(entries[b"data"], entries[b"dtype"], place)
-        return {k: _with_arrays(v, depth=depth + 1, place=f"{place}.{k}") for k, v in value.items()}
+        return {k: _with_arrays(v, depth=depth + 1, place=f"{place}.{k:.80}") for k, v in value.items()}
     if is_list(value):
         return [_with_arrays(v, depth=depth + 1, place=f"{place}[{i}]") for i, v in enumerate(value)]
     return value

@@ -18,6 +18,9 @@ from carecontact.hosting.wire.refusals import closed
 
 CLOSE_S = 1.0
 """For closing a connection, beside the deadline of the call that failed."""
+MAX_UNREAD_FRAMES = 1
+"""When more frames than this wait to be read, nothing is read from the line until they are. A peer that floods with the
+largest frames fills no more memory than some four of them; a peer that answers what it is asked sends one at a time."""
 _UNHEARD = logging.getLogger(__name__)
 """For what websockets logs about a line that was cut: tracebacks of its own."""
 _UNHEARD.addHandler(logging.NullHandler())
@@ -70,6 +73,7 @@ class Connection:
                     ping_interval=None,
                     logger=_UNHEARD,
                     max_size=MAX_REPLY_BYTES,
+                    max_queue=MAX_UNREAD_FRAMES,
                     open_timeout=max(until - time.monotonic(), 0.0),
                     close_timeout=CLOSE_S,
                 )

@@ -21,6 +21,9 @@ MAX_DEPTH = 8
 """The deepest message of the wire, an array of a camera of an observation, has five levels."""
 MAX_ITEMS = 4096
 """Entries of one list or map: above MAX_CHUNK actions, far below what would exhaust memory."""
+MAX_VALUES = 1 << 18
+"""Lists, maps and their entries in one message: four times those of MAX_CHUNK actions. As objects of Python, the 4
+million values that fit into MAX_REPLY_BYTES would fill 500 MB and take four seconds."""
 MAX_TEXT_BYTES = 65536
 MAX_RANK = 4
 MAX_ELEMENTS = 1 << 26
@@ -83,6 +86,15 @@ def msgpack_of(
     """
     if len(data) > max_bytes:
         raise ContractError(f"message: expected at most {max_bytes} bytes, got {len(data)}")
+    left = MAX_VALUES
+
+    def counted(entries: list[Any]) -> list[Any]:
+        nonlocal left
+        left -= 1 + len(entries)
+        if left < 0:
+            raise ContractError(f"message: expected at most {MAX_VALUES} lists, maps and entries of them, got more")
+        return entries
+
     try:
         return _unpackb(
             data,
@@ -93,13 +105,16 @@ def msgpack_of(
             max_array_len=MAX_ITEMS,
             max_map_len=MAX_ITEMS,
             max_ext_len=0,
-            object_pairs_hook=pairs,
+            list_hook=counted,
+            object_pairs_hook=lambda entries: pairs(counted(entries)),
         )
     except ContractError:
         raise
     except Exception as error:
         # msgpack raises its own classes beside ValueError, UnicodeDecodeError and RecursionError; all mean bad bytes.
-        raise ContractError(f"message: expected msgpack, got {len(data)} bytes that are not: {error!r}") from None
+        # The repr of some of them holds the message itself.
+        told = f"{type(error).__name__}: {error}"
+        raise ContractError(f"message: expected msgpack, got {len(data)} bytes that are not: {told:.200}") from None
 
 
 def _array_to_map(value: object) -> object:
@@ -138,7 +153,7 @@ def _with_arrays(value: object, *, depth: int, place: str) -> object:
     if is_map(value):
         if "__ndarray__" in value:
             return _array_from_map(value, place)
-        return {k: _with_arrays(v, depth=depth + 1, place=f"{place}.{k}") for k, v in value.items()}
+        return {k: _with_arrays(v, depth=depth + 1, place=f"{place}.{k:.80}") for k, v in value.items()}
     if is_list(value):
         return [_with_arrays(v, depth=depth + 1, place=f"{place}[{i}]") for i, v in enumerate(value)]
     return value
