@@ -18,9 +18,11 @@ from carecontact.sim.cartesian_control import CartesianControl
 from carecontact.sim.history import SensorHistory
 from carecontact.sim.joint_control import JointControl
 from carecontact.sim.proprioception import Proprioception
+from carecontact.world.human.plates import plates
 from carecontact.world.human.pose import lying_pose_deg
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
+from carecontact.world.sensors import plate_sensor
 
 F64 = npt.NDArray[np.float64]
 SOLVER_WARNINGS = (
@@ -303,6 +305,11 @@ class _Columns:
         self._net = span(*(f"net_{s}" for s in SEGMENTS))
         normal = span(*(f"normal_{s}" for s in SEGMENTS))
         self._found, self._normal = normal[:, 0], normal[:, 1 :: self.SLOT]
+        # Plates belong to the surface of their segment.
+        self._of_plate = np.array([SEGMENTS.index(plate.segment) for plate in plates()])
+        self._plate_net = span(*(f"net_{plate_sensor(plate.name)}" for plate in plates()))
+        normal = span(*(f"normal_{plate_sensor(plate.name)}" for plate in plates()))
+        self._plate_found, self._plate_normal = normal[:, 0], normal[:, 1 :: self.SLOT]
         self.joints = span(*(f"q_{n}" for n in joint_names))[:, 0]
         self._tcp_pose = np.concatenate([span("tcp_position")[0], span("tcp_quat")[0]])
         self._tcp_velocity, self._tcp_rotation = span("tcp_velocity")[0], span("tcp_rotation")[0]
@@ -313,7 +320,10 @@ class _Columns:
 
     def overfull(self, values: F64) -> bool:
         """Whether a normal sum misses contacts that found no slot."""
-        return bool((values.take(self._found, 1) > self._normal.shape[1]).any())
+        return any(
+            bool((values.take(found, 1) > normal.shape[1]).any())
+            for found, normal in ((self._found, self._normal), (self._plate_found, self._plate_normal))
+        )
 
     def samples(self, time_s: F64, values: F64, felt: npt.NDArray[np.void]) -> Samples:
         """Args: felt: (n, R) rows of ``kernel.readings.ROW``, of the protocol's soft regions."""
@@ -326,10 +336,17 @@ class _Columns:
         centroid = weight * rigid[..., 3:]
         centroid[:, self._soft] += of_shell * felt["centroid_m"]
         weight[:, self._soft] += of_shell
-        np.divide(centroid, weight, out=centroid, where=weight > 0)
         # In the order of the slots, whatever else numpy would find faster: the sum's last bit depends on it.
         normal = np.abs(values[:, self._normal]).sum(2) if rigid.any() else np.zeros(weight.shape[:2])
         normal[:, self._soft] += felt["normal_n"]
+        if values.take(self._plate_found, 1).any():
+            of_plate = values[:, self._plate_net]
+            share, at = lengths(of_plate[..., :3])[..., None], (slice(None), self._of_plate)
+            np.add.at(force, at, of_plate[..., :3])
+            np.add.at(centroid, at, share * of_plate[..., 3:])
+            np.add.at(weight, at, share)
+            np.add.at(normal, at, np.abs(values[:, self._plate_normal]).sum(2))
+        np.divide(centroid, weight, out=centroid, where=weight > 0)
         return Samples(
             time_s=time_s, force=force, normal=normal, centroid=centroid, human_joint=values.take(self.joints, 1),
             tcp_pose=values.take(self._tcp_pose, 1),

@@ -17,6 +17,7 @@ from carecontact.regions import REGIONS
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
 from carecontact.world.human.anthropometry import segment_inertias
+from carecontact.world.human.plates import plate_body, plates_of
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
@@ -65,7 +66,7 @@ def _off(name: str, rows: Array | list[Array]) -> Measure:
 
 
 def segment_masses(scene: Scene) -> tuple[Array, Array]:
-    """(S, 2) mass of every segment and as declared [kg]; (S,) distance of the centres of mass [m]."""
+    """(S, 2) mass of every segment, plates included, and as declared [kg]; (S,) distance of the centres of mass [m]."""
     model, body = scene.model, scene.body
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -73,9 +74,11 @@ def segment_masses(scene: Scene) -> tuple[Array, Array]:
     declared = segment_inertias(body)
     masses, distances = [], []
     for segment in body.segments:
-        i, row = model.body(body_name(segment)).id, declared[segment]
-        here = data.xmat[i].reshape(3, 3).T @ (data.xipos[i] - data.xpos[i])
-        masses.append([model.body_mass[i], row.mass_kg])
+        bone, row = model.body(body_name(segment)).id, declared[segment]
+        parts = [bone, *(model.body(plate_body(plate.name)).id for plate in plates_of(segment))]
+        mass = model.body_mass[parts]
+        here = data.xmat[bone].reshape(3, 3).T @ (mass @ data.xipos[parts] / mass.sum() - data.xpos[bone])
+        masses.append([mass.sum(), row.mass_kg])
         distances.append(np.linalg.norm(here - (row.centre_m - body.joint_centre[segment])))
     return np.array(masses), np.array(distances)
 
