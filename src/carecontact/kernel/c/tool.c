@@ -12,6 +12,7 @@ static const double PARALLEL = 1e-12;
 static const double EDGE = 0.002, SOFTNESS = 0.0008;
 static const int NEWTON_STEPS = 12, FOOT_STEPS = 8;
 static const double FOOT_NEAR = 1e-6;  // [m]
+static const double SAME_WALL = 0.1;   // cosine between two normals of one wall or rim
 
 // Half-spaces of a mesh's convex hull. MuJoCo keeps the hull as a graph: counts, then four tables (mjModel.mesh_graph).
 static int hull_planes(const mjModel* m, int mesh, Tool* tool) {
@@ -238,8 +239,11 @@ static double outside_rounded(const double q[3], double edge, double toward[3]) 
   return (farthest > 0 ? out : farthest) - edge;
 }
 
+static double rim_of_box(const double size[3]) { return least(EDGE, least(size[0], least(size[1], size[2]))); }
+static double rim_of_cylinder(const double size[3]) { return least(EDGE, least(size[0], size[1])); }
+
 static double outside_box(const double size[3], const double x[3], double gradient[3]) {
-  double edge = least(EDGE, least(size[0], least(size[1], size[2]))), q[3];
+  double edge = rim_of_box(size), q[3];
   for (int k = 0; k < 3; k++) q[k] = fabs(x[k]) - size[k] + edge;
   double away = outside_rounded(q, edge, gradient);
   for (int k = 0; k < 3; k++) gradient[k] = x[k] < 0 ? -gradient[k] : gradient[k];
@@ -247,7 +251,7 @@ static double outside_box(const double size[3], const double x[3], double gradie
 }
 
 static double outside_cylinder(const double size[3], const double x[3], double gradient[3]) {
-  double edge = least(EDGE, least(size[0], size[1])), round = sqrt(x[0] * x[0] + x[1] * x[1]), toward[3];
+  double edge = rim_of_cylinder(size), round = sqrt(x[0] * x[0] + x[1] * x[1]), toward[3];
   double q[3] = {round - size[0] + edge, fabs(x[2]) - size[1] + edge, -mjMAXVAL};
   double away = outside_rounded(q, edge, toward);
   gradient[0] = round > 0 ? toward[0] * x[0] / round : 0;
@@ -378,27 +382,47 @@ static int foot(const Tool* tool, const double x[3], double y[3], double* gap, d
   return 0;
 }
 
+// Whether `outside` is the distance at a point inside: not of ellipsoids and hulls, nor deeper than the rounding of rims.
+static int is_distance(const Tool* tool, double value) {
+  switch (tool->type) {
+    case mjGEOM_SPHERE:
+    case mjGEOM_CAPSULE:
+      return 1;
+    case mjGEOM_BOX:
+      return value > -rim_of_box(tool->size);
+    case mjGEOM_CYLINDER:
+      return value > -rim_of_cylinder(tool->size);
+    default:
+      return 0;
+  }
+}
+
 int tool_gap(const Tool* tool, const double point[3], const double direction[3], double most, double* begins,
              double* gap, double normal[3]) {
-  double x[3], v[3] = {0, 0, 0}, y[3], n[3] = {0, 0, 0}, leaves = 0;
+  double x[3], v[3], y[3], n[3] = {0, 0, 0}, gradient[3], leaves = 0;
   to_local(tool, point, x);
+  rotate_back(v, tool->axes, direction);
   *begins = 0;
-  double value = outside(tool, x, n);
+  double value = outside(tool, x, gradient), found;
   if (value > most) return 0;
-  if (value < 0) {
-    rotate_back(v, tool->axes, direction);
-    if (!exit_of(tool, x, v, begins, &leaves, n)) return 0;
-    *gap = -leaves * dot(n, v);
-    rotate(normal, tool->axes, n);
+  if (value < 0 && !exit_of(tool, x, v, begins, &leaves, n)) return 0;
+  *gap = -leaves * dot(n, v);
+  // Deep inside, the nearest wall can be another than the one that the point has met.
+  if (value < 0 && is_distance(tool, value) && dot(gradient, n) > SAME_WALL) {
+    *gap = value;
+    memcpy(n, gradient, sizeof n);
+  } else {
+    double m[3];
+    for (int k = 0; k < 3; k++) y[k] = x[k] + leaves * v[k];
+    if (foot(tool, x, y, &found, m)) {
+      *gap = found;
+      memcpy(n, m, sizeof n);
+    } else if (value >= 0) {
+      return 0;
+    }
   }
-  for (int k = 0; k < 3; k++) y[k] = x[k] + leaves * v[k];
-  double found;
-  if (foot(tool, x, y, &found, n)) {
-    *gap = found;
-    rotate(normal, tool->axes, n);
-    return 1;
-  }
-  return value < 0;
+  rotate(normal, tool->axes, n);
+  return 1;
 }
 
 // Curvature along e times its square, around the axis of a surface of revolution (Meusnier): 1 over the radius there,
