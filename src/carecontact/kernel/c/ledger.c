@@ -1,4 +1,6 @@
 // The energy that the shell holds at the end of a step and what it lost during it.
+#include <math.h>
+
 #include "region.h"
 #include "vec.h"
 
@@ -24,8 +26,10 @@ void ledger(Region* r, const State* s, const Law* law) {
     const Contact* c = r->contact + i;
     if (!c->touching) continue;
     double area = r->point[c->point].area, size = dot(c->traction, c->traction);
-    stored += area * (c->pressure * c->pressure + size) / (2 * c->stiff);
-    rubbed += area * law->friction * c->pressure * c->slipped;
+    const double* before = s->traction + 3 * c->point;
+    stored += area * (c->pressure * c->pressure + size) / (2 * law->contact);
+    // By the trapezoidal rule, like the work of a spring.
+    rubbed += area * (law->friction * c->pressure + sqrt(dot(before, before))) / 2 * c->slipped;
   }
   row[ROW_STORED] = stored;
   row[ROW_KINETIC] = kinetic;

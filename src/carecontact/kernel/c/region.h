@@ -66,7 +66,8 @@ typedef struct {
 typedef struct {
   int corner[3], corners, cell;
   double share[3], area;
-  double inward[3];  // unit, of the undeformed surface
+  double offset[3][3];  // of the corners
+  double inward[3];      // unit, of the undeformed surface
 } Point;
 
 // Neighbouring vertices, of which a tool that is far from all is not asked one by one.
@@ -89,8 +90,8 @@ typedef struct {
   int point, tool, touching;
   double at[3];          // where it was at the start of the step
   double normal[3];      // of the tool, outward
-  double stiff;          // of the contact layer here [N/m^3]
-  double gap;            // at the start of the step, negative inside
+  double gap;            // negative inside; continued from `seen` to the start of the step as if the tool were flat [m]
+  double seen[3];        // how far it had moved where the gap was measured [m]
   double traction[3];    // friction per area now [Pa]
   double held[3];        // friction carried over from the step before, turned onto the tool's tangent plane [Pa]
   double shift[3];       // how far the tool's material moved past it in the last step [m]
@@ -144,7 +145,9 @@ void region_commit(Region* r, State* s, double dt);
 Law law_read(const mjModel* m, const Region* r);
 void patches_make(Region* r);
 void window_find(const mjModel* m, const mjData* d, Region* r, const State* s, double reach);
-void contact_find(Region* r, const State* s, const Law* law);
+void contact_find(Region* r, const State* s, const Law* law, double dt);
+// Measures anew the gaps of points that end far from where they were expected; returns whether there were any.
+int contact_review(Region* r, const State* s, const Law* law);
 void solve(Region* r, const State* s, const Law* law, double dt, double tolerance, int sweeps);
 void wrench_apply(const mjModel* m, mjData* d, Region* r);
 void ledger(Region* r, const State* s, const Law* law);

@@ -27,18 +27,18 @@ static double respond(const Law* law, Contact* c) {
     c->pressure = c->traction[0] = c->traction[1] = c->traction[2] = 0;
     return 0;
   }
-  c->pressure = -c->stiff * gap;
+  c->pressure = -law->contact * gap;
   for (int j = 0; j < 3; j++) slide[j] = c->moved[j] - c->shift[j];
   double along = dot(slide, c->normal);
   for (int j = 0; j < 3; j++) {
-    c->traction[j] = c->held[j] - c->stiff * (slide[j] - along * c->normal[j]);
+    c->traction[j] = c->held[j] - law->contact * (slide[j] - along * c->normal[j]);
     size += c->traction[j] * c->traction[j];
   }
   size = sqrt(size);
   double limit = law->friction * c->pressure;
   if (size <= limit) return 1;
   for (int j = 0; j < 3; j++) c->traction[j] *= limit / size;
-  c->slipped = (size - limit) / c->stiff;
+  c->slipped = (size - limit) / law->contact;
   return limit / size;
 }
 
@@ -64,7 +64,7 @@ static int add_contacts(Region* r, const Law* law, const Vertex* v, double g[3],
     any = 1;
     int corner = r->use_corner[k];
     const Point* p = r->point + c->point;
-    double share = p->share[corner] * p->area, stiff = c->stiff * share * p->share[corner];
+    double share = p->share[corner] * p->area, stiff = law->contact * share * p->share[corner];
     const double* m = c->local[corner];
     double rest = stiff * (1 - sticks), own = stiff * sticks;
     for (int j = 0; j < 3; j++) sum[j] += share * (c->pressure * c->normal[j] + c->traction[j]);
@@ -147,14 +147,14 @@ void solve(Region* r, const State* s, const Law* law, double dt, double toleranc
     }
     if (r->moves[i] == CLOSE) carry(r, r->vertex + i, ahead);
   }
-  int sweep = 0;
+  int sweep = 0, reviewed = 0;
   double worst = 0;
   while (sweep < sweeps) {
     double share = sweep < PATIENCE ? 1 : CAUTION;
     worst = 0;
     for (int k = 0; k < r->nwindow; k++) worst = most(worst, relax(r, law, r->window[k], share));
     sweep++;
-    if (worst < tolerance) break;
+    if (worst < tolerance && (reviewed++ || !contact_review(r, s, law))) break;
   }
   for (int i = 0; i < r->ncontact; i++) respond(law, r->contact + i);
   for (int k = 0; k < r->nwindow; k++)

@@ -10,7 +10,9 @@ static const double PARALLEL = 1e-12;
 // Edges of boxes and cylinders are rounded with this radius [m], and those of hulls with nearly 3 SOFTNESS: skin that
 // slides over a sharp edge would jump, and with it the force.
 static const double EDGE = 0.002, SOFTNESS = 0.0008;
-static const int NEWTON_STEPS = 12;
+static const int NEWTON_STEPS = 12, FOOT_STEPS = 8;
+static const double FOOT_NEAR = 1e-6;  // [m]
+static const double SAME_WALL = 0.1;   // cosine between two normals of one wall or rim
 
 // Half-spaces of a mesh's convex hull. MuJoCo keeps the hull as a graph: counts, then four tables (mjModel.mesh_graph).
 static int hull_planes(const mjModel* m, int mesh, Tool* tool) {
@@ -237,8 +239,11 @@ static double outside_rounded(const double q[3], double edge, double toward[3]) 
   return (farthest > 0 ? out : farthest) - edge;
 }
 
+static double rim_of_box(const double size[3]) { return least(EDGE, least(size[0], least(size[1], size[2]))); }
+static double rim_of_cylinder(const double size[3]) { return least(EDGE, least(size[0], size[1])); }
+
 static double outside_box(const double size[3], const double x[3], double gradient[3]) {
-  double edge = least(EDGE, least(size[0], least(size[1], size[2]))), q[3];
+  double edge = rim_of_box(size), q[3];
   for (int k = 0; k < 3; k++) q[k] = fabs(x[k]) - size[k] + edge;
   double away = outside_rounded(q, edge, gradient);
   for (int k = 0; k < 3; k++) gradient[k] = x[k] < 0 ? -gradient[k] : gradient[k];
@@ -246,7 +251,7 @@ static double outside_box(const double size[3], const double x[3], double gradie
 }
 
 static double outside_cylinder(const double size[3], const double x[3], double gradient[3]) {
-  double edge = least(EDGE, least(size[0], size[1])), round = sqrt(x[0] * x[0] + x[1] * x[1]), toward[3];
+  double edge = rim_of_cylinder(size), round = sqrt(x[0] * x[0] + x[1] * x[1]), toward[3];
   double q[3] = {round - size[0] + edge, fabs(x[2]) - size[1] + edge, -mjMAXVAL};
   double away = outside_rounded(q, edge, toward);
   gradient[0] = round > 0 ? toward[0] * x[0] / round : 0;
@@ -271,10 +276,36 @@ static double outside_hull(const Tool* tool, const double x[3], double gradient[
   return farthest + SOFTNESS * log(sum);
 }
 
+// How far x lies outside an ellipsoid, or less: exact for a sphere.
+static double outside_ellipsoid(const double size[3], const double x[3], double gradient[3]) {
+  double value = 0, least_size = least(size[0], least(size[1], size[2]));
+  for (int k = 0; k < 3; k++) value += x[k] * x[k] / (size[k] * size[k]);
+  value = sqrt(value);
+  for (int k = 0; k < 3; k++) gradient[k] = value > 0 ? least_size * x[k] / (size[k] * size[k] * value) : k == 2;
+  return least_size * (value - 1);
+}
+
+static double outside_capsule(const double size[3], const double x[3], double gradient[3]) {
+  double y[3] = {x[0], x[1], x[2] - most(-size[1], least(size[1], x[2]))}, away = sqrt(dot(y, y));
+  for (int k = 0; k < 3; k++) gradient[k] = away > 0 ? y[k] / away : k == 0;
+  return away - size[0];
+}
+
+// A convex function that is 0 on the surface, below 0 inside and outside at most the distance, and its gradient.
 static double outside(const Tool* tool, const double x[3], double gradient[3]) {
-  if (tool->type == mjGEOM_BOX) return outside_box(tool->size, x, gradient);
-  if (tool->type == mjGEOM_CYLINDER) return outside_cylinder(tool->size, x, gradient);
-  return outside_hull(tool, x, gradient);
+  switch (tool->type) {
+    case mjGEOM_SPHERE:
+    case mjGEOM_ELLIPSOID:
+      return outside_ellipsoid(tool->size, x, gradient);
+    case mjGEOM_CAPSULE:
+      return outside_capsule(tool->size, x, gradient);
+    case mjGEOM_BOX:
+      return outside_box(tool->size, x, gradient);
+    case mjGEOM_CYLINDER:
+      return outside_cylinder(tool->size, x, gradient);
+    default:
+      return outside_hull(tool, x, gradient);
+  }
 }
 
 // From where the ray leaves the sharp shape back to where it leaves the rounded one, which lies inside: Newton's method
@@ -297,12 +328,10 @@ static int round_exit(const Tool* tool, const double x[3], const double v[3], do
   return 0;
 }
 
-int tool_exit(const Tool* tool, const double point[3], const double direction[3], double* enters, double* leaves,
-              double normal[3]) {
-  double x[3], v[3], n[3] = {0, 0, 0};
+// Where the ray from x along v, which is a unit vector, leaves the tool: the distances at which it enters and leaves, both
+// signed, and the outward normal there; 0 on a miss.
+static int exit_of(const Tool* tool, const double x[3], const double v[3], double* enters, double* leaves, double n[3]) {
   int hit = 1;
-  to_local(tool, point, x);
-  rotate_back(v, tool->axes, direction);
   *enters = -mjMAXVAL;
   *leaves = mjMAXVAL;
   switch (tool->type) {
@@ -328,6 +357,109 @@ int tool_exit(const Tool* tool, const double point[3], const double direction[3]
         hit = narrow(tool->plane + 4 * k, tool->plane[4 * k + 3], x, v, enters, leaves, n);
       hit = hit && round_exit(tool, x, v, *enters, leaves, n);
   }
-  if (hit) rotate(normal, tool->axes, n);
   return hit;
+}
+
+// The foot of x on the surface, found by walking from a place y near it: onto the surface, and along its tangent plane to
+// under x. Returns 0 where the walk does not end because x lies deeper than the surface is round.
+static int foot(const Tool* tool, const double x[3], double y[3], double* gap, double normal[3]) {
+  for (int k = 0; k < FOOT_STEPS; k++) {
+    double gradient[3], away[3], value = outside(tool, y, gradient), size = sqrt(dot(gradient, gradient));
+    for (int j = 0; j < 3; j++) {
+      normal[j] = gradient[j] / size;
+      y[j] -= value / size * normal[j];
+      away[j] = x[j] - y[j];
+    }
+    *gap = dot(away, normal);
+    double beside = 0;
+    for (int j = 0; j < 3; j++) {
+      double step = away[j] - *gap * normal[j];
+      y[j] += step;
+      beside += step * step;
+    }
+    if (beside < FOOT_NEAR * FOOT_NEAR) return 1;
+  }
+  return 0;
+}
+
+// Whether `outside` is the distance at a point inside: not of ellipsoids and hulls, nor deeper than the rounding of rims.
+static int is_distance(const Tool* tool, double value) {
+  switch (tool->type) {
+    case mjGEOM_SPHERE:
+    case mjGEOM_CAPSULE:
+      return 1;
+    case mjGEOM_BOX:
+      return value > -rim_of_box(tool->size);
+    case mjGEOM_CYLINDER:
+      return value > -rim_of_cylinder(tool->size);
+    default:
+      return 0;
+  }
+}
+
+int tool_gap(const Tool* tool, const double point[3], const double direction[3], double most, double* begins,
+             double* gap, double normal[3]) {
+  double x[3], v[3], y[3], n[3] = {0, 0, 0}, gradient[3], leaves = 0;
+  to_local(tool, point, x);
+  rotate_back(v, tool->axes, direction);
+  *begins = 0;
+  double value = outside(tool, x, gradient), found;
+  if (value > most) return 0;
+  if (value < 0 && !exit_of(tool, x, v, begins, &leaves, n)) return 0;
+  *gap = -leaves * dot(n, v);
+  // Deep inside, the nearest wall can be another than the one that the point has met.
+  if (value < 0 && is_distance(tool, value) && dot(gradient, n) > SAME_WALL) {
+    *gap = value;
+    memcpy(n, gradient, sizeof n);
+  } else {
+    double m[3];
+    for (int k = 0; k < 3; k++) y[k] = x[k] + leaves * v[k];
+    if (foot(tool, x, y, &found, m)) {
+      *gap = found;
+      memcpy(n, m, sizeof n);
+    } else if (value >= 0) {
+      return 0;
+    }
+  }
+  rotate(normal, tool->axes, n);
+  return 1;
+}
+
+// Curvature along e times its square, around the axis of a surface of revolution (Meusnier): 1 over the radius there,
+// times how far the normal leans from the axis.
+static double bend_round(const double y[3], const double n[3], const double e[3]) {
+  double lean = sqrt(n[0] * n[0] + n[1] * n[1]), radius = sqrt(y[0] * y[0] + y[1] * y[1]);
+  double around = n[0] * e[1] - n[1] * e[0];
+  return lean * radius > PARALLEL ? around * around / (lean * radius) : 0;
+}
+
+double tool_bend(const Tool* tool, const double at[3], const double normal[3], const double offset[3]) {
+  double y[3], n[3], e[3], steep = 0, bend = 0;
+  to_local(tool, at, y);
+  rotate_back(n, tool->axes, normal);
+  rotate_back(e, tool->axes, offset);
+  double along = dot(e, n);
+  for (int k = 0; k < 3; k++) e[k] -= along * n[k];
+  double square = dot(e, e);
+  switch (tool->type) {
+    case mjGEOM_SPHERE:
+    case mjGEOM_ELLIPSOID:
+      for (int k = 0; k < 3; k++) {
+        double inverse = 1 / (tool->size[k] * tool->size[k]);
+        steep += y[k] * y[k] * inverse * inverse;
+        bend += e[k] * e[k] * inverse;
+      }
+      bend /= sqrt(steep);
+      break;
+    case mjGEOM_CAPSULE:
+      bend = fabs(y[2]) > tool->size[1] ? square / tool->size[0] : bend_round(y, n, e);
+      break;
+    case mjGEOM_CYLINDER:
+      bend = bend_round(y, n, e);
+      break;
+    default:
+      break;
+  }
+  // Of a tool that is smaller than the triangle, no more than its slope can be told.
+  return least(bend, sqrt(square)) / 2;
 }

@@ -25,10 +25,16 @@ void tool_place(const mjModel* m, const mjData* d, int bone, double dt, Tool* to
 // About the distance from a point (bone's frame) to the tool's surface, never much too large; 0 or less inside.
 double tool_distance(const Tool* tool, const double point[3]);
 
-// Where the ray from a point along a unit direction leaves the tool.
-// Returns 1 with the distances at which it enters and leaves, both signed, and the outward normal there; 0 on a miss.
-int tool_exit(const Tool* tool, const double point[3], const double direction[3], double* enters, double* leaves,
-              double normal[3]);
+// The signed distance from a point to the tool's surface, negative inside, and the outward normal at its foot there. The
+// foot is the one that is found from where a ray from the point along a unit direction leaves the tool. A point so deep
+// that the walk from there does not end, as beside the wall of a flat tool, has the distance to the tangent plane there.
+// Returns 0 where the point is farther outside than `most`, and otherwise also how far on the ray the tool begins.
+int tool_gap(const Tool* tool, const double point[3], const double direction[3], double most, double* begins,
+             double* gap, double normal[3]);
+
+// How far the surface bends away from its tangent plane at a foot on it (bone's frame), at an offset along that plane [m].
+// Rims, and hulls of meshes, count as flat: they are narrower than a triangle, or not known to be round.
+double tool_bend(const Tool* tool, const double foot[3], const double normal[3], const double offset[3]);
 
 // How far the tool's material at a point moved in the last step against the bone.
 void tool_shift(const Tool* tool, const double point[3], double out[3]);
