@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import EMBODIMENTS, PANDA, Embodiment
 from carecontact.protocols import load_protocol, shipped_protocols
 from carecontact.world.robot import panda_asset
 
@@ -23,5 +23,11 @@ def test_the_draft_parks_it_at_its_own_posture() -> None:
     assert load_protocol("bathing-draft").scene.parked_joint_rad == PANDA.parked_joint_rad
 
 
-def test_the_tool_centre_point_is_the_cap_s_outermost_point() -> None:
-    assert PANDA.tcp_z_m == PANDA.cap_centre_z_m + PANDA.cap_semi_axes_m[2]
+@pytest.mark.parametrize("robot", EMBODIMENTS.values(), ids=list(EMBODIMENTS))
+def test_the_tool_centre_point_is_the_tip_s_outermost_point(robot: Embodiment) -> None:
+    assert robot.tcp_z_m == pytest.approx(robot.tip_centre_z_m + robot.tip.half_m[2], abs=1e-15)
+    assert robot.tcp_z_m == PANDA.tcp_z_m, "policies and dialects know one place of the tool centre point"
+
+
+def test_embodiments_have_names_of_their_own() -> None:
+    assert len({robot.id for robot in EMBODIMENTS.values()}) == len({r.tip.geom for r in EMBODIMENTS.values()}) == 2

@@ -55,12 +55,13 @@ class Sheet:
     Args:
         geom: of ``MjsBody.add_geom``.
         bottom_m: distance of the geom's lowest point from its centre.
+        give_m3_n: how far the tool's own surface gives way under pressure.
         frame: (3, 3) turns the whole world; nothing may depend on it.
     """
 
     def __init__(
         self, law: Tissue, mesh: Mesh, *, bottom_m: float, dt_s: float = 0.002, mass_kg: float = HEAVY_KG,
-        ledger: bool = False, bone_mass_kg: float | None = None, frame: Array | None = None, **geom: object,
+        ledger: bool = False, give_m3_n: float = 0.0, bone_mass_kg: float | None = None, frame: Array | None = None, **geom: object,
     ) -> None:  # fmt: skip
         spec = mujoco.MjSpec()
         spec.option.timestep, spec.option.gravity = dt_s, [0, 0, 0]
@@ -78,6 +79,8 @@ class Sheet:
         for axis in ([1, 0, 0], [0, 0, 1]):
             tool.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         tool.add_geom(name="tool", pos=[0, 0, bottom_m], mass=0, contype=1, conaffinity=0, **geom)
+        if give_m3_n:
+            spec.nuser_geom, tool.first_geom().userdata = 1, [give_m3_n]
         add_region(spec, name="sheet", bone=bone, mesh=mesh, tissue=law, tools="tool", ledger=ledger)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)

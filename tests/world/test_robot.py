@@ -80,6 +80,18 @@ def test_cap_is_the_outermost_part_of_the_hand(model: mujoco.MjModel) -> None:
         assert ((vertices - tcp.xpos) @ out).max() < -PANDA.tool_radius_m / 4
 
 
+def test_the_mitt_s_pad_is_as_far_out_as_the_cap_and_gives_way(model: mujoco.MjModel) -> None:
+    spec = mujoco.MjSpec()
+    add_robot(spec, overridden(PROTOCOL, {"scene.tool": "mitt"}))
+    mitt = spec.compile()
+    pad = mitt.geom("robot_tool_pad")
+    assert pad.type[0] == mujoco.mjtGeom.mjGEOM_BOX
+    assert pad.pos[2] + pad.size[2] == pytest.approx(PANDA.tcp_z_m)
+    assert pad.user[0] == PANDA_MITT.tip.give_m3_n > 0
+    assert model.nuser_geom == 0, "a model without a mitt is what it was"
+    np.testing.assert_array_equal(mitt.site("tcp").pos, model.site("tcp").pos)
+
+
 def test_collision_bits_and_groups(model: mujoco.MjModel) -> None:
     for i in range(model.ngeom):
         geom = model.geom(i)

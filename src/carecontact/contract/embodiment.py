@@ -2,7 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
+
+ToolName = Literal["caps", "mitt"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tip:
+    """The part of the hand that is meant to touch."""
+
+    geom: str
+    """Its name in the compiled model."""
+    shape: Literal["ellipsoid", "box"]
+    half_m: tuple[float, float, float]
+    """Semi-axes or half sizes in the hand's axes; y is along the finger pair, z out of the tool."""
+    give_m3_n: float = 0.0
+    """How far the tip's own surface gives way under pressure [m/Pa]; 0: it is rigid."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,22 +35,22 @@ class Embodiment:
     """Body whose frame is the base frame."""
     tcp_site: str
     """Site at the tool centre point; its z axis points out of the tool."""
-    cap_semi_axes_m: tuple[float, float, float]
-    """Of the ellipsoid over the closed fingertips, in the hand's axes; widest along the finger pair."""
-    cap_centre_z_m: float
-    """Along the hand's z axis, which points out of the tool."""
+    tip: Tip
+    tcp_z_m: float
+    """Distance of the tool centre point, the tip's outermost point, from the hand's origin along the hand's z axis, which
+    points out of the tool."""
     parked_joint_rad: tuple[float, ...]
     """Posture in which a trial begins unless its protocol gives another."""
 
     @property
     def tool_radius_m(self) -> float:
-        """Smallest radius of the cap."""
-        return min(self.cap_semi_axes_m)
+        """Half of the tip's smallest size."""
+        return min(self.tip.half_m)
 
     @property
-    def tcp_z_m(self) -> float:
-        """Distance of the tool centre point, the cap's outermost point, from the hand's origin."""
-        return self.cap_centre_z_m + self.tool_radius_m
+    def tip_centre_z_m(self) -> float:
+        """Of the tip's middle, along the hand's z axis."""
+        return self.tcp_z_m - self.tip.half_m[2]
 
 
 PANDA = Embodiment(
@@ -44,10 +60,22 @@ PANDA = Embodiment(
     joint_high_rad=(2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973),
     base_body="robot_base",
     tcp_site="tcp",
-    cap_semi_axes_m=(0.012, 0.019, 0.012),
-    cap_centre_z_m=0.105,
+    tip=Tip(geom="robot_tool_cap", shape="ellipsoid", half_m=(0.012, 0.019, 0.012)),
+    tcp_z_m=0.117,
     parked_joint_rad=(0.5324, -0.3907, 0.3589, -1.8387, 0.1348, 1.4716, 1.1415),
 )
 """Franka Emika Panda; joint limits as in the franka description package, from which the arm's meshes come too. The
 hand is permanently closed: a cap covers the fingertips. The cap is an ellipsoid, because an ellipsoid makes one contact
 with each triangle of a shell; a capsule made up to five, some of them millimetres too deep."""
+
+PANDA_MITT = replace(
+    PANDA,
+    id="panda-mitt",
+    tip=Tip(geom="robot_tool_pad", shape="box", half_m=(0.020, 0.030, 0.0075), give_m3_n=4e-7),
+)
+"""The same arm and hand with a wash mitt over the fingers: a pad of 40 x 60 mm, 15 mm thick, about as large as the flat
+of two or three fingers. Its pile gives way by 2 mm under 5 kPa, which is assumed: terry cloth of 3 to 5 mm loses about
+half of its thickness between 0.05 and 5 kPa, the range of the textile industry's compression test (KES-FB3)."""
+
+EMBODIMENTS: dict[ToolName, Embodiment] = {"caps": PANDA, "mitt": PANDA_MITT}
+"""``scene.tool`` of a protocol -> the robot."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.ended import Ended
 from carecontact.kernel.found import sha256 as kernel_sha256
@@ -34,7 +34,7 @@ def header_of(
         failure=ended.failure,
         card=card,
         control=control,
-        embodiment=PANDA.id,
+        embodiment=EMBODIMENTS[spec.protocol.scene.tool].id,
         comfort_arm_deg=settled.comfort_arm_deg,
         segments=list(SEGMENTS),
         regions=list(spec.protocol.regions),

@@ -9,7 +9,7 @@ from importlib import resources
 
 import numpy as np
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError
 from carecontact.kernel import binary
@@ -35,7 +35,7 @@ def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
     """``worlds``: compile one world per region and sum over it; some seconds."""
     return Lock(
         id=protocol.id, protocol_sha256=protocol.sha256, fields=protocol.model_dump(mode="json"),
-        embodiment=PANDA.id, metrics=sorted(METRICS),
+        embodiment=EMBODIMENTS[protocol.scene.tool].id, metrics=sorted(METRICS),
         versions={name: version for name, version in package_versions().items() if name in PACKAGES},
         assets=asset_hashes(protocol),
         worlds={region: world_sums(protocol, region) for region in (protocol.regions if worlds else ())},

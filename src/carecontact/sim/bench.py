@@ -351,8 +351,8 @@ def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter, *, glides: bool) -> N
     if indenter.shape == "cap":
         probe.add_geom(
             type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-            size=PANDA.cap_semi_axes_m,
-            pos=[0, 0, PANDA.cap_semi_axes_m[2]],
+            size=PANDA.tip.half_m,
+            pos=[0, 0, PANDA.tip.half_m[2]],
             **common,
         )
     elif indenter.shape == "hemisphere":

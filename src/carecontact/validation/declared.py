@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.regions import REGIONS
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
@@ -119,7 +120,7 @@ def core_depths(scene: Scene, region: str) -> Array:
     bone = model.body(body_name(REGIONS[region].segment)).id
     to_world = data.xmat[bone].reshape(3, 3)
     origin = scene.body.joint_centre[REGIONS[region].segment]
-    tool = model.geom("robot_tool_cap")
+    tool = model.geom(EMBODIMENTS[scene.protocol.scene.tool].tip.geom)
     cores = [
         g for g in range(model.ngeom)
         if model.geom(g).name.startswith(f"human_core_{region}_")

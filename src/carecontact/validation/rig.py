@@ -44,7 +44,7 @@ class Tool:
     """quat_wxyz"""
 
 
-CAP = Tool(name="cap", kind=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size_m=PANDA.cap_semi_axes_m, height_m=PANDA.tool_radius_m)
+CAP = Tool(name="cap", kind=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size_m=PANDA.tip.half_m, height_m=PANDA.tool_radius_m)
 PAD = Tool(name="pad", kind=mujoco.mjtGeom.mjGEOM_BOX, size_m=(0.015, 0.020, 0.006), height_m=0.006)
 """30 x 40 x 12 mm, with the rounded edges that the compiled tissue gives a box."""
 FLANK = Tool(

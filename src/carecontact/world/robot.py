@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import EMBODIMENTS, PANDA, Embodiment
 from carecontact.contract.protocol import Impedance, Protocol
 from carecontact.errors import AssetError, SceneError
 
@@ -35,7 +35,8 @@ COLOURS = {
     "dark": (0.16, 0.16, 0.17, 1.0),
     "blue": (0.04, 0.54, 0.78, 1.0),
 }
-CAP_COLOUR = (0.22, 0.24, 0.28, 1.0)
+TIP_COLOURS = {"ellipsoid": (0.22, 0.24, 0.28, 1.0), "box": (0.30, 0.47, 0.62, 1.0)}
+TIP_SHAPES = {"ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID, "box": mujoco.mjtGeom.mjGEOM_BOX}
 PEDESTAL_COLOUR = (0.45, 0.47, 0.50, 1.0)
 PEDESTAL_RADIUS_M = 0.09
 VISUAL_GROUP, COLLISION_GROUP = 1, 3
@@ -114,7 +115,7 @@ def add_robot(spec: mujoco.MjSpec, protocol: Protocol) -> None:
     )
     _set_inertial(hand, asset, count + 1)
     _add_link_geoms(hand, "hand", meshes)
-    _add_tool(hand, meshes)
+    _add_tool(spec, hand, meshes, EMBODIMENTS[scene.tool])
     _add_impedance(spec, protocol.impedance)
 
 
@@ -193,9 +194,10 @@ def _add_pedestal(base: mujoco.MjsBody, height_m: float) -> None:
     )
 
 
-def _add_tool(hand: mujoco.MjsBody, meshes: list[str]) -> None:
-    """Add the closed fingers (visual), the shaft that stands for them in collisions, the cap that is meant to touch,
+def _add_tool(spec: mujoco.MjSpec, hand: mujoco.MjsBody, meshes: list[str], robot: Embodiment) -> None:
+    """Add the closed fingers (visual), the shaft that stands for them in collisions, the tip that is meant to touch,
     and the TCP."""
+    tip = robot.tip
     for name in meshes:
         _, kind, link, part = name.split("_")
         if link == "finger" and kind == "visual":
@@ -204,19 +206,20 @@ def _add_tool(hand: mujoco.MjsBody, meshes: list[str]) -> None:
     shaft = hand.add_geom(
         name="robot_finger_shaft",
         type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        fromto=[0, 0, FINGER_ORIGIN_Z_M, 0, 0, PANDA.cap_centre_z_m - 0.01],
+        fromto=[0, 0, FINGER_ORIGIN_Z_M, 0, 0, robot.tip_centre_z_m - 0.01],
         size=[0.011, 0, 0],
     )
     _make_colliding(shaft)
-    cap = hand.add_geom(
-        name="robot_tool_cap",
-        type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-        pos=[0, 0, PANDA.cap_centre_z_m],
-        size=PANDA.cap_semi_axes_m,
+    touching = hand.add_geom(
+        name=tip.geom, type=TIP_SHAPES[tip.shape], pos=[0, 0, robot.tip_centre_z_m], size=tip.half_m
     )
-    _make_colliding(cap)
-    cap.group, cap.rgba = VISUAL_GROUP, CAP_COLOUR
-    hand.add_site(name=PANDA.tcp_site, pos=[0, 0, PANDA.tcp_z_m], size=[0.003, 0.003, 0.003], group=4)
+    _make_colliding(touching)
+    touching.group, touching.rgba = VISUAL_GROUP, TIP_COLOURS[tip.shape]
+    if tip.give_m3_n:
+        # The compiled tissue reads how far a geom's surface gives way from its first user number.
+        spec.nuser_geom = 1
+        touching.userdata = [tip.give_m3_n]
+    hand.add_site(name=robot.tcp_site, pos=[0, 0, robot.tcp_z_m], size=[0.003, 0.003, 0.003], group=4)
 
 
 def _add_impedance(spec: mujoco.MjSpec, impedance: Impedance) -> None:

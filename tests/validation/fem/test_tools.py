@@ -16,7 +16,7 @@ def test_a_ball_is_a_ball_and_goes_on_as_a_cone() -> None:
 
 
 def test_the_cap_is_the_robots_ellipsoid_lying_across() -> None:
-    along, across, up = PANDA.cap_semi_axes_m
+    along, across, up = PANDA.tip.half_m
     assert across > along
     height = CAP.height(np.array([along * 0.6, 0.0]), np.array([0.0, across * 0.6]))
     np.testing.assert_allclose(height, up * (1 - 0.8))

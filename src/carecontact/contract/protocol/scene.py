@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from carecontact.contract.embodiment import ToolName
 from carecontact.contract.protocol.section import Positive, Section, Vec3
 
 
@@ -28,3 +29,5 @@ class Scene(Section):
     """Arm board: low corner (x, y), world."""
     board_high_m: tuple[float, float]
     board_friction: Positive
+    tool: ToolName = "caps"
+    """What the hand wears: a rigid cap over the fingertips, or a soft wash mitt (``contract.embodiment``)."""

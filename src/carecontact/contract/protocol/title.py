@@ -10,6 +10,7 @@ FRICTION = "person.tissue.*.friction"
 REPLACED_WORDS = {
     "person.body": "body {}",
     "person.tissue_set": "tissue {}",
+    "scene.tool": "tool {}",
     "physics.dt_s": "time step {} s",
     "impedance.translational_n_m": "stiffness {} N/m",
     "vision.segmenter": "segmenter {}",

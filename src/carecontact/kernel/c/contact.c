@@ -58,6 +58,7 @@ static int measure(const Region* r, const State* s, const Law* law, Contact* c) 
   for (int k = 0; k < p->corners; k++) gap += p->share[k] * tool_bend(r->tool + tool, foot, normal, p->offset[k]);
   memcpy(c->normal, normal, sizeof normal);
   c->gap = gap - dot(normal, c->seen);
+  c->stiff = 1 / (1 / law->contact + r->tool[tool].give);
   tool_shift(r->tool + tool, c->at, c->shift);
   double along = dot(before, normal);
   for (int k = 0; k < 3; k++) c->held[k] = before[k] - along * normal[k];
@@ -66,8 +67,6 @@ static int measure(const Region* r, const State* s, const Law* law, Contact* c) 
 }
 
 void contact_find(Region* r, const State* s, const Law* law, double dt) {
-  for (int i = 0; i < r->ncontact; i++) r->contact_of[r->contact[i].point] = -1;
-  r->ncontact = 0;
   for (int q = 0; q < r->npoint; q++) {
     const Point* p = r->point + q;
     if (r->moves[p->corner[0]] != CLOSE) continue;

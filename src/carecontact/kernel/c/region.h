@@ -94,6 +94,7 @@ typedef struct {
   double seen[3];        // how far it had moved where the gap was measured [m]
   double traction[3];    // friction per area now [Pa]
   double held[3];        // friction carried over from the step before, turned onto the tool's tangent plane [Pa]
+  double stiff;          // of the layer between skin and tool: the skin's and the tool's own, one after the other [N/m^3]
   double shift[3];       // how far the tool's material moved past it in the last step [m]
   double local[3][3];    // the normal in the frame of each corner
   double moved[3];       // since the start of the step [m]

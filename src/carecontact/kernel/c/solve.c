@@ -27,18 +27,18 @@ static double respond(const Law* law, Contact* c) {
     c->pressure = c->traction[0] = c->traction[1] = c->traction[2] = 0;
     return 0;
   }
-  c->pressure = -law->contact * gap;
+  c->pressure = -c->stiff * gap;
   for (int j = 0; j < 3; j++) slide[j] = c->moved[j] - c->shift[j];
   double along = dot(slide, c->normal);
   for (int j = 0; j < 3; j++) {
-    c->traction[j] = c->held[j] - law->contact * (slide[j] - along * c->normal[j]);
+    c->traction[j] = c->held[j] - c->stiff * (slide[j] - along * c->normal[j]);
     size += c->traction[j] * c->traction[j];
   }
   size = sqrt(size);
   double limit = law->friction * c->pressure;
   if (size <= limit) return 1;
   for (int j = 0; j < 3; j++) c->traction[j] *= limit / size;
-  c->slipped = (size - limit) / law->contact;
+  c->slipped = (size - limit) / c->stiff;
   return limit / size;
 }
 
@@ -64,7 +64,7 @@ static int add_contacts(Region* r, const Law* law, const Vertex* v, double g[3],
     any = 1;
     int corner = r->use_corner[k];
     const Point* p = r->point + c->point;
-    double share = p->share[corner] * p->area, stiff = law->contact * share * p->share[corner];
+    double share = p->share[corner] * p->area, stiff = c->stiff * share * p->share[corner];
     const double* m = c->local[corner];
     double rest = stiff * (1 - sticks), own = stiff * sticks;
     for (int j = 0; j < 3; j++) sum[j] += share * (c->pressure * c->normal[j] + c->traction[j]);

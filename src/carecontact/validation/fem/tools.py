@@ -65,5 +65,5 @@ def disc(radius_m: float) -> Tool:
     return Tool(name=f"disc {1000 * radius_m:.1f} mm", shape="disc", semi_axes_m=(radius_m, radius_m, edge))
 
 
-CAP = Tool(name="cap", shape="ellipsoid", semi_axes_m=PANDA.cap_semi_axes_m)
+CAP = Tool(name="cap", shape="ellipsoid", semi_axes_m=PANDA.tip.half_m)
 """The shipped tool: an ellipsoid, wider across the limb than along it."""
