@@ -8,6 +8,9 @@
 static const double NEAR_GAP = 0.001;  // [m] a point farther outside cannot come to touch within a step
 // Cosine between a point's inward direction and the tool's normal, from which on the tool can press it.
 static const double STEEPEST = 0.05;
+// How far a middle stands off at first, over the tool's depth. Beside a mesh of 2.5 mm (ball of 10 and 20 mm, cap), the
+// forces at 0.3 to 2 mm are nearest with this: with 1/8 they are 10 to 25 % too high, with 1/2 as much too low.
+static const double ARRIVES = 0.25;
 // [m] On the roundest rim, a point that ends this far from where its gap was measured is wrong by a tenth of a micrometre.
 static const double REVIEW = 2e-5;
 
@@ -52,10 +55,15 @@ static int measure(const Region* r, const State* s, const Law* law, Contact* c) 
   int tool = deepest_tool(r, p, place, law->thickness, &gap, normal);
   if (tool < 0) return 0;
   c->tool = tool;
-  // Of the smooth skin the triangle is a chord: its middle stands off where its corners lie on a round tool.
-  double foot[3];
-  for (int k = 0; k < 3; k++) foot[k] = place[k] - gap * normal[k];
-  for (int k = 0; k < p->corners; k++) gap += p->share[k] * tool_bend(r->tool + tool, foot, normal, p->offset[k]);
+  // Of the smooth skin the triangle is a chord: its middle stands off where its corners lie on a round tool. First touch
+  // finds them where they were, and they come to lie on it as it goes deeper.
+  double foot[3], bend = 0, deep = -gap / dot(normal, p->inward);
+  for (int k = 0; k < 3; k++) {
+    foot[k] = place[k] - gap * normal[k];
+    deep += p->inward[k] * (place[k] - p->place[k]);
+  }
+  for (int k = 0; k < p->corners; k++) bend += p->share[k] * tool_bend(r->tool + tool, foot, normal, p->offset[k]);
+  gap += least(bend, ARRIVES * most(0, deep));
   memcpy(c->normal, normal, sizeof normal);
   c->gap = gap - dot(normal, c->seen);
   c->stiff = 1 / (1 / law->contact + r->tool[tool].give);

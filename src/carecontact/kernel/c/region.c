@@ -74,19 +74,18 @@ static void link_vertices(Region* r, const double* edge, int nedge) {
 static void place_points(Region* r, const double* row) {
   for (int q = 0; q < r->npoint; q++, row += POINT_SIZE) {
     Point* p = r->point + q;
-    double place[3] = {0, 0, 0};
     for (int c = 0; c < 3; c++) {
       if (row[POINT_SHARE + c] == 0) continue;
       const Vertex* v = r->vertex + (int)row[POINT_CORNER + c];
       p->corner[p->corners] = (int)row[POINT_CORNER + c];
       p->share[p->corners++] = row[POINT_SHARE + c];
       for (int k = 0; k < 3; k++) {
-        place[k] += row[POINT_SHARE + c] * v->place[k];
+        p->place[k] += row[POINT_SHARE + c] * v->place[k];
         p->inward[k] += row[POINT_SHARE + c] * v->frame[k];
       }
     }
     for (int c = 0; c < p->corners; c++)
-      for (int k = 0; k < 3; k++) p->offset[c][k] = r->vertex[p->corner[c]].place[k] - place[k];
+      for (int k = 0; k < 3; k++) p->offset[c][k] = r->vertex[p->corner[c]].place[k] - p->place[k];
     double length = sqrt(dot(p->inward, p->inward));
     for (int k = 0; k < 3; k++) p->inward[k] /= length;
     p->area = row[POINT_AREA];

@@ -66,7 +66,7 @@ typedef struct {
 typedef struct {
   int corner[3], corners, cell;
   double share[3], area;
-  double offset[3][3];  // of the corners
+  double place[3], offset[3][3];  // undeformed; of the corners from it
   double inward[3];      // unit, of the undeformed surface
 } Point;
 
