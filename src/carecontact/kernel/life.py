@@ -87,8 +87,11 @@ class Doings:
         }  # fmt: skip
 
 
-def add_life(spec: mujoco.MjSpec) -> None:
+def add_life(spec: mujoco.MjSpec, carrier: mujoco.MjsBody) -> None:
     """Let the actuators of an uncompiled model be commanded by the plugin. The person does nothing until ``Life.wake``.
+
+    Args:
+        carrier: a body without a plugin, to which MuJoCo attaches this one; nothing acts on it.
 
     Raises DependencyError where the compiled tissue is missing.
     """
@@ -98,8 +101,6 @@ def add_life(spec: mujoco.MjSpec) -> None:
         spec.add_numeric(name=f"{NAME}/{name}", data=values.tolist(), size=values.size)
     made = spec.add_plugin(name=NAME, plugin_name=library.LIFE_PLUGIN, active=True)
     made.config = {}
-    # MuJoCo keeps an instance only where something in the model refers to it.
-    carrier = spec.body("human_head")
     carrier.plugin.active, carrier.plugin.name = True, NAME
     carrier.plugin.plugin_name, carrier.plugin.id = library.LIFE_PLUGIN, made
 
@@ -117,11 +118,12 @@ class Life:
         self._model, self._state = model, slice(first, first + size)
         names = {model.actuator(k).name for k in range(model.nu)}
         self._parts = [model.actuator(f"breathes_{p}").id if f"breathes_{p}" in names else -1 for p in PARTS]
-        self._muscles = [
-            [model.actuator(f"{kind}_{joint}").id for kind in ("holds", "turns")]
-            for joint in JOINTS if f"holds_{joint}" in names
-        ]  # fmt: skip
-        self._joints = [model.joint(f"human_{joint}").qposadr[0] for joint in JOINTS]
+        self._muscles = {
+            k: [model.actuator(f"{kind}_{joint}").id for kind in ("holds", "turns")]
+            for k, joint in enumerate(JOINTS)
+            if f"holds_{joint}" in names
+        }
+        self._joints = {k: int(model.joint(f"human_{JOINTS[k]}").qposadr[0]) for k in self._muscles}
 
     @staticmethod
     def exists(model: mujoco.MjModel) -> bool:
@@ -134,7 +136,8 @@ class Life:
         state = data.plugin_state[self._state]
         state[:] = 0
         state[[AWAKE, BEGAN]] = 1.0, data.time
-        state[POSTURE : POSTURE + len(JOINTS)] = data.qpos[self._joints]
+        for k, address in self._joints.items():
+            state[POSTURE + k] = data.qpos[address]
         height, rate = breath(doings, 0.0)
         for actuator, size in zip(self._parts, doings.breath_m, strict=True):
             if actuator >= 0:
@@ -149,7 +152,10 @@ class Life:
 
     def torque_nm(self, data: mujoco.MjData) -> Array:
         """(4,) of the muscles at JOINTS in the last step [N m]; 0 where the arm has none."""
-        return np.array([data.actuator_force[pair].sum() for pair in self._muscles] or [0.0] * len(JOINTS))
+        out = np.zeros(len(JOINTS))
+        for k, pair in self._muscles.items():
+            out[k] = data.actuator_force[pair].sum()
+        return out
 
     def moves(self) -> Array:
         """(n, 2) changes of posture that were drawn: when each begins, since the person woke [s], and the turn of the

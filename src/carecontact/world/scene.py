@@ -24,7 +24,7 @@ from carecontact.world.human.pose import root_position, trunk_rotation
 from carecontact.world.human.refine import refined
 from carecontact.world.human.region_frame import RegionFrame, rigid_frame, soft_frame, upward_in_bind
 from carecontact.world.human.shell import Shell, limb_shell, trunk_shell
-from carecontact.world.human.skeleton import add_skeleton
+from carecontact.world.human.skeleton import add_skeleton, body_name
 from carecontact.world.human.skin import add_skin
 from carecontact.world.human.tissue import SoftRegion, add_tissue
 from carecontact.world.joint_impedance import replace_impedance
@@ -94,7 +94,7 @@ def build_spec(
     add_light(spec)
     add_cameras(spec, protocol)
     if protocol.person.alive != Alive():
-        add_life(spec)
+        add_life(spec, spec.body(body_name("head")))
     add_sensors(spec, hinges, protocol)
     return spec, body, hinges, regions, frames
 
