@@ -68,7 +68,10 @@ def test_streams_are_the_documented_children_of_the_seed() -> None:
     digest = hashlib.sha256(PROTOCOL.id.encode()).digest()
     words = [int.from_bytes(digest[k : k + 4], "little") for k in range(0, 32, 4)]
     made = streams(PROTOCOL, 3)
-    assert tuple(made) == STREAMS == ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "place")
+    assert tuple(made) == STREAMS == (
+        "comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
+        "withdrawal",
+    )  # fmt: skip
     for k, name in enumerate(STREAMS):
         child = np.random.SeedSequence([*words, 3], spawn_key=(k,))
         np.testing.assert_array_equal(made[name].random(4), np.random.default_rng(child).random(4))

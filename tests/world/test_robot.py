@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import PANDA, PANDA_MITT
 from carecontact.errors import SceneError
-from carecontact.protocols import load_protocol
+from carecontact.protocols import load_protocol, overridden
 from carecontact.world.robot import add_robot, panda_asset
 
 PROTOCOL = load_protocol()

@@ -34,6 +34,7 @@ from carecontact.episode.cells import CellLog
 from carecontact.episode.drivers import Driver, driver_of
 from carecontact.episode.ended import Ended, ForceCut, cut_by_solver, cut_by_speed
 from carecontact.episode.header import header_of
+from carecontact.episode.life import LifeLog
 from carecontact.episode.log import TrialLog
 from carecontact.episode.peak import Peak
 from carecontact.episode.perception import PerceptionLog
@@ -114,11 +115,13 @@ class Episode:
 
     def _equip(self) -> None:
         """Make what belongs to one compiled world: log, renderer and the memory of the peak. t = 0."""
-        self._cells = CellLog(self.simulation, self.task.region)
+        self._cells, self._life = CellLog(self.simulation, self.task.region), LifeLog(self.simulation)
         self.log = TrialLog(
             human_joints=len(self.simulation.joint_names),
             regions=len(self.protocol.regions),
-            constants={**constants_of(self.simulation, self._settled), **self._cells.constants()},
+            constants={
+                **constants_of(self.simulation, self._settled), **self._cells.constants(), **self._life.constants()
+            },  # fmt: skip
         )
         self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol)
         self._peak = Peak(self.simulation, target=SEGMENTS.index(REGIONS[self.task.region].segment))
@@ -289,6 +292,7 @@ class Episode:
         if self._ended is None:
             raise ConfigError("Episode.finish: the episode has not ended; step until it has, or fail() it")
         extra, renders = self.log.extra, self._renderer.renders.copy()
+        extra |= self._life.ended()
         if self._perception is not None:
             extra |= self._perception.arrays()
         extra |= self._peak.pictures(self._renderer, region=self.task.region)
@@ -329,7 +333,7 @@ class Episode:
                 return cut
             self.log.add_period(
                 samples, time_s=simulation.time_s, indentation_m=simulation.indentation(),
-                target_in_base=simulation.control.target_in_base, cells=self._cells.period(),
+                target_in_base=simulation.control.target_in_base, cells=self._cells.period() | self._life.period(),
             )  # fmt: skip
             if self.log.wants_state(simulation.time_s):
                 self.log.add_state(simulation.time_s, simulation.integration_state())

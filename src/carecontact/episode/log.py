@@ -80,7 +80,8 @@ class TrialLog:
         Args:
             indentation_m: (R,) largest indentation of each region.
             target_in_base: (7,) position [m] and quat_wxyz of the impedance target.
-            cells: array path -> (C,) what each cell felt in the period; the same paths in every period of a trial.
+            cells: array path -> what else belongs to the period, such as what each cell felt in it (C,); the same paths
+                in every period of a trial.
         """
         self._cells.append(cells or {})
         self._samples.extend(samples)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from carecontact.contract.control import Control
 from carecontact.contract.protocol import Protocol
-from carecontact.episode.randomization import comfort_arm_deg, dress, lay
+from carecontact.episode.randomization import comfort_arm_deg, dress, lay, wake
 from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.world.scene import build_scene, controlled, copy_settings
@@ -19,7 +19,8 @@ World = tuple[Simulation, Settled, str]
 
 
 def settled_world(protocol: Protocol, *, task_id: str, seed: int) -> World:
-    """Build the task's world, dress it as the seed says and let the person settle.
+    """Build the task's world, dress it as the seed says, let the person settle, and wake it where the
+    protocol lets it do something by itself.
 
     Raises:
         SceneError: the world cannot be built.
@@ -32,7 +33,9 @@ def settled_world(protocol: Protocol, *, task_id: str, seed: int) -> World:
     dress(scene, seed)
     lay(scene, seed)
     simulation = Simulation(scene)
-    return simulation, settle(simulation, comfort_arm_deg(protocol, seed), model_sha256=model_sha256), model_sha256
+    settled = settle(simulation, comfort_arm_deg(protocol, seed), model_sha256=model_sha256)
+    wake(simulation, seed)
+    return simulation, settled, model_sha256
 
 
 def under_control(simulation: Simulation, control: Control) -> tuple[Simulation, str]:

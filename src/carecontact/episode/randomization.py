@@ -6,14 +6,17 @@ import hashlib
 
 import numpy as np
 
-from carecontact.contract.protocol import Protocol
+from carecontact.contract.protocol import Alive, Protocol
 from carecontact.observation.sensor_noise import SensorNoise
+from carecontact.sim.simulation import Simulation
 from carecontact.world.human.appearance import draw_appearance, wear
+from carecontact.world.life import draw_doings
 from carecontact.world.light import draw_light, shine
 from carecontact.world.place import draw_place, move_person
 from carecontact.world.scene import Scene
 
-STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "place")
+STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
+           "withdrawal")  # fmt: skip
 """In the order of the seed's children: a new one goes to the end."""
 
 
@@ -49,6 +52,18 @@ def lay(scene: Scene, seed: int) -> None:
     variation = scene.protocol.variation
     if variation.place_along_m or variation.place_across_m or variation.place_yaw_deg:
         move_person(scene.model, draw_place(streams(scene.protocol, seed)["place"], variation))
+
+
+def wake(simulation: Simulation, seed: int) -> None:
+    """Let the person of a settled world begin what its protocol lets it do by itself; nothing where it does nothing."""
+    protocol = simulation.protocol
+    if simulation.life is None or protocol.person.alive == Alive():
+        return
+    doings = draw_doings(
+        streams(protocol, seed), protocol.person.alive, until_s=protocol.phases.time_limit_s,
+        wrist_radius_m=simulation.wrist_radius_m(),
+    )  # fmt: skip
+    simulation.life.wake(simulation.data, doings)
 
 
 def sensor_noise(protocol: Protocol, seed: int, *, salt: str = "") -> SensorNoise:

@@ -12,16 +12,18 @@ from carecontact.errors import DependencyError
 from carecontact.kernel import found
 
 PLUGIN = "carecontact.tissue"
-"""Name of the plugin in a MuJoCo model."""
+"""Name of the tissue's plugin in a MuJoCo model."""
+LIFE_PLUGIN = "carecontact.life"
+"""Name of the plugin of what a person does by itself."""
 
 _loading = threading.Lock()
 
 
 def load() -> ctypes.CDLL:
-    """Register the plugin with MuJoCo, so that models that name it can be compiled, and return the library's functions.
+    """Register the plugins with MuJoCo, so that models that name them can be compiled, and return the library's functions.
 
     Later calls return the same object. Raises DependencyError as ``found.file`` does, where the binary does not load,
-    and where another library has registered a plugin of this name.
+    and where another library has registered a plugin of one of their names.
     """
     with _loading:
         return _load()
@@ -38,7 +40,7 @@ def _load() -> ctypes.CDLL:
     library.carecontact_kernel_version.restype = ctypes.c_char_p
     if not library.carecontact_kernel_registered():
         raise DependencyError(
-            f"another library has registered a MuJoCo plugin named {PLUGIN} in this process; start Python again and "
+            f"another library has registered a MuJoCo plugin named {PLUGIN} or {LIFE_PLUGIN} in this process; start Python again and "
             f"load only {file}"
         )
     return library

@@ -2,7 +2,7 @@
 
 S segments, J scored human joints, R regions (``Protocol.regions``), T physics steps from t = 0 to the end, P control
 periods, A observations, M executed actions, C declared cells of the target region, V = 4 cameras in the contract's
-order. World frame unless said otherwise; SI units.
+order, E changes of posture, W withdrawals. World frame unless said otherwise; SI units.
 """
 
 from __future__ import annotations
@@ -65,10 +65,17 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/cell_shear_ns": ("f4", "(P, C) size of the friction force times time, summed over the period"),
     "scorer/cell_slip_m3": ("f4", "(P, C) distance that the tool slid times area, summed over the period"),
     "scorer/cell_touch_m2s": ("f4", "(P, C) area in contact times time, summed over the period"),
+    "scorer/breath_m": ("f4", "(P, 2) how far out belly and chest are, from the end of a breath out"),
+    "scorer/muscle_torque_nm": ("f4", "(P, 4) the person's own, at the joints of kernel.life.JOINTS, in the last step"),
+    "scorer/muscle_work_j": ("f4", "(P, 2) that breathing and the arm's muscles have done since t = 0"),
+    "scorer/repositioning_s": ("f8", "(E,) when the person changes the arm's place, drawn before the trial"),
+    "scorer/repositioning_rad": ("f8", "(E,) by which turn of the shoulder's abduction"),
+    "scorer/withdrawal_s": ("f8", "(W,) when the person withdrew the arm, or was about to"),
 }
 """Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
 soft region since schema 3: cells are patches of about 15 mm (``world.human.tissue.DeclaredCells``), and a row sums what
-happened since the row before it. These paths are allowed as well:
+happened since the row before it. What the person does by itself is there where the protocol lets it do something
+(``contract.protocol.alive``). These paths are allowed as well:
 ``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
 (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``perception/*``
 (``recording.perception``), and ``wall/*``, the only place for what may differ between two runs of the same trial: it is

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import SceneError, SettleError
+from carecontact.kernel.life import Life
 from carecontact.kernel.readings import ROW, Readings
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS
@@ -89,6 +90,8 @@ class Simulation:
         self._base = self.model.body(PANDA.base_body)
         self.tissue = {name: Readings(self.model, name) for name in scene.regions}
         """What each soft region feels."""
+        self.life = Life(self.model) if Life.exists(self.model) else None
+        """What the person does by itself; None where it never does anything."""
         self._read = _Columns(self.history, self.joint_names, self.protocol)
         law = scene.control.joint
         self.control = (
@@ -182,6 +185,11 @@ class Simulation:
         # The thorax's axes are those of the mesh frame: x to the left, z up the trunk.
         x, _, z = (elbow - shoulder) @ self.data.body(body_name("thorax")).xmat.reshape(3, 3)
         return float(np.degrees(np.arctan2(-x, -z)))
+
+    def wrist_radius_m(self) -> float:
+        """Horizontal distance of the right wrist from the shoulder [m]."""
+        shoulder, wrist = (self.data.body(body_name(n)).xpos for n in ("right_upper_arm", "right_hand"))
+        return float(np.hypot(*(wrist - shoulder)[:2]))
 
     # -- running ----------------------------------------------------------------------------------------------------
 

@@ -10,14 +10,17 @@ import mujoco
 import numpy as np
 
 from carecontact.contract.control import CARTESIAN_IMPEDANCE, CONTROLS, Control
-from carecontact.contract.protocol import Protocol, Tissue
+from carecontact.contract.protocol import Alive, Protocol, Tissue
 from carecontact.errors import SceneError
+from carecontact.kernel.life import add_life
 from carecontact.regions import REGIONS, Belly, Tube
 from carecontact.world.cameras import add_cameras
 from carecontact.world.furniture import add_furniture, add_light
 from carecontact.world.human.body import Array, Body
+from carecontact.world.human.breathing import add_breathing, carrier, move_skin
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.library import load_body
+from carecontact.world.human.muscles import add_muscles
 from carecontact.world.human.pose import root_position, trunk_rotation
 from carecontact.world.human.refine import refined
 from carecontact.world.human.region_frame import RegionFrame, rigid_frame, soft_frame, upward_in_bind
@@ -68,7 +71,7 @@ def build_spec(
         target: the region around which the visual skin is fine; None: nowhere.
         skin: False leaves the visual skin out.
     """
-    body = load_body(protocol.person.body)
+    body, breathes = load_body(protocol.person.body), protocol.person.alive.breathing is not None
     spec = mujoco.MjSpec()
     spec.modelname = "carecontact"
     # First: what is added later is read in its units.
@@ -82,13 +85,17 @@ def build_spec(
         for name in protocol.regions
     }
     for name, frame in frames.items():
-        _add_region_site(spec, body, name, frame)
+        _add_region_site(spec, body, name, frame, breathes=breathes)
     if skin:
         add_skin(spec, body if target is None else refined(body, REGIONS[target].segment, times=2))
+        if breathes:
+            move_skin(spec, body)
     head_x = root[0] + body.joint_centre["head"][2] - body.joint_centre["pelvis"][2] + 0.04
     add_furniture(spec, protocol.scene, head_x=head_x, head_y=float(root[1]))
     add_light(spec)
     add_cameras(spec, protocol)
+    if protocol.person.alive != Alive():
+        add_life(spec, spec.body(body_name("head")))
     add_sensors(spec, hinges, protocol)
     return spec, body, hinges, regions, frames
 
@@ -100,18 +107,26 @@ def _add_person(
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, trunk_rotation(body).ravel())
     hinges = add_skeleton(spec, body, root_position=root, root_quat=quat, soft_regions=protocol.soft_regions)
+    alive = protocol.person.alive
+    if alive.breathing is not None:
+        add_breathing(spec, body)
+    if alive.uses_the_arm:
+        add_muscles(spec)
     regions: dict[str, SoftRegion] = {}
     for region in protocol.soft_regions:
         tissue = protocol.person.tissue[region]
         shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue))
-        regions[region] = add_tissue(spec, body, region, shell, tissue)
+        on = carrier(REGIONS[region].segment, breathes=alive.breathing is not None)
+        regions[region] = add_tissue(spec, body, region, shell, tissue, on=on)
     return hinges, regions
 
 
-def _add_region_site(spec: mujoco.MjSpec, body: Body, region: str, frame: RegionFrame) -> None:
+def _add_region_site(
+    spec: mujoco.MjSpec, body: Body, region: str, frame: RegionFrame, *, breathes: bool
+) -> None:
     segment, quat = REGIONS[region].segment, np.zeros(4)
     mujoco.mju_mat2Quat(quat, frame.axes.ravel())
-    spec.body(body_name(segment)).add_site(
+    spec.body(carrier(segment, breathes=breathes)).add_site(
         name=f"region_{region}", pos=frame.origin - body.joint_centre[segment], quat=quat, group=5, size=[0.005] * 3
     )
 

@@ -1,5 +1,6 @@
 """Schema of a protocol file: tasks, gates, limits, definitions and the numbers of the scene that may change."""
 
+from carecontact.contract.protocol.alive import Alive, Breathing, Repositioning, Withdrawal
 from carecontact.contract.protocol.contact import ContactDefinition
 from carecontact.contract.protocol.gates import BEHAVIOURS, Gates
 from carecontact.contract.protocol.impedance import Impedance
@@ -17,6 +18,8 @@ from carecontact.contract.protocol.vision import Vision
 __all__ = [
     "BEHAVIOURS",
     "SEGMENT_PARTS",
+    "Alive",
+    "Breathing",
     "Camera",
     "ContactDefinition",
     "FileStem",
@@ -32,6 +35,7 @@ __all__ = [
     "Protocol",
     "Randomization",
     "RegionName",
+    "Repositioning",
     "Scene",
     "Section",
     "Task",
@@ -39,6 +43,7 @@ __all__ = [
     "Variation",
     "Vec3",
     "Vision",
+    "Withdrawal",
     "protocol_title",
     "sideless",
 ]

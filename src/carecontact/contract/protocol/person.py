@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
+from carecontact.contract.protocol.alive import Alive
 from carecontact.contract.protocol.section import Length, Positive, Section
 from carecontact.contract.protocol.task import RegionName
 
@@ -84,3 +85,12 @@ class Person(Section):
     tissue_set: str
     tissue: dict[RegionName, Tissue]
     """One row for each soft region of the protocol, and no other (``Protocol.soft_regions``)."""
+    alive: Alive = Alive()
+
+    @model_serializer(mode="wrap")
+    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what protocols did not always have, at its default: they keep their hash."""
+        content = handler(self)
+        if self.alive == Alive():
+            del content["alive"]
+        return content

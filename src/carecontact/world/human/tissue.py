@@ -73,13 +73,15 @@ class DeclaredCells:
 
 def add_tissue(
     spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissue: Tissue, *, tools: str = PANDA.base_body,
-    ledger: bool = False,
+    ledger: bool = False, on: str | None = None,
 ) -> SoftRegion:  # fmt: skip
     """Add shell and bone core of one region. Call after the skeleton.
 
     Args:
         tools: name of the body whose geoms, and those of the bodies under it, touch the shell.
         ledger: keep the energy of every step.
+        on: name of the body that carries the shell, with the origin of the segment's; by default the segment. The core
+            stays on the segment.
     """
     origin = body.joint_centre[REGIONS[region].segment]
     limb = isinstance(REGIONS[region].shape, Tube)
@@ -88,7 +90,7 @@ def add_tissue(
         places=shell.vertices - origin, inward=-shell.normals, along=shell.frame[:, 0], triangles=shell.triangles,
         areas=shell.area, cells=cells.of_triangle,
     )  # fmt: skip
-    bone = spec.body(body_name(REGIONS[region].segment))
+    bone = spec.body(on or body_name(REGIONS[region].segment))
     add_region(spec, name=region, bone=bone, mesh=mesh, tissue=tissue, tools=tools, ledger=ledger)
     _add_core(spec, region, shell, tissue, origin)
     return SoftRegion(name=region, shell=shell, tissue=tissue, cells=cells)

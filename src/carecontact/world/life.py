@@ -1,0 +1,92 @@
+"""What a seed lets the person do by itself: drawn from the protocol's ranges, and given to a person that has settled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carecontact.contract.protocol import Alive, Repositioning
+from carecontact.kernel.life import JOINTS, MOST_MOVES, Doings, Move, Pull
+from carecontact.world.human.body import Array
+
+TONE = {"passive": 0.0, "helps": 0.0, "holds": 0.15}
+"""Manner -> activation of the muscles at rest (assumed): the shoulder of a person who holds is about ten times as stiff
+as the passive joint."""
+HELP = {"passive": 0.0, "helps": 0.8, "holds": 0.0}
+"""Manner -> share of the passive joints' stiffness and damping that the person takes away (assumed)."""
+LIFT_RAD = 0.13
+"""How far the shoulder is flexed in the middle of a change of posture: less than lifts the arm off its board, so that it
+slides with half its weight."""
+WIDEST_M = 0.08
+"""No posture of the wrist is farther than this from where it lay at first, along the board."""
+REST_S = 0.5
+"""From the end of a change of posture to the next at least."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shift:
+    """A change of posture, before it is known how the person lies."""
+
+    time_s: float
+    duration_s: float
+    wrist_m: float
+    """Along the board; away from the trunk is positive."""
+
+
+def draw_shifts(rng: np.random.Generator, wanted: Repositioning, *, until_s: float) -> list[Shift]:
+    """Onsets of a process of constant rate up to ``until_s``, with the size and length of each change.
+
+    They are drawn before the trial and so cannot depend on what the robot does. The first onset may come at once.
+    """
+    out: list[Shift] = []
+    now = at = 0.0
+    gap_s = max(0.0, 60.0 / wanted.per_minute - np.mean(wanted.duration_s) - REST_S)
+    while len(out) < MOST_MOVES:
+        now += float(rng.exponential(gap_s))
+        size, duration = float(rng.uniform(*wanted.wrist_m)), float(rng.uniform(*wanted.duration_s))
+        way = float(rng.choice([-1.0, 1.0]))
+        if now >= until_s:
+            break
+        if abs(at + way * size) > WIDEST_M:
+            way = -np.sign(at)
+        out.append(Shift(time_s=now, duration_s=duration, wrist_m=way * size))
+        at += way * size
+        now += duration + REST_S
+    return out
+
+
+def draw_doings(
+    rng: dict[str, np.random.Generator], alive: Alive, *, until_s: float, wrist_radius_m: float
+) -> Doings:
+    """Draw all that one person does.
+
+    Args:
+        rng: streams ``breathing``, ``repositioning`` and ``withdrawal``.
+        until_s: longest trial.
+        wrist_radius_m: horizontal distance of the wrist from the shoulder.
+    """
+    out = Doings(tone=TONE[alive.manner], help=HELP[alive.manner])
+    changes: dict[str, object] = {}
+    if (b := alive.breathing) is not None:
+        hz, belly, chest = (float(rng["breathing"].uniform(*r)) for r in (b.frequency_hz, b.abdomen_m, b.chest_m))
+        phase = float(rng["breathing"].uniform())
+        changes |= {
+            "breath_hz": hz, "inspiration_share": b.inspiration_share, "phase": phase, "breath_m": (belly, chest)
+        }  # fmt: skip
+    if alive.repositioning is not None:
+        shifts = draw_shifts(rng["repositioning"], alive.repositioning, until_s=until_s)
+        changes["moves"] = tuple(
+            Move(time_s=s.time_s, duration_s=s.duration_s, lift_rad=LIFT_RAD, shift_rad=_abduction(s.wrist_m / wrist_radius_m))
+            for s in shifts
+        )
+    if (w := alive.withdrawal) is not None:
+        changes["pull"] = Pull(
+            force_n=float(rng["withdrawal"].uniform(*w.force_n)), for_s=w.for_s, delay_s=w.delay_s,
+            duration_s=w.duration_s, shift_rad=_abduction(-w.wrist_m / wrist_radius_m),
+        )  # fmt: skip
+    return Doings(**{**out.__dict__, **changes})  # pyright: ignore[reportArgumentType]
+
+
+def _abduction(angle_rad: float) -> Array:
+    return angle_rad * np.array([joint.endswith("abduction") for joint in JOINTS], np.float64)

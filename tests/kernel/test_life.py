@@ -1,0 +1,190 @@
+"""What a person does by itself, in small worlds whose forces are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from carecontact.errors import SceneError
+from carecontact.kernel.life import Doings, Life, Move, Pull, add_life, breath
+from carecontact.kernel.readings import Readings
+from carecontact.kernel.region import add_region
+from tests.kernel.sheets import CYLINDER, sheet, tissue
+
+STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+BREATH = Doings(breath_hz=0.3, inspiration_share=0.45, phase=0.2, breath_m=(0.004, 0.0))
+ABDUCTION = "human_right_upper_arm_abduction"
+SHIFT = np.array([0.12, 0.0, 0.0, 0.0])
+MOVES = Doings(moves=(Move(time_s=0.5, duration_s=1.0, lift_rad=0.0, shift_rad=SHIFT),))
+RADIUS_M, DEPTH_M = 0.04, 0.001
+
+
+def breathing_sheet() -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """A sheet on a breathing wall, which the fixed disc is DEPTH_M deep in at the end of a breath out."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.option.timestep, spec.option.gravity = 0.002, [0, 0, 0]
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    wall = spec.worldbody.add_body(name="wall", mass=0.001, explicitinertial=True, inertia=[1e-5] * 3)
+    wall.add_joint(name="wall", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], armature=2.0)
+    servo = spec.add_actuator(
+        name="breathes_abdomen", trntype=mujoco.mjtTrn.mjTRN_JOINT, target="wall",
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+    )  # fmt: skip
+    servo.gainprm[0], servo.biasprm[:3] = 1e5, [0, -1e5, -900]
+    tool = spec.worldbody.add_body(name="tool", pos=[0, 0, 0.02 - DEPTH_M])
+    tool.add_geom(type=CYLINDER, size=[RADIUS_M, 0.02, 0], contype=1, conaffinity=0)
+    law = tissue(a_n_m3=1e6, contact_n_m3=4e6, damping_ns_m3=100.0)
+    add_region(spec, name="sheet", bone=wall, mesh=sheet(half_m=0.06, spacing_m=0.0025), tissue=law, tools="tool")
+    add_life(spec, spec.worldbody.add_body(name="carrier"))
+    model = spec.compile()
+    return model, mujoco.MjData(model)
+
+
+def arm() -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """A forearm of 0.3 m on the shoulder's abduction, with a spring and muscles, on which a finger can be set."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.option.timestep, spec.option.gravity = 0.002, [0, 0, 0]
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    made = spec.worldbody.add_body(name="human_right_forearm")
+    made.add_geom(type=CYLINDER, size=[0.03, 0.15, 0], pos=[0.3, 0, 0], quat=[0.7071, 0, 0.7071, 0], mass=2.0)
+    made.add_joint(
+        name=ABDUCTION, axis=[0, 0, 1], stiffness=[1.5, 0, 0], damping=[0.5, 0, 0], range=[-1, 1],
+        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+    )  # fmt: skip
+    affine = mujoco.mjtGain.mjGAIN_AFFINE
+    for kind, gain, numbers in (("holds", affine, [0, -200, -15]), ("turns", mujoco.mjtGain.mjGAIN_FIXED, [1, 0, 0])):
+        made = spec.add_actuator(
+            name=f"{kind}_right_upper_arm_abduction", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=ABDUCTION, gaintype=gain
+        )
+        made.gainprm[:3] = numbers
+    finger = spec.worldbody.add_body(name="finger", pos=[0.4, 0.1, 0.0])
+    finger.add_joint(name="finger", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 1, 0])
+    finger.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=0.2)
+    spec.add_sensor(
+        name="net_right_forearm", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_BODY,
+        objname="finger", reftype=mujoco.mjtObj.mjOBJ_BODY, refname="human_right_forearm", intprm=[1 << 1, 3, 1],
+    )  # fmt: skip
+    add_life(spec, spec.worldbody.add_body(name="carrier"))
+    model = spec.compile()
+    for joint in ("right_upper_arm_flexion", "right_upper_arm_rotation", "right_forearm_flexion"):
+        assert mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"human_{joint}") < 0
+    return model, mujoco.MjData(model)
+
+
+def run(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> npt.NDArray[np.float64]:
+    """(n, state) after every step."""
+    out = []
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        state = np.zeros(mujoco.mj_stateSize(model, STATE))
+        mujoco.mj_getState(model, data, state, STATE)
+        out.append(state)
+    return np.array(out)
+
+
+def test_a_wall_that_is_not_awake_stays_where_it_is() -> None:
+    model, data = breathing_sheet()
+    mujoco.mj_step(model, data, 500)
+    # Only the disc pushes on it, with 4 N.
+    assert data.qpos[0] == pytest.approx(-4.0 / 1e5, rel=0.1)
+
+
+def test_the_force_of_a_fixed_tool_swings_with_the_breath_as_the_law_says() -> None:
+    """A flat disc on independent springs in series with the contact layer, 0.8 of the anchors' stiffness, and with the
+    servo of the wall."""
+    model, data = breathing_sheet()
+    life, felt = Life(model), Readings(model, "sheet")
+    life.wake(data, BREATH)
+    mujoco.mj_step(model, data, 250)
+    out, force = [], []
+    for _ in range(1700):
+        mujoco.mj_step(model, data)
+        height, _ = breath(BREATH, data.time)
+        assert life.breath_m(data)[0] == data.actuator_length[0]
+        out.append([0.004 * height, data.qpos[0]])
+        force.append(-felt.last(data, 1)["force_n"][0, 2])
+    wanted, moved = np.array(out).T
+    assert np.ptp(wanted) > 0.0039
+    stiffness = 0.8e6 * np.pi * RADIUS_M**2
+    expected = (DEPTH_M + wanted) / (1 / stiffness + 1 / 1e5)
+    np.testing.assert_allclose(moved, wanted - np.array(force) / 1e5, atol=5e-6)
+    # The disc's rim is rounded with 2 mm, and bears less the shallower the disc lies.
+    np.testing.assert_allclose(force, expected, rtol=0.03, atol=0.03 * max(expected))
+    assert np.ptp(force) == pytest.approx(np.ptp(expected), rel=0.02)
+    assert max(force) > 4.5 * min(force)
+
+
+def test_breath_is_half_a_cosine_in_and_another_out() -> None:
+    still = replace(BREATH, phase=0.0)
+    assert breath(still, 0.0) == (0.0, 0.0)
+    assert breath(still, 0.45 / 0.3)[0] == pytest.approx(1.0)
+    for time_s in np.linspace(0, 4, 41):
+        rate = (breath(BREATH, time_s + 1e-6)[0] - breath(BREATH, time_s - 1e-6)[0]) / 2e-6
+        assert breath(BREATH, time_s)[1] == pytest.approx(rate, abs=1e-4)
+
+
+def test_the_arm_changes_its_place_and_stays_there() -> None:
+    model, data = arm()
+    Life(model).wake(data, MOVES)
+    angle = run(model, data, 4.0)[:, 1]
+    at = {time_s: angle[round(time_s / 0.002) - 1] for time_s in (0.5, 1.5, 4.0)}
+    assert at[0.5] == pytest.approx(0.0, abs=1e-6)
+    assert at[1.5] == pytest.approx(0.12, abs=0.005)
+    # The passive spring rests at the new place.
+    assert at[4.0] == pytest.approx(0.12, abs=0.001)
+    assert 0.0 < Life(model).work_j(data)[1] < 1.0
+    assert (np.diff(angle) > -1e-4).all()
+
+
+def press(model: mujoco.MjModel, data: mujoco.MjData, newton: float, seconds: float) -> npt.NDArray[np.float64]:
+    data.joint("finger").qfrc_applied[:] = -newton
+    return run(model, data, seconds)
+
+
+@pytest.mark.parametrize(("newton", "seconds", "pulled"), [(15.0, 1.0, 0), (30.0, 0.03, 0), (30.0, 0.3, 1)])
+def test_the_arm_is_withdrawn_after_more_than_a_force_for_a_time(newton: float, seconds: float, pulled: int) -> None:
+    model, data = arm()
+    life = Life(model)
+    life.wake(data, Doings(tone=1.0, pull=Pull(force_n=20.0, for_s=0.05, delay_s=0.1, duration_s=0.5, shift_rad=-SHIFT)))
+    data.joint("finger").qpos[:] = -0.05
+    press(model, data, 5.0, 1.0)
+    assert len(life.pulls_s(data)) == 0
+    began = data.time
+    press(model, data, newton, seconds)
+    press(model, data, 1.0, 1.0)
+    assert len(life.pulls_s(data)) == pulled
+    if pulled:
+        # Contact takes a few steps to bear the new force.
+        assert life.pulls_s(data)[0] == pytest.approx(began + 0.05 + 0.1, abs=0.012)
+        assert data.joint(ABDUCTION).qpos[0] == pytest.approx(-0.12, abs=0.01)
+
+
+@pytest.mark.parametrize("when_s", [0.3, 0.9])
+def test_a_state_restored_in_the_middle_goes_on_bit_for_bit(when_s: float) -> None:
+    """In mid-breath, and in the middle of a movement and of a withdrawal that is about to begin."""
+    for world, doings in (
+        (breathing_sheet, BREATH),
+        (arm, replace(MOVES, pull=Pull(force_n=0.5, for_s=0.05, delay_s=0.6, duration_s=0.5, shift_rad=-SHIFT))),
+    ):
+        model, data = world()
+        Life(model).wake(data, doings)
+        if world is arm:
+            data.joint("finger").qpos[:], data.joint("finger").qfrc_applied[:] = -0.05, -3.0
+        first = run(model, data, when_s)[-1]
+        rest = run(model, data, 1.0)
+        if world is arm:
+            assert len(Life(model).pulls_s(data)) > 0
+        other = mujoco.MjData(model)
+        mujoco.mj_setState(model, other, first, STATE)
+        np.testing.assert_array_equal(run(model, other, 1.0), rest)
+
+
+def test_a_model_without_it_is_told() -> None:
+    with pytest.raises(SceneError, match="does nothing by itself"):
+        Life(mujoco.MjSpec().compile())
