@@ -23,11 +23,12 @@ from carecontact.recording.storage import no_space
 from carecontact.runs.alone import alone
 from carecontact.runs.identity import Identity, identity_of
 from carecontact.runs.manifest import MANIFEST, Purpose, Survey, salted, survey, write_manifest
+from carecontact.trials.launch import WORKER_COMMAND, Launcher
 from carecontact.trials.lost import Losses
 from carecontact.trials.pace import check_pace, late_in
 from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
-from carecontact.trials.workers import ROOM_BYTES, WORKER_COMMAND, Workers
+from carecontact.trials.workers import ROOM_BYTES, Workers
 
 EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
 POLL_S = 0.05
@@ -115,7 +116,7 @@ def run_trials(
                 policy=setup,
                 weights=weights,
                 pace_s=pace_s,
-                command=worker_command,
+                launcher=Launcher(worker_command, forks=len(specs) > len(found.keep) + 1),
                 trial_limit_s=trial_limit_s,
                 losses=Losses(setup, out=out, before=found.killed),
             )
@@ -160,8 +161,9 @@ class _Run:
                     self._stop_full(f"less than {ROOM_BYTES >> 20} MB are free for each trial")
                     break
                 spec = self._waiting.pop(0)
-                self._workers.start(spec)
+                # First, because the fork server takes a second to start.
                 self._report("started", spec.trial_id)
+                self._workers.start(spec)
             self._take_finished()
             self._report_silence()
             if self._workers.running:
