@@ -80,8 +80,8 @@ import numpy as np
 from carecontact.observation.keypoints import MediaPipePose
 found = MediaPipePose().estimate(np.zeros((64, 64, 3), np.uint8))
 assert np.isnan(found.landmarks).all()
-unwanted = ("matplotlib", "mediapipe.tasks", "sounddevice")
-assert "mediapipe" in sys.modules and not any(name.startswith(unwanted) for name in sys.modules)
+needless = ("matplotlib", "mediapipe.tasks", "sounddevice")
+assert "mediapipe" in sys.modules and not any(name.startswith(needless) for name in sys.modules)
 from mediapipe.tasks.python import vision
 assert vision.PoseLandmarker
 from matplotlib import pyplot

@@ -34,7 +34,10 @@ def test_a_kept_shell_has_the_same_bits_and_belongs_to_one_body_region_and_tissu
         assert type(value) is type(getattr(shell, field.name))
         np.testing.assert_array_equal(value, getattr(shell, field.name))
     coarse = TISSUE.model_copy(update={"spacing_m": 2 * TISSUE.spacing_m})
-    others = ((replace(BODY, name="other"), "forearm", TISSUE), (BODY, "upper_arm", TISSUE), (BODY, "forearm", coarse))
-    for other in others:
+    for other in (
+        (replace(BODY, name="other"), "forearm", TISSUE),
+        (BODY, "upper_arm", TISSUE),
+        (BODY, "forearm", coarse),
+    ):
         with pytest.raises(AssertionError, match="computed again"):
             kept_shell(*other, forbidden)

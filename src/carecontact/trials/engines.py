@@ -10,8 +10,9 @@ from carecontact.errors import ConfigError
 from carecontact.hosting.setup import PolicySetup
 from carecontact.runs.identity import Identity
 from carecontact.trials.engine import Engine, EngineName
+from carecontact.trials.launch import WORKER_COMMAND, Launcher
 from carecontact.trials.lost import Losses
-from carecontact.trials.workers import WORKER_COMMAND, Workers
+from carecontact.trials.workers import Workers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +29,8 @@ class Conditions:
     trial_limit_s: float
     command: Sequence[str]
     """Of a trial's process."""
+    forks: bool
+    """Whether trials are forked from a process that has imported what they need, which a single one is not worth."""
     killed: frozenset[str]
     """Trials that an earlier command lost to a signal."""
 
@@ -53,7 +56,7 @@ def engine_of(name: EngineName, run: Conditions, *, gpus: float) -> Engine:
     if name == "local":
         return Workers(
             out=run.out, work=run.work, policy=run.policy, weights=run.weights, pace_s=run.pace_s,
-            command=run.command, trial_limit_s=run.trial_limit_s,
+            launcher=Launcher(run.command, forks=run.forks), trial_limit_s=run.trial_limit_s,
             losses=Losses(run.policy, out=run.out, before=run.killed),
         )  # fmt: skip
     from carecontact.trials.ray_engine import RayTrials

@@ -26,10 +26,11 @@ from carecontact.runs.identity import Identity, identity_of
 from carecontact.runs.manifest import MANIFEST, Purpose, Survey, salted, survey, write_manifest
 from carecontact.trials.engine import Engine, EngineName
 from carecontact.trials.engines import Conditions, engine_of
+from carecontact.trials.launch import WORKER_COMMAND
 from carecontact.trials.pace import check_pace, late_in
 from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
-from carecontact.trials.workers import ROOM_BYTES, WORKER_COMMAND
+from carecontact.trials.workers import ROOM_BYTES
 
 EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
 POLL_S = 0.05
@@ -133,7 +134,7 @@ def open_run(
         with work_folder(out) as work:
             conditions = Conditions(
                 out=out, work=work, policy=setup, identity=identity, weights=weights, pace_s=pace_s,
-                command=worker_command, trial_limit_s=trial_limit_s, killed=found.killed,
+                command=worker_command, forks=len(specs) > len(found.keep) + 1, trial_limit_s=trial_limit_s, killed=found.killed,
             )  # fmt: skip
             carrying_out = engine_of(engine, conditions, gpus=gpus)
             try:

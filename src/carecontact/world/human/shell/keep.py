@@ -8,6 +8,7 @@ from dataclasses import fields
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,8 @@ def kept_shell(body: Body, region: str, tissue: Tissue, compute: Callable[[], Sh
         return {field.name: np.asarray(getattr(shell, field.name)) for field in fields(Shell)}
 
     found = kept("shells", facts, arrays)
-    return Shell(**{name: float(array) if array.ndim == 0 else array for name, array in found.items()})
+    values: dict[str, Any] = {name: array if array.ndim else float(array) for name, array in found.items()}
+    return Shell(**values)
 
 
 @cache
