@@ -143,6 +143,15 @@ def test_a_table_whose_reader_goes_away_is_no_failed_check() -> None:
     assert b"BrokenPipeError" in done.stderr, "which main answers with BROKEN_PIPE"
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
+def test_standard_output_without_space() -> None:
+    command = [sys.executable, "-m", "carecontact.cli", "list", "policies"]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: standard output or a file: No space left on device; free some space there")
+
+
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
 def test_a_run_without_standard_output(tmp_path: Path, closed: str) -> None:
     command = f"{sys.executable} -m carecontact.cli run --policy zero-action --tasks T1 --seeds 0 --fast --out r"

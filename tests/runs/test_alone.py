@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from carecontact.cli import main
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, StorageError
 from carecontact.runs.alone import LOCK, alone
 
 HOLDER = """
@@ -99,6 +100,19 @@ def test_two_are_never_inside_together(tmp_path: Path) -> None:
     racers = [subprocess.Popen([sys.executable, "-c", RACER, str(tmp_path / "run")]) for _ in range(4)]
     assert [racer.wait(60) for racer in racers] == [0, 0, 0, 0]
     assert not (tmp_path / "run" / LOCK).exists()
+
+
+def test_a_folder_without_space_is_named_with_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(handle: int, data: bytes) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(StorageError, match=f"^{tmp_path}: No space left on device; free some"), alone(tmp_path):
+            pass
+    with alone(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")

@@ -63,13 +63,19 @@ def command(out: Path, trials: int) -> list[str]:
     ]  # fmt: skip
 
 
+def within(temporary: Path) -> dict[str, str]:
+    return {**os.environ, "TMPDIR": str(temporary)}
+
+
 class Terminal:
     """One that a command is started in, and that may be closed under it."""
 
-    def __init__(self, arguments: list[str]) -> None:
+    def __init__(self, arguments: list[str], temporary: Path) -> None:
         self._ours, theirs = pty.openpty()
         os.set_blocking(self._ours, False)
-        self.running = subprocess.Popen(["setsid", "--ctty", *arguments], stdin=theirs, stdout=theirs, stderr=theirs)
+        self.running = subprocess.Popen(
+            ["setsid", "--ctty", *arguments], stdin=theirs, stdout=theirs, stderr=theirs, env=within(temporary)
+        )
         os.close(theirs)
 
     def wait(self, seconds: float) -> bool:
@@ -90,6 +96,7 @@ class Terminal:
 @dataclass
 class Attack:
     out: Path
+    temporary: Path
     trials: int
     rng: random.Random
     kills: int
@@ -103,7 +110,7 @@ class Attack:
 
     def once(self) -> int:
         """Give the command and attack it until it ends; returns the exit status."""
-        seen, terminal = set[Process](), Terminal(command(self.out, self.trials))
+        seen, terminal = set[Process](), Terminal(command(self.out, self.trials), self.temporary)
         self.commands += 1
         pid = terminal.running.pid
         while not terminal.wait(self.rng.uniform(*PAUSE_S)):
@@ -148,15 +155,17 @@ def test_what_was_killed_at_random_is_finished_by_the_same_command(
         return int(os.environ.get(name, usual))
 
     trials, hangups = given("KILL_TRIALS", TRIALS), given("KILL_HANGUPS", HANGUPS)
-    undisturbed = tmp_path / "undisturbed"
-    subprocess.run(command(undisturbed, trials), check=True, stdout=subprocess.DEVNULL)
-    attack = Attack(tmp_path / "run", trials, random.Random(7), given("KILL_KILLS", KILLS), hangups)
+    undisturbed, temporary = tmp_path / "undisturbed", tmp_path / "temporary"
+    temporary.mkdir()
+    subprocess.run(command(undisturbed, trials), check=True, stdout=subprocess.DEVNULL, env=within(temporary))
+    attack = Attack(tmp_path / "run", temporary, trials, random.Random(7), given("KILL_KILLS", KILLS), hangups)
     while attack.kills + attack.hangups and len(attack.done) < trials:
         attack.once()
     left = attack.trials - len(attack.done)
     attack.kills = attack.hangups = 0
     assert attack.once() == 0
     assert hashes(attack.out) == hashes(undisturbed)
-    assert not [path.name for path in attack.out.iterdir() if path.name.startswith(".")]
+    assert {path.name for path in attack.out.iterdir()} == {path.name for path in undisturbed.iterdir()}
+    assert not list(temporary.iterdir())
     told = {"kills": attack.killed, "of the command": attack.supervisors, "commands": attack.commands}
     record_property("random kills", {**told, "trials": trials, "left for the last command": left})

@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         from carecontact.recording.storage import REMEDY, is_full
 
-        place = error.filename2 or error.filename
+        place = error.filename2 or error.filename or ("standard output or a file" if is_full(error) else None)
         told = f"{place}: {error.strerror}" if place and error.strerror else str(error)
         print(_error_line(f"{told}; {REMEDY}" if is_full(error) else told), file=sys.stderr)
         return 2

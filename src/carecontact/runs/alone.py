@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TextIO
 
 from carecontact.errors import ConfigError
+from carecontact.recording.storage import is_full, no_space
 
 LOCK = ".lock"
 _held = set[tuple[int, int]]()
@@ -26,7 +27,8 @@ def alone(folder: Path, *, make: bool = False) -> Generator[None]:
     Args:
         make: whether to make a folder that is not there; if not, nothing is locked in its place.
 
-    Raises ConfigError if another command has the folder, or if nothing can be written there.
+    Raises ConfigError if another command has the folder, or if nothing can be written there, and StorageError if there
+    is no space.
     """
     try:
         made = make and not folder.exists()
@@ -36,6 +38,8 @@ def alone(folder: Path, *, make: bool = False) -> Generator[None]:
     except NotADirectoryError:
         stream = None  # a file, of which the command will say more
     except OSError as error:
+        if is_full(error):
+            raise no_space(folder, error.strerror) from None
         raise ConfigError(f"{folder}: cannot be written to: {error.strerror}") from None
     if stream is None:
         yield
@@ -85,9 +89,12 @@ def _locked(folder: Path, *, make: bool) -> TextIO | None:
             if _identity(path.stat()) == _identity(os.fstat(stream.fileno())):
                 break
         stream.close()
-    stream.truncate(0)
-    stream.write(f"process {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')},")
-    stream.flush()
+    try:
+        stream.truncate(0)
+        os.write(stream.fileno(), f"process {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')},".encode())
+    except BaseException:
+        stream.close()
+        raise
     return stream
 
 

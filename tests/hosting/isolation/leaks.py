@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import resource
 import socket
 import subprocess
 import sys
@@ -20,6 +21,9 @@ from carecontact.hosting.isolation.fence import CACHES
 SEIZE = 0x4206
 """linux/ptrace.h"""
 PROCESS_VM_READV, PIDFD_GETFD = 310, 438
+IN_CREATE = 0x100
+"""linux/inotify.h"""
+UNLIMITED = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
 SIZE = ctypes.c_size_t
 
 
@@ -59,16 +63,24 @@ def tries(folder: Path, socket_name: str) -> dict[str, Callable[[], object]]:
         "take a descriptor of the harness": lambda: _taken(harness),
         "signal the harness": lambda: os.kill(harness, 0),
         "signal the harness through a child": lambda: _child(f"import os; os.kill({harness}, 0)"),
+        "limit the files of the harness": lambda: resource.prlimit(harness, resource.RLIMIT_FSIZE, UNLIMITED),
+        "limit the processor time of the harness through a child": lambda: _child(
+            f"import resource; resource.prlimit({harness}, resource.RLIMIT_CPU, {UNLIMITED})"
+        ),
         "connect to an abstract socket": lambda: _connected(socket_name),
     }
 
 
 def stays_open(folder: Path) -> dict[str, Callable[[], object]]:
     """What Landlock cannot close."""
-    recording = folder / "policy" / "runs" / "now" / "T1-s000.h5"
+    run, harness = folder / "policy" / "runs" / "now", os.getppid()
+    recording = run / "T1-s000.h5"
     return {
         "size of a recording whose name it guesses": recording.stat,
         "change the mode of a recording": lambda: recording.chmod(0o644),
+        "learn the names of the run's new files": lambda: _watched(run),
+        "change the priority of the harness": lambda: os.setpriority(os.PRIO_PROCESS, harness, 0),
+        "bind the harness to processors": lambda: os.sched_setaffinity(harness, os.sched_getaffinity(harness)),
         "write into shared memory": _shared_memory,
         "open a connection": lambda: socket.create_server(("127.0.0.1", 0)).close(),
     }
@@ -150,6 +162,14 @@ def _taken(pid: int) -> None:
 def _connected(name: str) -> None:
     with socket.socket(socket.AF_UNIX) as client:
         client.connect(f"\0{name}")
+
+
+def _watched(folder: Path) -> None:
+    handle = _checked(_libc().inotify_init())
+    try:
+        _checked(_libc().inotify_add_watch(handle, os.fsencode(folder), IN_CREATE))
+    finally:
+        os.close(handle)
 
 
 def _shared_memory() -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from carecontact.hosting.isolation.allowlist import rights
 from carecontact.hosting.isolation.kernel import die_with_parent, drop_capabilities
 from carecontact.hosting.isolation.landlock import SCOPES_SINCE, restrict, version
+from carecontact.hosting.isolation.limits import can_close_limits, close_limits
 from carecontact.hosting.isolation.unlisted import UnlistedFolders
 
 if TYPE_CHECKING:
@@ -24,11 +25,16 @@ write there."""
 NAME_FILES = ("LD_LIBRARY_PATH", "SSL_CERT_FILE")
 
 
-def level(kernel: int) -> str:
+def level(kernel: int, *, limits: bool) -> str:
     """Describe the isolation that a version of Landlock gives; 0 for a kernel without it. The first word is the level:
-    full, partial or none."""
-    if kernel >= SCOPES_SINCE:
+    full, partial or none.
+
+    ``limits``: whether the limits of the harness's processes are closed as well.
+    """
+    if kernel >= SCOPES_SINCE and limits:
         return "full"
+    if kernel >= SCOPES_SINCE:
+        return "partial: this system cannot close the limits of the harness's processes (seccomp)"
     if kernel >= TRUNCATE_SINCE:
         return "partial: this kernel's Landlock does not close signals to the harness and abstract sockets (Linux 6.12)"
     if kernel:
@@ -38,7 +44,7 @@ def level(kernel: int) -> str:
 
 def available() -> str:
     """Return the level that this system can give a policy."""
-    return level(version())
+    return level(version(), limits=can_close_limits())
 
 
 def isolate(options: Options) -> None:
@@ -68,7 +74,7 @@ def _enclose(options: Options) -> str:
     for name in CACHES:
         os.environ.setdefault(name, os.path.join(tempfile.gettempdir(), name.lower()))
     drop_capabilities()
-    reached = level(restrict(allowed))
+    reached = level(restrict(allowed), limits=close_limits())
     if unlisted := [folder for folder in (*search_path, *sys.path) if os.path.isdir(folder) and not _listed(folder)]:
         sys.meta_path.append(UnlistedFolders(unlisted))
     for word, paths in (("read", options["readable"]), ("write", options["writable"])):
