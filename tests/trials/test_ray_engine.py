@@ -200,14 +200,25 @@ def test_the_folder_of_an_imported_policy_goes_to_the_nodes_without_runs(
     monkeypatch.setenv("RAY_ADDRESS", "192.0.2.7:6379")
     connect(PolicyRef.parse("mine:P"))
     assert ray.began["address"] == "192.0.2.7:6379"
-    assert ray.began["runtime_env"] == {"working_dir": str(tmp_path), "excludes": [".*", "__pycache__", "/runs/mine/"]}
+    assert ray.began["runtime_env"] == {"working_dir": str(tmp_path), "excludes": [".?*", "__pycache__", "/runs/mine/"]}
+
+
+def test_a_cluster_without_a_token_is_warned_about_where_a_policy_runs_on_it(
+    ray: FakeRay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
+    local, far = (PolicySetup(ref=PolicyRef.parse(text)) for text in ("hover", "ws://192.0.2.7:8765"))
+    assert "set RAY_AUTH_MODE=token" in check_engine("ray", local, gpus=0)
+    assert check_engine("ray", far, gpus=0) == check_engine("local", local, gpus=0) == ""
+    monkeypatch.setenv("RAY_AUTH_MODE", "token")
+    assert check_engine("ray", local, gpus=0) == ""
 
 
 def test_what_keeps_from_a_cluster_is_one_sentence(ray: FakeRay, monkeypatch: pytest.MonkeyPatch) -> None:
     hover = PolicySetup(ref=PolicyRef.parse("hover"))
     ray.refusal = ConnectionError("nothing\n  there")
     with pytest.raises(
-        ConfigError, match=r"no Ray cluster runs on this machine \(nothing there\); start one with `ray"
+        ConfigError, match=r"no Ray cluster answers on this machine \(nothing there\); start one with `ray"
     ):
         check_engine("ray", hover, gpus=0)
     monkeypatch.setenv("RAY_ADDRESS", "192.0.2.7:6379")
