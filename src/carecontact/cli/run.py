@@ -93,7 +93,8 @@ class Run:
         if self.restart and self.retry_failed:
             raise ConfigError("--restart runs every trial again, and --retry-failed only some; give one of them")
         setup = policy_setup(self.policy, self.given)
-        check_engine(self.parallel.engine, setup, gpus=self.parallel.gpus)
+        if told := check_engine(self.parallel.engine, setup, gpus=self.parallel.gpus):
+            print(f"warning: {told}")
         rules = self._protocol()
         tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
         with ExitStack() as held:

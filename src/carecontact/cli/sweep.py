@@ -85,6 +85,7 @@ class Sweep:
         places = places_of(plan, named=str(self.plan))
         deadline_s = places[0].protocol.phases.first_call_deadline_s
         swept: list[SweptPolicy] = []
+        warnings = dict[str, None]()
         try:
             setups = [policy_setup(planned.policy, _options(planned)) for planned in plan.policies]
             named = [
@@ -96,9 +97,11 @@ class Sweep:
             raise ConfigError(f"plan {self.plan}: policies: {error}") from None
         for planned, setup in zip(plan.policies, setups, strict=True):
             if not self.dry_run:
-                check_engine(self.parallel.engine, setup, gpus=self.parallel.gpus)
+                warnings[check_engine(self.parallel.engine, setup, gpus=self.parallel.gpus)] = None
             card = None if self.dry_run else check_policy(setup, deadline_s=deadline_s)
             swept.append(SweptPolicy(setup=setup, card=card, jobs=planned.jobs))
+        for told in filter(None, warnings):
+            print(f"warning: {told}")
         return cells, swept
 
     def _folder(self, cell: Cell) -> Path:

@@ -88,6 +88,8 @@ def _fields(model: type[BaseModel] | None, loc: Sequence[int | str]) -> list[str
         return ["base", *(name for name in Protocol.model_fields if name != "overrides")]
     here: Any = model
     for part in loc:
+        if isinstance(part, int) and isinstance(here, type) and issubclass(here, BaseModel):
+            continue  # an entry of the list whose tables were found with its name
         if here is Gates:
             here = BEHAVIOURS[str(part)].gate if part in BEHAVIOURS else None
         elif isinstance(here, type) and issubclass(here, BaseModel):

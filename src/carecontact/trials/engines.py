@@ -35,19 +35,28 @@ class Conditions:
     """Trials that an earlier command lost to a signal."""
 
 
-def check_engine(name: EngineName, policy: PolicySetup, *, gpus: float) -> None:
-    """Raises ConfigError for what the engine cannot give or reach, DependencyError for one that is not installed."""
+def check_engine(name: EngineName, policy: PolicySetup, *, gpus: float) -> str:
+    """Return a warning about what the engine opens to the policy, or nothing.
+
+    Raises ConfigError for what the engine cannot give or reach, DependencyError for one that is not installed.
+    """
     if name == "local":
         if gpus:
             raise ConfigError("--gpus: only --engine ray reserves GPUs; on one machine every trial may use all of them")
-        return
+        return ""
     if gpus < 0:
         raise ConfigError(f"--gpus {gpus:g}: must be 0 or more")
     if policy.record is not None:
         raise ConfigError("--record: not with --engine ray, whose nodes write no common file; record on one machine")
-    from carecontact.trials.ray_engine import connect
+    from carecontact.trials.ray_engine import asks_for_a_token, connect
 
     connect(policy.ref)
+    if policy.ref.kind == "remote" or asks_for_a_token():
+        return ""
+    return (
+        "this Ray cluster takes orders from whoever reaches its ports, and a policy does; set RAY_AUTH_MODE=token "
+        "(docs/cluster.md)"
+    )
 
 
 def engine_of(name: EngineName, run: Conditions, *, gpus: float) -> Engine:

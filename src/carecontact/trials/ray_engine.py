@@ -52,10 +52,10 @@ def connect(policy: PolicyRef) -> None:
     try:
         ray.init(address=where, runtime_env=shipped, log_to_driver=False, logging_level="error")
     except ConnectionError as error:
-        told = "no Ray cluster runs on this machine" if where == "auto" else f"no Ray cluster answers at {where}"
+        place = "on this machine" if where == "auto" else f"at {where}"
         raise ConfigError(
-            f"--engine ray: {told} ({' '.join(str(error).split())[:200]}); start one with `ray start --head`, or set "
-            "RAY_ADDRESS=HOST:6379 (docs/cluster.md)"
+            f"--engine ray: no Ray cluster answers {place} ({' '.join(str(error).split())[:200]}); start one with `ray "
+            "start --head`, set RAY_ADDRESS=HOST:6379, or set the token that it wants (docs/cluster.md)"
         ) from None
     except Exception as error:
         if shipped and "size" in str(error):
@@ -66,10 +66,15 @@ def connect(policy: PolicyRef) -> None:
         raise
 
 
+def asks_for_a_token() -> bool:
+    """Whether the cluster, as far as this process is told, takes orders from those alone who know its token."""
+    return os.environ.get("RAY_AUTH_MODE") == "token"
+
+
 def _excluded(folder: Path) -> list[str]:
     """Folders of runs, and hidden ones: no policy needs them, and a recording is none of its business."""
     runs = [path.parent for pattern in ("*", "*/*", "*/*/*") for path in folder.glob(f"{pattern}/{MANIFEST}")]
-    return [".*", "__pycache__", *(f"/{run.relative_to(folder).as_posix()}/" for run in runs)]
+    return [".?*", "__pycache__", *(f"/{run.relative_to(folder).as_posix()}/" for run in runs)]
 
 
 @dataclass(kw_only=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 from carecontact import __version__
 from carecontact.recording.writer import replace_file
-from carecontact.reports.sweep.table import RATES, SweepTable
+from carecontact.reports.sweep.table import PASSED, SweepTable
 from carecontact.reports.sweep.texts import (
     ORDER_HEADS,
     as_csv,
@@ -51,7 +51,7 @@ def _page(table: SweepTable) -> str:
         order_heads=ORDER_HEADS,
         orders=[order_cells(order) for order in found.orders] if found else [],
         resamples=f"{RESAMPLES:,}",
-        passed=RATES[table.rank_by],
+        passed=PASSED[table.rank_by],
         marginal_heads=marginal_heads(table),
         marginals=marginal_rows(table),
         heads=heads(table),

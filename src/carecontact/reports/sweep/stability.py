@@ -28,7 +28,7 @@ class Group:
 
 @dataclass(frozen=True, kw_only=True)
 class Marginal:
-    """All combinations in which an axis has one value."""
+    """All combinations in which an axis, one that has several values, has one of them."""
 
     axis: str
     value: str
@@ -166,7 +166,9 @@ def _marginals(
 ) -> list[Marginal]:
     rows: list[Marginal] = []
     for axis in passed_in[0][0].values:
-        for value in dict.fromkeys(group.values[axis] for group, _ in passed_in):
+        values = dict.fromkeys(group.values[axis] for group, _ in passed_in)
+        # One value has no others to be set beside.
+        for value in values if len(values) > 1 else ():
             tables = [table for group, table in passed_in if group.values[axis] == value]
             passed = _total(tables, policies)
             n = sum(map(len, tables))

@@ -11,6 +11,8 @@ from carecontact.scoring.result import TrialScore
 
 RATES = {"safety_gated": "safety-gated", "region_correct": "region-correct", "success": "success"}
 """Field of a plan -> what tables call it."""
+PASSED = RATES | {"success": "successful"}
+"""Field of a plan -> the trials that have it."""
 
 
 @dataclass(frozen=True, kw_only=True)

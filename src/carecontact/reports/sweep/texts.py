@@ -7,7 +7,7 @@ import io
 from collections.abc import Sequence
 
 from carecontact.reports.sweep.stability import Order, Stability
-from carecontact.reports.sweep.table import RATES, CellRow, SweepTable
+from carecontact.reports.sweep.table import PASSED, RATES, CellRow, SweepTable
 from carecontact.reports.table import headlines
 from carecontact.reports.text import NA, percent
 from carecontact.scoring.metrics.metric import Metric
@@ -83,7 +83,7 @@ def sentences(table: SweepTable) -> list[str]:
     if found is None:
         told.append("There is no order of policies: it needs a trial of the same task and seed of two policies.")
         return told
-    told.append(f"{_order(found)}, by the share of {RATES[table.rank_by]} trials over all.")
+    told.append(f"{_order(found)}, by the share of {PASSED[table.rank_by]} trials over all.")
     if found.groups > 1:
         told.append(_held(found))
     return told

@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from carecontact.errors import ConfigError
+from carecontact.runs.sweep.cells import Cell, cells_of, places_of
+from carecontact.runs.sweep.plan import read_plan
+
+PLAN = """
+tasks = "T1,T3"
+seeds = "0-1"
+rank_by = "success"
+
+[[policies]]
+policy = "hover"
+
+[[policies]]
+policy = "replay"
+label = "again"
+jobs = 2
+
+[axes]
+protocol = ["bathing-draft", "bathing-moved-draft"]
+body = ["man-adult", "woman-old-light"]
+tissue = ["human-published", "manikin-like"]
+friction = [0.2, 0.5]
+stiffness = [200, 400]
+"gates.touch.duration_s" = [0.5, 1]
+
+[set]
+"phases.time_limit_s" = 2
+"""
+
+
+def planned(folder: Path, text: str) -> list[Cell]:
+    file = folder / "p.toml"
+    file.write_text(text)
+    plan = read_plan(file)
+    policies = [(each.label or each.policy, each.policy, {}, ()) for each in plan.policies]
+    return cells_of(plan, places_of(plan, named="p.toml"), policies)
+
+
+def test_the_cells_are_all_combinations_and_each_has_what_it_says(tmp_path: Path) -> None:
+    cells = planned(tmp_path, PLAN)
+    assert len(cells) == len({cell.name for cell in cells}) == 2 * 2**6
+    first, last = cells[0], cells[-1]
+    assert (first.label, last.label) == ("hover", "again")
+    assert list(first.place.values) == [
+        "protocol", "body", "tissue", "friction", "stiffness", "gates.touch.duration_s"
+    ]  # fmt: skip
+    assert [spec.trial_id for spec in first.specs] == ["T1-s000", "T3-s000", "T1-s001", "T3-s001"]
+    rules = last.place.protocol
+    assert (rules.id, rules.person.body, rules.person.tissue_set) == (
+        "bathing-moved-draft", "woman-old-light", "manikin-like"
+    )  # fmt: skip
+    assert {row.friction for row in rules.person.tissue.values()} == {0.5}
+    assert (rules.impedance.translational_n_m, rules.phases.time_limit_s) == (400, 2)
+    assert first.name.startswith("hover_bathing-draft_man-adult_human-published_0.2_200_0.5_")
+    assert {spec.policy for spec in last.specs} == {"replay"}
+    wanted = list(product(("bathing-draft", "bathing-moved-draft"), ("man-adult", "woman-old-light")))
+    assert list(dict.fromkeys(tuple(cell.place.values.values())[:2] for cell in cells)) == wanted
+
+
+def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
+    few = planned(tmp_path, PLAN)
+    many = planned(tmp_path, PLAN.replace('"woman-old-light"]', '"man-old-light", "woman-old-light"]'))
+    assert {cell.name for cell in few} < {cell.name for cell in many}
+    other = planned(tmp_path, PLAN.replace('time_limit_s" = 2', 'time_limit_s" = 3'))
+    assert not {cell.name for cell in few} & {cell.name for cell in other}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('"woman-old-light"', '"giant"', r"axes\.body: .*no body named 'giant'; valid: man-adult"),
+        (
+            "stiffness =",
+            "stifness =",
+            r"axes\.stifness: no such axis \(did you mean 'stiffness'\?\); valid: protocol, body",
+        ),
+        ("0.5]\nstiff", "7]\nstiff", r"axes\.friction: .*person\.tissue\.forearm\.friction: expected at most 2"),
+        ("[200, 400]", "[200, 5000]", r"axes\.stiffness: .*expected 100 to 1000"),
+        (
+            "gates.touch.duration_s",
+            "gates.touch.duration",
+            r"axes\.gates\.touch\.duration: .*did you mean 'duration_s'",
+        ),
+        ('"manikin-like"', '"manikin"', r"axes\.tissue: no tissue set named 'manikin'"),
+        ('"bathing-moved-draft"', '"bathing-v1"', r"axes\.protocol: no protocol named 'bathing-v1'"),
+        ("phases.time_limit_s", "phases.limit", r"set: phases\.limit: no field 'limit' in phases"),
+        ("T1,T3", "T1,T9", r"tasks: 'T9' is not a task of bathing-draft"),
+        ('seeds = "0-1"', 'seeds = "0-99"', r"seeds: '0-99' contains seeds that bathing-draft does not have"),
+        ('seeds = "0-1"', 'seed = "0-1"', r"seed: no such field in the file \(did you mean 'seeds'\?\)"),
+        ("jobs = 2", "jobs = 0", r"policies\.2\.jobs: expected at least 1"),
+        ("jobs = 2", "joobs = 2", r"policies\.2\.joobs: no such field in .* \(did you mean 'jobs'\?\); valid: policy"),
+        ('rank_by = "success"', 'rank_by = "c3"', r"rank_by: expected 'safety_gated', 'region_correct' or 'success'"),
+        ("[200, 400]", "[]", r"axes\.stiffness: expected at least 1 of them"),
+        ("[200, 400]", "[200, 200]", r"axes\.stiffness: 200 is there twice"),
+        ("phases.time_limit_s", "person.body", r"set\.person\.body: the axis body varies it; give only one"),
+        ('label = "again"', 'label = "hover"', "policies: 'hover' is there twice"),
+        ("[axes]", "[axes", "not TOML"),
+    ],
+)
+def test_what_is_wrong_with_a_plan_is_named_with_key_and_valid_values(
+    tmp_path: Path, old: str, new: str, told: str
+) -> None:
+    assert old in PLAN
+    with pytest.raises(ConfigError, match=told):
+        planned(tmp_path, PLAN.replace(old, new))

@@ -1,0 +1,89 @@
+"""Real trials on a Ray cluster of two nodes that this machine emulates, one of which dies in mid-run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from carecontact.contract.trial import TrialSpec
+from carecontact.protocols import load_protocol, overridden
+from carecontact.recording import read_header, stored_sha256
+from carecontact.runs.plan import plan_trials
+from carecontact.trials.supervisor import TrialEvent, run_trials
+from tests.hosting.conftest import PREAMBLE
+
+pytestmark = pytest.mark.slow
+pytest.importorskip("ray", reason="needs the extra cluster")
+
+POLICY = """
+class P(Base):
+    def act(self, observation):
+        return [Action(pose_tcp_in_base=observation.pose_tcp_in_base)] * 5
+"""
+
+
+@pytest.fixture
+def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    import ray
+    from ray.cluster_utils import Cluster
+
+    made: Any = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    monkeypatch.setenv("RAY_ADDRESS", made.address)
+    try:
+        yield made
+    finally:
+        ray.shutdown()
+        made.shutdown()
+
+
+def trials(policy: str, seeds: int) -> list[TrialSpec]:
+    rules = overridden(load_protocol(), {"phases.time_limit_s": 1})
+    return plan_trials(protocol=rules, policy=policy, tasks=["T1"], seeds=range(seeds))
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    return {path.stem: stored_sha256(path) for path in folder.glob("*.h5")}
+
+
+def test_a_node_that_dies_costs_no_trial_and_changes_no_hash(cluster: Any, tmp_path: Path) -> None:
+    nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
+    cluster.wait_for_nodes()
+    events: list[TrialEvent] = []
+
+    def watch(event: TrialEvent) -> None:
+        events.append(event)
+        if event.kind == "finished" and len(nodes) == 2:
+            cluster.remove_node(nodes.pop(), allow_graceful=False)
+
+    specs = trials("zero-action", 8)
+    far = run_trials(specs, out=tmp_path / "far", engine="ray", on_event=watch)
+    assert set(far.ended.values()) == {"time_limit"}
+    assert len(far.ended) == 8
+    lost = [event.message for event in events if event.kind == "redo"]
+    assert lost, "the node died while it ran a trial"
+    assert all("Ray lost it" in (message or "") for message in lost)
+    run_trials(specs, out=tmp_path / "near")
+    assert hashes(tmp_path / "far") == hashes(tmp_path / "near")
+    assert read_header(tmp_path / "far/T1-s000.h5") == read_header(tmp_path / "near/T1-s000.h5")
+
+
+def test_a_policy_in_a_file_goes_to_the_nodes(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cluster.add_node(num_cpus=2)
+    cluster.wait_for_nodes()
+    place = tmp_path / "place"
+    place.mkdir()
+    (place / "under_test.py").write_text(PREAMBLE + POLICY)
+    (place / "runs").mkdir()
+    monkeypatch.chdir(place)
+    from carecontact.hosting.setup import PolicySetup
+
+    setup = PolicySetup.of("under_test:P", search_path=(os.getcwd(),))
+    specs = trials("under_test:P", 2)
+    for engine in ("ray", "local"):
+        found = run_trials(specs, out=place / "runs" / engine, policy=setup, engine=engine)
+        assert found.ended == {"T1-s000": "time_limit", "T1-s001": "time_limit"}
+    assert hashes(place / "runs/ray") == hashes(place / "runs/local")

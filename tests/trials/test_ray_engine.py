@@ -1,0 +1,240 @@
+"""The engine ``ray`` on a stand-in for the package: what it makes of what Ray says. tests/slow has a real cluster."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+import types
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from carecontact.contract.policy_ref import PolicyRef
+from carecontact.errors import ConfigError, DependencyError
+from carecontact.hosting.setup import PolicySetup
+from carecontact.protocols import load_protocol
+from carecontact.recording import read_recording, write_recording
+from carecontact.runs.manifest import MANIFEST
+from carecontact.runs.plan import plan_trials
+from carecontact.trials import ray_engine
+from carecontact.trials.engines import check_engine
+from carecontact.trials.node_task import NodeDone
+from carecontact.trials.ray_engine import ATTEMPTS, RayTrials, connect
+from carecontact.trials.supervisor import TrialEvent, open_run
+from tests.trials.fake_worker import recording
+
+SPECS = plan_trials(protocol=load_protocol(), policy="hover", tasks=["T1"], seeds=range(3))
+
+
+class RayError(Exception):
+    pass
+
+
+class RayTaskError(RayError):
+    pass
+
+
+class Remote:
+    """Runs nothing: the answer of the nodes is what a test says."""
+
+    def __init__(self, ray: FakeRay) -> None:
+        self.ray = ray
+
+    def __call__(self, function: object) -> Remote:
+        return self
+
+    def remote(self, release: str, packed: bytes) -> str:
+        task = pickle.loads(packed)
+        self.ray.tasks.append(task)
+        return f"{task.spec.trial_id} {len(self.ray.tasks)}"
+
+
+class FakeRay(types.ModuleType):
+    def __init__(self) -> None:
+        super().__init__("ray")
+        self.exceptions = types.SimpleNamespace(RayError=RayError, RayTaskError=RayTaskError)
+        self.tasks: list[Any] = []
+        self.answers: dict[str, list[Any]] = {}
+        self.cpus, self.cancelled, self.began = 2.0, list[str](), dict[str, Any]()
+        self.refusal: Exception | None = None
+
+    def is_initialized(self) -> bool:
+        return bool(self.began)
+
+    def init(self, **options: Any) -> None:
+        if self.refusal is not None:
+            raise self.refusal
+        self.began = options
+
+    def remote(self, **options: Any) -> Remote:
+        assert options == {"num_cpus": 1, "num_gpus": 0.0, "max_retries": 0}
+        return Remote(self)
+
+    def cluster_resources(self) -> dict[str, float]:
+        return {"CPU": self.cpus}
+
+    def wait(self, refs: list[str], **options: Any) -> tuple[list[str], list[str]]:
+        return refs, []
+
+    def get(self, ref: str) -> Any:
+        answer = self.answers[ref.partition(" ")[0]].pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def cancel(self, ref: str, *, force: bool) -> None:
+        self.cancelled.append(ref)
+
+
+@pytest.fixture
+def ray(monkeypatch: pytest.MonkeyPatch) -> FakeRay:
+    made = FakeRay()
+    monkeypatch.setitem(sys.modules, "ray", made)
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    return made
+
+
+def sent(seed: int, folder: Path, *, ended: str = "done", **more: Any) -> NodeDone:
+    path = write_recording(recording(SPECS[seed], ended), folder / "sent.h5")
+    return NodeDone(node="far", recording=path.read_bytes(), **more)
+
+
+def run(ray: FakeRay, out: Path, *, specs: Any = SPECS) -> tuple[dict[str, str], list[TrialEvent]]:
+    events: list[TrialEvent] = []
+    with open_run(specs, out=out, engine="ray", on_event=events.append) as found:
+        while found.advance(None):
+            pass
+    return found.ended, events  # pyright: ignore[reportReturnType]
+
+
+def test_a_trial_whose_node_died_runs_elsewhere_and_the_recordings_are_gathered(ray: FakeRay, tmp_path: Path) -> None:
+    out = tmp_path / "r"
+    ray.answers = {
+        "T1-s000": [RayError("the node was dead\nmore"), sent(0, tmp_path)],
+        "T1-s001": [sent(1, tmp_path, ended="process_failure", log=b"why", warnings=("look",))],
+        "T1-s002": [NodeDone(node="far", recording=b"damaged"), sent(2, tmp_path)],
+    }
+    ended, events = run(ray, out)
+    assert ended == {"T1-s000": "done", "T1-s001": "process_failure", "T1-s002": "done"}
+    assert {path.name for path in out.iterdir()} == {
+        "T1-s000.h5", "T1-s001.h5", "T1-s001.log", "T1-s002.h5", MANIFEST
+    }  # fmt: skip
+    again = {event.trial_id: event.message for event in events if event.kind == "redo"}
+    assert again["T1-s000"] == "Ray lost it: the node was dead"
+    assert "what node far sent cannot be read" in (again["T1-s002"] or "")
+    assert [event.message for event in events if event.kind == "warned"] == ["look"]
+    closed = {place for task in ray.tasks for place in task.policy.closed}
+    assert str(out) in closed
+
+
+def test_a_trial_that_is_lost_again_and_again_is_recorded_and_the_same_command_repeats_it(
+    ray: FakeRay, tmp_path: Path
+) -> None:
+    ray.answers = {"T1-s000": [RayError(f"death {k}") for k in range(ATTEMPTS)]}
+    ended, _ = run(ray, tmp_path / "r", specs=SPECS[:1])
+    assert ended == {"T1-s000": "harness_error"}
+    failure = read_recording(tmp_path / "r/T1-s000.h5").header.failure
+    assert failure is not None
+    assert all(f"death {k}" in failure.message for k in range(ATTEMPTS))
+    ray.answers = {"T1-s000": [sent(0, tmp_path)]}
+    ended, _ = run(ray, tmp_path / "r", specs=SPECS[:1])
+    assert ended == {"T1-s000": "done"}
+    assert ray.tasks[-1].earlier is not None
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        (NodeDone(node="far", refused="mujoco was 1, is 2"), "node far cannot run trials of this run: mujoco was 1"),
+        (RayTaskError("...\nModuleNotFoundError: No module named 'x'"), "a node cannot run trials: ModuleNot"),
+    ],
+)  # fmt: skip
+def test_a_node_that_cannot_run_trials_stops_the_run_and_what_runs(
+    ray: FakeRay, tmp_path: Path, answer: object, told: str
+) -> None:
+    ray.answers = {"T1-s000": [answer]}
+    with pytest.raises(ConfigError, match=told):
+        run(ray, tmp_path / "r")
+    assert ray.cancelled == ["T1-s001 2"]
+    assert not list((tmp_path / "r").glob("*.h5"))
+
+
+def test_a_server_that_a_node_cannot_reach_stops_the_run(ray: FakeRay, tmp_path: Path) -> None:
+    ray.answers = {"T1-s000": [NodeDone(node="far", unreached="nothing listens")], "T1-s001": [sent(1, tmp_path)]}
+    with open_run(SPECS, out=tmp_path / "r", engine="ray") as found:
+        while found.advance(None):
+            pass
+    assert found.summary().unreached == "nothing listens (from node far)"
+    assert found.ended == {"T1-s001": "done"}
+
+
+def test_as_many_trials_begin_as_the_cluster_has_cores_now(ray: FakeRay, tmp_path: Path) -> None:
+    engine = RayTrials(out=tmp_path, work=tmp_path, task=shared(), killed=frozenset())
+    ray.cpus = 3
+    assert engine.slots() == 3
+    ray.cpus = 0
+    assert engine.slots() == 1
+    engine.start(SPECS[0])
+    assert engine.waiting() == {"T1-s000": "waits for a node: the cluster has no core"}
+    assert engine.count() == 1
+    engine.kill_all()
+    assert engine.count() == 0
+
+
+def shared() -> dict[str, Any]:
+    setup = PolicySetup(ref=PolicyRef.parse("hover"))
+    return {
+        "policy": setup, "shipped": False, "identity": None, "weights": None, "pace_s": None, "trial_limit_s": 1.0,
+        "command": None,
+    }  # fmt: skip
+
+
+def test_the_folder_of_an_imported_policy_goes_to_the_nodes_without_runs(
+    ray: FakeRay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "runs/mine").mkdir(parents=True)
+    (tmp_path / "runs/mine" / MANIFEST).touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("RAY_ADDRESS", "192.0.2.7:6379")
+    connect(PolicyRef.parse("mine:P"))
+    assert ray.began["address"] == "192.0.2.7:6379"
+    assert ray.began["runtime_env"] == {"working_dir": str(tmp_path), "excludes": [".?*", "__pycache__", "/runs/mine/"]}
+
+
+def test_a_cluster_without_a_token_is_warned_about_where_a_policy_runs_on_it(
+    ray: FakeRay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
+    local, far = (PolicySetup(ref=PolicyRef.parse(text)) for text in ("hover", "ws://192.0.2.7:8765"))
+    assert "set RAY_AUTH_MODE=token" in check_engine("ray", local, gpus=0)
+    assert check_engine("ray", far, gpus=0) == check_engine("local", local, gpus=0) == ""
+    monkeypatch.setenv("RAY_AUTH_MODE", "token")
+    assert check_engine("ray", local, gpus=0) == ""
+
+
+def test_what_keeps_from_a_cluster_is_one_sentence(ray: FakeRay, monkeypatch: pytest.MonkeyPatch) -> None:
+    hover = PolicySetup(ref=PolicyRef.parse("hover"))
+    ray.refusal = ConnectionError("nothing\n  there")
+    with pytest.raises(
+        ConfigError, match=r"no Ray cluster answers on this machine \(nothing there\); start one with `ray"
+    ):
+        check_engine("ray", hover, gpus=0)
+    monkeypatch.setenv("RAY_ADDRESS", "192.0.2.7:6379")
+    with pytest.raises(ConfigError, match=r"no Ray cluster answers at 192\.0\.2\.7:6379"):
+        check_engine("ray", hover, gpus=0)
+    ray.refusal = ValueError("Package size (700MiB) exceeds the maximum size of 512.00MiB")
+    with pytest.raises(ConfigError, match=r"the current folder cannot go to the nodes .*700MiB.*or serve the policy"):
+        check_engine("ray", PolicySetup(ref=PolicyRef.parse("mine:P")), gpus=0)
+    with pytest.raises(ConfigError, match="--record: not with --engine ray"):
+        check_engine("ray", replace(hover, record="file"), gpus=0)
+    with pytest.raises(ConfigError, match="--gpus: only --engine ray"):
+        check_engine("local", hover, gpus=0.5)
+
+    def absent(name: str) -> object:
+        raise ModuleNotFoundError(name)
+
+    monkeypatch.setattr(ray_engine, "import_module", absent)
+    with pytest.raises(DependencyError, match=r"pip install 'carecontact\[cluster\]', here and on every node"):
+        check_engine("ray", hover, gpus=0)
