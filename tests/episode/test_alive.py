@@ -24,17 +24,19 @@ from carecontact.world.human.skeleton import body_name
 SEED = 1
 """Its person moves the arm 0.24 s after the start."""
 OWN = {
-    path for path in OPTIONAL_ARRAYS if path.startswith(("scorer/breath", "scorer/muscle", "scorer/repos", "scorer/with"))
+    path
+    for path in OPTIONAL_ARRAYS
+    if path.startswith(("scorer/breath", "scorer/muscle", "scorer/repos", "scorer/with"))
 }
 CARD = PolicyCard(name="blind", modalities=(), cameras=(), control_hz=10)
 
 
-def living(**alive: object) -> Protocol:
+def living(alive: Alive) -> Protocol:
     protocol = load_protocol()
-    return protocol.model_copy(update={"person": protocol.person.model_copy(update={"alive": Alive(**alive)})})
+    return protocol.model_copy(update={"person": protocol.person.model_copy(update={"alive": alive})})
 
 
-PROTOCOL = living(breathing=Breathing(), repositioning=Repositioning(), withdrawal=Withdrawal())
+PROTOCOL = living(Alive(breathing=Breathing(), repositioning=Repositioning(), withdrawal=Withdrawal()))
 SPEC = TrialSpec(protocol=PROTOCOL, task_id="T6", seed=SEED, policy="blind")
 
 
@@ -135,7 +137,7 @@ def recorded(begin: Callable[..., World], *, height_m: float) -> Recording:
 
 
 def test_the_recording_has_what_moved_the_person_and_onsets_do_not_depend_on_the_policy(
-    begin: Callable[..., World]
+    begin: Callable[..., World],
 ) -> None:
     one, other = (recorded(begin, height_m=height) for height in (-0.05, 0.05))
     check_recording(one, "one")

@@ -151,7 +151,9 @@ def press(model: mujoco.MjModel, data: mujoco.MjData, newton: float, seconds: fl
 def test_the_arm_is_withdrawn_after_more_than_a_force_for_a_time(newton: float, seconds: float, pulled: int) -> None:
     model, data = arm()
     life = Life(model)
-    life.wake(data, Doings(tone=1.0, pull=Pull(force_n=20.0, for_s=0.05, delay_s=0.1, duration_s=0.5, shift_rad=-SHIFT)))
+    life.wake(
+        data, Doings(tone=1.0, pull=Pull(force_n=20.0, for_s=0.05, delay_s=0.1, duration_s=0.5, shift_rad=-SHIFT))
+    )
     data.joint("finger").qpos[:] = -0.05
     press(model, data, 5.0, 1.0)
     assert len(life.pulls_s(data)) == 0
