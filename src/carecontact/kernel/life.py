@@ -168,9 +168,11 @@ class Life:
         return data.plugin_state[self._state][WORK : WORK + 2].copy()
 
     def pulls_s(self, data: mujoco.MjData) -> Array:
-        """(n,) when each withdrawal began or will begin, since the person woke [s]."""
+        """(3,) when each withdrawal began or will begin, since the person woke [s]; NaN for those that did not happen."""
         state = data.plugin_state[self._state]
-        return state[PULL_TIME : PULL_TIME + int(state[PULLED])].copy()
+        times = state[PULL_TIME:WORK].copy()
+        times[int(state[PULLED]) :] = np.nan
+        return times
 
 
 def breath(doings: Doings, time_s: float) -> tuple[float, float]:
