@@ -17,6 +17,7 @@ from carecontact.episode.prepare import World, settled_world
 from carecontact.kernel.life import JOINTS
 from carecontact.protocols import load_protocol
 from carecontact.recording import OPTIONAL_ARRAYS, Recording, check_recording
+from carecontact.scoring import score_recording
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.skeleton import body_name
@@ -141,6 +142,7 @@ def test_the_recording_has_what_moved_the_person_and_onsets_do_not_depend_on_the
 ) -> None:
     one, other = (recorded(begin, height_m=height) for height in (-0.05, 0.05))
     check_recording(one, "one")
+    assert score_recording(one).trial_id == SPEC.trial_id
     assert one.arrays.keys() >= OWN
     assert len(OWN) == 6
     periods = len(one["scorer/period_time_s"])
@@ -149,7 +151,7 @@ def test_the_recording_has_what_moved_the_person_and_onsets_do_not_depend_on_the
     assert np.ptp(one["scorer/breath_m"][:, 0]) > 0.001
     assert one["scorer/muscle_work_j"][-1, 1] > 0.0
     assert len(one["scorer/repositioning_s"]) >= 2
-    assert np.isnan(one["scorer/withdrawal_s"]).all()
+    assert (one["scorer/withdrawal_s"] == -1).all()
     assert not np.array_equal(one["scorer/pose_tcp_in_world"], other["scorer/pose_tcp_in_world"])
     for path in ("scorer/repositioning_s", "scorer/repositioning_rad", "scorer/breath_m"):
         np.testing.assert_array_equal(one[path], other[path])

@@ -156,11 +156,11 @@ def test_the_arm_is_withdrawn_after_more_than_a_force_for_a_time(newton: float, 
     )
     data.joint("finger").qpos[:] = -0.05
     press(model, data, 5.0, 1.0)
-    assert np.isnan(life.pulls_s(data)).all()
+    assert (life.pulls_s(data) < 0).all()
     began = data.time
     press(model, data, newton, seconds)
     press(model, data, 1.0, 1.0)
-    assert np.isfinite(life.pulls_s(data)).sum() == pulled
+    assert (life.pulls_s(data) > 0).sum() == pulled
     if pulled:
         # Contact takes a few steps to bear the new force.
         assert life.pulls_s(data)[0] == pytest.approx(began + 0.05 + 0.1, abs=0.012)
@@ -181,7 +181,7 @@ def test_a_state_restored_in_the_middle_goes_on_bit_for_bit(when_s: float) -> No
         first = run(model, data, when_s)[-1]
         rest = run(model, data, 1.0)
         if world is arm:
-            assert np.isfinite(Life(model).pulls_s(data)).any()
+            assert (Life(model).pulls_s(data) > 0).any()
         other = mujoco.MjData(model)
         mujoco.mj_setState(model, other, first, STATE)
         np.testing.assert_array_equal(run(model, other, 1.0), rest)

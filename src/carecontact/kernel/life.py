@@ -168,10 +168,10 @@ class Life:
         return data.plugin_state[self._state][WORK : WORK + 2].copy()
 
     def pulls_s(self, data: mujoco.MjData) -> Array:
-        """(3,) when each withdrawal began or will begin, since the person woke [s]; NaN for what did not happen."""
+        """(3,) when each withdrawal began or will begin, since the person woke [s]; -1 for what did not happen."""
         state = data.plugin_state[self._state]
         times = state[PULL_TIME:WORK].copy()
-        times[int(state[PULLED]) :] = np.nan
+        times[int(state[PULLED]) :] = -1.0
         return times
 
 
