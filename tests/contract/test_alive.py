@@ -37,11 +37,17 @@ def test_an_empty_table_takes_the_published_values(tmp_path: Path) -> None:
     ("table", "told"),
     [
         ("[person.alive.breathing]\nfrequency_hz = [0.3, 0.2]", r"breathing\.frequency_hz: expected \[low, high\] Hz"),
-        ("[person.alive.breathing]\nabdomen_m = [5, 15]", r"breathing\.abdomen_m: expected .* 0 to 0\.03, got \[5, 15\]"),
+        (
+            "[person.alive.breathing]\nabdomen_m = [5, 15]",
+            r"breathing\.abdomen_m: expected .* 0 to 0\.03, got \[5, 15\]",
+        ),
         ("[person.alive.repositioning]\nper_minute = 0", r"repositioning\.per_minute: expected more than 0"),
         ("[person.alive.withdrawal]\nwrist_m = 8", r"withdrawal\.wrist_m: expected at most 0\.15"),
         ('[person.alive]\nmanner = "fights"', r"alive\.manner: expected 'passive', 'helps' or 'holds'"),
-        ("[person.alive.breathing]\nrate = 1", r"no such field in the table person\.alive\.breathing.*valid: frequency_hz"),
+        (
+            "[person.alive.breathing]\nrate = 1",
+            r"no such field in the table person\.alive\.breathing.*valid: frequency_hz",
+        ),
     ],
 )
 def test_a_wrong_value_is_told_with_what_would_be_valid(tmp_path: Path, table: str, told: str) -> None:

@@ -17,6 +17,7 @@ from carecontact.episode.prepare import World, settled_world
 from carecontact.kernel.life import JOINTS
 from carecontact.protocols import load_protocol
 from carecontact.recording import OPTIONAL_ARRAYS, Recording, check_recording
+from carecontact.scoring import score_recording
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.skeleton import body_name
@@ -24,17 +25,19 @@ from carecontact.world.human.skeleton import body_name
 SEED = 1
 """Its person moves the arm 0.24 s after the start."""
 OWN = {
-    path for path in OPTIONAL_ARRAYS if path.startswith(("scorer/breath", "scorer/muscle", "scorer/repos", "scorer/with"))
+    path
+    for path in OPTIONAL_ARRAYS
+    if path.startswith(("scorer/breath", "scorer/muscle", "scorer/repos", "scorer/with"))
 }
 CARD = PolicyCard(name="blind", modalities=(), cameras=(), control_hz=10)
 
 
-def living(**alive: object) -> Protocol:
+def living(alive: Alive) -> Protocol:
     protocol = load_protocol()
-    return protocol.model_copy(update={"person": protocol.person.model_copy(update={"alive": Alive(**alive)})})
+    return protocol.model_copy(update={"person": protocol.person.model_copy(update={"alive": alive})})
 
 
-PROTOCOL = living(breathing=Breathing(), repositioning=Repositioning(), withdrawal=Withdrawal())
+PROTOCOL = living(Alive(breathing=Breathing(), repositioning=Repositioning(), withdrawal=Withdrawal()))
 SPEC = TrialSpec(protocol=PROTOCOL, task_id="T6", seed=SEED, policy="blind")
 
 
@@ -135,10 +138,11 @@ def recorded(begin: Callable[..., World], *, height_m: float) -> Recording:
 
 
 def test_the_recording_has_what_moved_the_person_and_onsets_do_not_depend_on_the_policy(
-    begin: Callable[..., World]
+    begin: Callable[..., World],
 ) -> None:
     one, other = (recorded(begin, height_m=height) for height in (-0.05, 0.05))
     check_recording(one, "one")
+    assert score_recording(one).trial_id == SPEC.trial_id
     assert one.arrays.keys() >= OWN
     assert len(OWN) == 6
     periods = len(one["scorer/period_time_s"])
@@ -147,7 +151,7 @@ def test_the_recording_has_what_moved_the_person_and_onsets_do_not_depend_on_the
     assert np.ptp(one["scorer/breath_m"][:, 0]) > 0.001
     assert one["scorer/muscle_work_j"][-1, 1] > 0.0
     assert len(one["scorer/repositioning_s"]) >= 2
-    assert len(one["scorer/withdrawal_s"]) == 0
+    assert (one["scorer/withdrawal_s"] == -1).all()
     assert not np.array_equal(one["scorer/pose_tcp_in_world"], other["scorer/pose_tcp_in_world"])
     for path in ("scorer/repositioning_s", "scorer/repositioning_rad", "scorer/breath_m"):
         np.testing.assert_array_equal(one[path], other[path])

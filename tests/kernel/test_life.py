@@ -151,14 +151,16 @@ def press(model: mujoco.MjModel, data: mujoco.MjData, newton: float, seconds: fl
 def test_the_arm_is_withdrawn_after_more_than_a_force_for_a_time(newton: float, seconds: float, pulled: int) -> None:
     model, data = arm()
     life = Life(model)
-    life.wake(data, Doings(tone=1.0, pull=Pull(force_n=20.0, for_s=0.05, delay_s=0.1, duration_s=0.5, shift_rad=-SHIFT)))
+    life.wake(
+        data, Doings(tone=1.0, pull=Pull(force_n=20.0, for_s=0.05, delay_s=0.1, duration_s=0.5, shift_rad=-SHIFT))
+    )
     data.joint("finger").qpos[:] = -0.05
     press(model, data, 5.0, 1.0)
-    assert len(life.pulls_s(data)) == 0
+    assert (life.pulls_s(data) < 0).all()
     began = data.time
     press(model, data, newton, seconds)
     press(model, data, 1.0, 1.0)
-    assert len(life.pulls_s(data)) == pulled
+    assert (life.pulls_s(data) > 0).sum() == pulled
     if pulled:
         # Contact takes a few steps to bear the new force.
         assert life.pulls_s(data)[0] == pytest.approx(began + 0.05 + 0.1, abs=0.012)
@@ -179,7 +181,7 @@ def test_a_state_restored_in_the_middle_goes_on_bit_for_bit(when_s: float) -> No
         first = run(model, data, when_s)[-1]
         rest = run(model, data, 1.0)
         if world is arm:
-            assert len(Life(model).pulls_s(data)) > 0
+            assert (Life(model).pulls_s(data) > 0).any()
         other = mujoco.MjData(model)
         mujoco.mj_setState(model, other, first, STATE)
         np.testing.assert_array_equal(run(model, other, 1.0), rest)

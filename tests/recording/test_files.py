@@ -228,11 +228,18 @@ def test_paths_outside_the_schema_are_refused(tmp_path: Path, path: str) -> None
 
 def shaped(path: str, recording: Recording, *, more: int = 0) -> np.ndarray:
     """Zeros that fit the schema and the recording; ``more``: so much longer along the first dimension."""
-    sizes = {"C": 5, "V": 4}
+    sizes = {"C": 5, "E": 2, "V": 4}
     for required in ARRAYS:
         sizes |= dict(zip(dimensions(required), recording[required].shape, strict=True))
     shape = [int(name) if name.isdecimal() else sizes[name] for name in dimensions(path)]
     return np.zeros([shape[0] + more, *shape[1:]], OPTIONAL_ARRAYS[path][0])
+
+
+PARTNERS = {
+    "scorer/cell_area_m2": "scorer/cell_press_ns", "scorer/cell_in_region": "scorer/cell_press_ns",
+    "scorer/repositioning_s": "scorer/repositioning_rad", "scorer/repositioning_rad": "scorer/repositioning_s",
+}  # fmt: skip
+"""Optional array -> another one of the same length."""
 
 
 @pytest.mark.parametrize("path", sorted(OPTIONAL_ARRAYS))
@@ -242,8 +249,9 @@ def test_an_optional_array_is_stored_and_has_to_fit(tmp_path: Path, path: str) -
     kept = read_recording(write_recording(stored, tmp_path / "T1-s000.h5"))
     assert kept[path].shape == stored[path].shape
     assert canonical_hash(stored) != canonical_hash(plain)
-    fits_alone = path in ("scorer/cell_area_m2", "scorer/cell_in_region")  # their length is the number of cells
-    cells = {"scorer/cell_press_ns": shaped("scorer/cell_press_ns", plain)} if fits_alone else {}
-    wrong = Recording(header=plain.header, arrays=plain.arrays | cells | {path: shaped(path, plain, more=1)})
-    with pytest.raises(RecordingError, match=path if not fits_alone else "scorer/cell_"):
+    # Their first dimension is in no required array.
+    beside = PARTNERS.get(path)
+    others = {beside: shaped(beside, plain)} if beside else {}
+    wrong = Recording(header=plain.header, arrays=plain.arrays | others | {path: shaped(path, plain, more=1)})
+    with pytest.raises(RecordingError, match=f"{path}|{beside}" if beside else path):
         write_recording(wrong, tmp_path / "T1-s001.h5")

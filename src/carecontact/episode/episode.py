@@ -120,8 +120,10 @@ class Episode:
             human_joints=len(self.simulation.joint_names),
             regions=len(self.protocol.regions),
             constants={
-                **constants_of(self.simulation, self._settled), **self._cells.constants(), **self._life.constants()
-            },  # fmt: skip
+                **constants_of(self.simulation, self._settled),
+                **self._cells.constants(),
+                **self._life.constants(),
+            },
         )
         self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol)
         self._peak = Peak(self.simulation, target=SEGMENTS.index(REGIONS[self.task.region].segment))

@@ -1,1 +1,1 @@
-"""The compiled tissue: a MuJoCo engine plugin in C, and what finds, checks and loads it."""
+"""The compiled tissue, and what a person does by itself: MuJoCo engine plugins in C, and what finds and loads them."""

@@ -20,7 +20,7 @@ _loading = threading.Lock()
 
 
 def load() -> ctypes.CDLL:
-    """Register the plugins with MuJoCo, so that models that name them can be compiled, and return the library's functions.
+    """Register the plugins with MuJoCo, so that models that name them can be compiled; return the library's functions.
 
     Later calls return the same object. Raises DependencyError as ``found.file`` does, where the binary does not load,
     and where another library has registered a plugin of one of their names.
@@ -40,7 +40,7 @@ def _load() -> ctypes.CDLL:
     library.carecontact_kernel_version.restype = ctypes.c_char_p
     if not library.carecontact_kernel_registered():
         raise DependencyError(
-            f"another library has registered a MuJoCo plugin named {PLUGIN} or {LIFE_PLUGIN} in this process; start Python again and "
-            f"load only {file}"
+            f"another library has registered a MuJoCo plugin named {PLUGIN} or {LIFE_PLUGIN} in this process; start "
+            f"Python again and load only {file}"
         )
     return library

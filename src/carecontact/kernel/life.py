@@ -1,5 +1,5 @@
-"""What a person does by itself, in a compiled model: an instance of the plugin ``carecontact.life``, the numbers that it
-reads, and its state. The layouts are those of ``c/life.h``.
+"""What a person does by itself, in a compiled model: an instance of the plugin ``carecontact.life``, the numbers that
+it reads, and its state. The layouts are those of ``c/life.h``.
 
 The plugin commands actuators: ``breathes_<part>``, a position servo of a slide, and for every muscle's joint
 ``holds_<joint>``, whose command is an activation from 0 to 1, and ``turns_<joint>``, a torque.
@@ -24,8 +24,8 @@ PARTS = ("abdomen", "chest")
 """Of the trunk, which breathing moves."""
 JOINTS = ("right_upper_arm_abduction", "right_upper_arm_flexion", "right_upper_arm_rotation", "right_forearm_flexion")
 """That muscles move."""
-MOST_MOVES, MOST_PULLS = 16, 3
-"""Changes of posture and withdrawals in a trial."""
+MOST_MOVES = 64
+"""Changes of posture in a trial."""
 AWAKE, BEGAN, POSTURE, PULLED, PULL_TIME, WORK, STATE_SIZE = 0, 1, 2, 7, 8, 11, 13
 
 
@@ -168,9 +168,11 @@ class Life:
         return data.plugin_state[self._state][WORK : WORK + 2].copy()
 
     def pulls_s(self, data: mujoco.MjData) -> Array:
-        """(n,) when each withdrawal began or will begin, since the person woke [s]."""
+        """(3,) when each withdrawal began or will begin, since the person woke [s]; -1 for what did not happen."""
         state = data.plugin_state[self._state]
-        return state[PULL_TIME : PULL_TIME + int(state[PULLED])].copy()
+        times = state[PULL_TIME:WORK].copy()
+        times[int(state[PULLED]) :] = -1.0
+        return times
 
 
 def breath(doings: Doings, time_s: float) -> tuple[float, float]:

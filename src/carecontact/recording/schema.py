@@ -2,7 +2,7 @@
 
 S segments, J scored human joints, R regions (``Protocol.regions``), T physics steps from t = 0 to the end, P control
 periods, A observations, M executed actions, C declared cells of the target region, V = 4 cameras in the contract's
-order, E changes of posture, W withdrawals. World frame unless said otherwise; SI units.
+order, E changes of posture. World frame unless said otherwise; SI units.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/muscle_work_j": ("f4", "(P, 2) that breathing and the arm's muscles have done since t = 0"),
     "scorer/repositioning_s": ("f8", "(E,) when the person changes the arm's place, drawn before the trial"),
     "scorer/repositioning_rad": ("f8", "(E,) by which turn of the shoulder's abduction"),
-    "scorer/withdrawal_s": ("f8", "(W,) when the person withdrew the arm, or was about to"),
+    "scorer/withdrawal_s": ("f8", "(3,) when the person withdrew the arm, or was about to; -1 where it did not"),
 }
 """Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
 soft region since schema 3: cells are patches of about 15 mm (``world.human.tissue.DeclaredCells``), and a row sums what

@@ -1,8 +1,8 @@
-"""What a seed lets the person do by itself: drawn from the protocol's ranges, and given to a person that has settled."""
+"""What a seed lets the person do by itself, drawn from the protocol's ranges."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,13 +11,13 @@ from carecontact.kernel.life import JOINTS, MOST_MOVES, Doings, Move, Pull
 from carecontact.world.human.body import Array
 
 TONE = {"passive": 0.0, "helps": 0.0, "holds": 0.15}
-"""Manner -> activation of the muscles at rest (assumed): the shoulder of a person who holds is about ten times as stiff
-as the passive joint."""
+"""Manner -> activation of the muscles at rest (assumed): the shoulder of a person who holds is about twenty times as
+stiff as a passive one."""
 HELP = {"passive": 0.0, "helps": 0.8, "holds": 0.0}
 """Manner -> share of the passive joints' stiffness and damping that the person takes away (assumed)."""
 LIFT_RAD = 0.13
-"""How far the shoulder is flexed in the middle of a change of posture: less than lifts the arm off its board, so that it
-slides with half its weight."""
+"""How far the shoulder wants to flex in the middle of a change of posture: man-adult's wrist then rises by about 10 mm
+and does not rub on the board."""
 WIDEST_M = 0.08
 """No posture of the wrist is farther than this from where it lay at first, along the board."""
 REST_S = 0.5
@@ -56,9 +56,7 @@ def draw_shifts(rng: np.random.Generator, wanted: Repositioning, *, until_s: flo
     return out
 
 
-def draw_doings(
-    rng: dict[str, np.random.Generator], alive: Alive, *, until_s: float, wrist_radius_m: float
-) -> Doings:
+def draw_doings(rng: dict[str, np.random.Generator], alive: Alive, *, until_s: float, wrist_radius_m: float) -> Doings:
     """Draw all that one person does.
 
     Args:
@@ -67,25 +65,27 @@ def draw_doings(
         wrist_radius_m: horizontal distance of the wrist from the shoulder.
     """
     out = Doings(tone=TONE[alive.manner], help=HELP[alive.manner])
-    changes: dict[str, object] = {}
     if (b := alive.breathing) is not None:
-        hz, belly, chest = (float(rng["breathing"].uniform(*r)) for r in (b.frequency_hz, b.abdomen_m, b.chest_m))
-        phase = float(rng["breathing"].uniform())
-        changes |= {
-            "breath_hz": hz, "inspiration_share": b.inspiration_share, "phase": phase, "breath_m": (belly, chest)
-        }  # fmt: skip
+        draw = rng["breathing"].uniform
+        hz, belly, chest = (float(draw(*pair)) for pair in (b.frequency_hz, b.abdomen_m, b.chest_m))
+        out = replace(
+            out, breath_hz=hz, inspiration_share=b.inspiration_share, phase=float(draw()), breath_m=(belly, chest)
+        )
     if alive.repositioning is not None:
         shifts = draw_shifts(rng["repositioning"], alive.repositioning, until_s=until_s)
-        changes["moves"] = tuple(
-            Move(time_s=s.time_s, duration_s=s.duration_s, lift_rad=LIFT_RAD, shift_rad=_abduction(s.wrist_m / wrist_radius_m))
-            for s in shifts
-        )
+        out = replace(out, moves=tuple(_move(shift, wrist_radius_m) for shift in shifts))
     if (w := alive.withdrawal) is not None:
-        changes["pull"] = Pull(
+        pull = Pull(
             force_n=float(rng["withdrawal"].uniform(*w.force_n)), for_s=w.for_s, delay_s=w.delay_s,
             duration_s=w.duration_s, shift_rad=_abduction(-w.wrist_m / wrist_radius_m),
         )  # fmt: skip
-    return Doings(**{**out.__dict__, **changes})  # pyright: ignore[reportArgumentType]
+        out = replace(out, pull=pull)
+    return out
+
+
+def _move(shift: Shift, radius_m: float) -> Move:
+    turn = _abduction(shift.wrist_m / radius_m)
+    return Move(time_s=shift.time_s, duration_s=shift.duration_s, lift_rad=LIFT_RAD, shift_rad=turn)
 
 
 def _abduction(angle_rad: float) -> Array:

@@ -121,9 +121,7 @@ def _add_person(
     return hinges, regions
 
 
-def _add_region_site(
-    spec: mujoco.MjSpec, body: Body, region: str, frame: RegionFrame, *, breathes: bool
-) -> None:
+def _add_region_site(spec: mujoco.MjSpec, body: Body, region: str, frame: RegionFrame, *, breathes: bool) -> None:
     segment, quat = REGIONS[region].segment, np.zeros(4)
     mujoco.mju_mat2Quat(quat, frame.axes.ravel())
     spec.body(carrier(segment, breathes=breathes)).add_site(

@@ -41,8 +41,8 @@ class Breathing(Section):
     abdomen_m: Annotated[Range, _within(0.0, 0.03, "m")] = (0.005, 0.015)
     """How far the belly's wall moves outward from the end of a breath out to that of a breath in (assumed)."""
     chest_m: Annotated[Range, _within(0.0, 0.02, "m")] = (0.002, 0.005)
-    """The same of the chest: 3 to 5 mm in five seated people (De Groote et al. 1997, J Appl Physiol 83:1531); less where
-    people lie (assumed)."""
+    """The same of the chest: 3 to 5 mm in five seated people (De Groote et al. 1997, J Appl Physiol 83:1531); less in
+    people who lie (assumed)."""
     inspiration_share: Annotated[float, Field(ge=0.2, le=0.8)] = 0.455
     """Of a breath: in to out as 1 to 1.2 (Ragnarsdottir and Kristinsdottir 2006: 1.21 in men, 1.14 in women)."""
 

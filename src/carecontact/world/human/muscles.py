@@ -32,9 +32,8 @@ MUSCLES = dict(
         strict=True,
     )
 )
-"""Joint -> its muscles, about critically damped. During reaching, Gomi and Kawato (1996, Science 272:117) found shoulder
-and elbow stiffness of 10 to 40 N m/rad (from memory of its abstract, to be checked); the shoulder's is above that,
-because a servo without learning has to overcome the friction on the board."""
+"""Joint -> its muscles. Assumed: stiff enough that the arm arrives within some millimetres of where it is going, and
+about critically damped."""
 
 
 def add_muscles(spec: mujoco.MjSpec) -> None:
