@@ -50,6 +50,20 @@ def test_a_sphere_on_independent_springs(b: float, c: float) -> None:
     assert -made.hold(depth)["force_n"][2] == pytest.approx(wanted, rel=0.02)
 
 
+def test_a_coarse_mesh_meets_a_round_tool_like_a_fine_one() -> None:
+    """A triangle of 5 mm is a chord of the bowl that a ball of 10 mm presses; its middle does not lie on the ball."""
+    law = tissue(a_n_m3=1e6, coupling_length_m=0.005, membrane_n_m=200.0)
+    forces = []
+    for spacing in (0.005, 0.0015):
+        mesh = sheet(half_m=0.03, spacing_m=spacing)
+        made = [
+            Sheet(law, mesh, bottom_m=0.01, type=SPHERE, size=[0.01, 0, 0]).hold(0.006, x_m=x)["force_n"][2]
+            for x in (0.0, 0.001, 0.002, 0.0025)
+        ]
+        forces.append(np.mean(made))
+    assert forces[0] == pytest.approx(forces[1], rel=0.04)
+
+
 def test_a_flat_disc_on_a_sheet_that_spreads_the_load() -> None:
     """Pasternak: under the disc springs, outside w = depth K0(r/l) / K0(R/l), and a line load at the rim.
 

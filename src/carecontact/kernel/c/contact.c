@@ -46,6 +46,21 @@ static int deepest_tool(const Region* r, const Point* p, const double place[3], 
   return best;
 }
 
+// How far the middle of a triangle stands off a tool. Of the smooth skin the triangle is a chord: its corners lie on a
+// round tool where its middle does not. First touch finds them where they were, and they come to lie on it as it goes
+// deeper.
+static double standing_off(const Region* r, const Point* p, int tool, const double place[3], double gap,
+                           const double normal[3]) {
+  double foot[3], bend = 0, deep = -gap / dot(normal, p->inward);
+  for (int k = 0; k < 3; k++) {
+    foot[k] = place[k] - gap * normal[k];
+    deep += p->inward[k] * (place[k] - p->place[k]);
+  }
+  if (deep <= 0) return 0;
+  for (int k = 0; k < p->corners; k++) bend += p->share[k] * tool_bend(r->tool + tool, foot, normal, p->offset[k]);
+  return least(bend, ARRIVES * deep);
+}
+
 // Measures the gap where the point has moved by `seen`, from which it is taken as linear. Returns 0 far from every tool.
 static int measure(const Region* r, const State* s, const Law* law, Contact* c) {
   const Point* p = r->point + c->point;
@@ -55,15 +70,7 @@ static int measure(const Region* r, const State* s, const Law* law, Contact* c) 
   int tool = deepest_tool(r, p, place, law->thickness, &gap, normal);
   if (tool < 0) return 0;
   c->tool = tool;
-  // Of the smooth skin the triangle is a chord: its middle stands off where its corners lie on a round tool. First touch
-  // finds them where they were, and they come to lie on it as it goes deeper.
-  double foot[3], bend = 0, deep = -gap / dot(normal, p->inward);
-  for (int k = 0; k < 3; k++) {
-    foot[k] = place[k] - gap * normal[k];
-    deep += p->inward[k] * (place[k] - p->place[k]);
-  }
-  for (int k = 0; k < p->corners; k++) bend += p->share[k] * tool_bend(r->tool + tool, foot, normal, p->offset[k]);
-  gap += least(bend, ARRIVES * most(0, deep));
+  gap += standing_off(r, p, tool, place, gap, normal);
   memcpy(c->normal, normal, sizeof normal);
   c->gap = gap - dot(normal, c->seen);
   c->stiff = 1 / (1 / law->contact + r->tool[tool].give);

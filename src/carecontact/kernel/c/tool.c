@@ -11,8 +11,8 @@ static const double PARALLEL = 1e-12;
 // slides over a sharp edge would jump, and with it the force.
 static const double EDGE = 0.002, SOFTNESS = 0.0008;
 static const int NEWTON_STEPS = 12, FOOT_STEPS = 8;
-static const double FOOT_NEAR = 1e-6;  // [m]
-static const double SAME_WALL = 0.1;   // cosine between two normals of one wall or rim
+static const double FOOT_NEAR = 1e-5;  // [m] beside the foot by this, a gap is wrong by its square over a radius
+static const double SAME_WALL = 0.1;  // cosine between two normals of one wall or rim
 
 // Half-spaces of a mesh's convex hull. MuJoCo keeps the hull as a graph: counts, then four tables (mjModel.mesh_graph).
 static int hull_planes(const mjModel* m, int mesh, Tool* tool) {
@@ -435,6 +435,7 @@ static double bend_round(const double y[3], const double n[3], const double e[3]
 }
 
 double tool_bend(const Tool* tool, const double at[3], const double normal[3], const double offset[3]) {
+  if (tool->type == mjGEOM_BOX || tool->type == mjGEOM_MESH) return 0;
   double y[3], n[3], e[3], steep = 0, bend = 0;
   to_local(tool, at, y);
   rotate_back(n, tool->axes, normal);
@@ -457,8 +458,6 @@ double tool_bend(const Tool* tool, const double at[3], const double normal[3], c
       break;
     case mjGEOM_CYLINDER:
       bend = bend_round(y, n, e);
-      break;
-    default:
       break;
   }
   // Of a tool that is smaller than the triangle, no more than its slope can be told.
