@@ -19,13 +19,13 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for tools.study, when this runs as a script
 
 from tools.study.page.page import study_page
-from tools.study.paper import read_paper
 from tools.study.plan import run_name
 from tools.study.sorted_runs import sorted_out
 from tools.study.study import study, study_json
 
 from carecontact.errors import CarecontactError
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
+from carecontact.reports.paper.published import read_paper
 from carecontact.runs.results_file import pack_results
 from carecontact.runs.stored_scores import read_scores
 

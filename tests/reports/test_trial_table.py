@@ -64,6 +64,6 @@ def test_without_pyarrow_it_says_what_to_install(tmp_path: Path, monkeypatch: py
     with pytest.raises(DependencyError, match=r"pip install 'carecontact\[tables\]'"):
         write_trial_table(tmp_path, [make_score("T1", 0)])
     assert list(tmp_path.iterdir()) == []
-    assert write_table(tmp_path, []) == "no table: results.parquet needs pyarrow: pip install 'carecontact[tables]'"
+    assert write_table(tmp_path, []) == "no table: the table of trials needs pyarrow: pip install 'carecontact[tables]'"
     (tmp_path / TABLE_NAME).write_bytes(b"old")
     assert write_table(tmp_path, []).endswith("; the existing results.parquet comes from an earlier scoring")

@@ -12,13 +12,13 @@ from tools.results import main
 from tools.study.page.markdown import escaped
 from tools.study.page.page import study_page
 from tools.study.page.sweeps import SWEEP_TITLE
-from tools.study.paper import read_paper
 from tools.study.plan import STIFFNESS, TISSUE
 from tools.study.sorted_runs import sorted_out
 from tools.study.study import Study, study, study_json
 
 from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol, overridden
+from carecontact.reports.paper.published import read_paper
 from carecontact.runs import RunScores, read_results
 from carecontact.runs.results_file import write_scores
 from tests.reports.synthetic_run import FAILED, make_score

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from tools.study.paper import Paper
 from tools.study.plan import PAIR, PRIMARY
 
 from carecontact.reports.compare.comparison import Comparison
 from carecontact.reports.compare.outcomes import Outcome
 from carecontact.reports.compare.paired_lines import Line
+from carecontact.reports.paper.published import Paper
 
 Agreement = Literal["as in the paper", "against the paper", "not seen here", "open"]
 

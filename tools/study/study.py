@@ -8,7 +8,6 @@ from typing import Any
 
 from tools.study.beside import Beside, beside
 from tools.study.method import Method, RunHead, head_of, method_of
-from tools.study.paper import Paper
 from tools.study.plan import BASELINES, METHODS, PAIR, PROPOSAL, SWEEPS, command, wanted_runs
 from tools.study.sorted_runs import SortedRuns
 from tools.study.sweep import Sweep, sweep_of
@@ -20,6 +19,7 @@ from carecontact.reports.compare.baselines import Baselines, beside_baselines
 from carecontact.reports.compare.comparison import Comparison, compare_runs
 from carecontact.reports.compare.overview import Overview, overview
 from carecontact.reports.compare.plain import plain
+from carecontact.reports.paper.published import Paper
 from carecontact.runs.pooling import judged
 from carecontact.runs.run_scores import RunScores
 

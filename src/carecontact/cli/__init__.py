@@ -33,38 +33,69 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments == ["--version"]:
         print(f"carecontact {__version__}")
         return 0
-    from carecontact.cli.commands import parse
-    from carecontact.cli.spelling import with_synonyms
+    from carecontact.cli.json_lines import OPTION, only_json
 
-    hide_memory()
-    _stop_as_interrupted()
-    left = ""
+    as_json = OPTION in arguments
+    command = _Command()
     try:
-        _readable(arguments)
-        arguments = with_synonyms(arguments)
-        _once(arguments)
-        command = parse(arguments)
-        left = command.after_interrupt
-        status = command()
-        print(end="", flush=True)
-        return status
+        with only_json(as_json):
+            return command.run(arguments)
     except CarecontactError as error:
         print(_error_line(str(error)), file=sys.stderr)
-        return 2
+        return _ended(as_json, type(error).__name__, str(error), 2)
     except BrokenPipeError:
-        # Whoever read the output has gone; what is still buffered must not be tried again while Python ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BROKEN_PIPE
+        return _nobody_reads()
     except OSError as error:
         from carecontact.recording.storage import REMEDY, is_full
 
         place = error.filename2 or error.filename or ("standard output or a file" if is_full(error) else None)
         told = f"{place}: {error.strerror}" if place and error.strerror else str(error)
-        print(_error_line(f"{told}; {REMEDY}" if is_full(error) else told), file=sys.stderr)
-        return 2
+        told = f"{told}; {REMEDY}" if is_full(error) else told
+        print(_error_line(told), file=sys.stderr)
+        return _ended(as_json, type(error).__name__, told, 2)
     except KeyboardInterrupt:
-        print(f"\ninterrupted{left}", file=sys.stderr)
-        return INTERRUPTED
+        print(f"\ninterrupted{command.left}", file=sys.stderr)
+        return _ended(as_json, "Interrupted", f"interrupted{command.left}", INTERRUPTED)
+
+
+class _Command:
+    """One command line that is parsed and called."""
+
+    left = ""
+    """What an interruption leaves behind, once that is known."""
+
+    def run(self, arguments: Sequence[str]) -> int:
+        from carecontact.cli.commands import parse
+        from carecontact.cli.spelling import with_synonyms
+
+        hide_memory()
+        _stop_as_interrupted()
+        _readable(arguments)
+        arguments = with_synonyms(arguments)
+        _once(arguments)
+        command = parse(arguments)
+        self.left = command.after_interrupt
+        status = command()
+        print(end="", flush=True)
+        return status
+
+
+def _ended(as_json: bool, error: str, message: str, status: int) -> int:
+    """Tell a program why the command ended; returns the exit status."""
+    from carecontact.cli.json_lines import say_error
+
+    try:
+        if as_json:
+            say_error(error, message, status)
+    except BrokenPipeError:
+        return _nobody_reads()
+    return status
+
+
+def _nobody_reads() -> int:
+    """Whoever read the output has gone; what is still buffered must not be tried again while Python ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return BROKEN_PIPE
 
 
 def _open_closed() -> None:

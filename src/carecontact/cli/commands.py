@@ -41,6 +41,7 @@ COMMANDS = {
     "score": "score:Score",
     "report": "report:Report",
     "compare": "compare:Compare",
+    "paper": "paper:Paper",
     "validate": "validate:Validate",
     "calibrate": "calibrate:Calibrate",
     "look": "look:Look",

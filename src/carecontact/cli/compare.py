@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from string import ascii_uppercase
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import Switch
+from carecontact.cli.groups import FLAT, JsonGroup, Switch
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
+    from carecontact.reports.compare.baselines import Baselines
+    from carecontact.reports.compare.comparison import Comparison
+    from carecontact.reports.compare.overview import Overview
     from carecontact.runs.run_scores import RunScores
 
 COMPARISON, OVERVIEW = "comparison.json", "overview.json"
@@ -40,6 +43,8 @@ class Compare:
     rescore: Switch = False
     """Compute the scores again where a folder has recordings, in place of reading its results.json."""
 
+    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
+
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
@@ -47,10 +52,10 @@ class Compare:
         self._check()
         scored = [self._read(path) for path in self.runs]
         baselines = [self._read(path) for path in self.baseline]
-        if len(self.runs) == 2:
-            self._compare_two(scored)
-        if len(self.runs) > 2 or baselines:
-            self._overview(scored, baselines)
+        comparison = self._compare_two(scored) if len(self.runs) == 2 else None
+        found, beside = self._overview(scored, baselines) if len(self.runs) > 2 or baselines else (None, {})
+        if self.output.json:
+            _say(comparison, found, beside)
         return 0
 
     def _check(self) -> None:
@@ -75,17 +80,20 @@ class Compare:
             raise ConfigError(f"{run}: no recording could be scored; reason for the first one: {why}")
         return scores
 
-    def _compare_two(self, scored: Sequence[RunScores]) -> None:
+    def _compare_two(self, scored: Sequence[RunScores]) -> Comparison:
         from carecontact.cli.comparison_text import print_comparison
-        from carecontact.reports.compare.comparison import compare_runs, comparison_json
+        from carecontact.reports.compare.comparison import compare_runs
         from carecontact.reports.text import crashed_text
 
         comparison = compare_runs(*scored, per_task=self.per_task)
         print_comparison(comparison, *self.runs, crashed=[crashed_text(run.scores) for run in scored])
         if self.out is not None:
-            print(f"comparison: {_write(comparison_json(comparison), self.out / COMPARISON)}")
+            print(f"comparison: {_write(comparison.as_json(), self.out / COMPARISON)}")
+        return comparison
 
-    def _overview(self, scored: Sequence[RunScores], baselines: Sequence[RunScores]) -> None:
+    def _overview(
+        self, scored: Sequence[RunScores], baselines: Sequence[RunScores]
+    ) -> tuple[Overview | None, dict[str, Baselines]]:
         from carecontact.cli.overview_text import print_baselines, print_overview
         from carecontact.reports.compare.baselines import beside_baselines
         from carecontact.reports.compare.overview import overview, overview_json
@@ -102,6 +110,15 @@ class Compare:
         _print_crashed([*runs, *(("", run) for run in baselines)])
         if self.out is not None:
             print(f"overview: {_write(overview_json(found, beside), self.out / OVERVIEW)}")
+        return found, beside
+
+
+def _say(comparison: Comparison | None, found: Overview | None, beside: dict[str, Baselines]) -> None:
+    from carecontact.cli.answers.compare import CompareAnswer
+    from carecontact.cli.json_lines import say
+    from carecontact.reports.compare.verdicts import ALPHA, POWER
+
+    say(CompareAnswer(alpha=ALPHA, power=POWER, comparison=comparison, overview=found, baselines=beside))
 
 
 def _print_crashed(named: Sequence[tuple[str, RunScores]]) -> None:

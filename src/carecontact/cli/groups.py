@@ -23,6 +23,13 @@ Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR", help
 
 
 @dataclass(frozen=True, kw_only=True)
+class JsonGroup:
+    json: Switch = False
+    """For programs: print JSON on standard output, one object a line, and everything else on standard error (see
+    docs/json.md)."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ProtocolGroup:
     protocol: str = "bathing-draft"
     """Id of a shipped protocol (see `carecontact list protocols`) or a .toml file."""

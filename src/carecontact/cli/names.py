@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, ProtocolGroup
+from carecontact.cli.groups import FLAT, JsonGroup, ProtocolGroup
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from carecontact.registry import Registry
 
@@ -41,20 +41,31 @@ class List:
     ] = "all"
     """Kind of names to list."""
     rules: Annotated[ProtocolGroup, FLAT] = field(default_factory=ProtocolGroup)
+    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
 
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
-        return show(self.what, protocol=self.rules.protocol)
+        kinds = list(KINDS) if self.what == "all" else [self.what]
+        if self.output.json:
+            _say(kinds, protocol=self.rules.protocol)
+            return 0
+        indent = "  " if self.what == "all" else ""
+        for kind in kinds:
+            if self.what == "all":
+                print(f"{kind}:")
+            for name, meaning in KINDS[kind](self.rules.protocol):
+                print(f"{indent}{name:24} {meaning}".rstrip())
+        return 0
 
 
-def show(what: str, *, protocol: str) -> int:
-    for kind in KINDS if what == "all" else [what]:
-        if what == "all":
-            print(f"{kind}:")
-        for name, meaning in KINDS[kind](protocol):
-            print(f"{'  ' if what == 'all' else ''}{name:24} {meaning}".rstrip())
-    return 0
+def _say(kinds: Sequence[str], *, protocol: str) -> None:
+    from carecontact.cli.answers.names import ListAnswer, Name
+    from carecontact.cli.json_lines import say
+
+    rows = {kind: KINDS[kind](protocol) for kind in kinds}
+    names = {kind: [Name(name=name, meaning=meaning) for name, meaning in of_kind] for kind, of_kind in rows.items()}
+    say(ListAnswer(names=names))
 
 
 def _tasks(protocol: str) -> list[tuple[str, str]]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Literal
 
 import tyro
 
+from carecontact.cli.groups import FLAT, JsonGroup
 from carecontact.errors import ConfigError
 
 
@@ -20,14 +21,49 @@ class Protocols:
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME|FILE.toml]")] = "bathing-draft"
     """Id of a shipped protocol, or a .toml file; `list` needs none."""
 
+    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
+
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
-        if self.what == "list":
+        if self.what == "list" and not self.output.json:
             from carecontact.cli.names import List
 
             return List(what="protocols")()
-        return {"show": show, "verify": verify, "lock": lock}[self.what](self.name)
+        if self.output.json and self.what in ("list", "show"):
+            say_list() if self.what == "list" else say_fields(self.name)
+            return 0
+        if self.what == "show":
+            return show(self.name)
+        return {"verify": verify, "lock": lock}[self.what](self.name, json=self.output.json)
+
+
+def say_list() -> None:
+    from carecontact.cli.answers.protocol import Listed, ProtocolListAnswer
+    from carecontact.cli.json_lines import say
+    from carecontact.protocols import load_protocol, shipped_protocols
+
+    loaded = map(load_protocol, shipped_protocols())
+    rows = [Listed(id=p.id, sha256=p.sha256, frozen=p.frozen, description=p.description) for p in loaded]
+    say(ProtocolListAnswer(protocols=rows))
+
+
+def say_fields(name: str) -> None:
+    from carecontact.cli.answers.protocol import ProtocolShowAnswer
+    from carecontact.cli.json_lines import say
+    from carecontact.protocols import load_protocol
+    from carecontact.protocols.lock import lock_path, read_lock
+
+    protocol = load_protocol(name)
+    say(
+        ProtocolShowAnswer(
+            id=protocol.id,
+            sha256=protocol.sha256,
+            frozen=protocol.frozen,
+            lock=None if read_lock(name) is None else lock_path(name).name,
+            fields=protocol.model_dump(mode="json"),
+        )
+    )
 
 
 def show(name: str) -> int:
@@ -55,34 +91,38 @@ def show(name: str) -> int:
     return 0
 
 
-def verify(name: str) -> int:
+def verify(name: str, *, json: bool = False) -> int:
     """Return 1 where anything differs from the lock, compiled worlds included, or where there is no lock."""
+    from carecontact.cli.answers.protocol import ProtocolVerifyAnswer
+    from carecontact.cli.json_lines import say
     from carecontact.protocols import load_protocol
     from carecontact.protocols.lock import lock_path
     from carecontact.runs.freeze import drift, is_borrowed, lock_of, make_lock
 
     protocol = load_protocol(name)
     lock = lock_of(name, protocol)
+    differences = [] if lock is None else drift(lock, make_lock(protocol))
     if lock is None and protocol.frozen:
         missing = lock_path(name).name
         print(
             f"{protocol.id} has frozen = true but no lock: {missing} is missing; restore it, or write one with: "
             "carecontact protocol lock FILE.toml"
         )
-        return 1
-    if lock is None:
+    elif lock is None:
         print(f"{protocol.id} has no lock: a draft, which may change with every release")
-        return 1
-    if is_borrowed(name, protocol):
-        print(f"{name} has the id of a shipped protocol, so it must equal the lock of that protocol")
-    differences = drift(lock, make_lock(protocol))
-    for line in differences:
-        print(line)
-    print(f"{protocol.id}: {'differs from its lock' if differences else 'equals its lock'}")
-    return 1 if differences else 0
+    else:
+        if is_borrowed(name, protocol):
+            print(f"{name} has the id of a shipped protocol, so it must equal the lock of that protocol")
+        for line in differences:
+            print(line)
+        print(f"{protocol.id}: {'differs from its lock' if differences else 'equals its lock'}")
+    equal = lock is not None and not differences
+    if json:
+        say(ProtocolVerifyAnswer(id=protocol.id, equal=equal, differences=differences))
+    return 0 if equal else 1
 
 
-def lock(name: str) -> int:
+def lock(name: str, *, json: bool = False) -> int:
     """Write FILE.lock.json beside a protocol file of the user's."""
     from carecontact.protocols import load_protocol, shipped_protocols
     from carecontact.protocols.lock import lock_path, write_lock
@@ -102,4 +142,9 @@ def lock(name: str) -> int:
         )
     write_lock(make_lock(protocol), path)
     print(path)
+    if json:
+        from carecontact.cli.answers.protocol import ProtocolLockAnswer
+        from carecontact.cli.json_lines import say
+
+        say(ProtocolLockAnswer(id=protocol.id, lock=str(path)))
     return 0

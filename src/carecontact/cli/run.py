@@ -7,7 +7,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.groups import FLAT, EngineGroup, PhysicsGroup, PolicyGroup, RulesGroup, Switch, VisionGroup
+from carecontact.cli.groups import (
+    FLAT,
+    EngineGroup,
+    JsonGroup,
+    PhysicsGroup,
+    PolicyGroup,
+    RulesGroup,
+    Switch,
+    VisionGroup,
+)
+from carecontact.cli.run_lines import say_run, say_trial
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -69,6 +79,8 @@ class Run:
     allow_failures: Switch = False
     """Exit with status 0 even if the policy crashed in a trial. Without this option, the status is then 3. If the
     harness failed, the status is 1 in either case."""
+
+    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
 
     after_interrupt: ClassVar[str] = "; finished trials are kept; give the same command again to continue"
 
@@ -135,10 +147,12 @@ class Run:
                 card=card,
                 weights=self.vision.weights and self.vision.weights.resolve(),
                 pace_s=self.pace,
-                on_event=lambda event: _show(event, on_event),
+                on_event=lambda event: self._show(event, on_event),
                 purpose=purpose,
             )
         status = self._finish(summary)
+        if self.output.json and summary.unreached is None:
+            say_run(specs[0], self.out, summary, status=status)
         if summary.unreached is not None:
             again = "the same command again" + (" without --restart" if self.restart else "")
             why = summary.unreached.removeprefix(f"policy {setup.ref.text!r} failed at start: ")
@@ -147,6 +161,13 @@ class Run:
                 "continue"
             )
         return status
+
+    def _show(self, event: TrialEvent, on_event: Callable[[TrialEvent], None]) -> None:
+        on_event(event)
+        if event.kind == "warned":
+            print(f"warning: the first answer of {event.trial_id}, {event.message}", flush=True)
+        if self.output.json:
+            say_trial(event, self.out)
 
     def _finish(self, summary: RunSummary) -> int:
         """Score and report what there is; returns the exit status."""
@@ -190,12 +211,6 @@ class Run:
         check_protocol(rules)
         check_rows(rules)
         return rules
-
-
-def _show(event: TrialEvent, on_event: Callable[[TrialEvent], None]) -> None:
-    on_event(event)
-    if event.kind == "warned":
-        print(f"warning: the first answer of {event.trial_id}, {event.message}", flush=True)
 
 
 def throughput(trials: int, wall_s: float, most_at_once: int) -> str:

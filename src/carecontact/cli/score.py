@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.groups import Folder, Switch
+from carecontact.cli.groups import FLAT, Folder, JsonGroup, Switch
+
+if TYPE_CHECKING:
+    from carecontact.runs.append import Appended
+    from carecontact.runs.run_scores import RunScores
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +25,8 @@ class Score:
     jobs: int | None = None
     """Number of processes; default: one per core, or a smaller number if there are few recordings."""
 
+    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
+
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
@@ -30,13 +36,46 @@ class Score:
 
         with alone(self.folder):
             if self.append:
-                return append(self.folder)
+                return self._appended(append(self.folder))
             run = rescore(self.folder, jobs=self.jobs, allow_missing=self.allow_missing)
-        return 1 if run.skipped or (run.missing and not self.allow_missing) else 0
+        status = 1 if run.skipped or (run.missing and not self.allow_missing) else 0
+        self._say(run, wrote=bool(run.scores) and (self.allow_missing or not run.missing), status=status)
+        return status
+
+    def _appended(self, found: Appended) -> int:
+        from carecontact.runs.stored_scores import beside_plan, read_results
+
+        status = 1 if found.gone else 0
+        if self.output.json:
+            run = beside_plan(self.folder, read_results(found.path))
+            self._say(run, wrote=bool(found.metrics), status=status, added=found.metrics)
+        return status
+
+    def _say(self, run: RunScores, *, wrote: bool, status: int, added: list[str] | None = None) -> None:
+        if not self.output.json:
+            return
+        from carecontact.cli.answers.score import ScoreAnswer
+        from carecontact.cli.json_lines import say
+        from carecontact.cli.rescoring import RESULTS
+        from carecontact.runs.results_content import results
+
+        content = results(run)
+        say(
+            ScoreAnswer(
+                folder=str(self.folder),
+                results=str(self.folder / RESULTS) if wrote else None,
+                added=added,
+                skipped=run.skipped,
+                missing=list(run.missing),
+                overall=content["overall"] if run.scores else None,
+                per_task=content["per_task"],
+                status=status,
+            )
+        )
 
 
-def append(folder: Path) -> int:
-    """Add what results.json lacks; an error leaves it as it was. Returns 1 if a trial's recording is gone."""
+def append(folder: Path) -> Appended:
+    """Add what results.json lacks; an error leaves it as it was."""
     from carecontact.cli.rescoring import RESULTS, need_recordings, write_table
     from carecontact.runs import append_metrics, read_results
 
@@ -54,4 +93,4 @@ def append(folder: Path) -> int:
     print(f"scores: {found.path}")
     if found.metrics:
         print(write_table(folder, read_results(found.path).scores))
-    return 1 if found.gone else 0
+    return found

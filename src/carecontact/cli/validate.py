@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.groups import FLAT, ChangedProtocolGroup, PhysicsGroup, Switch, check_body
+from carecontact.cli.groups import FLAT, ChangedProtocolGroup, JsonGroup, PhysicsGroup, Switch, check_body
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rich.table import Table
 
     from carecontact.contract.protocol import Protocol
@@ -37,6 +39,8 @@ class Validate:
     verbose: Switch = False
     """Print every measured quantity, not only those that missed their limit."""
 
+    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
+
     after_interrupt: ClassVar[str] = "; the checks that were finished are in validation.json"
 
     def __call__(self) -> int:
@@ -59,25 +63,41 @@ class Validate:
             load_body(rules.person.body)
         if self.fem:
             return self._beside_finite_elements(rules, wanted)
-        passed = True
-        for body in wanted:
-            passed &= self._validate(rules, body, names, self._folder(body, wanted))
+        found = {body: self._validate(rules, body, names, self._folder(body, wanted)) for body in wanted}
+        passed = all(validation.passed for validation in found.values())
+        if self.output.json:
+            self._say(found, passed=passed)
         return 0 if passed else 1
+
+    def _say(self, found: Mapping[str, Validation], *, passed: bool) -> None:
+        from carecontact.cli.answers.validate import BodyAnswer, ValidateAnswer
+        from carecontact.cli.json_lines import say
+
+        bodies = [
+            {
+                "body": body,
+                "passed": validation.passed,
+                "record": str(self._folder(body, tuple(found)) / "validation.json"),
+                "checks": [result.as_json() for result in validation.results],
+            }
+            for body, validation in found.items()
+        ]
+        say(ValidateAnswer(passed=passed, bodies=[BodyAnswer.model_validate(body) for body in bodies]))
 
     def _folder(self, body: str, wanted: tuple[str, ...]) -> Path:
         # A body may be a file: its name as a folder keeps letters and digits only.
         return self.out / re.sub(r"[^A-Za-z0-9_-]+", "_", body) if len(wanted) > 1 else self.out
 
     def _beside_finite_elements(self, rules: Protocol, wanted: tuple[str, ...]) -> int:
-        if self.quick or self.checks != "all":
-            raise ConfigError("--fem runs no check; leave out --quick and --checks")
+        if self.quick or self.checks != "all" or self.output.json:
+            raise ConfigError("--fem runs no check; leave out --quick, --checks and --json")
         from carecontact.cli.finite_elements import show_beside
 
         for body in wanted:
             show_beside(rules, body, self._folder(body, wanted))
         return 0
 
-    def _validate(self, rules: Protocol, body: str, names: tuple[str, ...], folder: Path) -> bool:
+    def _validate(self, rules: Protocol, body: str, names: tuple[str, ...], folder: Path) -> Validation:
         from rich.console import Console
 
         from carecontact.validation.run import CHECKS, validate, write
@@ -97,7 +117,7 @@ class Validate:
             console.print(_table(rows))
         some = "" if len(names) == len(CHECKS) else f" ({len(names)} of {len(CHECKS)} checks)"
         print(f"{'passed' if validation.passed else 'FAILED'}{some}: {folder / 'validation.json'}")
-        return validation.passed
+        return validation
 
 
 def _line(result: CheckResult) -> str:

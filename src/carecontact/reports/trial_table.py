@@ -21,7 +21,7 @@ UNIT_SUFFIX = {
     "1": "", "N": "_n", "N s": "_ns", "N/s": "_n_s", "s": "_s", "J": "_j", "kPa": "_kpa", "m": "_m", "rad": "_rad",
 }  # fmt: skip
 """Unit of a metric -> end of its column's name."""
-NEEDS = f"{TABLE_NAME} needs pyarrow: pip install 'carecontact[tables]'"
+NEEDS = "the table of trials needs pyarrow: pip install 'carecontact[tables]'"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,25 +63,29 @@ def write_trial_table(folder: Path | str, scores: Sequence[TrialScore]) -> Path:
 
     Raises DependencyError, saying what installs it, without pyarrow.
     """
-    try:
-        arrow, parquet = _pyarrow()
-    except ModuleNotFoundError:
-        raise DependencyError(NEEDS) from None
-    types_of = {str: arrow.string(), float: arrow.float64(), int: arrow.int64(), bool: arrow.bool_()}
-    rows, fields = sorted_scores(scores), columns(scores)
-    table = arrow.table(
-        [arrow.array([c.value(s) for s in rows], type=types_of[c.kind]) for c in fields],
-        schema=arrow.schema([arrow.field(c.name, types_of[c.kind]) for c in fields]),
-    )
+    table = trial_table(scores)
     buffer = BytesIO()
-    parquet.write_table(table, buffer)
+    import_module("pyarrow.parquet").write_table(table, buffer)
     path = Path(folder) / TABLE_NAME
     replace_file(path, buffer.getvalue())
     return path
 
 
-def _pyarrow() -> tuple[Any, Any]:
-    return import_module("pyarrow"), import_module("pyarrow.parquet")
+def trial_table(scores: Sequence[TrialScore]) -> Any:
+    """The table that ``results.parquet`` holds, as a ``pyarrow.Table``: rows by task and seed, NA as null.
+
+    Raises DependencyError, saying what installs it, without pyarrow.
+    """
+    try:
+        arrow = import_module("pyarrow")
+    except ModuleNotFoundError:
+        raise DependencyError(NEEDS) from None
+    types_of = {str: arrow.string(), float: arrow.float64(), int: arrow.int64(), bool: arrow.bool_()}
+    rows, fields = sorted_scores(scores), columns(scores)
+    return arrow.table(
+        [arrow.array([c.value(s) for s in rows], type=types_of[c.kind]) for c in fields],
+        schema=arrow.schema([arrow.field(c.name, types_of[c.kind]) for c in fields]),
+    )
 
 
 def _scalar(annotation: Any) -> type[str] | type[float] | type[int] | type[bool] | None:

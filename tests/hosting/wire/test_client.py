@@ -243,7 +243,7 @@ def test_bytes_that_are_no_websocket(monkeypatch: pytest.MonkeyPatch, frame: byt
             connection.recv(timeout=20)
 
     written = threading.Event()
-    monkeypatch.setattr(server, "_converse", scribble)
+    monkeypatch.setattr(server, "converse", scribble)
     port: SimpleQueue[int] = SimpleQueue()
     thread = threading.Thread(target=server.serve_policy, args=(Answers(),), kwargs={"on_port": port.put})
     thread.start()

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carecontact.errors import ConfigError
-from carecontact.reports.compare.comparison import Comparison, compare_runs, comparison_json
+from carecontact.reports.compare.comparison import Comparison, compare_runs
 from carecontact.reports.compare.outcomes import plain_text
 from carecontact.reports.compare.paired_lines import RateLine, ScoreLine
 from carecontact.runs import RunScores
@@ -263,8 +263,8 @@ def test_json_is_plain_and_the_same_every_time() -> None:
     found = compare_runs(a, b, per_task=True)
     line = rate(found, "success")
     assert line.unpaired.odds_ratio == inf
-    text = json.dumps(comparison_json(found), sort_keys=True, allow_nan=False)
-    assert text == json.dumps(comparison_json(compare_runs(a, b, per_task=True)), sort_keys=True, allow_nan=False)
+    text = json.dumps(found.as_json(), sort_keys=True, allow_nan=False)
+    assert text == json.dumps(compare_runs(a, b, per_task=True).as_json(), sort_keys=True, allow_nan=False)
     data = json.loads(text)
     assert data["schema"] == "carecontact-comparison-2"
     assert data["overall"][0]["unpaired"]["odds_ratio"] is None

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from tools.study.method import Method
 from tools.study.page.markdown import escaped, label, percent, proportion, table
-from tools.study.paper import Paper, PaperMethod
 from tools.study.study import Study
 
 from carecontact.reports.compare.outcomes import RATES, Outcome, plain_text
+from carecontact.reports.paper.published import Paper, PaperMethod
 
 NOTES = {
     "state-machine": "`state-machine`: the paper's language model stands behind `rules-v1` only in so far as the same "

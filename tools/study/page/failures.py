@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from tools.study.method import Method
 from tools.study.page.markdown import escaped, label, sentence, table
-from tools.study.paper import Paper, PaperMethod
 from tools.study.study import Study
 
+from carecontact.reports.paper.published import Paper, PaperMethod
 from carecontact.reports.text import NOT_DEFINED
 
 

@@ -8,8 +8,9 @@ from tools.study.page.pair import pair, proposal
 from tools.study.page.runs import runs
 from tools.study.page.sweeps import sweep
 from tools.study.page.tasks import baselines, gates, tasks
-from tools.study.paper import Paper
 from tools.study.study import Study
+
+from carecontact.reports.paper.published import Paper
 
 
 def study_page(found: Study, paper: Paper, *, command: str, json_name: str) -> str:

@@ -48,14 +48,15 @@ def serve_policy(
         threading.Thread(target=server.serve_forever, daemon=True).start()
         on_port(server.socket.getsockname()[1])
         try:
-            _converse(policy, offered.get(), arguments or {}, environment)
+            converse(policy, offered.get(), arguments or {}, environment)
         finally:
             finished.set()
 
 
-def _converse(
+def converse(
     policy: Policy, connection: ServerConnection, arguments: Mapping[str, str], environment: tuple[str, ...]
 ) -> None:
+    """Show the card and answer until the client closes, or until the policy fails, which the client is told."""
     try:
         card: object = getattr(policy, "card", None)
         if isinstance(card, PolicyCard):

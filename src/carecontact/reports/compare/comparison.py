@@ -56,6 +56,17 @@ class Comparison:
     per_task: dict[str, tuple[Line, ...]] | None
     """Task -> its lines, all tasks one further family; None unless requested."""
 
+    def as_json(self) -> dict[str, Any]:
+        """The content of ``comparison.json``. Rates and their differences are fractions; infinity and NaN are null."""
+        content = {
+            "schema": COMPARISON_SCHEMA,
+            "carecontact": __version__,
+            "alpha": ALPHA,
+            "power": POWER,
+            **asdict(self),
+        }
+        return {key: plain(value) for key, value in content.items()}
+
 
 def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False) -> Comparison:
     """Pair the trials of two runs by task and seed and compare everything that is scored.
@@ -105,18 +116,6 @@ def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False) -> Compa
         overall=tuple(conclude(paired_lines(pairs, every_a, every_b))),
         per_task=lines,
     )
-
-
-def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """The content of ``comparison.json``. Rates and their differences are fractions; infinity and NaN are null."""
-    content = {
-        "schema": COMPARISON_SCHEMA,
-        "carecontact": __version__,
-        "alpha": ALPHA,
-        "power": POWER,
-        **asdict(comparison),
-    }
-    return {key: plain(value) for key, value in content.items()}
 
 
 def _told(trials: Mapping[tuple[str, int], TrialScore]) -> str:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from tools.study.paper import read_paper
 
+from carecontact.reports.paper.published import read_paper
 from carecontact.stats import wilson_interval
 
 PAPER = read_paper()

@@ -1,4 +1,4 @@
-"""What the paper prints, as data; see ``paper.toml``."""
+"""What the paper prints, as data; see ``published.toml``."""
 
 from __future__ import annotations
 
@@ -35,6 +35,14 @@ class Paper:
     methods: dict[str, PaperMethod]
     pvalues: dict[str, tuple[str, float]]
     """Outcome -> test and p of state-machine against voxposer, for those that were tested"""
+    capability: dict[str, list[str]]
+    """System -> yes, partly or no for each of five capabilities"""
+    tasks: dict[str, list[str]]
+    """Task -> its name and what it is meant to show"""
+    metrics: dict[str, list[str]]
+    """Metric -> its layer and name"""
+    protocol: dict[str, str]
+    """What is frozen -> how"""
 
     def scores(self) -> list[Outcome]:
         """The outcomes of which the paper prints medians."""
@@ -43,12 +51,13 @@ class Paper:
 
 
 def read_paper() -> Paper:
-    content = tomllib.loads(Path(__file__).with_name("paper.toml").read_text("utf-8"))
+    content = tomllib.loads(Path(__file__).with_name("published.toml").read_text("utf-8"))
     failures = {row["policy"]: row for row in content["failures"]}
     return Paper(
         runs_per_method=content["runs_per_method"],
         methods={row["policy"]: _method(row, failures[row["policy"]], content) for row in content["method"]},
         pvalues={row["outcome"]: (row["test"], row["pvalue"]) for row in content["contrast"]},
+        **{name: content[name] for name in ("capability", "tasks", "metrics", "protocol")},
     )
 
 

@@ -1,0 +1,42 @@
+"""What every answer has in common."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
+
+
+class Answer(BaseModel):
+    """One line of JSON on standard output. The field ``schema`` says which kind of line it is."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", validate_by_name=True, serialize_by_alias=True, use_attribute_docstrings=True
+    )
+
+    def line(self) -> str:
+        """The answer as JSON without a line break. A number that is not finite becomes null."""
+        return self.model_dump_json()
+
+
+class Part(BaseModel):
+    """A part of an answer."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+class Schema(GenerateJsonSchema):
+    """JSON Schema 2020-12 in which every number may be null, because JSON has no infinity and no NaN."""
+
+    def float_schema(self, schema: core_schema.FloatSchema) -> JsonSchemaValue:
+        return {"type": ["number", "null"]}
+
+
+def schema_of(answer: type[Answer]) -> dict[str, Any]:
+    """The JSON Schema of one kind of line."""
+    made = answer.model_json_schema(schema_generator=Schema)
+    # It has a default in Python only.
+    required = sorted({"schema", *made.get("required", [])})
+    return {"$schema": Schema.schema_dialect, **made, "required": required}

@@ -1,0 +1,44 @@
+"""Counts and medians over trials, as `results.json` has them (docs/scoring.md)."""
+
+from __future__ import annotations
+
+from carecontact.cli.answers.answer import Part
+from carecontact.stats import Median
+
+
+class Rate(Part):
+    n: int
+    """Trials that count."""
+    pc: float | None
+    """Percent of all; null of nothing."""
+    pc_ci95: tuple[float, float]
+    """Wilson's 95 % interval [percent]."""
+
+
+class Exceedance(Rate):
+    n_success: int
+    """Of them successful."""
+
+
+class Summary(Part):
+    """Over judged trials: those in which the harness failed are left out."""
+
+    n_episodes: int
+    n_success: int
+    pc_success: float | None
+    pc_success_ci95: tuple[float, float]
+    region_correct: Rate
+    safety_gated: Rate
+    valid_contact: Rate
+    valid_ratio: Rate
+    """Trials that have a trajectory to score."""
+    exceedances: dict[str, Exceedance]
+    """``gate`` and ``pain`` -> trials with a force above that limit."""
+    quadrants: dict[str, int]
+    medians: dict[str, Median]
+    """Column of the table, with what it is pooled over -> median."""
+    additional: dict[str, Median]
+    """Id of a further metric -> median."""
+    anatomy: dict[str, int]
+    failure_modes: dict[str, int]
+    attributions: dict[str, int]

@@ -1,0 +1,45 @@
+"""The answer of `carecontact validate`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from carecontact.cli.answers.answer import Answer, Part
+
+
+class MeasureAnswer(Part):
+    name: str
+    value: float | None
+    """Null if it is not finite."""
+    unit: str
+    limit: float | None = None
+    """Absent where the quantity has no limit, as are the following."""
+    side: Literal["at most", "at least", "below"] | None = None
+    decides: bool | None = None
+    met: bool | None = None
+
+
+class CheckAnswer(Part):
+    check: str
+    title: str
+    passed: bool
+    error: str | None
+    """Why the check could not be finished."""
+    measures: list[MeasureAnswer]
+
+
+class BodyAnswer(Part):
+    body: str
+    passed: bool
+    record: str
+    """Path of its validation.json."""
+    checks: list[CheckAnswer]
+
+
+class ValidateAnswer(Answer):
+    kind: Annotated[Literal["carecontact-validate-1"], Field(alias="schema")] = "carecontact-validate-1"
+    passed: bool
+    """Whether every check passed on every body."""
+    bodies: list[BodyAnswer]

@@ -1,0 +1,62 @@
+"""The lines of JSON that `carecontact run --json` prints."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carecontact.cli.json_lines import say
+
+if TYPE_CHECKING:
+    from carecontact.contract.trial import TrialSpec
+    from carecontact.trials.supervisor import RunSummary, TrialEvent
+
+
+def say_trial(event: TrialEvent, folder: Path) -> None:
+    """Say what became of a trial, if the event is its end."""
+    from carecontact.cli.answers.run import TrialAnswer
+    from carecontact.runs.score_files import score_file
+
+    if event.kind not in ("kept", "finished") or event.ended is None:
+        return
+    kept = event.kind == "kept"
+    # An earlier command may have kept many, and results.json has the scores of all of them in the end.
+    found = None if kept else score_file(folder / f"{event.trial_id}.h5")
+    say(
+        TrialAnswer(
+            trial_id=event.trial_id,
+            ended=event.ended,
+            kept=kept,
+            done=event.done,
+            total=event.total,
+            message=event.message,
+            score=None if found is None or isinstance(found, str) else found.score,
+        )
+    )
+
+
+def say_run(spec: TrialSpec, folder: Path, summary: RunSummary, *, status: int) -> None:
+    """Say what the run came to. ``spec``: any trial of it."""
+    from carecontact.cli.answers.run import RunAnswer, RunProtocol
+    from carecontact.cli.rescoring import RESULTS
+
+    try:
+        results = json.loads((folder / RESULTS).read_bytes())
+    except FileNotFoundError:
+        results = {"overall": None, "skipped": {}}
+    protocol = spec.protocol
+    say(
+        RunAnswer(
+            folder=str(folder),
+            policy=spec.policy,
+            protocol=RunProtocol(id=protocol.id, sha256=protocol.sha256, overrides=protocol.overrides),
+            ended=summary.ended,
+            ran=list(summary.ran),
+            kept=list(summary.kept),
+            late=summary.late,
+            skipped=results["skipped"],
+            overall=results["overall"],
+            status=status,
+        )
+    )

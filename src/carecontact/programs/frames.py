@@ -1,0 +1,59 @@
+"""The trials of a run as a table of pandas, polars or pyarrow. No library is imported before it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from carecontact.errors import ConfigError, DependencyError, did_you_mean
+from carecontact.reports.trial_table import trial_table
+
+if TYPE_CHECKING:
+    from carecontact.scoring.result import TrialScore
+
+FrameLibrary = Literal["pandas", "polars", "pyarrow"]
+LIBRARIES: tuple[FrameLibrary, ...] = get_args(FrameLibrary)
+"""In the order of preference; pyarrow only where it is asked for."""
+
+
+def frame(scores: Sequence[TrialScore], *, library: FrameLibrary | None = None) -> Any:
+    """One row for each trial; see ``Run.trials``.
+
+    Raises DependencyError if the library or pyarrow is not installed, and ConfigError for another library's name.
+    """
+    chosen = library or _installed()
+    if chosen not in LIBRARIES:
+        raise ConfigError(
+            f"there is no table for {chosen!r}{did_you_mean(chosen, LIBRARIES)}; valid: {', '.join(LIBRARIES)}"
+        )
+    table = trial_table(scores)
+    if chosen == "pyarrow":
+        return table
+    try:
+        made = import_module(chosen)
+    except ModuleNotFoundError:
+        raise DependencyError(f"{chosen} is not installed: pip install {chosen}") from None
+    if chosen == "polars":
+        return made.from_arrow(table)
+    # Whole numbers, truths and texts with NA keep their types; without this, pandas makes them floats and objects.
+    return table.to_pandas(types_mapper=_nullable(made))
+
+
+def _installed() -> FrameLibrary:
+    found = next((name for name in LIBRARIES[:2] if find_spec(name)), None)
+    if found is None:
+        raise DependencyError(
+            "neither pandas nor polars is installed: pip install pandas, or ask for library='pyarrow'"
+        )
+    return found
+
+
+def _nullable(pandas: Any) -> Any:
+    arrow = import_module("pyarrow")
+    return {
+        arrow.int64(): pandas.Int64Dtype(),
+        arrow.bool_(): pandas.BooleanDtype(),
+        arrow.string(): pandas.StringDtype(),
+    }.get

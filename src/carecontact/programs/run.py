@@ -1,0 +1,117 @@
+"""A finished run as an object: its trials as a table, its recordings as arrays, its scores."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from carecontact.errors import ConfigError
+from carecontact.runs.stored_scores import read_scores
+
+if TYPE_CHECKING:
+    from carecontact.programs.frames import FrameLibrary
+    from carecontact.recording.schema import Recording
+    from carecontact.runs.run_scores import RunScores
+    from carecontact.scoring.result import TrialScore
+
+
+def load(path: str | Path, *, rescore: bool = False) -> Run:
+    """Open a finished run.
+
+    Args:
+        path: the folder that `carecontact run --out` named, or a results file alone (``results.json``, also packed as
+            ``.json.gz``).
+        rescore: compute the scores again from the recordings instead of reading ``results.json``. Nothing is written.
+
+    Raises ConfigError if there is no run, if its scores cannot be read, or if they do not belong to the recordings
+    beside them.
+    """
+    path = Path(path)
+    return Run(path=path, scored=read_scores(path, rescore=rescore))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """One run of one policy. ``load`` and ``evaluate`` make it."""
+
+    path: Path
+    """Folder of the run, or its results file."""
+    scored: RunScores
+    """What was read: scores, and which trials or files are left out."""
+
+    def __repr__(self) -> str:
+        policy = self.scores[0].policy_title if self.scores else "no policy"
+        return f"Run({str(self.path)!r}: {policy}, {len(self.scores)} trials)"
+
+    @property
+    def scores(self) -> list[TrialScore]:
+        """One score for each trial, in the order of the files; SI units; None is NA (docs/scoring.md)."""
+        return self.scored.scores
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Trials that were planned and have no score."""
+        return self.scored.missing
+
+    @property
+    def skipped(self) -> dict[str, str]:
+        """File name -> why the file was not scored."""
+        return self.scored.skipped
+
+    @cached_property
+    def results(self) -> dict[str, Any]:
+        """What ``results.json`` holds: ``overall``, ``per_task``, ``per_region``, ``sweeps``, ``trials`` and
+        provenance, with rates in percent."""
+        from carecontact.runs.results_content import results
+
+        return results(self.scored)
+
+    @cached_property
+    def recordings(self) -> Recordings:
+        """Trial id -> recording. A recording is read and verified each time that it is asked for."""
+        return Recordings(self.path if self.path.is_dir() else self.path.parent)
+
+    def trials(self, library: FrameLibrary | None = None) -> Any:
+        """One row for each trial, with the columns of ``results.parquet`` (docs/scoring.md), ordered by task and seed.
+
+        Args:
+            library: ``"pandas"``, ``"polars"`` or ``"pyarrow"``; by default pandas if it is installed, else polars.
+
+        Raises DependencyError if the library or pyarrow is not installed.
+        """
+        from carecontact.programs.frames import frame
+
+        return frame(self.scores, library=library)
+
+
+class Recordings(Mapping[str, "Recording"]):
+    """The recordings of a folder by trial id."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __getitem__(self, trial_id: str) -> Recording:
+        """The trial's header and its arrays by path, such as ``["scorer/normal_force"]`` (docs/python.md).
+
+        Raises ConfigError for a trial that has no recording here, and RecordingError for a file that is damaged.
+        """
+        from carecontact.errors import did_you_mean
+        from carecontact.recording import read_recording
+
+        if trial_id not in self:
+            known = list(self)
+            has = f"it has {known[0]} to {known[-1]}" if known else "it has no recordings"
+            raise ConfigError(f"{self._folder} has no recording of {trial_id!r}{did_you_mean(trial_id, known)}; {has}")
+        return read_recording(self._folder / f"{trial_id}.h5")
+
+    def __contains__(self, trial_id: object) -> bool:
+        return trial_id in set(self)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted(path.stem for path in self._folder.glob("*.h5")))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)

@@ -1,0 +1,46 @@
+"""One style for the figures, and their files: the same content gives the same bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's palette: colour-blind readers can distinguish its colours, also in print.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+GREY, PALE = "#555555", "#DDDDDD"
+STYLE: dict[str, Any] = {
+    "font.size": 8, "axes.titlesize": 8.5, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7,
+    "ytick.labelsize": 7, "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7,
+    "lines.linewidth": 1.1, "legend.frameon": False, "axes.grid": True, "grid.color": "0.92", "grid.linewidth": 0.5,
+    "axes.titlelocation": "left", "axes.axisbelow": True,
+    # Fixed ids and embedded letters, so that a file does not depend on when or where it was made.
+    "svg.hashsalt": "carecontact", "svg.fonttype": "path", "pdf.fonttype": 42,
+}  # fmt: skip
+NO_DATE = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None}}
+
+
+def write_figure(draw: Callable[[Figure], None], folder: Path, name: str) -> list[Path]:
+    """Write what ``draw`` puts on a figure as NAME.svg and NAME.pdf. Returns both paths."""
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context({**matplotlib.rcParamsDefault, "backend": "agg", **STYLE}):
+        figure = Figure(layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(figure)
+        paths: list[Path] = []
+        for ending, metadata in NO_DATE.items():
+            paths.append(folder / f"{name}.{ending}")
+            figure.savefig(paths[-1], metadata=metadata)
+    return paths
+
+
+def letter(axes: Axes, index: int, title: str) -> None:
+    """Name a panel ``(a) title``."""
+    axes.set_title(f"({'abcdefghijklmnopqrstuvwxyz'[index]}) {title}")

@@ -1,0 +1,103 @@
+"""``import carecontact`` for programs: a run as tables, arrays and scores."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import carecontact as cc
+from carecontact.errors import ConfigError, DependencyError
+from carecontact.programs import frames
+from carecontact.recording import write_recording
+from carecontact.runs import score_run, write_scores
+from tests.scoring.synthetic import make_recording, push, touch
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    """A touches and pushes; B does not touch with seed 1."""
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        for seed in (0, 1):
+            missed = name == "b" and seed == 1
+            made = make_recording("T1", seed=seed, policy=name) if missed else touch(seed=seed, policy=name)
+            write_recording(made, tmp_path / name / f"T1-s{seed:03d}.h5")
+        write_recording(push(seed=0, policy=name), tmp_path / name / "T2-s000.h5")
+        write_scores(tmp_path / name, score_run(tmp_path / name))
+    return tmp_path
+
+
+def test_the_import_costs_nothing_until_something_is_used() -> None:
+    code = (
+        "import sys; before = set(sys.modules); import carecontact as cc; dir(cc)\n"
+        "print(sorted(m for m in set(sys.modules) - before if m.partition('.')[0] != 'importlib'))\n"
+        "assert cc.load and 'numpy' in sys.modules and 'pandas' not in sys.modules and 'mujoco' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert set(done.stdout.strip("[]\n").replace("'", "").split(", ")) <= {"carecontact", "warnings"}
+
+
+def test_a_name_that_is_not_offered_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="it offers Run, compare, evaluate, load"):
+        cc.lode  # type: ignore[attr-defined]  # noqa: B018
+    assert {"Run", "compare", "evaluate", "load"} <= set(dir(cc))
+
+
+def test_a_run_has_what_its_files_say(runs: Path) -> None:
+    run = cc.load(runs / "a")
+    assert repr(run) == f"Run({str(runs / 'a')!r}: a, 3 trials)"
+    assert run.results == json.loads((runs / "a" / "results.json").read_text())
+    assert [score.trial_id for score in run.scores] == ["T1-s000", "T1-s001", "T2-s000"] == list(run.recordings)
+    force = run.recordings["T1-s000"]["scorer/normal_force"]
+    assert isinstance(force, np.ndarray)
+    assert force.max() > 0
+    assert cc.load(runs / "a" / "results.json").recordings["T1-s000"].header.spec.task_id == "T1"
+    assert cc.load(str(runs / "a"), rescore=True).scores == run.scores
+
+
+def test_errors_say_what_is_there(runs: Path) -> None:
+    with pytest.raises(ConfigError, match="no such folder; name the --out"):
+        cc.load(runs / "nowhere")
+    with pytest.raises(ConfigError, match=r"no recording of 'T1-s009' \(did you mean .*; it has T1-s000 to T2-s000"):
+        cc.load(runs / "a").recordings["T1-s009"]
+    with pytest.raises(ConfigError, match=r"no table for 'panda' .did you mean 'pandas'"):
+        cc.load(runs / "a").trials("panda")  # type: ignore[arg-type]
+
+
+def test_trials_are_a_table_of_any_library(runs: Path) -> None:
+    run = cc.load(runs / "b")
+    in_pandas, in_polars, in_arrow = run.trials("pandas"), run.trials("polars"), run.trials("pyarrow")
+    assert type(run.trials()) is type(in_pandas)
+    assert list(in_pandas.columns) == in_polars.columns == in_arrow.column_names
+    assert in_pandas["trial_id"].tolist() == in_polars["trial_id"].to_list() == ["T1-s000", "T1-s001", "T2-s000"]
+    assert in_pandas["c3_success"].dtype == "boolean"
+    assert in_pandas["c1_peak_force_n"].isna().tolist() == [False, True, False]
+    assert in_polars["c1_peak_force_n"].is_null().to_list() == [False, True, False]
+    by_task = in_pandas.groupby("task_id")["c3_success"].mean()
+    assert by_task.to_dict() == {"T1": 0.5, "T2": 1.0}
+
+
+def test_without_any_library_it_says_what_to_install(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = cc.load(runs / "a")
+    monkeypatch.setattr(frames, "find_spec", lambda name: name == "polars")
+    assert type(run.trials()).__module__.startswith("polars")
+    monkeypatch.setattr(frames, "find_spec", lambda name: None)
+    with pytest.raises(DependencyError, match="neither pandas nor polars is installed: pip install pandas"):
+        run.trials()
+    monkeypatch.setitem(sys.modules, "polars", None)
+    with pytest.raises(DependencyError, match="polars is not installed: pip install polars"):
+        run.trials("polars")
+
+
+def test_compare_is_that_of_the_command(runs: Path) -> None:
+    found = cc.compare(cc.load(runs / "a"), runs / "b", per_task=True)
+    assert found.pairing.n == 3
+    assert [line.outcome.id for line in found.overall][:3] == ["success", "region_correct", "safety_gated"]
+    assert found.per_task is not None
+    assert found.as_json()["schema"] == "carecontact-comparison-2"
