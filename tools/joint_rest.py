@@ -68,8 +68,11 @@ def row(body: str, scene: Scene, name: str) -> str:
 
 
 def table(bodies: list[str]) -> None:
-    print("| body | elbow rests | stiffness [N m/rad] | torque at rest [N m] | elbow [deg] | shoulder rotation [deg] | "
-          f"comfort angle [deg] ({COMFORT_ARM_DEG} asked) | forearm and hand on the board [N] | drift in 10 s [deg] |")  # fmt: skip
+    heads = (
+        "body", "elbow rests", "stiffness [N m/rad]", "torque at rest [N m]", "elbow [deg]", "shoulder rotation [deg]",
+        f"comfort angle [deg] ({COMFORT_ARM_DEG} asked)", "forearm and hand on the board [N]", "drift in 10 s [deg]",
+    )  # fmt: skip
+    print(f"| {' | '.join(heads)} |")
     print("|---|---|---|---|---|---|---|---|---|")
     for body in bodies:
         scene = build_scene(overridden(load_protocol(), {"person.body": body}), target=None, skin=False)

@@ -2,8 +2,9 @@
 
 Engin and Chen 1987, J Biomech Eng 109:318, gave the passive torque of ten elbows beyond their range as a cubic in the
 angle (their coefficients were not read; the form is that of a public database's entry on the paper). Riener and Edrich
-1999, J Biomech 32:539, use exponentials, which rise alike. How strong the stop is was chosen: ranges of motion are
-measured by an examiner's pull and read to about 5 degrees, so that the torque of such a pull is reached there.
+1999, J Biomech 32:539, use exponentials, which rise alike. How strong the stop is was chosen: a limp arm
+that an examiner's pull swings into its end (``validation.passive_response``) goes at most 5 degrees past it, which is
+as well as ranges of motion are read. People's ends are softer and begin earlier.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 REACHED_RAD = float(np.radians(5.0))
 PULL_NM = {
-    "upper_arm": 10.0, "forearm_flexion": 6.0, "forearm_supination": 3.0, "hand": 2.0, "neck": 6.0, "thigh": 30.0,
+    "upper_arm": 60.0, "forearm_flexion": 18.0, "forearm_supination": 3.0, "hand": 2.0, "neck": 6.0, "thigh": 30.0,
     "shank": 15.0, "foot": 10.0, "abdomen": 60.0, "thorax": 60.0,
 }  # fmt: skip
 """Part, or part and motion -> torque at REACHED_RAD past the range; chosen."""
