@@ -61,7 +61,8 @@ class Sheet:
 
     def __init__(
         self, law: Tissue, mesh: Mesh, *, bottom_m: float, dt_s: float = 0.002, mass_kg: float = HEAVY_KG,
-        ledger: bool = False, give_m3_n: float = 0.0, bone_mass_kg: float | None = None, frame: Array | None = None, **geom: object,
+        ledger: bool = False, give_m3_n: float = 0.0, bone_mass_kg: float | None = None, frame: Array | None = None,
+        **geom: object,
     ) -> None:  # fmt: skip
         spec = mujoco.MjSpec()
         spec.option.timestep, spec.option.gravity = dt_s, [0, 0, 0]

@@ -37,8 +37,8 @@ class Embodiment:
     """Site at the tool centre point; its z axis points out of the tool."""
     tip: Tip
     tcp_z_m: float
-    """Distance of the tool centre point, the tip's outermost point, from the hand's origin along the hand's z axis, which
-    points out of the tool."""
+    """Distance of the tool centre point, the tip's outermost point, from the hand's origin along the hand's z axis, out
+    of the tool."""
     parked_joint_rad: tuple[float, ...]
     """Posture in which a trial begins unless its protocol gives another."""
 

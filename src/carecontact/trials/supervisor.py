@@ -134,7 +134,8 @@ def open_run(
         with work_folder(out) as work:
             conditions = Conditions(
                 out=out, work=work, policy=setup, identity=identity, weights=weights, pace_s=pace_s,
-                command=worker_command, forks=len(specs) > len(found.keep) + 1, trial_limit_s=trial_limit_s, killed=found.killed,
+                command=worker_command, forks=len(specs) > len(found.keep) + 1, trial_limit_s=trial_limit_s,
+                killed=found.killed,
             )  # fmt: skip
             carrying_out = engine_of(engine, conditions, gpus=gpus)
             try:

@@ -11,6 +11,7 @@ from carecontact.scoring.validity.values import (
     check_cells,
     check_finite_streams,
     check_joint_ranges,
+    check_reactions,
     check_rotations,
 )
 
@@ -19,9 +20,9 @@ def check_streams(recording: Recording) -> None:
     """Raises RecordingError naming the trial, the array, the place in it and what would be valid.
 
     The checks are ``check_finite_streams``, ``check_actions``, ``check_times``, ``check_bounds``, ``check_cells``,
-    ``check_rotations``, ``check_joint_ranges`` and ``check_forces``. They do not find what is wrong by less than their
-    generous bounds: 5 % on every force, a wrist shifted by 1 cm. A trial that the solver cut needs only finite values
-    and clocks that agree.
+    ``check_rotations``, ``check_joint_ranges``, ``check_reactions`` and ``check_forces``. They do not find what is
+    wrong by less than their generous bounds: 5 % on every force, a wrist shifted by 1 cm. A trial that the solver cut
+    needs only finite values and clocks that agree.
     """
     check_finite_streams(recording)
     check_actions(recording)
@@ -35,4 +36,5 @@ def check_streams(recording: Recording) -> None:
     check_cells(recording)
     check_rotations(recording)
     check_joint_ranges(recording)
+    check_reactions(recording)
     check_forces(recording)

@@ -13,6 +13,7 @@ from carecontact.regions import REGIONS, Tube
 from carecontact.world.human.anthropometry import segment_inertias
 from carecontact.world.human.bed_contact import bed_proxies
 from carecontact.world.human.body import PARENT, Array, Body
+from carecontact.world.human.end_stops import add_end_stop
 from carecontact.world.human.joints import Hinge, hinges
 from carecontact.world.human.plates import SIDEWAYS, SOLIMP, SOLREF, add_plate, plates_of, trunk_sides, without_plates
 from carecontact.world.human.pose import FIXED_SEGMENTS, lying_pose_deg, rotation_from_bind
@@ -74,6 +75,7 @@ def add_skeleton(
         for hinge in rows:
             if hinge.segment == segment:
                 _add_hinge(made, hinge)
+                add_end_stop(spec, hinge)
     _add_bed_proxies(body, bodies)
     for hull in surface:
         _add_hull(spec, body, hull, bodies[hull.segment] if hull.plate is None else carriers[hull.plate])
@@ -84,7 +86,7 @@ def _add_hinge(to: mujoco.MjsBody, hinge: Hinge) -> None:
     radians = np.radians
     to.add_joint(
         name=f"human_{hinge.name}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=hinge.axis, ref=radians(hinge.bind_deg),
-        limited=mujoco.mjtLimited.mjLIMITED_TRUE, range=radians(hinge.range_deg),
+        limited=mujoco.mjtLimited.mjLIMITED_FALSE, range=radians(hinge.range_deg),
         stiffness=[hinge.stiffness_nm_rad, 0, 0], springref=radians(hinge.bind_deg),
         damping=[hinge.damping_nms_rad, 0, 0], armature=0.002,
     )  # fmt: skip
