@@ -115,8 +115,8 @@ class PhysicsGroup:
     """Coefficient of friction between tool and skin in place of the tissue's: a number, or dry (0.5), wet (1.0) or
     soapy (0.2); see docs/tissue.md for the sources. Every output names this change."""
     tool: ToolName | None = None
-    """What the robot's hand wears in place of the protocol's: caps, which are rigid, over the fingertips, or a soft wash
-    mitt. Every output names this change."""
+    """What the robot's hand wears in place of the protocol's: rigid caps over the fingertips, or a soft wash mitt.
+    Every output names this change."""
     fast: Switch = False
     """Use physics steps of 4 ms in place of the protocol's. This is faster and less exact: use it for development."""
 
