@@ -6,7 +6,8 @@
 #include "vec.h"
 
 static const double NEAR_GAP = 0.001;  // [m] a point farther outside cannot come to touch within a step
-// Cosine between a point's inward direction and the tool's normal, from which on the tool can press it.
+// Cosine between a point's inward direction and the tool's normal, from which on the tool can press it. Upright walls do
+// not: a disc on springs that know nothing of each other would plough.
 static const double STEEPEST = 0.05;
 // How far a middle stands off at first, over the tool's depth. Beside a mesh of 2.5 mm (ball of 10 and 20 mm, cap), the
 // forces at 0.3 to 2 mm are nearest with this: with 1/8 they are 10 to 25 % too high, with 1/2 as much too low.

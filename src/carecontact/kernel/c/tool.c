@@ -409,7 +409,7 @@ int tool_gap(const Tool* tool, const double point[3], const double direction[3],
   if (value < 0 && !exit_of(tool, x, v, begins, &leaves, n)) return 0;
   *gap = -leaves * dot(n, v);
   // Deep inside, the nearest wall can be another than the one that the point has met.
-  if (value < 0 && is_distance(tool, value) && dot(gradient, n) > SAME_WALL) {
+  if (value < 0 && is_distance(tool, value) && (value > -EDGE || dot(gradient, n) > SAME_WALL)) {
     *gap = value;
     memcpy(n, gradient, sizeof n);
   } else {
