@@ -54,9 +54,6 @@ class Give:
     def force_n(self, depth_m: Array) -> Array:
         return self.a_n_m * depth_m + self.b_n_m2 * depth_m**2
 
-    def energy_j(self, depth_m: Array) -> Array:
-        return self.a_n_m * depth_m**2 / 2 + self.b_n_m2 * depth_m**3 / 3
-
 
 STERNUM = (
     "F = 54.9 D + 10.8 D^2 [N, cm], mean of 10 patients during resuscitation (Tsitlik et al. 1983, Crit Care Med "
