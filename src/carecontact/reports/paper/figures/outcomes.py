@@ -43,7 +43,8 @@ PANELS: tuple[tuple[str, str, Callable[[TrialScore], float | None]], ...] = (
 def draw(figure: Figure, methods: Sequence[Method], paths: Sequence[Sequence[Recording]]) -> None:
     """``paths``: for each method, the recordings whose tool paths are drawn; none where there are no recordings."""
     figure.set_size_inches(7.2, 5.6)
-    upper, lower = figure.subfigures(2, 1, height_ratios=(2, 1.1))
+    halves: Any = figure.subfigures(2, 1, height_ratios=(2, 1.1))
+    upper, lower = halves
     for index, (panel, (title, action, value)) in enumerate(zip(upper.subplots(2, 3).flat, PANELS, strict=True)):
         letter(panel, index, title)
         _dots(panel, methods, action, value)
