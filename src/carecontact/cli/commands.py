@@ -42,6 +42,7 @@ COMMANDS = {
     "report": "report:Report",
     "compare": "compare:Compare",
     "paper": "paper:Paper",
+    "export": "export:Export",
     "validate": "validate:Validate",
     "calibrate": "calibrate:Calibrate",
     "look": "look:Look",

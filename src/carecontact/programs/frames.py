@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 FrameLibrary = Literal["pandas", "polars", "pyarrow"]
 LIBRARIES: tuple[FrameLibrary, ...] = get_args(FrameLibrary)
-"""In the order of preference; pyarrow only where it is asked for."""
 
 
 def frame(scores: Sequence[TrialScore], *, library: FrameLibrary | None = None) -> Any:
@@ -42,12 +41,11 @@ def frame(scores: Sequence[TrialScore], *, library: FrameLibrary | None = None) 
 
 
 def _installed() -> FrameLibrary:
-    found = next((name for name in LIBRARIES[:2] if find_spec(name)), None)
-    if found is None:
-        raise DependencyError(
-            "neither pandas nor polars is installed: pip install pandas, or ask for library='pyarrow'"
-        )
-    return found
+    if find_spec("pandas"):
+        return "pandas"
+    if find_spec("polars"):
+        return "polars"
+    raise DependencyError("neither pandas nor polars is installed: pip install pandas, or ask for library='pyarrow'")
 
 
 def _nullable(pandas: Any) -> Any:

@@ -21,6 +21,8 @@ MODES = (
     "insufficient_progress", "no_target_contact", "off_target_contact", "lost_contact", "wrong_share",
     "safety_truncation", "time_limit", "process_failure",
 )  # fmt: skip
+NEAR_MM = 250.0
+"""Tool paths are drawn where they are within this distance of the region's middle, along it and across it."""
 MODE_COLOURS = ("#E69F00", "#56B4E9", "#0072B2", "#CC79A7", "#F0E442", "#D55E00", "#999999", "#000000")
 
 
@@ -43,7 +45,8 @@ PANELS: tuple[tuple[str, str, Callable[[TrialScore], float | None]], ...] = (
 def draw(figure: Figure, methods: Sequence[Method], paths: Sequence[Sequence[Recording]]) -> None:
     """``paths``: for each method, the recordings whose tool paths are drawn; none where there are no recordings."""
     figure.set_size_inches(7.2, 5.6)
-    upper, lower = figure.subfigures(2, 1, height_ratios=(2, 1.1))
+    halves: Any = figure.subfigures(2, 1, height_ratios=(2, 1.1))
+    upper, lower = halves
     for index, (panel, (title, action, value)) in enumerate(zip(upper.subplots(2, 3).flat, PANELS, strict=True)):
         letter(panel, index, title)
         _dots(panel, methods, action, value)
@@ -56,15 +59,21 @@ def draw(figure: Figure, methods: Sequence[Method], paths: Sequence[Sequence[Rec
 
 def _dots(panel: Any, methods: Sequence[Method], action: str, value: Callable[[TrialScore], float | None]) -> None:
     """Every trial is a point, and the median a line. The spread to the side is fixed by the order of the trials."""
+    found: list[float] = []
     for place, method in enumerate(methods):
         of_action = [value(s) for s in method.scores if action in ("", s.action)]
         values = np.array([v for v in of_action if v is not None], float)
+        found += values.tolist()
         side = 0.28 * (((np.arange(len(values)) * 0.618034) % 1) * 2 - 1)
-        panel.plot(place + side, values, ".", ms=3.4, color=COLOURS[place % len(COLOURS)], alpha=0.7, mew=0)
+        size = 2.2 if len(values) > 30 else 3.5
+        panel.plot(place + side, values, "o", ms=size, color=COLOURS[place % len(COLOURS)], alpha=0.7, mew=0)
         if len(values):
             panel.plot([place - 0.36, place + 0.36], [np.median(values)] * 2, color="black", lw=1.3)
         else:
             panel.text(place, 0.5, "none", ha="center", transform=panel.get_xaxis_transform(), color=GREY, fontsize=7)
+    if min(found, default=0.0) >= 0:
+        # Sizes are read from zero; only margins can be negative.
+        panel.set_ylim(0, 1.08 * max(found, default=0.0) or 1.0)
     _method_ticks(panel, methods)
 
 
@@ -84,11 +93,13 @@ def _paths(panel: Any, methods: Sequence[Method], paths: Sequence[Sequence[Recor
     for place, recordings in enumerate(paths):
         for recording in recordings:
             along, across = _over_region(recording)
-            drawn |= bool(len(along))
+            near = np.maximum(np.abs(along), np.abs(across)) <= NEAR_MM
+            along, across = np.where(near, along, np.nan), np.where(near, across, np.nan)
+            drawn |= bool(near.any())
             panel.plot(along, across, color=COLOURS[place % len(COLOURS)], lw=0.7, alpha=0.8)
     if not drawn:
         panel.set_axis_off()
-        panel.text(0.5, 0.5, "no recordings", ha="center", va="center", transform=panel.transAxes, color=GREY)
+        panel.text(0.5, 0.5, "no recorded path", ha="center", va="center", transform=panel.transAxes, color=GREY)
         return
     panel.plot([0], [0], "k+", ms=7)
     panel.set(xlabel="along the region", ylabel="across it")
@@ -122,9 +133,13 @@ def _failures(panel: Any, methods: Sequence[Method]) -> None:
                 x = left[place] + widths[place] / 2
                 panel.text(x, place, f"{widths[place]:.0f}", ha="center", va="center", color=ink, fontsize=7)
         left += widths
+    if not left.any():
+        panel.set_axis_off()
+        told = "every trial was region-correct"
+        panel.text(0.5, 0.5, told, ha="center", va="center", transform=panel.transAxes, color=GREY)
+        return
     names = [f"{_short(m.title)}\n({sum(c.values())} of {len(m.scores)})" for m, c in zip(methods, counts, strict=True)]
     panel.set_yticks(range(len(methods)), names)
     panel.set(xlabel="trials that are not region-correct", ylim=(len(methods) - 0.4, -0.9 - 0.4 * len(methods)))
     panel.grid(visible=False, axis="y")
-    if left.any():
-        panel.legend(loc="upper left", ncols=3, bbox_to_anchor=(0, 1.02), handlelength=1, columnspacing=1)
+    panel.legend(loc="upper left", ncols=3, bbox_to_anchor=(0, 1.02), handlelength=1, columnspacing=1)

@@ -30,7 +30,8 @@ def write_figure(draw: Callable[[Figure], None], folder: Path, name: str) -> lis
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context({**matplotlib.rcParamsDefault, "backend": "agg", **STYLE}):
+    style: Any = {**matplotlib.rcParamsDefault, "backend": "agg", **STYLE}
+    with matplotlib.rc_context(style):
         figure = Figure(layout="constrained")
         FigureCanvasAgg(figure)
         draw(figure)
