@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,8 @@ STYLE: dict[str, Any] = {
     # Fixed ids and embedded letters, so that a file does not depend on when or where it was made.
     "svg.hashsalt": "carecontact", "svg.fonttype": "path", "pdf.fonttype": 42,
 }  # fmt: skip
+HASHED_ID = re.compile(r'(?<=[#"])(?:p|m|image|C|h)[0-9a-f]{10}(?=[")])')
+"""An id that matplotlib makes of content, where it is defined and where it is used."""
 NO_DATE = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None}}
 
 
@@ -39,7 +42,17 @@ def write_figure(draw: Callable[[Figure], None], folder: Path, name: str) -> lis
         for ending, metadata in NO_DATE.items():
             paths.append(folder / f"{name}.{ending}")
             figure.savefig(paths[-1], metadata=metadata)
+        _number_ids(folder / f"{name}.svg")
     return paths
+
+
+def _number_ids(svg: Path) -> None:
+    """Name ids by their order. matplotlib names a clip by all digits of its place, and the last ones of a layout differ
+    from drawing to drawing."""
+    text = svg.read_text(encoding="utf-8")
+    found = dict.fromkeys(HASHED_ID.findall(text))
+    numbers = {hashed: f"{hashed[:-10]}{number}" for number, hashed in enumerate(found)}
+    svg.write_text(HASHED_ID.sub(lambda match: numbers[match[0]], text), encoding="utf-8")
 
 
 def letter(axes: Axes, index: int, title: str) -> None:
