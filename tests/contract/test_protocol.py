@@ -108,7 +108,7 @@ def test_no_number_is_infinite_or_undefined(value: float) -> None:
         (("gates", "scrub", "on_share"), 1.01),
         (("gates", "region_share"), -0.1),
         (("contact", "version"), "contact-v2"),
-        (("gates", "version"), "gates-v2"),
+        (("gates", "version"), "gates-v9"),
         (("tasks", 0, "action"), "hit"),
         (("tasks", 0, "region"), "head"),
         (("scene", "parked_joint_rad"), [0.0] * 6),

@@ -41,6 +41,7 @@ class Clock:
         return [
             Samples(
                 time_s=time, force=ramp(s, 3), normal=2 * ramp(s), centroid=3 * ramp(s, 3), human_joint=4 * ramp(3),
+                human_reaction=10 * ramp(3),
                 tcp_pose=5 * ramp(7), tcp_speed=6 * time, tcp_rotation_speed=7 * time, wrist=8 * ramp(3),
                 region_pose=9 * ramp(len(STANDARD_REGIONS), 7),
             )
@@ -116,7 +117,7 @@ def test_a_full_trial_fits_the_schema(clock: Clock, log: TrialLog) -> None:
         add_period(log, clock)
     arrays = log.arrays()
     assert_fits_the_schema(arrays)
-    assert set(arrays) == set(ARRAYS)
+    assert set(arrays) == {*ARRAYS, "scorer/human_joint_reaction"}
     assert len(arrays["scorer/time_s"]) == 3 * STEPS
     assert len(arrays["scorer/period_time_s"]) == 3
 
@@ -131,6 +132,7 @@ def test_each_stream_goes_to_its_own_array_in_the_order_of_time(clock: Clock, lo
         (
             "force_human_from_robot_in_world", "normal_force", "centroid_in_world", "human_joint_position",
             "pose_tcp_in_world", "tcp_speed", "tcp_rotation_speed", "wrist_in_world", "region_pose_in_world",
+            "human_joint_reaction",
         ),
         start=1,
     ):  # fmt: skip

@@ -15,6 +15,7 @@ from carecontact.kernel.readings import Readings
 from carecontact.kernel.region import set_law
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.subject import Subject
+from carecontact.world.human.end_stops import stop_name
 from carecontact.world.scene import Scene, build_scene
 
 
@@ -113,9 +114,8 @@ class WrongSign(Subject):
 
 
 def unlimited(scene: Scene) -> None:
-    for j in range(scene.model.njnt):
-        if scene.model.joint(j).name.startswith("human_"):
-            scene.model.jnt_limited[j] = 0
+    for hinge in scene.hinges:
+        scene.model.tendon_stiffnesspoly[scene.model.tendon(stop_name(hinge.name)).id] = 0.0
 
 
 def without_joint_limits(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:

@@ -27,7 +27,7 @@ def test_the_shipped_person_is_as_declared(subject: Subject) -> None:
         (light_arm, {"mass of a segment, largest difference"}),
         (lopsided_arm, {"centre of mass of a segment, largest distance"}),
         (stiff_joints, {"spring of a joint, largest difference", "damper of a joint, largest difference"}),
-        (without_joint_limits, {"end stop of a joint, largest difference"}),
+        (without_joint_limits, {"torque of an end stop, largest difference"}),
     ],
 )
 def test_a_person_that_is_not_as_declared_is_named(defect: MakeScene, missed: set[str]) -> None:

@@ -11,6 +11,7 @@ import pytest
 from carecontact.kernel.readings import Readings
 from carecontact.regions import REGIONS, STANDARD_REGIONS
 from carecontact.world.human.anthropometry import segment_inertias
+from carecontact.world.human.plates import plate_body, plates_of
 from carecontact.world.human.pose import lying_pose_deg
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
@@ -20,16 +21,22 @@ RADIUS, OPEN_M = 0.012, 0.040
 
 @pytest.mark.parametrize("region", sorted(STANDARD_REGIONS))
 def test_bone_and_shell_together_have_the_segments_inertia(scene_of: Callable[..., Scene], region: str) -> None:
-    """Mass, centre of mass and inertia tensor of de Leva's segment; the bone's counts its shell."""
+    """Mass, centre of mass and inertia tensor of de Leva's segment; the bone's counts its shell, and its plates go with
+    it."""
     model, body = scene_of(region).model, scene_of(region).body
     segment = REGIONS[region].segment
-    bone = model.body(body_name(segment)).id
+    parts = [model.body(name).id for name in (body_name(segment), *(plate_body(p.name) for p in plates_of(segment)))]
     row, origin = segment_inertias(body)[segment], body.joint_centre[segment]
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, model.body_iquat[bone])
-    tensor = turn.reshape(3, 3) @ np.diag(model.body_inertia[bone]) @ turn.reshape(3, 3).T
-    assert model.body_mass[bone] == pytest.approx(row.mass_kg, rel=1e-6)
-    np.testing.assert_allclose(origin + model.body_ipos[bone], row.centre_m, atol=1e-5)
+    mass = model.body_mass[parts]
+    centre = mass @ model.body_ipos[parts] / mass.sum()
+    tensor, turn = np.zeros((3, 3)), np.zeros(9)
+    for part in parts:
+        mujoco.mju_quat2Mat(turn, model.body_iquat[part])
+        off = model.body_ipos[part] - centre
+        tensor += turn.reshape(3, 3) @ np.diag(model.body_inertia[part]) @ turn.reshape(3, 3).T
+        tensor += model.body_mass[part] * (off @ off * np.eye(3) - np.outer(off, off))
+    assert mass.sum() == pytest.approx(row.mass_kg, rel=1e-6)
+    np.testing.assert_allclose(origin + centre, row.centre_m, atol=1e-5)
     wanted = row.axes @ np.diag(row.moments_kgm2) @ row.axes.T
     np.testing.assert_allclose(tensor, wanted, atol=0.01 * row.moments_kgm2.max())
 

@@ -15,10 +15,11 @@ from carecontact.kernel.region import Law
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS, STANDARD_REGIONS
+from carecontact.world.human.plates import plate_body, plates
 from carecontact.world.human.pose import FIXED_SEGMENTS
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene, build_scene
-from carecontact.world.sensors import CONTACT_SLOTS
+from carecontact.world.sensors import CONTACT_SLOTS, PLATE_SLOTS, plate_sensor
 
 PROTOCOL = load_protocol()
 # Every body is built and settled in test_every_body.
@@ -124,16 +125,22 @@ def test_proxies_meet_only_the_bed(model: mujoco.MjModel) -> None:
 def test_every_contact_would_be_sensed(model: mujoco.MjModel) -> None:
     """One net force and one normal sum for each segment of the recording; what a shell feels the plugin says."""
     sensors = {model.sensor(i).name: i for i in range(model.nsensor)}
-    expected = {f"{kind}_{s}" for kind in ("net", "normal") for s in SEGMENTS}
+    surfaces = {s: (body_name(s), CONTACT_SLOTS) for s in SEGMENTS}
+    surfaces |= {plate_sensor(p.name): (plate_body(p.name), PLATE_SLOTS) for p in plates()}
+    expected = {f"{kind}_{name}" for kind in ("net", "normal") for name in surfaces}
     of_contact = {n for n, i in sensors.items() if model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT}
     assert of_contact == expected
     for name in expected:
         kind, _, place = name.partition("_")
         i = sensors[name]
-        assert model.body(model.sensor_refid[i]).name == body_name(place)
+        body, kept = surfaces[place]
+        assert model.body(model.sensor_refid[i]).name == body
         assert model.body(model.sensor_objid[i]).name == "robot_base"
-        slots = 1 if kind == "net" else CONTACT_SLOTS
+        slots = 1 if kind == "net" else kept
         assert model.sensor_dim[i] == slots * (6 if kind == "net" else 4)
+    touchable = {int(model.geom_bodyid[g]) for g in range(model.ngeom) if model.geom_conaffinity[g] == ROBOT_BIT}
+    whose = {model.body(b).name for b in touchable}
+    assert whose <= {body for body, _ in surfaces.values()}
     for region in STANDARD_REGIONS:
         assert owner_segment(model, Readings(model, region).bone) == REGIONS[region].segment
 

@@ -28,6 +28,7 @@ STREAMS = {
     "scorer/normal_force": ("normal", "<f4"),
     "scorer/centroid_in_world": ("centroid", "<f4"),
     "scorer/human_joint_position": ("human_joint", "<f4"),
+    "scorer/human_joint_reaction": ("human_reaction", "<f4"),
     "scorer/wrist_in_world": ("wrist", "<f4"),
     "scorer/pose_tcp_in_world": ("tcp_pose", "<f4"),
     "scorer/tcp_speed": ("tcp_speed", "<f4"),

@@ -17,7 +17,8 @@ from carecontact.scoring.metrics.metric import METRICS
 from carecontact.scoring.result import TrialScore
 
 TABLE_NAME = "results.parquet"
-UNIT_SUFFIX = {"1": "", "N": "_n", "N s": "_ns", "N/s": "_n_s", "s": "_s", "J": "_j", "m": "_m", "rad": "_rad"}
+UNIT_SUFFIX = {"1": "", "N": "_n", "N s": "_ns", "N/s": "_n_s", "s": "_s", "J": "_j", "m": "_m", "rad": "_rad",
+               "N m": "_nm"}  # fmt: skip
 """Unit of a metric -> end of its column's name."""
 NEEDS = f"{TABLE_NAME} needs pyarrow: pip install 'carecontact[tables]'"
 
@@ -53,7 +54,7 @@ def metric_column(id_: str) -> str:
     """``impulse@1`` -> ``metric_impulse_v1_ns``: SQL wants no @, and the version stays."""
     name, _, version = id_.partition("@")
     unit = METRICS[id_].unit if id_ in METRICS else "1"
-    return f"metric_{name}_v{version or '0'}{UNIT_SUFFIX.get(unit, '')}"
+    return f"metric_{name.lower()}_v{version or '0'}{UNIT_SUFFIX.get(unit, '')}"
 
 
 def write_trial_table(folder: Path | str, scores: Sequence[TrialScore]) -> Path:

@@ -114,6 +114,11 @@ class TrialScore(BaseModel):
     """Touched segment -> its pain limit in the protocol."""
     over_limit: dict[str, float]
     """Segment -> peak over gamma' F_pain, for touched segments above 1."""
+    joints_beyond: dict[str, float] | None = None
+    """Joint -> how far beyond its range it went [rad], where the gate for joints forbids it; None: the protocol has
+    none."""
+    joints_consumed: dict[str, float] | None = None
+    """Joint -> share of its settled margin used up, where the gate for joints flags it; None: the protocol has none."""
     fallback_limits: list[str]
     """Touched segments that have no limit of their own and were judged by the strictest entry."""
 
@@ -129,10 +134,11 @@ class TrialScore(BaseModel):
 
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out a name that there is not, as results from before there was one do."""
+        """Leave out a name and gates that there are not, as results from before there were any do."""
         content = handler(self)
-        if self.policy_name is None:
-            del content["policy_name"]
+        for name in ("policy_name", "joints_beyond", "joints_consumed"):
+            if content[name] is None:
+                del content[name]
         return content
 
     @property

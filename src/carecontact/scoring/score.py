@@ -150,6 +150,8 @@ def _outcome(contact: Contact) -> dict[str, Any]:
         "region_correct": verdict.region_correct,
         "safety_gated": verdict.safety_gated,
         "over_limit": verdict.over_limit,
+        "joints_beyond": verdict.joints_beyond,
+        "joints_consumed": verdict.joints_consumed,
         "failure_mode": verdict.failure_mode,
         "attribution": attribution,
         "evidence": evidence,

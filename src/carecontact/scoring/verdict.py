@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from carecontact.scoring.ask import ask
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.gate import Gate
+from carecontact.scoring.joints import joints_beyond, joints_consumed
 from carecontact.scoring.metrics.c1_peak_force import peak_of_segments
 from carecontact.scoring.result import Anatomy, FailureMode
 
@@ -18,8 +19,12 @@ class Verdict:
     region_correct: bool
     """Success with enough of the contact impulse on the named region; a failure otherwise."""
     safety_gated: bool
-    """Region-correct, not stopped early by the benchmark, and no touched segment above its discounted pain limit at any
-    time."""
+    """Region-correct, not stopped early by the benchmark, no touched segment above its discounted pain limit at any
+    time, and, where the protocol has a gate for them, no joint beyond its range by more than it allows."""
+    joints_beyond: dict[str, float] | None
+    """Joint -> how far beyond its range it went [rad], where that is more than the gate allows; None without one."""
+    joints_consumed: dict[str, float] | None
+    """Joint -> share of its settled margin used up, where that is flagged; None without such a gate."""
     over_limit: dict[str, float]
     """Segment -> peak over gamma' F_pain, where above 1."""
     failure_mode: FailureMode | None
@@ -30,13 +35,20 @@ def reach_verdict(contact: Contact, gate: Gate) -> Verdict:
     """Pure; every trial has one anatomy, and either is region-correct or has one failure mode."""
     share = contact.region_share
     region_correct = gate.success and share is not None and share >= contact.protocol.gates.region_share
-    over = over_limit(contact)
+    over, gates = over_limit(contact), contact.protocol.gates
+    beyond = None if gates.joint_beyond_rad is None else joints_beyond(contact.recording, gates.joint_beyond_rad)
+    consumed = None if gates.joint_consumed is None else joints_consumed(contact.recording, gates.joint_consumed)
     return Verdict(
         anatomy=_anatomy(contact),
         success=gate.success,
         region_correct=region_correct,
         # A knock that cuts a trial can be too short for its segment to count as touched.
-        safety_gated=region_correct and not over and contact.recording.header.ended != "safety_truncation",
+        safety_gated=region_correct
+        and not over
+        and not beyond
+        and contact.recording.header.ended != "safety_truncation",
+        joints_beyond=beyond,
+        joints_consumed=consumed,
         over_limit=over,
         failure_mode=None if region_correct else _failure_mode(contact, gate),
     )

@@ -19,9 +19,13 @@ from carecontact.sim.cartesian_control import CartesianControl
 from carecontact.sim.history import SensorHistory
 from carecontact.sim.joint_control import JointControl
 from carecontact.sim.proprioception import Proprioception
-from carecontact.world.human.pose import lying_pose_deg
+from carecontact.world.human.end_stops import cubic_nm_rad3, end_stop_nm, past_range
+from carecontact.world.human.joints import Hinge
+from carecontact.world.human.plates import plates
+from carecontact.world.human.pose import lying_pose_deg, rest_deg
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
+from carecontact.world.sensors import plate_sensor
 
 F64 = npt.NDArray[np.float64]
 SOLVER_WARNINGS = (
@@ -57,6 +61,8 @@ class Samples:
     """(n, S, 3)"""
     human_joint: F64
     """(n, J)"""
+    human_reaction: F64
+    """(n, J) [N m]"""
     tcp_pose: F64
     """(n, 7)"""
     tcp_speed: F64
@@ -83,14 +89,14 @@ class Simulation:
         self.joint_names = [hinge.name for hinge in scene.hinges]
         joints = [self.model.joint(f"human_{name}") for name in self.joint_names]
         self._human_qpos = np.array([j.qposadr[0] for j in joints])
-        self.joint_range = np.array([j.range for j in joints])
+        self.joint_range = np.radians([hinge.range_deg for hinge in scene.hinges])
         self._human_bodies = [b for b in range(self.model.nbody) if self.model.body(b).name.startswith("human_")]
         self._base = self.model.body(PANDA.base_body)
         self.tissue = {name: Readings(self.model, name) for name in scene.regions}
         """What each soft region feels."""
         self.life = Life(self.model) if Life.exists(self.model) else None
         """What the person does by itself; None where it never does anything."""
-        self._read = _Columns(self.history, self.joint_names, self.protocol)
+        self._read = _Columns(self.history, scene.hinges, self.protocol)
         law = scene.control.joint
         self.control = (
             CartesianControl(self.model, self.data, self.protocol)
@@ -124,7 +130,8 @@ class Simulation:
     def settle(self, comfort_arm_deg: float) -> Settled:
         """Lay the person down, park the robot and wait until nothing moves.
 
-        The passive joints rest at the angles in which the person is laid; the settled pose is a few degrees from them.
+        Joints without a neutral angle of their own rest at the angles in which the person is laid; the settled pose is
+        a few degrees from them.
         Raises SettleError if the person still moves after ``phases.settle_max_s``.
         """
         phases, model, data = self.protocol.phases, self.model, self.data
@@ -157,10 +164,10 @@ class Simulation:
         self.data.qpos[self._human_qpos] = self._rest_joints_at(comfort_arm_deg)
 
     def _rest_joints_at(self, comfort_arm_deg: float) -> F64:
-        """Set the passive joints' rest angles, which live in the model; returns them (J,) [rad]."""
+        """Set the passive joints' rest angles, which live in the model; returns the lying pose (J,) [rad]."""
         pose = lying_pose_deg(self.scene.body, comfort_arm_deg)
         angles = np.radians([pose.get(hinge.name, hinge.bind_deg) for hinge in self.scene.hinges])
-        self.model.qpos_spring[self._human_qpos] = angles
+        self.model.qpos_spring[self._human_qpos] = np.radians(rest_deg(self.scene.hinges, pose))
         return angles
 
     def park(self) -> None:
@@ -299,7 +306,7 @@ class _Columns:
     SLOT = 4
     """Numbers in a contact slot of the normal sensors: found, then force in the contact frame, normal first."""
 
-    def __init__(self, history: SensorHistory, joint_names: list[str], protocol: Protocol) -> None:
+    def __init__(self, history: SensorHistory, hinges: tuple[Hinge, ...], protocol: Protocol) -> None:
         def span(*names: str) -> npt.NDArray[np.int64]:
             return np.array([np.arange(history.columns(n).start, history.columns(n).stop) for n in names])
 
@@ -309,7 +316,14 @@ class _Columns:
         self._net = span(*(f"net_{s}" for s in SEGMENTS))
         normal = span(*(f"normal_{s}" for s in SEGMENTS))
         self._found, self._normal = normal[:, 0], normal[:, 1 :: self.SLOT]
-        self.joints = span(*(f"q_{n}" for n in joint_names))[:, 0]
+        # Plates belong to the surface of their segment.
+        self._of_plate = np.array([SEGMENTS.index(plate.segment) for plate in plates()])
+        self._plate_net = span(*(f"net_{plate_sensor(plate.name)}" for plate in plates()))
+        normal = span(*(f"normal_{plate_sensor(plate.name)}" for plate in plates()))
+        self._plate_found, self._plate_normal = normal[:, 0], normal[:, 1 :: self.SLOT]
+        self.joints = span(*(f"q_{hinge.name}" for hinge in hinges))[:, 0]
+        self._range = np.radians([hinge.range_deg for hinge in hinges]).T
+        self._stop = np.array([cubic_nm_rad3(hinge.name) for hinge in hinges])
         self._tcp_pose = np.concatenate([span("tcp_position")[0], span("tcp_quat")[0]])
         self._tcp_velocity, self._tcp_rotation = span("tcp_velocity")[0], span("tcp_rotation")[0]
         self._wrist = span("wrist_position")[0]
@@ -319,7 +333,10 @@ class _Columns:
 
     def overfull(self, values: F64) -> bool:
         """Whether a normal sum misses contacts that found no slot."""
-        return bool((values[:, self._found] > self._normal.shape[1]).any())
+        return bool(
+            (values[:, self._found] > self._normal.shape[1]).any()
+            or (values[:, self._plate_found] > self._plate_normal.shape[1]).any()
+        )
 
     def samples(self, time_s: F64, values: F64, felt: npt.NDArray[np.void]) -> Samples:
         """Args: felt: (n, R) rows of ``kernel.readings.ROW``, of the protocol's soft regions."""
@@ -332,12 +349,20 @@ class _Columns:
         centroid = weight * rigid[..., 3:]
         centroid[:, self._soft] += of_shell * felt["centroid_m"]
         weight[:, self._soft] += of_shell
-        np.divide(centroid, weight, out=centroid, where=weight > 0)
         normal = np.abs(values[:, self._normal]).sum(2)
         normal[:, self._soft] += felt["normal_n"]
+        if values[:, self._plate_found].any():
+            of_plate = values[:, self._plate_net]
+            share, at = lengths(of_plate[..., :3])[..., None], (slice(None), self._of_plate)
+            np.add.at(force, at, of_plate[..., :3])
+            np.add.at(centroid, at, share * of_plate[..., 3:])
+            np.add.at(weight, at, share)
+            np.add.at(normal, at, np.abs(values[:, self._plate_normal]).sum(2))
+        np.divide(centroid, weight, out=centroid, where=weight > 0)
+        angle = values[:, self.joints]
         return Samples(
-            time_s=time_s, force=force, normal=normal, centroid=centroid, human_joint=values[:, self.joints],
-            tcp_pose=values[:, self._tcp_pose],
+            time_s=time_s, force=force, normal=normal, centroid=centroid, human_joint=angle,
+            human_reaction=end_stop_nm(past_range(angle, *self._range), self._stop), tcp_pose=values[:, self._tcp_pose],
             tcp_speed=lengths(values[:, self._tcp_velocity]),
             tcp_rotation_speed=lengths(values[:, self._tcp_rotation]),
             wrist=values[:, self._wrist], region_pose=values[:, self._regions],

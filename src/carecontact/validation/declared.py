@@ -17,6 +17,8 @@ from carecontact.regions import REGIONS
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
 from carecontact.world.human.anthropometry import segment_inertias
+from carecontact.world.human.end_stops import cubic_nm_rad3, end_stop_nm, stop_name
+from carecontact.world.human.plates import plate_body, plates_of
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
@@ -27,13 +29,15 @@ if TYPE_CHECKING:
 TITLE = "Masses, joints and bone cores as declared"
 TURN_RAD, SPEED_RAD_S = 0.05, 1.0
 """How far and how fast each hinge is turned to read its spring and its damper; the laws are linear."""
+PAST_RAD = 0.06
+"""How far past its range each hinge is turned to read its end stop."""
 LONGEST_RAY_M = 0.15
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     scene = subject.scene("forearm")
     masses, centres = segment_masses(scene)
-    springs, dampers, ranges = joint_constants(scene)
+    springs, dampers, ranges, stops = joint_constants(scene)
     measures = [
         Measure(name="mass of the person", value=float(masses[:, 0].sum()), unit="kg"),
         _off("deviation of the person's mass from the declared one", [masses.sum(0)]),
@@ -43,6 +47,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         _off("spring of a joint, largest difference", springs),
         _off("damper of a joint, largest difference", dampers),
         Measure(name="end stop of a joint, largest difference", value=float(ranges.max()), unit="deg", limit=0.1),
+        _off("torque of an end stop, largest difference", stops),
     ]  # fmt: skip
     for region in subject.regions(quick=quick):
         depth = core_depths(subject.scene(region), region)
@@ -65,7 +70,7 @@ def _off(name: str, rows: Array | list[Array]) -> Measure:
 
 
 def segment_masses(scene: Scene) -> tuple[Array, Array]:
-    """(S, 2) mass of every segment and as declared [kg]; (S,) distance of the centres of mass [m]."""
+    """(S, 2) mass of every segment, plates included, and as declared [kg]; (S,) distance of the centres of mass [m]."""
     model, body = scene.model, scene.body
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -73,18 +78,21 @@ def segment_masses(scene: Scene) -> tuple[Array, Array]:
     declared = segment_inertias(body)
     masses, distances = [], []
     for segment in body.segments:
-        i, row = model.body(body_name(segment)).id, declared[segment]
-        here = data.xmat[i].reshape(3, 3).T @ (data.xipos[i] - data.xpos[i])
-        masses.append([model.body_mass[i], row.mass_kg])
+        bone, row = model.body(body_name(segment)).id, declared[segment]
+        parts = [bone, *(model.body(plate_body(plate.name)).id for plate in plates_of(segment))]
+        mass = model.body_mass[parts]
+        here = data.xmat[bone].reshape(3, 3).T @ (mass @ data.xipos[parts] / mass.sum() - data.xpos[bone])
+        masses.append([mass.sum(), row.mass_kg])
         distances.append(np.linalg.norm(here - (row.centre_m - body.joint_centre[segment])))
     return np.array(masses), np.array(distances)
 
 
-def joint_constants(scene: Scene) -> tuple[Array, Array, Array]:
-    """(J, 2) springs [N m/rad] and dampers [N m s/rad] as they answer and as declared; (J,) end stops' error [deg]."""
+def joint_constants(scene: Scene) -> tuple[Array, Array, Array, Array]:
+    """(J, 2) springs [N m/rad] and dampers [N m s/rad] as they answer and as declared; (J,) error of where end stops
+    begin [deg]; (2 J, 2) their torques PAST_RAD further [N m], lower and upper end of each joint."""
     model = copy.copy(scene.model)
     data = mujoco.MjData(model)
-    springs, dampers, ranges = [], [], []
+    springs, dampers, ranges, stops = [], [], [], []
 
     def torque(dof: int, *, turn: float = 0.0, speed: float = 0.0) -> float:
         mujoco.mj_resetData(model, data)
@@ -100,9 +108,14 @@ def joint_constants(scene: Scene) -> tuple[Array, Array, Array]:
         rest = torque(dof)
         springs.append([(rest - torque(dof, turn=TURN_RAD)) / TURN_RAD, hinge.stiffness_nm_rad])
         dampers.append([(rest - torque(dof, speed=SPEED_RAD_S)) / SPEED_RAD_S, hinge.damping_nms_rad])
-        stops = np.degrees(joint.range) if joint.limited[0] else np.array([-np.inf, np.inf])
-        ranges.append(np.abs(stops - hinge.range_deg).max())
-    return np.array(springs), np.array(dampers), np.array(ranges)
+        ends = model.tendon_lengthspring[model.tendon(stop_name(hinge.name)).id]
+        ranges.append(np.abs(np.degrees(ends) - hinge.range_deg).max())
+        at_rest = data.qpos[joint.qposadr[0]]
+        for end, past in zip(ends, (-PAST_RAD, PAST_RAD), strict=True):
+            spring = torque(dof, turn=end - at_rest)
+            reaction = torque(dof, turn=end + past - at_rest) - spring + hinge.stiffness_nm_rad * past
+            stops.append([reaction, float(end_stop_nm(np.array(past), np.array(cubic_nm_rad3(hinge.name))))])
+    return np.array(springs), np.array(dampers), np.array(ranges), np.array(stops)
 
 
 def core_depths(scene: Scene, region: str) -> Array:

@@ -24,7 +24,7 @@ CHECKS = {
     name: name.replace("-", "_")
     for name in (
         "force-balance", "energy", "convergence", "passive-response", "calibration-residual", "determinism",
-        "sensitivity", "stability", "uniformity", "smoothness", "declared",
+        "sensitivity", "stability", "uniformity", "smoothness", "declared", "knocks",
     )
 }  # fmt: skip
 """Name -> module in this package, which has TITLE, run(subject, quick=...) and draw(result, figure). The first eight

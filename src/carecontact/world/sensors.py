@@ -8,6 +8,7 @@ from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.recording.schema import SEGMENTS
 from carecontact.world.human.joints import Hinge
+from carecontact.world.human.plates import plate_body, plates
 from carecontact.world.human.skeleton import body_name
 
 CONTACT_SLOTS = 12
@@ -16,6 +17,13 @@ CONTACT_SLOTS = 12
 # MuJoCo 4.0 mjtConDataField bits, in the order in which a slot lays them out.
 FOUND_BIT, FORCE_BIT, POS_BIT = 1 << 0, 1 << 1, 1 << 4
 NETFORCE, MAXFORCE = 3, 2
+PLATE_SLOTS = 6
+"""The same for a plate, which has one hull."""
+
+
+def plate_sensor(plate: str) -> str:
+    """What stands after ``net_`` and ``normal_`` in the names of a plate's sensors."""
+    return f"plate_{plate}"
 
 
 def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) -> None:
@@ -33,10 +41,14 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) ->
             refname=second, intprm=[data, reduce, num], nsample=samples,
         )  # fmt: skip
 
+    def surface(name: str, body: str, slots: int) -> None:
+        contact(f"net_{name}", body, obj.mjOBJ_BODY, FORCE_BIT | POS_BIT, NETFORCE, 1)
+        contact(f"normal_{name}", body, obj.mjOBJ_BODY, FOUND_BIT | FORCE_BIT, MAXFORCE, slots)
+
     for segment in SEGMENTS:
-        rigid = body_name(segment), obj.mjOBJ_BODY
-        contact(f"net_{segment}", *rigid, FORCE_BIT | POS_BIT, NETFORCE, 1)
-        contact(f"normal_{segment}", *rigid, FOUND_BIT | FORCE_BIT, MAXFORCE, CONTACT_SLOTS)
+        surface(segment, body_name(segment), CONTACT_SLOTS)
+    for plate in plates():
+        surface(plate_sensor(plate.name), plate_body(plate.name), PLATE_SLOTS)
     for hinge in hinges:
         spec.add_sensor(name=f"q_{hinge.name}", type=kind.mjSENS_JOINTPOS, objtype=obj.mjOBJ_JOINT,
                         objname=f"human_{hinge.name}", nsample=samples)  # fmt: skip

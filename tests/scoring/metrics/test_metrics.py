@@ -246,6 +246,28 @@ def test_c2_also_knows_the_lower_end() -> None:
     assert score_recording(push(joints=joints)).c2_joint_margin_rad == pytest.approx(-0.1, abs=1e-6)
 
 
+def test_c2_2_is_the_share_that_the_worst_joint_used_up() -> None:
+    """Settled at 1.0 in -0.5 to 2.5 and in 0 to 2.4: one joint keeps 0.3 of 1.5, the other 0.5 of 1."""
+    joints = np.ones((1500, 2))
+    joints[600, 0] = JOINT_RANGE[0][1] - 0.3
+    joints[900, 1] = JOINT_RANGE[1][0] + 0.5
+    assert METRICS["C2@2"].compute(find_contact(push(joints=joints))) == pytest.approx(1 - 0.3 / 1.5, abs=1e-6)
+    joints[600, 0] = JOINT_RANGE[0][1] + 0.3
+    assert METRICS["C2@2"].compute(find_contact(push(joints=joints))) == pytest.approx(1.2, abs=1e-6)
+    assert METRICS["C2@2"].compute(find_contact(push(joints=np.ones((1500, 2))))) == 0.0
+
+
+def test_end_stop_torque_needs_the_reaction_and_is_its_largest_size() -> None:
+    joints = np.ones((1500, 2))
+    joints[600, 0] = JOINT_RANGE[0][1] + 0.1
+    reaction = np.zeros((1500, 2), np.float32)
+    reaction[600, 0] = -7.5
+    recording = push(joints=joints)
+    assert METRICS["end_stop_torque@1"].compute(find_contact(recording)) is None
+    recording.arrays["scorer/human_joint_reaction"] = reaction
+    assert METRICS["end_stop_torque@1"].compute(find_contact(recording)) == 7.5
+
+
 @FAST
 @given(moving=st.integers(0, 1500))
 def test_c4_is_the_share_of_moving_steps(moving: int) -> None:

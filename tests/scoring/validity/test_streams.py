@@ -68,6 +68,10 @@ WRONG: dict[str, tuple[Change, str]] = {
         lambda r: r.arrays.__setitem__("scorer/human_joint_range", r["scorer/human_joint_range"][:, ::-1].copy()),
         r"human_joint_range of right_shoulder_abduction is 2.5 to -0.5 rad; expected low below high",
     ),
+    "an end stop inside the range": (
+        lambda r: r.arrays.__setitem__("scorer/human_joint_reaction", np.full((1500, 2), 0.5, np.float32)),
+        r"human_joint_reaction holds 0.5 N m for right_shoulder_abduction at 1 rad; expected 0 inside -0.5 to 2.5 rad",
+    ),
     "joints in degrees": (times("scorer/human_joint_position", DEG), r"human_joint_position holds 57.* rad"),
     "joint range in degrees": (times("scorer/human_joint_range", DEG), r"human_joint_range holds -28.* rad"),
     "settled joints in degrees": (times("scorer/human_joint_settled", DEG), r"human_joint_settled holds 57.* rad"),

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Protocol, cast, runtime_checkable
+from typing import Annotated, Any, Literal, Protocol, Self, cast, runtime_checkable
 
 from pydantic import BeforeValidator, ConfigDict, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from carecontact.contract.protocol.section import Fraction, Section
+from carecontact.contract.protocol.section import Fraction, Positive, Section
 from carecontact.errors import UnknownNameError
 from carecontact.registry import Registry
 
@@ -44,9 +44,15 @@ class Gates(Section):
     # Pydantic takes the type of extra fields from this annotation.
     __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(_gate)]]  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    version: Literal["gates-v1"]
+    version: Literal["gates-v1", "gates-v2"]
+    """The second judges the person's joints too, and needs both of their fields."""
     region_share: Fraction
     """Region-correct: C3 and at least this share of contact impulse on the named region."""
+    joint_beyond_rad: Positive | None = None
+    """A trial in which a scored joint went farther beyond its range is not safety-gated. Ranges of motion are read to
+    about 5 degrees, so a limit below that judges the goniometer."""
+    joint_consumed: Fraction | None = None
+    """A joint that used up more than this share of its settled margin is flagged; it fails no trial."""
 
     def of(self, action: str) -> Section:
         """The table of an action. Raises UnknownNameError, which lists the actions that have one."""
@@ -73,5 +79,12 @@ class Gates(Section):
     def _share_last(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """In the order that a protocol has always been written in."""
         content = handler(self)
-        share = content.pop("region_share")
-        return {**content, "region_share": share}
+        last = {name: content.pop(name) for name in ("region_share", "joint_beyond_rad", "joint_consumed")}
+        return {**content, **{name: value for name, value in last.items() if value is not None}}
+
+    @model_validator(mode="after")
+    def _joints_from_version_2_on(self) -> Self:
+        fields = (self.joint_beyond_rad, self.joint_consumed)
+        if any((value is None) == (self.version == "gates-v2") for value in fields):
+            raise ValueError("joint_beyond_rad and joint_consumed belong to gates-v2, which needs both")
+        return self

@@ -6,15 +6,22 @@ from carecontact.recording import Recording
 from carecontact.scoring.validity.actions import check_actions
 from carecontact.scoring.validity.forces import check_forces
 from carecontact.scoring.validity.times import check_times
-from carecontact.scoring.validity.values import check_bounds, check_finite_streams, check_joint_ranges, check_rotations
+from carecontact.scoring.validity.values import (
+    check_bounds,
+    check_finite_streams,
+    check_joint_ranges,
+    check_reactions,
+    check_rotations,
+)
 
 
 def check_streams(recording: Recording) -> None:
     """Raises RecordingError naming the trial, the array, the place in it and what would be valid.
 
     The checks are ``check_finite_streams``, ``check_actions``, ``check_times``, ``check_bounds``, ``check_rotations``,
-    ``check_joint_ranges`` and ``check_forces``. They do not find what is wrong by less than their generous bounds: 5 %
-    on every force, a wrist shifted by 1 cm. A trial that the solver cut needs only finite values and clocks that agree.
+    ``check_joint_ranges``, ``check_reactions`` and ``check_forces``. They do not find what is wrong by less than their
+    generous bounds: 5 % on every force, a wrist shifted by 1 cm. A trial that the solver cut needs only finite values
+    and clocks that agree.
     """
     check_finite_streams(recording)
     check_actions(recording)
@@ -27,4 +34,5 @@ def check_streams(recording: Recording) -> None:
     check_bounds(recording)
     check_rotations(recording)
     check_joint_ranges(recording)
+    check_reactions(recording)
     check_forces(recording)

@@ -11,6 +11,7 @@ from carecontact.errors import RecordingError
 from carecontact.recording import Recording
 
 QUAT_TOLERANCE = 1e-3
+ANGLE_ROUNDING_RAD = 1e-6
 ROOM_M = 5.0
 """Nothing is farther from the world's origin, the robot's base or a joint's centre; real scenes reach about 1 m."""
 BOUNDS: dict[str, tuple[float, float, str]] = {
@@ -82,6 +83,26 @@ def check_joint_ranges(recording: Recording) -> None:
         raise RecordingError(
             f"{recording.header.spec.trial_id}: scorer/human_joint_range of {recording.header.human_joints[joint]} is "
             f"{low[joint]:g} to {high[joint]:g} rad; expected low below high"
+        )
+
+
+def check_reactions(recording: Recording) -> None:
+    """Raises RecordingError for an end stop that pushes inside a joint's range, or out of it. Recordings need not have
+    the array."""
+    reaction = recording.arrays.get("scorer/human_joint_reaction")
+    if reaction is None:
+        return
+    position = recording["scorer/human_joint_position"].astype(np.float64)
+    low, high = recording["scorer/human_joint_range"].T
+    # Positions are stored as float32: at an end they are off by less than this.
+    inward = np.where(position > high - ANGLE_ROUNDING_RAD, reaction <= 0, reaction == 0)
+    inward |= (position < low + ANGLE_ROUNDING_RAD) & (reaction >= 0)
+    if not inward.all():
+        step, joint = _first(~inward)
+        raise RecordingError(
+            f"{recording.header.spec.trial_id}: scorer/human_joint_reaction holds {reaction[step, joint]:g} N m for "
+            f"{recording.header.human_joints[joint]} at {position[step, joint]:g} rad; expected 0 inside "
+            f"{low[joint]:g} to {high[joint]:g} rad, and a torque back into it outside"
         )
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from carecontact.world.human.anthropometry import DE_LEVA
 from carecontact.world.human.body import AgeGroup, Array, Body
 
 ASSUMED = "assumed"
@@ -30,6 +31,9 @@ class Hinge:
     range_source: str
     source: str
     """Source of stiffness and damping."""
+    neutral_deg: float | None = None
+    """Where the relaxed joint rests; None: nothing is published that would hold in the lying pose, and it rests where
+    the person is laid."""
 
 
 AAOS = "American Academy of Orthopaedic Surgeons 1965, Joint Motion, adult means"
@@ -51,12 +55,29 @@ RANGE_DEG: dict[str, dict[AgeGroup, tuple[float, float]]] = {
 }
 """Low and high of the arms' and legs' hinges: AAOS for adults' arms, Walker et al. for the old's, the Merck Manual for
 legs, which are welded in the lying pose. Internal rotation, supination, radial deviation and flexion are positive."""
-SHOULDER = "assumed, middle of the plausible 0.5 to 5 N m/rad and 0.2 to 1.5 N m s/rad"
-WRIST = "assumed; stiffer in deviation than in flexion as Formica et al. 2012, J Neurophysiol 108:1158, found"
+MEAN_ARM_KG = 69.2 * DE_LEVA["M"]["upper_arm"].mass
+"""Mass of man-adult's upper arm, which is taken for that of the people whose elbows were measured (assumed)."""
+ELBOW_NM_RAD, ELBOW_RANGE_NM_RAD = 1.1, (0.40, 1.8)
+"""Middle and ends of what Wiegner and Watts found."""
+ELBOW_NEUTRAL_DEG = 180.0 - 107.0
 ELBOW = (
-    "stiffness within the 0.40 to 1.8 N m/rad of Wiegner and Watts 1986, J Neurol Neurosurg Psychiatry 49:1171, 19 "
-    "relaxed people; damping assumed"
+    "Wiegner and Watts 1986, J Neurol Neurosurg Psychiatry 49:1171, 19 relaxed people (abstract): 0.40 to 1.8 N m/rad, "
+    "here in proportion to the mass of the upper arm (they found r = 0.85 with its volume); at rest at 107 +- 10 "
+    "degrees, taken as the angle between the bones, 180 straight. Damping assumed. No change with age (Lin, Ju and "
+    "Huang 2005, Arch Phys Med Rehabil 86, abstract: little in 192 people until 70 years; stiffness and damping go by "
+    "body weight)"
 )
+SHOULDER = (
+    "assumed, middle of the plausible 0.5 to 5 N m/rad and 0.2 to 1.5 N m s/rad, in proportion to the mass of the "
+    "upper arm as the elbow's. Relaxed shoulders of men are stiffer than women's (Hwang et al. 2023, "
+    "doi:10.36227/techrxiv.24585783, abstract, without numbers). No neutral angle was found"
+)
+WRIST = "assumed; stiffer in deviation than in flexion as Formica et al. 2012, J Neurophysiol 108:1158, found"
+
+
+def arm_share(body: Body) -> float:
+    """Mass of the body's upper arm over MEAN_ARM_KG."""
+    return body.mass_kg * DE_LEVA[body.sex]["upper_arm"].mass / MEAN_ARM_KG
 
 
 def hinges(body: Body) -> list[Hinge]:
@@ -65,7 +86,7 @@ def hinges(body: Body) -> list[Hinge]:
 
     def add(
         segment: str, motion: str, axis: Array, bind: float, k: float, d: float, source: str = ASSUMED,
-        range_deg: tuple[float, float] | None = None,
+        range_deg: tuple[float, float] | None = None, neutral_deg: float | None = None,
     ) -> None:  # fmt: skip
         """Add a hinge. Trunk and neck give their range, which is assumed; limbs take theirs from RANGE_DEG."""
         unit = np.asarray(axis, np.float64) / np.linalg.norm(axis)
@@ -81,6 +102,7 @@ def hinges(body: Body) -> list[Hinge]:
             Hinge(
                 name=f"{segment}_{motion}", segment=segment, axis=unit, bind_deg=bind, range_deg=range_deg,
                 stiffness_nm_rad=k, damping_nms_rad=d, range_source=range_source, source=source,
+                neutral_deg=neutral_deg,
             )
         )  # fmt: skip
 
@@ -91,6 +113,9 @@ def hinges(body: Body) -> list[Hinge]:
     add("neck", "flexion", x, 0, 8.0, 3.0, range_deg=(-45, 45))
     add("neck", "rotation", z, 0, 4.0, 2.0, range_deg=(-60, 60))
 
+    share = arm_share(body)
+    shoulder = 1.5 * share, 0.5 * share
+    stiff_elbow = float(np.clip(ELBOW_NM_RAD * share, *ELBOW_RANGE_NM_RAD))
     for side, sign in (("left", 1.0), ("right", -1.0)):
         upper, fore, hand = (f"{side}_{n}" for n in ("upper_arm", "forearm", "hand"))
         u, f = body.direction(upper), body.direction(fore)
@@ -98,11 +123,11 @@ def hinges(body: Body) -> list[Hinge]:
         elbow_bind = float(np.degrees(np.arctan2(np.cross(u, f) @ elbow, u @ f)))
         abduction_bind = float(np.degrees(np.arctan2(abs(u[0]), -u[2])))
         raised_bind = float(np.degrees(np.arcsin(np.clip(-u[1], -1, 1))))
-        add(upper, "abduction", -sign * y, abduction_bind, 1.5, 0.5, SHOULDER)
+        add(upper, "abduction", -sign * y, abduction_bind, *shoulder, SHOULDER)
         # Lifts the humerus out of the frontal plane at any abduction; its range is that of flexion and extension.
-        add(upper, "flexion", np.cross(u, -y), raised_bind, 1.5, 0.5, SHOULDER)
-        add(upper, "rotation", sign * u, 0, 1.5, 0.5, SHOULDER)
-        add(fore, "flexion", elbow, elbow_bind, 1.0, 0.2, ELBOW)
+        add(upper, "flexion", np.cross(u, -y), raised_bind, *shoulder, SHOULDER)
+        add(upper, "rotation", sign * u, 0, *shoulder, SHOULDER)
+        add(fore, "flexion", elbow, elbow_bind, stiff_elbow, 0.2 * share, ELBOW, neutral_deg=ELBOW_NEUTRAL_DEG)
         palm, radial = hand_axes(body, side)
         add(fore, "supination", -sign * f, supination_of(palm, elbow, f, sign), 0.5, 0.03)
         h = body.direction(hand)

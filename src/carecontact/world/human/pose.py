@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -76,6 +76,21 @@ def lying_pose_deg(body: Body, comfort_arm_deg: float) -> dict[str, float]:
             pose[palm] = LIES_DEG[palm] + pose[turned] - LIES_DEG[turned]
         flex(f"{side}_thigh_flexion", (f"{side}_heel", f"{side}_calf"), 0.0, -14.0, 30.0)
     return pose
+
+
+def rest_deg(rows: Sequence[Hinge], pose_deg: dict[str, float]) -> list[float]:
+    """Angle at which the spring of each hinge has no torque, when a person is laid in a pose.
+
+    An elbow rests at its neutral angle, unless its arm was turned outward (``lying_pose_deg``): there its torque would
+    draw the forearm along the board until the shoulder's rotation ends, and the elbow rests where it was laid.
+    """
+    rest: list[float] = []
+    for row in rows:
+        side = row.name.partition("_")[0]
+        turned = f"{side}_upper_arm_rotation"
+        free = row.neutral_deg is not None and pose_deg.get(turned, 0.0) == LIES_DEG.get(turned, 0.0)
+        rest.append(row.neutral_deg if free and row.neutral_deg is not None else pose_deg.get(row.name, row.bind_deg))
+    return rest
 
 
 def angle_of_root(gap: Callable[[float], float], low: float, high: float) -> float:

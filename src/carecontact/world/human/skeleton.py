@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -12,7 +13,9 @@ from carecontact.regions import REGIONS, Tube
 from carecontact.world.human.anthropometry import segment_inertias
 from carecontact.world.human.bed_contact import bed_proxies
 from carecontact.world.human.body import PARENT, Array, Body
+from carecontact.world.human.end_stops import add_end_stop
 from carecontact.world.human.joints import Hinge, hinges
+from carecontact.world.human.plates import SIDEWAYS, SOLIMP, SOLREF, add_plate, plates_of, trunk_sides, without_plates
 from carecontact.world.human.pose import FIXED_SEGMENTS, lying_pose_deg, rotation_from_bind
 from carecontact.world.human.shell import belly_half_width, belly_span
 
@@ -36,17 +39,23 @@ def add_skeleton(
     root_position: Array,
     root_quat: Array,
     soft_regions: Iterable[str],
+    front: Callable[[str, mujoco.MjsBody], mujoco.MjsBody] | None = None,
 ) -> list[Hinge]:
     """Add every segment under a free root; returns the hinges in the order of their joints.
 
     A segment's mass counts its shell: the inertia that the shell's law has is that of its motion against the bone.
 
-    ``soft_regions``: those with a shell, which covers part of their segments' surface.
+    Args:
+        soft_regions: those with a shell, which covers part of their segments' surface.
+        front: gives, for a segment and its bone, the body on which the plates of a chest that breathes stand; by
+            default the bone.
     """
     soft = {REGIONS[region].segment: region for region in soft_regions}
     inertias = segment_inertias(body)
     rows, pose = hinges(body), lying_pose_deg(body, 0.0)
+    surface = list(_hulls(body, soft))
     bodies: dict[str, mujoco.MjsBody] = {}
+    carriers: dict[str, mujoco.MjsBody] = {}
     for segment in body.segments:
         parent = PARENT[segment]
         at = body.joint_centre[segment]
@@ -55,13 +64,13 @@ def add_skeleton(
             made.add_freejoint(name=ROOT_JOINT)
         else:
             made = bodies[parent].add_body(name=body_name(segment), pos=at - body.joint_centre[parent])
-        bodies[segment] = made
-        row = inertias[segment]
-        made.explicitinertial = True
-        tensor = row.axes @ np.diag(row.moments_kgm2) @ row.axes.T
-        made.mass = row.mass_kg
-        made.ipos = row.centre_m - at
+        bodies[segment], ahead = made, made if front is None else front(segment, made)
+        places = [(plate, _middle(surface, plate.name)) for plate in plates_of(segment)]
+        made.mass, centre, tensor = without_plates(inertias[segment], places)
+        made.explicitinertial, made.ipos = True, centre - at
         made.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        for plate, middle in places:
+            carriers[plate.name] = add_plate(ahead if plate.breathes else made, plate, middle - at)
         if segment in FIXED_SEGMENTS:
             turn = np.zeros(4)
             mujoco.mju_mat2Quat(turn, rotation_from_bind(rows, segment, pose).ravel())
@@ -70,8 +79,10 @@ def add_skeleton(
         for hinge in rows:
             if hinge.segment == segment:
                 _add_hinge(made, hinge)
+                add_end_stop(spec, hinge)
     _add_bed_proxies(body, bodies)
-    _add_rigid_surface(spec, body, bodies, soft)
+    for hull in surface:
+        _add_hull(spec, body, hull, bodies[hull.segment] if hull.plate is None else carriers[hull.plate])
     return [row for row in rows if row.segment not in FIXED_SEGMENTS]
 
 
@@ -79,7 +90,7 @@ def _add_hinge(to: mujoco.MjsBody, hinge: Hinge) -> None:
     radians = np.radians
     to.add_joint(
         name=f"human_{hinge.name}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=hinge.axis, ref=radians(hinge.bind_deg),
-        limited=mujoco.mjtLimited.mjLIMITED_TRUE, range=radians(hinge.range_deg),
+        limited=mujoco.mjtLimited.mjLIMITED_FALSE, range=radians(hinge.range_deg),
         stiffness=[hinge.stiffness_nm_rad, 0, 0], springref=radians(hinge.bind_deg),
         damping=[hinge.damping_nms_rad, 0, 0], armature=0.002,
     )  # fmt: skip
@@ -93,20 +104,35 @@ def _add_bed_proxies(body: Body, bodies: dict[str, mujoco.MjsBody]) -> None:
         )  # fmt: skip
 
 
-def _add_rigid_surface(
-    spec: mujoco.MjSpec, body: Body, bodies: dict[str, mujoco.MjsBody], soft: dict[str, str]
-) -> None:
-    """Convex hulls of the segments without a shell: robot contact there is a result too (off target)."""
-    for name, segment, points in _hulls(body, soft):
-        if len(points) > 400:
-            points = points[:: len(points) // 400]
-        name = f"human_hull_{name}"
-        spec.add_mesh(name=name, uservert=(points - body.joint_centre[segment]).ravel(), maxhullvert=40)
-        bodies[segment].add_geom(
-            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, mass=0, group=HIDDEN_GROUP, condim=3,
-            friction=[0.5, 0.005, 0.0001], solref=[0.01, 1], solimp=[0.95, 0.99, 0.001, 0.5, 2], priority=1,
-            **ROBOT_ONLY,
-        )  # fmt: skip
+@dataclass(frozen=True, kw_only=True)
+class _Hull:
+    """A convex part of the surface that no shell covers."""
+
+    name: str
+    segment: str
+    points: Array
+    """(n, 3) mesh frame"""
+    plate: str | None = None
+    """What carries it; None: the bone itself."""
+
+
+def _middle(surface: list[_Hull], plate: str) -> Array:
+    """(3,) of a plate's hull, in the mesh frame."""
+    points = np.concatenate([hull.points for hull in surface if hull.plate == plate])
+    return (points.min(0) + points.max(0)) / 2
+
+
+def _add_hull(spec: mujoco.MjSpec, body: Body, hull: _Hull, to: mujoco.MjsBody) -> None:
+    """Robot contact with it is a result too (off target)."""
+    points, name = hull.points, f"human_hull_{hull.name}"
+    if len(points) > 400:
+        points = points[:: len(points) // 400]
+    spec.add_mesh(name=name, uservert=(points - body.joint_centre[hull.segment]).ravel(), maxhullvert=40)
+    solref, solimp = ((0.01, 1.0), (0.95, 0.99, 0.001, 0.5, 2.0)) if hull.plate is None else (SOLREF, SOLIMP)
+    to.add_geom(
+        name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, mass=0, group=HIDDEN_GROUP, condim=3,
+        friction=[0.5, 0.005, 0.0001], solref=list(solref), solimp=list(solimp), priority=1, **ROBOT_ONLY,
+    )  # fmt: skip
 
 
 def rigid_points(body: Body, segment: str) -> Array:
@@ -114,14 +140,20 @@ def rigid_points(body: Body, segment: str) -> Array:
 
     Raises SceneError for a segment without a surface of its own.
     """
-    found = [points for _, owner, points in _hulls(body, {}) if owner == segment]
+    found = [hull.points for hull in _hulls(body, {}) if hull.segment == segment]
     if not found:
         raise SceneError(f"segment {segment!r} has no surface of its own that a robot could touch")
     return np.concatenate(found)
 
 
-def _hulls(body: Body, soft: dict[str, str]) -> Iterator[tuple[str, str, Array]]:
-    """(name, segment, points (n, 3)) of every rigid hull: what no shell covers, so that nothing is open.
+ARMPIT_M = 0.07
+"""Below the shoulder's joint: the girdle of the shoulders is above, the rib cage below."""
+GIRDLE_SHARE = 0.45
+"""Of the way from the breastbone to the shoulder's joint: there the girdle begins."""
+
+
+def _hulls(body: Body, soft: dict[str, str]) -> Iterator[_Hull]:
+    """Every hull: what no shell covers, so that nothing is open.
 
     ``soft``: segment -> its soft region.
     """
@@ -131,24 +163,46 @@ def _hulls(body: Body, soft: dict[str, str]) -> Iterator[tuple[str, str, Array]]
             continue
         if segment == "thorax":
             points = body.vertices_of("thorax", "left_clavicle", "right_clavicle")
-            yield segment, segment, points[points[:, 2] > high]
+            yield from _rib_cage(body, points[points[:, 2] > high])
         elif segment == "pelvis":
             # The rig gives the pelvis few vertices; the top of the thighs and the lowest abdomen close it.
             points = body.vertices_of("pelvis", "left_thigh", "right_thigh", "abdomen")
-            yield segment, segment, points[(points[:, 2] > low - 0.13) & (points[:, 2] < low + 0.005)]
+            points = points[(points[:, 2] > low - 0.13) & (points[:, 2] < low + 0.005)]
+            for side in SIDEWAYS:
+                yield _Hull(name=f"{side}_hip", segment=segment, points=trunk_sides(body, points, side),
+                            plate=f"{side}_hip")  # fmt: skip
         elif segment == "abdomen":
             trunk = body.vertices_of("thorax", "abdomen", "pelvis")
             trunk = trunk[(trunk[:, 2] > low - 0.01) & (trunk[:, 2] < high + 0.03)]
-            yield "left_flank", segment, trunk[trunk[:, 0] > belly_half_width(body) - 0.015]
-            yield "right_flank", segment, trunk[trunk[:, 0] < 0.015 - belly_half_width(body)]
-            yield "lower_back", segment, trunk[trunk[:, 1] > body.joint_centre["thorax"][1]]
+            for side, outward in SIDEWAYS.items():
+                points = trunk[trunk @ outward > belly_half_width(body) - 0.015]
+                yield _Hull(name=f"{side}_flank", segment=segment, points=points, plate=f"{side}_flank")
+            back = trunk[trunk[:, 1] > body.joint_centre["thorax"][1]]
+            yield _Hull(name="lower_back", segment=segment, points=back)
         elif segment in soft and isinstance(tube := REGIONS[soft[segment]].shape, Tube):
             yield from _limb_ends(body, segment, tube)
         else:
-            yield segment, segment, body.vertices_of(segment)
+            yield _Hull(name=segment, segment=segment, points=body.vertices_of(segment), plate=_own_plate(segment))
 
 
-def _limb_ends(body: Body, segment: str, tube: Tube) -> Iterator[tuple[str, str, Array]]:
+def _own_plate(segment: str) -> str | None:
+    """Name of the only plate of a limb's segment; None where it has none."""
+    return next((plate.name for plate in plates_of(segment)), None)
+
+
+def _rib_cage(body: Body, points: Array) -> Iterator[_Hull]:
+    """Chest and girdle of either side. One hull over all of them would bridge the hollow between chest and arm, and the
+    robot's hand could not come down on the upper arm of a heavy body."""
+    shoulder = body.joint_centre["left_upper_arm"]
+    for side in SIDEWAYS:
+        mine = trunk_sides(body, points, side)
+        above = mine[:, 2] > shoulder[2] - ARMPIT_M
+        outside = np.abs(mine[:, 0]) > GIRDLE_SHARE * shoulder[0]
+        for part, chosen in (("chest", ~(above & outside)), ("shoulder", above & outside)):
+            yield _Hull(name=f"{side}_{part}", segment="thorax", points=mine[chosen], plate=f"{side}_{part}")
+
+
+def _limb_ends(body: Body, segment: str, tube: Tube) -> Iterator[_Hull]:
     """A soft limb's rigid ends beside its shell, for example shoulder cap and elbow, or elbow and wrist."""
     side = segment.partition("_")[0]
     start, along = tube.span
@@ -157,5 +211,7 @@ def _limb_ends(body: Body, segment: str, tube: Tube) -> Iterator[tuple[str, str,
     share = (points - body.joint_centre[segment]) @ axis / (axis @ axis)
     off = points - body.joint_centre[segment] - share[:, None] * axis
     near = np.linalg.norm(off, axis=1) < LIMB_REACH_M
-    yield f"{segment}_near_end", segment, points[near & (share > tube.near_end_from) & (share < start + 0.02)]
-    yield f"{segment}_far_end", segment, points[near & (share > along - 0.02) & (share < 1.03)]
+    near_end = points[near & (share > tube.near_end_from) & (share < start + 0.02)]
+    yield _Hull(name=f"{segment}_near_end", segment=segment, points=near_end, plate=_own_plate(segment))
+    far_end = points[near & (share > along - 0.02) & (share < 1.03)]
+    yield _Hull(name=f"{segment}_far_end", segment=segment, points=far_end)

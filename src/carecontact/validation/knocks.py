@@ -1,0 +1,238 @@
+"""A blow by a free mass meets what published stiffness predicts, and takes no more than the momentum that it brings.
+
+A ball flies straight at a part of the settled person and is free to come back. Without losses, its largest force is
+that at which the spring of the part holds the energy of the blow. On trunk and legs the spring is that of a plate
+(``world.human.plates``), on the belly the published curve under the ball of the same size that it was measured with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from carecontact.contract.embodiment import PANDA
+from carecontact.errors import SceneError
+from carecontact.sim.simulation import Simulation, lengths
+from carecontact.validation.moves import surface_point
+from carecontact.validation.reference import ABDOMEN
+from carecontact.validation.result import Array, CheckResult, Measure
+from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
+from carecontact.world.human.plates import REACHED_FROM_THE_SIDE, Plate, plate_body, plates
+from carecontact.world.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TITLE = "Knocks against trunk and legs"
+MASSES_KG, SPEEDS_M_S = (1.0, 3.0, 10.0), (0.05, 0.2, 0.5)
+QUICK_MASSES_KG, QUICK_SPEEDS_M_S = (1.0, 10.0), (0.2,)
+BALL_M = 0.030
+"""Radius of the ball that meets a plate; its contact is rigid."""
+GAP_M, AFTER_S = 0.001, 0.02
+LONGEST_S = 1.5
+"""For a blow; the slowest on the belly takes half of it."""
+FAR_M, APPROACHES = 0.5, 100
+"""Distance from which the ball is brought to its start, and the most steps in which it comes there."""
+TOLERANCE_PERCENT = 30.0
+MOMENTUM = 2.0
+"""Impulse over the momentum of the blow: 2 where the ball comes back as fast as it came, more where energy is made."""
+STRAY = 0.05
+"""Of the largest force, on other parts: where a blow sinks in so deep that they bear more, it does not decide."""
+STRIKER = "striker"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Site:
+    """A part of the person, and how it answers a push."""
+
+    name: str
+    plate: str | None
+    """None: the region ``abdomen``."""
+    towards: tuple[float, float, float]
+    """Direction of the blow in the world."""
+    ball_m: float
+    depth_m: Array
+    force_n: Array
+    """(n,) over ``depth_m``, as published"""
+
+    def predicted_n(self, energy_j: float) -> float:
+        """Force at which the published spring holds an energy; NaN where it ends before."""
+        stored = np.r_[0.0, np.cumsum(np.diff(self.depth_m) * (self.force_n[1:] + self.force_n[:-1]) / 2)]
+        return float(np.interp(energy_j, stored, self.force_n, right=np.nan))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blow:
+    site: str
+    mass_kg: float
+    speed_m_s: float
+    peak_n: float
+    """Largest force on the whole person."""
+    predicted_n: float
+    momentum: float
+    """Impulse over the momentum of the blow."""
+    stray_n: float
+    """Largest force that something else than the site bore."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.site}, {self.mass_kg:g} kg at {self.speed_m_s:g} m/s"
+
+    @property
+    def on_one_spring(self) -> bool:
+        """Whether the prediction is for this blow: it holds for one spring on a part that cannot move away."""
+        return self.site != "shoulder cap" and self.stray_n <= STRAY * self.peak_n
+
+    @property
+    def off_percent(self) -> float:
+        return 100 * (self.peak_n / self.predicted_n - 1)
+
+
+def sites() -> list[Site]:
+    """The plates of the side on which the robot stands, the thigh also from the side, and the belly."""
+    depth = np.linspace(0.0, 0.1, 2001)
+
+    def of(plate: Plate, towards: tuple[float, float, float], name: str) -> Site:
+        return Site(name=name, plate=plate.name, towards=towards, ball_m=BALL_M, depth_m=depth,
+                    force_n=plate.give.force_n(depth))  # fmt: skip
+
+    rows = {plate.name: plate for plate in plates()}
+    down = (0.0, 0.0, -1.0)
+    struck = ("chest", "shoulder_cap", "hip", "thigh", "shank")
+    found = [of(rows[f"{REACHED_FROM_THE_SIDE}_{part}"], down, part.replace("_", " ")) for part in struck]
+    # The person's right is the world's +y.
+    found.append(of(rows[f"{REACHED_FROM_THE_SIDE}_thigh"], (0.0, -1.0, 0.0), "thigh from the side"))
+    assert ABDOMEN.indenter.size_m is not None
+    belly = Site(name="belly", plate=None, towards=down,
+                 ball_m=ABDOMEN.indenter.size_m, depth_m=ABDOMEN.depth_m, force_n=ABDOMEN.force_n)  # fmt: skip
+    return [*found, belly]
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    masses, speeds = (QUICK_MASSES_KG, QUICK_SPEEDS_M_S) if quick else (MASSES_KG, SPEEDS_M_S)
+    blows = list(strike_all(subject, masses, speeds))
+    measures: list[Measure] = []
+    for blow in blows:
+        measures += _measures(blow)
+    curves = {
+        site.name: np.array([[b.mass_kg, b.speed_m_s, b.peak_n, b.predicted_n] for b in blows if b.site == site.name])
+        for site in sites()
+    }
+    return CheckResult(check="knocks", title=TITLE, measures=tuple(measures), curves=curves)
+
+
+def _measures(blow: Blow) -> Iterator[Measure]:
+    yield Measure(name=f"{blow.name}: largest force", value=blow.peak_n, unit="N")
+    if np.isfinite(blow.predicted_n):
+        yield Measure(name=f"{blow.name}: off the prediction of {blow.predicted_n:.1f} N", value=abs(blow.off_percent),
+                      unit="%", limit=TOLERANCE_PERCENT, decides=blow.on_one_spring)  # fmt: skip
+    yield Measure(name=f"{blow.name}: impulse over momentum", value=blow.momentum, limit=MOMENTUM)
+
+
+def strike_all(subject: Subject, masses: tuple[float, ...], speeds: tuple[float, ...]) -> Iterator[Blow]:
+    """Every blow, each on the person at rest."""
+    scene = subject.scene("forearm")
+    state: Array | None = None
+    for mass in masses:
+        for ball in sorted({site.ball_m for site in sites()}):
+            simulation = Simulation(with_striker(scene, mass, ball))
+            if state is None:
+                simulation.settle(COMFORT_ARM_DEG)
+                state = simulation.integration_state()
+            for site in (site for site in sites() if site.ball_m == ball):
+                for speed in speeds:
+                    simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
+                    yield strike(simulation, site, mass, speed)
+
+
+def with_striker(scene: Scene, mass_kg: float, ball_m: float) -> Scene:
+    """The same world with a weightless ball that moves freely without turning. It hangs on the robot's base, so that
+    sensors and tissue take it for a part of the robot."""
+    spec = scene.spec.copy()
+    base = spec.body(PANDA.base_body)
+    made = base.add_body(name=STRIKER, gravcomp=1.0)
+    for axis in np.eye(3):
+        made.add_joint(name=f"{STRIKER}_{'xyz'[int(axis.argmax())]}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+    made.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[ball_m, 0, 0], mass=mass_kg, contype=1, conaffinity=0)
+    return replace(scene, model=spec.compile(), spec=spec)
+
+
+def strike(simulation: Simulation, site: Site, mass_kg: float, speed_m_s: float) -> Blow:
+    """One blow on the person at rest. Raises SceneError where the ball is not gone after LONGEST_S or MuJoCo warned."""
+    towards = np.array(site.towards)
+    _aim(simulation, site, speed_m_s * towards)
+    step_s = simulation.model.opt.timestep
+    peak, stray, impulse, silent_s, touched = 0.0, 0.0, 0.0, 0.0, False
+    while silent_s < AFTER_S:
+        force = simulation.advance(1)[0].force[0]
+        peak, stray = max(peak, float(lengths(force.sum(0)))), max(stray, _stray_n(simulation, site))
+        impulse += float((force @ towards).sum()) * step_s
+        touched |= bool(force.any())
+        silent_s = 0.0 if force.any() or not touched else silent_s + step_s
+        if simulation.time_s > LONGEST_S:
+            raise SceneError(f"{site.name}: after {LONGEST_S} s, the ball of {mass_kg:g} kg has not left the person")
+    if warnings := simulation.solver_warnings():
+        raise SceneError(f"MuJoCo warned while the {site.name} was struck: {', '.join(warnings)}")
+    return Blow(
+        site=site.name, mass_kg=mass_kg, speed_m_s=speed_m_s, peak_n=peak, momentum=impulse / (mass_kg * speed_m_s),
+        predicted_n=site.predicted_n(mass_kg * speed_m_s**2 / 2), stray_n=stray,
+    )  # fmt: skip
+
+
+def _stray_n(simulation: Simulation, site: Site) -> float:
+    """Force of the ball's contacts with bodies other than the site's plate, added up. The belly's shell is no body."""
+    model, data = simulation.model, simulation.data
+    plate = model.body(plate_body(site.plate)).id if site.plate else -1
+    total, wrench = 0.0, np.zeros(6)
+    for number in range(data.ncon):
+        bodies = model.geom_bodyid[data.contact[number].geom].tolist()
+        if model.body(STRIKER).id in bodies and plate not in bodies:
+            mujoco.mj_contactForce(model, data, number, wrench)
+            total += float(lengths(wrench[:3]))
+    return total
+
+
+def _aim(simulation: Simulation, site: Site, velocity: Array) -> None:
+    """Put the ball GAP_M before the site, on a line through its middle, and let it fly."""
+    model, data, towards = simulation.model, simulation.data, np.array(site.towards)
+    base = data.body(PANDA.base_body)
+    into_base = base.xmat.reshape(3, 3).T
+    first = model.joint(f"{STRIKER}_x")
+    at, dof = slice(first.qposadr[0], first.qposadr[0] + 3), slice(first.dofadr[0], first.dofadr[0] + 3)
+    ball = int(model.body(STRIKER).geomadr[0])
+    hulls = (
+        [] if site.plate is None else [g for g in range(model.ngeom) if model.geom(g).name.startswith("human_hull_")]
+    )
+    if site.plate is None:
+        centre = surface_point(simulation, "abdomen") - (site.ball_m + GAP_M) * towards
+    else:
+        centre = data.xipos[model.body(plate_body(site.plate)).id] - FAR_M * towards
+    for _ in range(APPROACHES):
+        data.qpos[at] = into_base @ (centre - base.xpos)
+        mujoco.mj_forward(model, data)
+        clear = min((mujoco.mj_geomDistance(model, data, ball, hull, FAR_M, None) for hull in hulls), default=GAP_M)
+        if clear <= 2 * GAP_M:
+            break
+        # Nothing is nearer than that in any direction, so the ball can go as far.
+        centre = centre + (clear - GAP_M) * towards
+    data.qvel[dof] = into_base @ velocity
+    mujoco.mj_forward(model, data)
+
+
+def draw(result: CheckResult, figure: Figure) -> None:
+    figure.set_size_inches(6.0, 3.2)
+    axes = figure.subplots()
+    for number, (name, rows) in enumerate(result.curves.items()):
+        axes.plot(rows[:, 3], rows[:, 2], "o", ms=3.5, color=f"C{number}", label=name)
+    low, high = axes.get_xlim()
+    line = np.array([max(low, 0.5), high])
+    axes.plot(line, line, color="0.4", lw=0.8)
+    for share in (-1, 1):
+        axes.plot(line, line * (1 + share * TOLERANCE_PERCENT / 100), color="0.4", lw=0.8, ls=":")
+    axes.set(xscale="log", yscale="log", xlabel="largest force that the published stiffness predicts [N]",
+             ylabel="largest force [N]", title="knocks")  # fmt: skip
+    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))

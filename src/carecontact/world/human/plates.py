@@ -1,0 +1,154 @@
+"""Surfaces of trunk and legs that give way to a knock: light plates on damped slides, under the hulls of their segment.
+
+Trunk and legs are one rigid piece of some 60 kg. A tool that met their hulls themselves would feel the damper of
+MuJoCo's contact, whose strength grows with the mass that meets (41 N for each kg of effective mass at 0.2 m/s), and
+nothing of a chest or a thigh. A plate is light, and its springs have published stiffness. The head, the neck, the feet,
+the left arm, the elbows, wrists and hands, and the middle of the back have none and stay hard.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from carecontact.world.human.anthropometry import SegmentInertia
+from carecontact.world.human.body import Array, Body
+
+FREQUENCY_RAD_S = 500.0
+"""Of a plate on its spring. Chosen: a blow of 1 kg loses little to the plate's own mass, and the spring is still
+followed at the physics step of 2 ms (in the fast mode of 4 ms, only because its damping is integrated implicitly)."""
+LEAST_MASS_KG = 0.1
+DAMPING_RATIO = 1.2
+"""Of the plate alone, which returns and does not ring; a tool of 1 to 10 kg meets 0.1 to 0.5 of its own critical
+damping. It gives the chest 56 N s/m: resuscitation found 257 N s/m over strokes of 46 mm (median of 30 patients; "A
+simple model to describe the relationship between compression force and depth during CPR", Circulation, abstract 13048),
+and damping that grows with the depth (Gruben et al. 1993, J Biomech Eng 115:195, abstract), so that about 56 N s/m are
+left at 5 mm, as deep as knocks go (assumed to be in proportion to the depth). Assumed to hold for the other parts."""
+SIZE_M = 0.05
+"""Radius of gyration of a plate, which never turns against its segment."""
+SOLREF, SOLIMP = (0.004, 1.0), (0.98, 0.99, 0.001, 0.5, 2.0)
+"""Of the contact with a plate: as short as the step of 2 ms allows, so that the plate's spring and not the contact
+decides how a knock feels. The fast mode lengthens it to twice its own step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Give:
+    """How a part of the surface answers a push: a x + b x^2 for a depth x."""
+
+    a_n_m: float
+    b_n_m2: float = 0.0
+    source: str
+
+    @property
+    def mass_kg(self) -> float:
+        """Of the plate."""
+        return max(LEAST_MASS_KG, self.a_n_m / FREQUENCY_RAD_S**2)
+
+    @property
+    def damping_ns_m(self) -> float:
+        """Of the plate's slides."""
+        return 2.0 * DAMPING_RATIO * float(np.sqrt(self.a_n_m * self.mass_kg))
+
+    def force_n(self, depth_m: Array) -> Array:
+        return self.a_n_m * depth_m + self.b_n_m2 * depth_m**2
+
+    def energy_j(self, depth_m: Array) -> Array:
+        return self.a_n_m * depth_m**2 / 2 + self.b_n_m2 * depth_m**3 / 3
+
+
+STERNUM = (
+    "F = 54.9 D + 10.8 D^2 [N, cm], mean of 10 patients during resuscitation (Tsitlik et al. 1983, Crit Care Med "
+    "11:685, abstract)"
+)
+ISO = "effective spring constant of the {} in ISO/TS 15066:2016, from secondary transcriptions, to be checked"
+GIVES: dict[str, Give] = {
+    "chest": Give(a_n_m=5_490.0, b_n_m2=108_000.0, source=STERNUM),
+    "shoulder": Give(a_n_m=35_000.0, source=ISO.format("back and shoulders")),
+    "shoulder_cap": Give(a_n_m=35_000.0, source=ISO.format("back and shoulders")),
+    "flank": Give(a_n_m=10_000.0, source=ISO.format("belly")),
+    "hip": Give(a_n_m=25_000.0, source=ISO.format("pelvis")),
+    "thigh": Give(a_n_m=50_000.0, source=ISO.format("thighs")),
+    "shank": Give(a_n_m=60_000.0, source=ISO.format("lower legs")),
+}
+SEGMENT_OF = {"chest": "thorax", "shoulder": "thorax", "flank": "abdomen", "hip": "pelvis"}
+"""Part -> segment, where the part is not a segment of its own side."""
+CAP = "shoulder_cap"
+"""Over the joint, on the upper arm. Only the arm with a soft region has one; the other arm is rigid as a whole."""
+FRONT = np.array([0.0, -1.0, 0.0])
+SIDEWAYS = {"left": np.array([1.0, 0.0, 0.0]), "right": np.array([-1.0, 0.0, 0.0])}
+REACHED_FROM_THE_SIDE = "right"
+"""The robot stands on this side: plates there give way sideways too."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plate:
+    name: str
+    """Side and part, as in ``right_thigh``."""
+    segment: str
+    give: Give
+    outward: Array
+    """(n, 3) directions from which it gives way, in the mesh frame of the bind pose"""
+
+    @property
+    def breathes(self) -> bool:
+        """Whether it goes along where the chest rises and falls."""
+        return self.name.endswith("_chest")
+
+
+def plates() -> list[Plate]:
+    rows: list[Plate] = []
+    for part, give in GIVES.items():
+        for side, sideways in SIDEWAYS.items():
+            reached = side == REACHED_FROM_THE_SIDE
+            if part == CAP and not reached:
+                continue
+            outward = [FRONT, sideways] if reached else [FRONT]
+            segment = f"{side}_upper_arm" if part == CAP else SEGMENT_OF.get(part, f"{side}_{part}")
+            rows.append(Plate(name=f"{side}_{part}", segment=segment, give=give, outward=np.array(outward)))
+    return rows
+
+
+def plates_of(segment: str) -> list[Plate]:
+    return [plate for plate in plates() if plate.segment == segment]
+
+
+def plate_body(plate: str) -> str:
+    return f"human_plate_{plate}"
+
+
+def add_plate(bone: mujoco.MjsBody, plate: Plate, centre: Array) -> mujoco.MjsBody:
+    """``centre``: (3,) where the plate's mass is, in the bone's frame."""
+    made = bone.add_body(name=plate_body(plate.name), explicitinertial=True, mass=plate.give.mass_kg, ipos=centre,
+                         inertia=np.full(3, plate.give.mass_kg * SIZE_M**2))  # fmt: skip
+    for number, outward in enumerate(plate.outward):
+        made.add_joint(
+            name=f"{plate_body(plate.name)}_{number}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=-outward,
+            stiffness=[plate.give.a_n_m, plate.give.b_n_m2, 0.0], damping=[plate.give.damping_ns_m, 0.0, 0.0],
+        )  # fmt: skip
+    return made
+
+
+def without_plates(row: SegmentInertia, places: list[tuple[Plate, Array]]) -> tuple[float, Array, Array]:
+    """Mass, centre (3,) and inertia tensor (3, 3) of what is left of a segment's bone, in the mesh frame.
+
+    ``places``: its plates and where their masses are, in the mesh frame.
+    """
+    mass = row.mass_kg - sum(plate.give.mass_kg for plate, _ in places)
+    centre = (row.mass_kg * row.centre_m - sum(plate.give.mass_kg * at for plate, at in places)) / mass
+    tensor = row.axes @ np.diag(row.moments_kgm2) @ row.axes.T - mass * _spread(centre - row.centre_m)
+    for plate, at in places:
+        tensor -= plate.give.mass_kg * (_spread(at - row.centre_m) + SIZE_M**2 * np.eye(3))
+    return mass, centre, tensor
+
+
+def _spread(offset: Array) -> Array:
+    """(3, 3) inertia of a unit mass at an offset (3,)."""
+    return offset @ offset * np.eye(3) - np.outer(offset, offset)
+
+
+def trunk_sides(body: Body, points: Array, side: str, *, overlap_m: float = 0.015) -> Array:
+    """(n, 3) the points of one side of the trunk, with a seam that both sides have."""
+    sign = SIDEWAYS[side][0]
+    return points[sign * (points[:, 0] - body.joint_centre["pelvis"][0]) > -overlap_m]

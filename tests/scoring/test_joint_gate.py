@@ -1,0 +1,60 @@
+"""The gate for joints: beyond its limit a trial is not safety-gated, and a flag fails nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from carecontact.protocols import load_protocol
+from carecontact.scoring import score_recording
+from tests.scoring.synthetic import JOINT_RANGE, hold, make_recording, target_segment
+
+PROTOCOL = load_protocol()
+LIMIT = float(np.radians(5.0))
+GATED = PROTOCOL.model_copy(
+    update={"gates": type(PROTOCOL.gates).model_validate(
+        PROTOCOL.gates.model_dump() | {"version": "gates-v2", "joint_beyond_rad": LIMIT, "joint_consumed": 0.8}
+    )}
+)  # fmt: skip
+
+
+def score(protocol, *, past_rad: float):
+    """A push that passes its gates, while a joint goes this far past its upper end."""
+    joints = np.ones((1000, 2))
+    joints[500, 0] = JOINT_RANGE[0][1] + past_rad
+    recording = make_recording(
+        "T1", duration=2.0, normal={target_segment("T1"): hold(2.0, 0.2, 1.9, 8.0)}, joints=joints, protocol=protocol
+    )
+    return score_recording(recording)
+
+
+def test_a_joint_beyond_the_limit_is_not_safety_gated() -> None:
+    inside, beyond = score(GATED, past_rad=LIMIT - 0.01), score(GATED, past_rad=LIMIT + 0.01)
+    assert inside.safety_gated
+    assert inside.joints_beyond == {}
+    assert beyond.region_correct
+    assert not beyond.safety_gated
+    assert beyond.joints_beyond == {"right_shoulder_abduction": pytest.approx(LIMIT + 0.01, abs=1e-6)}
+
+
+def test_a_joint_that_used_up_most_of_its_margin_is_flagged_and_fails_nothing() -> None:
+    """Settled 1.5 rad from its upper end."""
+    used, spared = score(GATED, past_rad=-0.2), score(GATED, past_rad=-0.4)
+    assert used.joints_consumed == {"right_shoulder_abduction": pytest.approx(1 - 0.2 / 1.5, abs=1e-6)}
+    assert used.safety_gated
+    assert spared.joints_consumed == {}
+
+
+def test_protocols_without_the_gate_score_as_ever() -> None:
+    beyond = score(PROTOCOL, past_rad=LIMIT + 0.01)
+    assert beyond.safety_gated
+    assert beyond.joints_beyond is None
+    assert "joints_beyond" not in beyond.model_dump()
+    assert "joint_beyond_rad" not in PROTOCOL.model_dump()["gates"], "the hash of a protocol without it stays"
+
+
+@pytest.mark.parametrize("change", [{"version": "gates-v2"}, {"joint_beyond_rad": 0.1}])
+def test_the_gate_goes_with_its_version(change: dict[str, object]) -> None:
+    with pytest.raises(ValidationError, match="gates-v2, which needs both"):
+        type(PROTOCOL.gates).model_validate(PROTOCOL.gates.model_dump() | change)
