@@ -316,8 +316,8 @@ class _Columns:
         self._net = span(*(f"net_{s}" for s in SEGMENTS))
         normal = span(*(f"normal_{s}" for s in SEGMENTS))
         self._found, self._normal = normal[:, 0], normal[:, 1 :: self.SLOT]
-        # Plates belong to the surface of their segment.
-        self._of_plate = np.array([SEGMENTS.index(plate.segment) for plate in plates()])
+        # (S, plates) 1 where a plate belongs to the surface of a segment, else 0.
+        self._plates_of = np.array([[float(plate.segment == s) for plate in plates()] for s in SEGMENTS])
         self._plate_net = span(*(f"net_{plate_sensor(plate.name)}" for plate in plates()))
         normal = span(*(f"normal_{plate_sensor(plate.name)}" for plate in plates()))
         self._plate_found, self._plate_normal = normal[:, 0], normal[:, 1 :: self.SLOT]
@@ -353,11 +353,11 @@ class _Columns:
         normal[:, self._soft] += felt["normal_n"]
         if values[:, self._plate_found].any():
             of_plate = values[:, self._plate_net]
-            share, at = lengths(of_plate[..., :3])[..., None], (slice(None), self._of_plate)
-            np.add.at(force, at, of_plate[..., :3])
-            np.add.at(centroid, at, share * of_plate[..., 3:])
-            np.add.at(weight, at, share)
-            np.add.at(normal, at, np.abs(values[:, self._plate_normal]).sum(2))
+            share = lengths(of_plate[..., :3])[..., None]
+            force += self._plates_of @ of_plate[..., :3]
+            centroid += self._plates_of @ (share * of_plate[..., 3:])
+            weight += self._plates_of @ share
+            normal += np.abs(values[:, self._plate_normal]).sum(2) @ self._plates_of.T
         np.divide(centroid, weight, out=centroid, where=weight > 0)
         angle = values[:, self.joints]
         return Samples(

@@ -113,7 +113,7 @@ def joint_constants(scene: Scene) -> tuple[Array, Array, Array, Array]:
         at_rest = data.qpos[joint.qposadr[0]]
         for end, past in zip(ends, (-PAST_RAD, PAST_RAD), strict=True):
             spring = torque(dof, turn=end - at_rest)
-            reaction = torque(dof, turn=end + past - at_rest) - spring + hinge.stiffness_nm_rad * past
+            reaction = torque(dof, turn=end + past - at_rest) - spring + springs[-1][0] * past
             stops.append([reaction, float(end_stop_nm(np.array(past), np.array(cubic_nm_rad3(hinge.name))))])
     return np.array(springs), np.array(dampers), np.array(ranges), np.array(stops)
 

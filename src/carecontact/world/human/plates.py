@@ -23,7 +23,7 @@ LEAST_MASS_KG = 0.1
 DAMPING_RATIO = 1.2
 """Of the plate alone, which returns and does not ring; a tool of 1 to 10 kg meets 0.1 to 0.5 of its own critical
 damping. It gives the chest 56 N s/m: resuscitation found 257 N s/m over strokes of 46 mm (median of 30 patients; "A
-simple model to describe the relationship between compression force and depth during CPR", Circulation, abstract 13048),
+simple model to describe the relationship between compression force and depth during CPR", conference abstract 13048),
 and damping that grows with the depth (Gruben et al. 1993, J Biomech Eng 115:195, abstract), so that about 56 N s/m are
 left at 5 mm, as deep as knocks go (assumed to be in proportion to the depth). Assumed to hold for the other parts."""
 SIZE_M = 0.05
@@ -53,9 +53,6 @@ class Give:
 
     def force_n(self, depth_m: Array) -> Array:
         return self.a_n_m * depth_m + self.b_n_m2 * depth_m**2
-
-    def energy_j(self, depth_m: Array) -> Array:
-        return self.a_n_m * depth_m**2 / 2 + self.b_n_m2 * depth_m**3 / 3
 
 
 STERNUM = (
