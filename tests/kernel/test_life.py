@@ -142,6 +142,28 @@ def test_the_arm_changes_its_place_and_stays_there() -> None:
     assert (np.diff(angle) > -1e-4).all()
 
 
+@pytest.mark.parametrize(
+    ("doings", "stiffness_nm_rad"),
+    [(Doings(), 1.5), (Doings(tone=0.15), 1.5 + 0.15 * 200.0), (Doings(help=0.8), 0.2 * 1.5)],
+    ids=["passive", "holds", "helps"],
+)
+def test_a_push_turns_the_joint_as_far_as_the_manner_s_stiffness_says(doings: Doings, stiffness_nm_rad: float) -> None:
+    model, data = arm()
+    data.joint("finger").qpos[:] = 1.0
+    Life(model).wake(data, doings)
+    data.joint(ABDUCTION).qfrc_applied[:] = 0.05
+    run(model, data, 12.0)
+    assert data.joint(ABDUCTION).qpos[0] == pytest.approx(0.05 / stiffness_nm_rad, rel=0.01)
+
+
+def test_a_person_that_is_not_awake_has_no_muscles() -> None:
+    model, data = arm()
+    data.ctrl[:] = 5.0
+    mujoco.mj_step(model, data, 10)
+    assert (data.ctrl == 0).all()
+    assert data.qpos[0] == 0.0
+
+
 def press(model: mujoco.MjModel, data: mujoco.MjData, newton: float, seconds: float) -> npt.NDArray[np.float64]:
     data.joint("finger").qfrc_applied[:] = -newton
     return run(model, data, seconds)

@@ -12,6 +12,7 @@ from carecontact.protocols import load_protocol
 from carecontact.sim.true_skin import skin_in_world
 from carecontact.world.human.body import Body
 from carecontact.world.human.breathing import breath_body, shares
+from carecontact.world.human.plates import plate_body
 from carecontact.world.human.shell import belly_half_width, belly_span
 from carecontact.world.scene import Scene, build_scene
 
@@ -73,6 +74,18 @@ def test_the_region_and_its_frame_ride_on_the_slide_and_its_core_stays(scene: Sc
     cores = [g for g in range(model.ngeom) if model.geom(g).name.startswith("human_core_abdomen")]
     assert cores
     assert {int(model.geom_bodyid[g]) for g in cores} == {bone}
+
+
+def test_the_plates_of_the_chest_ride_on_its_slide(scene: Scene) -> None:
+    model, data = scene.model, mujoco.MjData(scene.model)
+    mujoco.mj_kinematics(model, data)
+    chest, hip = (model.body(plate_body(f"right_{part}")).id for part in ("chest", "hip"))
+    before = data.xpos.copy()
+    data.joint(breath_body("chest")).qpos[:] = 0.004
+    mujoco.mj_kinematics(model, data)
+    moved = np.linalg.norm(data.xpos - before, axis=1)
+    assert moved[chest] == pytest.approx(0.004)
+    assert moved[hip] == 0.0
 
 
 def test_a_person_that_does_nothing_has_none_of_it() -> None:

@@ -17,7 +17,7 @@ from carecontact.regions import REGIONS, Belly, Tube
 from carecontact.world.cameras import add_cameras
 from carecontact.world.furniture import add_furniture, add_light
 from carecontact.world.human.body import Array, Body
-from carecontact.world.human.breathing import add_breathing, carrier, move_skin
+from carecontact.world.human.breathing import add_servos, add_slide, carrier, move_skin
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.library import load_body
 from carecontact.world.human.muscles import add_muscles
@@ -106,17 +106,21 @@ def _add_person(
     """Skeleton and shells, the pelvis at ``root`` (3,)."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, trunk_rotation(body).ravel())
-    hinges = add_skeleton(spec, body, root_position=root, root_quat=quat, soft_regions=protocol.soft_regions)
     alive = protocol.person.alive
-    if alive.breathing is not None:
-        add_breathing(spec, body)
+    breathes = alive.breathing is not None
+    hinges = add_skeleton(
+        spec, body, root_position=root, root_quat=quat, soft_regions=protocol.soft_regions,
+        front=add_slide if breathes else None,
+    )  # fmt: skip
+    if breathes:
+        add_servos(spec)
     if alive.uses_the_arm:
         add_muscles(spec)
     regions: dict[str, SoftRegion] = {}
     for region in protocol.soft_regions:
         tissue = protocol.person.tissue[region]
         shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue))
-        on = carrier(REGIONS[region].segment, breathes=alive.breathing is not None)
+        on = carrier(REGIONS[region].segment, breathes=breathes)
         regions[region] = add_tissue(spec, body, region, shell, tissue, on=on)
     return hinges, regions
 

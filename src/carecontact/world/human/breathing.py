@@ -1,8 +1,7 @@
 """Breathing: the belly's wall and the front of the chest ride on slides of the trunk, and the visible skin with them.
 
 The belly's soft region moves as a whole, straight out; the core under it stays. The skin moves with the region over all
-of it, and around it less and less, down to nothing at the trunk's sides. What is rigid on the chest rides on its slide
-where ``carrier`` is asked for it.
+of it, and around it less and less, down to nothing at the trunk's sides. The plates of the chest stand on its slide.
 """
 
 from __future__ import annotations
@@ -33,16 +32,22 @@ SIDE_M = 0.03
 """The same from the plane of the spine forward."""
 
 
-def add_breathing(spec: mujoco.MjSpec, body: Body) -> None:
-    """Add a slide and its servo for each part. Call after the skeleton, before what rides on them."""
+def add_slide(segment: str, bone: mujoco.MjsBody) -> mujoco.MjsBody:
+    """Return what the front of a segment rides on: a new slide on its bone, or the bone where it does not breathe."""
+    part = next((part for part, owner in SEGMENT.items() if owner == segment), None)
+    if part is None:
+        return bone
+    name = breath_body(part)
+    made = bone.add_body(name=name, explicitinertial=True, mass=MASS_KG, inertia=np.full(3, MASS_KG * 0.01))
+    made.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=FRONT, armature=INERTIA_KG)
+    return made
+
+
+def add_servos(spec: mujoco.MjSpec) -> None:
+    """Add what moves the slides. Call after the skeleton."""
     for part in PARTS:
-        name = breath_body(part)
-        made = spec.body(body_name(SEGMENT[part])).add_body(
-            name=name, explicitinertial=True, mass=MASS_KG, inertia=np.full(3, MASS_KG * 0.01)
-        )
-        made.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=FRONT, armature=INERTIA_KG)
         servo = spec.add_actuator(
-            name=f"breathes_{part}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name,
+            name=f"breathes_{part}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=breath_body(part),
             gaintype=mujoco.mjtGain.mjGAIN_FIXED, biastype=mujoco.mjtBias.mjBIAS_AFFINE,
         )  # fmt: skip
         servo.gainprm[0] = STIFFNESS_N_M

@@ -88,6 +88,11 @@ class Plate:
     outward: Array
     """(n, 3) directions from which it gives way, in the mesh frame of the bind pose"""
 
+    @property
+    def breathes(self) -> bool:
+        """Whether it goes along where the chest rises and falls."""
+        return self.name.endswith("_chest")
+
 
 def plates() -> list[Plate]:
     rows: list[Plate] = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -39,12 +39,16 @@ def add_skeleton(
     root_position: Array,
     root_quat: Array,
     soft_regions: Iterable[str],
+    front: Callable[[str, mujoco.MjsBody], mujoco.MjsBody] | None = None,
 ) -> list[Hinge]:
     """Add every segment under a free root; returns the hinges in the order of their joints.
 
     A segment's mass counts its shell: the inertia that the shell's law has is that of its motion against the bone.
 
-    ``soft_regions``: those with a shell, which covers part of their segments' surface.
+    Args:
+        soft_regions: those with a shell, which covers part of their segments' surface.
+        front: gives, for a segment and its bone, the body on which the plates of a chest that breathes stand; by
+            default the bone.
     """
     soft = {REGIONS[region].segment: region for region in soft_regions}
     inertias = segment_inertias(body)
@@ -60,13 +64,13 @@ def add_skeleton(
             made.add_freejoint(name=ROOT_JOINT)
         else:
             made = bodies[parent].add_body(name=body_name(segment), pos=at - body.joint_centre[parent])
-        bodies[segment] = made
+        bodies[segment], ahead = made, made if front is None else front(segment, made)
         places = [(plate, _middle(surface, plate.name)) for plate in plates_of(segment)]
         made.mass, centre, tensor = without_plates(inertias[segment], places)
         made.explicitinertial, made.ipos = True, centre - at
         made.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         for plate, middle in places:
-            carriers[plate.name] = add_plate(made, plate, middle - at)
+            carriers[plate.name] = add_plate(ahead if plate.breathes else made, plate, middle - at)
         if segment in FIXED_SEGMENTS:
             turn = np.zeros(4)
             mujoco.mju_mat2Quat(turn, rotation_from_bind(rows, segment, pose).ravel())
