@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.protocols import load_protocol
 from carecontact.sim.impedance import (
+    Posture,
     TargetInterpolator,
-    nullspace_torque,
     set_gains,
     steps_of_period,
     tcp_pose_in_base,
@@ -147,7 +147,7 @@ def test_elbow_returns_to_the_posture_and_the_tcp_stays() -> None:
     for hold, seconds in ((False, 1.0), (True, 8.0)):
         for _ in range(round(seconds / 0.02)):
             posture = PARKED if hold else PARKED + np.array([0.3, 0, -0.3, 0, 0, 0, 0])
-            data.qfrc_applied[:7] = nullspace_torque(model, data, posture)
+            data.qfrc_applied[:7] = Posture(model, posture).torque(data)
             mujoco.mj_step(model, data, 10)
             assert np.linalg.norm(tcp_pose_in_base(model, data)[:3] - start[:3]) < 1e-3
         if not hold:

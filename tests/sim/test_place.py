@@ -12,6 +12,7 @@ import pytest
 from carecontact.sim import settled as stored
 from carecontact.sim.simulation import Simulation
 from carecontact.world.furniture import SUPPORT
+from carecontact.world.kept import CACHE_VARIABLE
 from carecontact.world.place import Place, move_person
 from carecontact.world.scene import Scene
 from tests.sim.conftest import COMFORT_ARM_DEG
@@ -65,7 +66,7 @@ def test_a_stored_person_is_not_taken_for_one_who_lies_elsewhere(
     forearm_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All have the compiled model's hash, so that their scores pool: the place alone must tell them apart."""
-    monkeypatch.setenv(stored.CACHE_VARIABLE, str(tmp_path))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     asked: list[Simulation] = []
     real = stored.Settled(
         duration_s=2.0, comfort_arm_deg=50.0, joint_position=np.zeros(3), wrist_in_world=np.zeros(3)

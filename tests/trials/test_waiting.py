@@ -10,6 +10,7 @@ from pathlib import Path
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.hosting.conversation import WAIT_REPORT_S
 from carecontact.hosting.setup import PolicySetup
+from carecontact.trials.launch import Launcher
 from carecontact.trials.lost import Losses
 from carecontact.trials.worker import WAITING
 from carecontact.trials.workers import Workers
@@ -24,7 +25,7 @@ def test_the_supervisor_reads_the_line_while_it_is_fresh(tmp_path: Path) -> None
     workers = Workers(
         out=tmp_path, work=tmp_path / "work", policy=setup, weights=None, pace_s=None,
         losses=Losses(setup, out=tmp_path, before=()),
-        command=[sys.executable, "-c", "import time; time.sleep(60)"], trial_limit_s=60,
+        launcher=Launcher([sys.executable, "-c", "import time; time.sleep(60)"]), trial_limit_s=60,
     )  # fmt: skip
     workers.start(SPEC)
     try:

@@ -71,10 +71,11 @@ class Readings:
 
         Raises SceneError for more steps than the ring holds or than were made.
         """
-        made = int(data.plugin_state[self._first])
+        state = data.plugin_state
+        made = int(state[self._first])
         if not 0 < count <= min(RING_ROWS, made):
             raise SceneError(f"count {count}: expected 1 to {min(RING_ROWS, made)}, the steps that {self.name} keeps")
-        ring = data.plugin_state[self._ring].view(ROW)
+        ring = state[self._ring].view(ROW)
         return ring[(made - count + np.arange(count)) % RING_ROWS]
 
     def now(self, data: mujoco.MjData) -> npt.NDArray[np.void]:

@@ -76,11 +76,15 @@ def unrotate(uv: npt.NDArray[np.float64], quarter_turns: int, height: int, width
     return np.stack(pair, -1)
 
 
+NEEDLESS = ("matplotlib", "matplotlib.pyplot", "mediapipe.tasks", "mediapipe.tasks.python")
+"""What MediaPipe imports for its drawing functions and its newer interface, of which Pose uses none: a second or more
+of every trial. The newer interface looks for a sound card's library, too, with the help of a compiler."""
+
+
 @contextmanager
-def _without_pyplot() -> Iterator[None]:
-    """Keep MediaPipe from importing pyplot, which only its drawing functions need; the import would cost a second of
-    every trial."""
-    names = [name for name in ("matplotlib", "matplotlib.pyplot") if name not in sys.modules]
+def _without_needless() -> Iterator[None]:
+    """Keep MediaPipe from importing NEEDLESS."""
+    names = [name for name in NEEDLESS if name not in sys.modules]
     stand_ins = {name: ModuleType(name) for name in names}
     sys.modules.update(stand_ins)
     try:
@@ -95,7 +99,7 @@ def import_pose() -> Any:
     """MediaPipe's class, which no thread belongs to before an object of it is made."""
     os.environ.setdefault("GLOG_minloglevel", "3")
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-    with _quiet_stderr(), _without_pyplot():
+    with _quiet_stderr(), _without_needless():
         from mediapipe.python.solutions.pose import Pose
     return Pose
 

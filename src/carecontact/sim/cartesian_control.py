@@ -10,8 +10,8 @@ from carecontact.contract.embodiment import PANDA
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.protocol import Protocol
 from carecontact.sim.impedance import (
+    Posture,
     TargetInterpolator,
-    nullspace_torque,
     set_gains,
     target_in_base,
     tcp_pose_in_base,
@@ -26,8 +26,7 @@ class CartesianControl:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, protocol: Protocol) -> None:
         self._model, self._data, self._protocol = model, data, protocol
-        self._posture = np.array(protocol.scene.parked_joint_rad)
-        self._dof = np.array([model.joint(name).dofadr[0] for name in PANDA.joints])
+        self._posture = Posture(model, np.array(protocol.scene.parked_joint_rad))
         self._rows = np.array([model.actuator(f"impedance_{axis}").id for axis in range(6)])
         self._tcp = model.site(PANDA.tcp_site).id
         self._mocap = int(model.body_mocapid[model.body("tcp_target").id])
@@ -66,7 +65,7 @@ class CartesianControl:
     def refresh(self) -> None:
         """Move the target on, and command the posture and the feedforward for one target period."""
         write_target(self._model, self._data, self._interpolator.advance())
-        self._data.qfrc_applied[self._dof] = nullspace_torque(self._model, self._data, self._posture)
+        self._data.qfrc_applied[self._posture.dofs] = self._posture.torque(self._data)
         # The springs act along the target's axes; the tool's differ from them by what the tool lags behind.
         turn = matrix_from_quat(self._data.mocap_quat[self._mocap]).T @ self._data.site_xmat[self._tcp].reshape(3, 3)
         self._model.actuator_biasprm[self._rows, 0] = (self.feedforward.reshape(2, 3) @ turn.T).ravel()

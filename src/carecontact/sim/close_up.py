@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +16,8 @@ from carecontact.world.scene import Scene
 
 REACH_M = 0.016
 """Skin vertices nearer than this to a vertex of the shell follow it."""
+NEIGHBOURS_M = 2 * REACH_M
+"""The four vertices of the shell beneath a skin vertex that follows it are nearer."""
 VISIBLE_M = 5e-4
 
 
@@ -40,9 +44,13 @@ def dent(scene: Scene, data: mujoco.MjData, made: mujoco.MjvScene) -> None:
         moved = (felt.vertices(data) - felt.places) @ data.xmat[felt.bone].reshape(3, 3).T
         if np.abs(moved).max() < 2e-4:
             continue
+        # The rest of the shell is at rest, and so is the skin whose neighbours are: most of both.
         points = region.shell.vertices
-        low, high = points.min(0) - REACH_M, points.max(0) + REACH_M
-        near = np.flatnonzero(((bind > low) & (bind < high)).all(1))
+        near = np.flatnonzero(_within(bind, points[moved.any(1)], NEIGHBOURS_M))
+        if not near.size:
+            continue
+        round_ = _within(points, bind[near], NEIGHBOURS_M)
+        points, moved = points[round_], moved[round_]
         distance = np.linalg.norm(bind[near, None] - points[None], axis=2)
         order = np.argsort(distance, axis=1)[:, :4]
         d = np.take_along_axis(distance, order, 1)
@@ -54,6 +62,11 @@ def dent(scene: Scene, data: mujoco.MjData, made: mujoco.MjvScene) -> None:
         # Elsewhere the interpolated normals are smoother than those of the split triangles.
         touched[near[np.linalg.norm(shift, axis=1) > VISIBLE_M]] = True
     _renew_normals(drawn, np.asarray(made.skinnormal).reshape(-1, 3)[: len(bind)], faces, touched)
+
+
+def _within(places: npt.NDArray[Any], others: npt.NDArray[Any], margin_m: float) -> npt.NDArray[np.bool_]:
+    """(n,) which places (n, 3) lie in the box round others (m, 3) with a margin."""
+    return ((places > others.min(0) - margin_m) & (places < others.max(0) + margin_m)).all(1)
 
 
 def _renew_normals(

@@ -48,6 +48,6 @@ class SensorHistory:
         """
         if not 0 < count <= self.samples:
             raise SceneError(f"count {count}: expected 1 to {self.samples}, the samples that the history keeps")
-        newest = int(data.history[self._cursor])
-        order = (newest - np.arange(count - 1, -1, -1)) % self.samples
-        return data.history[self._times + order], data.history[self._index[order]]
+        history = data.history
+        order = (int(history[self._cursor]) - np.arange(count - 1, -1, -1)) % self.samples
+        return history.take(self._times + order), history.take(self._index.take(order, 0))

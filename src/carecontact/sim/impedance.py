@@ -23,6 +23,7 @@ POSTURE_DAMPING = 3.0
 damping stays well below inertia / period (about 0.3 kg m^2 / 20 ms)."""
 POSTURE_TORQUE_NM = 10.0
 """Largest norm of the posture torque before projection."""
+RIDGE = 1e-6 * np.eye(6)
 
 
 def set_gains(model: mujoco.MjModel, stiffness: Array, damping_ratio: float, protocol: Protocol) -> None:
@@ -161,22 +162,31 @@ def _period_steps(period: Fraction) -> Iterator[int]:
         k += 1
 
 
-def nullspace_torque(model: mujoco.MjModel, data: mujoco.MjData, posture: Array) -> Array:
-    """(7,) joint torque that pulls the arm toward ``posture`` (7,) [rad] without accelerating the TCP.
+class Posture:
+    """Pulls the arm toward a posture without accelerating the TCP."""
 
-    The projection is dynamically consistent (Khatib 1987): 1 - J^T (J M^-1 J^T)^-1 J M^-1. Evaluate once a target
-    period and write it to ``qfrc_applied`` at the robot's dofs. Needs a current mass matrix (after mj_forward).
-    """
-    first, count = model.joint(PANDA.joints[0]), len(PANDA.joints)
-    dofs = slice(int(first.dofadr[0]), int(first.dofadr[0]) + count)
-    q0 = int(first.qposadr[0])
-    torque = POSTURE_STIFFNESS * (posture - data.qpos[q0 : q0 + count]) - POSTURE_DAMPING * data.qvel[dofs]
-    torque *= min(1.0, POSTURE_TORQUE_NM / max(float(np.linalg.norm(torque)), 1e-9))
-    jacobian = np.zeros((6, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site(PANDA.tcp_site).id)
-    mobility = np.zeros_like(jacobian)
-    mujoco.mj_solveM(model, data, mobility, jacobian)
-    jacobian, mobility = jacobian[:, dofs], mobility[:, dofs]
-    # The ridge keeps a singular posture finite; it leaves 1e-6 of the torque unprojected elsewhere.
-    wrench = np.linalg.solve(jacobian @ mobility.T + 1e-6 * np.eye(6), mobility @ torque)
-    return torque - jacobian.T @ wrench
+    def __init__(self, model: mujoco.MjModel, posture: Array) -> None:
+        """``posture``: (7,) [rad]."""
+        first, count = model.joint(PANDA.joints[0]), len(PANDA.joints)
+        self._model, self._posture = model, posture
+        self.dofs = slice(int(first.dofadr[0]), int(first.dofadr[0]) + count)
+        """Of the robot's joints."""
+        self._joints = slice(int(first.qposadr[0]), int(first.qposadr[0]) + count)
+        self._tcp = model.site(PANDA.tcp_site).id
+        self._jacobian, self._mobility = np.zeros((6, model.nv)), np.zeros((6, model.nv))
+
+    def torque(self, data: mujoco.MjData) -> Array:
+        """(7,) joint torque.
+
+        The projection is dynamically consistent (Khatib 1987): 1 - J^T (J M^-1 J^T)^-1 J M^-1. Evaluate once a target
+        period and write it to ``qfrc_applied`` at ``dofs``. Needs a current mass matrix (after mj_forward).
+        """
+        off = self._posture - data.qpos[self._joints]
+        torque = POSTURE_STIFFNESS * off - POSTURE_DAMPING * data.qvel[self.dofs]
+        torque *= min(1.0, POSTURE_TORQUE_NM / max(float(np.linalg.norm(torque)), 1e-9))
+        mujoco.mj_jacSite(self._model, data, self._jacobian[:3], self._jacobian[3:], self._tcp)
+        mujoco.mj_solveM(self._model, data, self._mobility, self._jacobian)
+        jacobian, mobility = self._jacobian[:, self.dofs], self._mobility[:, self.dofs]
+        # The ridge keeps a singular posture finite; it leaves 1e-6 of the torque unprojected elsewhere.
+        wrench = np.linalg.solve(jacobian @ mobility.T + RIDGE, mobility @ torque)
+        return torque - jacobian.T @ wrench

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from ctypes.util import find_library
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import mujoco
@@ -32,6 +33,7 @@ _PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 _CV_FROM_GL = np.diag([1.0, -1.0, -1.0])
 
 
+@cache
 def _loads(library: str) -> bool:
     """Whether a library is installed under any version and loads."""
     name = find_library(library)
@@ -67,7 +69,11 @@ def _geoms_only(group: int) -> mujoco.MjvOption:
     return option
 
 
-def _make_context(width: int, height: int) -> Any:
+def import_opengl() -> Any:
+    """The class of contexts of the backend to use; nothing is drawn, and no thread starts, before there is a context.
+
+    Raises DependencyError as ``choose_backend`` does.
+    """
     backend = choose_backend()
     # Read again inside MuJoCo's C library when it looks up OpenGL functions.
     os.environ["MUJOCO_GL"] = backend
@@ -77,10 +83,18 @@ def _make_context(width: int, height: int) -> Any:
             from mujoco.egl import GLContext
         else:
             from mujoco.osmesa import GLContext
-        context = GLContext(width, height)
-        context.make_current()
     except (ImportError, RuntimeError, AttributeError) as error:
         raise DependencyError(_install_message(backend, str(error))) from error
+    return GLContext
+
+
+def _make_context(width: int, height: int) -> Any:
+    kind = import_opengl()
+    try:
+        context = kind(width, height)
+        context.make_current()
+    except (RuntimeError, AttributeError) as error:
+        raise DependencyError(_install_message(choose_backend(), str(error))) from error
     return context
 
 

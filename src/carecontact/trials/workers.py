@@ -6,11 +6,8 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,13 +24,11 @@ from carecontact.recording.schema import Recording
 from carecontact.runs.manifest import FAILED, KILLED
 from carecontact.trials.engine import Ended
 from carecontact.trials.failed import harness_error_recording, tail
+from carecontact.trials.launch import Launcher, Process, is_stopped
 from carecontact.trials.lost import Losses, is_policy_killed
 from carecontact.trials.request import TrialRequest
 from carecontact.trials.told import Told
-from carecontact.trials.worker import FIRST_ANSWER, SINGLE_THREAD, UNREACHED, UNSTORED, WAITING
-
-# -P: the folder a user happens to stand in must not shadow a module of the trial's process.
-WORKER_COMMAND = (sys.executable, "-P", "-X", "faulthandler", "-m", "carecontact.trials.worker")
+from carecontact.trials.worker import FIRST_ANSWER, UNREACHED, UNSTORED, WAITING
 
 ROOM_BYTES = 48 << 20
 """Free space that a trial needs to begin: a whole trial takes 2 MB, and its policy's notes may take 32 MB more
@@ -43,7 +38,7 @@ ROOM_BYTES = 48 << 20
 @dataclass(frozen=True, kw_only=True)
 class _Worker:
     spec: TrialSpec
-    process: subprocess.Popen[bytes]
+    process: Process
     partial: Path
     output: Path
     told: Told
@@ -61,7 +56,8 @@ class Workers:
     policy: PolicySetup
     weights: Path | None
     pace_s: float | None
-    command: Sequence[str]
+    launcher: Launcher
+    """Whoever made it closes it: it may start the workers of other runs, too."""
     trial_limit_s: float
     losses: Losses
     """Trials that this command or an earlier one lost to a signal."""
@@ -81,27 +77,14 @@ class Workers:
         folder = Path(tempfile.mkdtemp(dir=self.work))
         partial, output = folder / "trial.h5", folder / "output.txt"
         pipe, told_fd = os.pipe()
-        try:
-            with output.open("wb") as log:
-                process = subprocess.Popen(
-                    self.command,
-                    stdin=subprocess.PIPE,
-                    stdout=log,
-                    stderr=subprocess.STDOUT,
-                    env={**os.environ, **SINGLE_THREAD, "PYTHONHASHSEED": "0"},
-                    pass_fds=(told_fd,),
-                    start_new_session=True,
-                )
-        finally:
-            os.close(told_fd)
         request = TrialRequest(
             spec=spec, policy=self.policy, out=partial.resolve(), weights=self.weights, told_fd=told_fd,
             supervisor=os.getpid(), pace_s=self.pace_s,
         )  # fmt: skip
-        assert process.stdin is not None
-        # A worker that is dead already is found so when it is polled.
-        with suppress(BrokenPipeError), process.stdin as stdin:
-            stdin.write(request.model_dump_json().encode())
+        try:
+            process = self.launcher.start(request, log=output)
+        finally:
+            os.close(told_fd)
         self.running.append(
             _Worker(
                 spec=spec, process=process, partial=partial, output=output, told=Told(pipe), started=time.monotonic()
@@ -113,7 +96,7 @@ class Workers:
         done: list[Ended] = []
         for worker in list(self.running):
             worker.told.read()
-            stopped = _is_stopped(worker.process)
+            stopped = is_stopped(worker.process.pid)
             timed_out = time.monotonic() - worker.started > self.trial_limit_s
             if worker.process.poll() is None and not timed_out and not stopped:
                 continue
@@ -124,12 +107,11 @@ class Workers:
             if (unreached := self._unreached(worker)) is not None:
                 done.append(Ended(spec=worker.spec, recording=None, unreached=unreached))
                 continue
-            if worker.process.returncode == UNSTORED:
+            returncode = worker.process.wait()
+            if returncode == UNSTORED:
                 done.append(Ended(spec=worker.spec, recording=None, unstored=True))
                 continue
-            kind, death = _death(
-                worker.process.returncode, timed_out=timed_out, stopped=stopped, limit_s=self.trial_limit_s
-            )
+            kind, death = _death(returncode, timed_out=timed_out, stopped=stopped, limit_s=self.trial_limit_s)
             recording = self._collected(worker, kind, death)
             if isinstance(recording, str):
                 done.append(Ended(spec=worker.spec, recording=None, lost=recording))
@@ -224,21 +206,13 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-def kill_tree(process: subprocess.Popen[bytes]) -> None:
+def kill_tree(process: Process) -> None:
     """Kill the worker with its process group, and its policy, which has a session of its own, with all it started."""
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     kill_marked(marks_of(process.pid))
     remove_abandoned_folders()
-
-
-def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
-    """Whether somebody sent it SIGSTOP: nothing in the harness does."""
-    try:
-        return os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT) is not None
-    except (AttributeError, ChildProcessError):
-        return False
 
 
 def _death(returncode: int, *, timed_out: bool, stopped: bool, limit_s: float) -> tuple[str, str]:

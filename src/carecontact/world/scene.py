@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -20,7 +21,7 @@ from carecontact.world.human.library import load_body
 from carecontact.world.human.pose import root_position, trunk_rotation
 from carecontact.world.human.refine import refined
 from carecontact.world.human.region_frame import RegionFrame, rigid_frame, soft_frame, upward_in_bind
-from carecontact.world.human.shell import Shell, limb_shell, trunk_shell
+from carecontact.world.human.shell import Shell, kept_shell, limb_shell, trunk_shell
 from carecontact.world.human.skeleton import add_skeleton, body_name
 from carecontact.world.human.skin import add_skin
 from carecontact.world.human.tissue import SoftRegion, add_tissue
@@ -102,7 +103,8 @@ def _add_person(
     regions: dict[str, SoftRegion] = {}
     for region in protocol.soft_regions:
         tissue = protocol.person.tissue[region]
-        regions[region] = add_tissue(spec, body, region, region_shell(body, region, tissue), tissue)
+        shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue))
+        regions[region] = add_tissue(spec, body, region, shell, tissue)
     return hinges, regions
 
 

@@ -146,6 +146,8 @@ static void allocate(Region* r, int nedge) {
   for (size_t i = 0; i < q; i++) r->contact_of[i] = -1;
   r->moves = calloc(n, 1);
   r->hit = calloc(n, 1);
+  r->in_patch = calloc(n, sizeof(int));
+  r->patch = calloc(n, sizeof(Patch));
   r->px = calloc(n, sizeof(float));
   r->py = calloc(n, sizeof(float));
   r->pz = calloc(n, sizeof(float));
@@ -189,13 +191,14 @@ int region_init(const mjModel* m, int instance, Region* r) {
   link_vertices(r, m->numeric_data + edges, nedge);
   place_points(r, m->numeric_data + points);
   bound(r);
+  patches_make(r);
   return find_tools(m, instance, r);
 }
 
 void region_free(Region* r) {
   for (int k = 0; k < r->ntool; k++) tool_free(r->tool + k);
   void* all[] = {r->vertex, r->point, r->contact, r->tool, r->neighbour, r->neighbour_weight, r->use_point,
-                 r->use_corner, r->window, r->contact_of, r->moves, r->hit, r->px, r->py, r->pz, r->u, r->rate,
+                 r->use_corner, r->window, r->contact_of, r->moves, r->hit, r->in_patch, r->patch, r->px, r->py, r->pz, r->u, r->rate,
                  r->balance, r->force};
   for (size_t k = 0; k < sizeof all / sizeof *all; k++) free(all[k]);
 }
@@ -217,6 +220,11 @@ void region_copy(Region* to, const Region* from) {
   memcpy(to->force, from->force, sizeof(double) * (size_t)from->nv);
 }
 
+static void forget_contacts(Region* r) {
+  for (int i = 0; i < r->ncontact; i++) r->contact_of[r->contact[i].point] = -1;
+  r->ncontact = 0;
+}
+
 void region_step(const mjModel* m, mjData* d, Region* r, const State* s) {
   const double* option = m->numeric_data + r->option_address;
   Law law = law_read(m, r);
@@ -224,8 +232,10 @@ void region_step(const mjModel* m, mjData* d, Region* r, const State* s) {
   memset(r->force, 0, sizeof(double) * (size_t)r->nv);
   r->ready = 1;
   window_find(m, d, r, s, option[OPTION_REACH]);
-  contact_find(r, s, &law);
+  forget_contacts(r);
+  // Without a vertex that may move no point can touch, and most of the time no tool is near.
   if (!r->nwindow) return;
+  contact_find(r, s, &law);
   solve(r, s, &law, m->opt.timestep, option[OPTION_TOLERANCE], (int)option[OPTION_SWEEPS]);
   wrench_apply(m, d, r);
   if (option[OPTION_LEDGER] != 0) ledger(r, s, &law);

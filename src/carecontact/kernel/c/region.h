@@ -69,6 +69,13 @@ typedef struct {
   double inward[3];  // unit, of the undeformed surface
 } Point;
 
+// Neighbouring vertices, of which a tool that is far from all is not asked one by one.
+typedef struct {
+  double middle[3], radius;
+  double span;       // largest of its vertices [m]
+  int first, count;  // its stretch of in_patch
+} Patch;
+
 // What a vertex does in a step: nothing; it may move; a point that it carries may touch.
 enum { AWAY, MOVES, CLOSE };
 
@@ -103,6 +110,8 @@ typedef struct {
   double* neighbour_weight;
   double middle[3], bound;  // a sphere that holds the region
   float *px, *py, *pz;      // places again, for the search
+  int npatch, *in_patch;    // all vertices, patch by patch
+  Patch* patch;
 
   // Of the step that is being made; committed by region_commit.
   int ready;                 // region_step ran since the last commit
@@ -133,6 +142,7 @@ void region_commit(Region* r, State* s, double dt);
 
 // The parts of a step, one file each.
 Law law_read(const mjModel* m, const Region* r);
+void patches_make(Region* r);
 void window_find(const mjModel* m, const mjData* d, Region* r, const State* s, double reach);
 void contact_find(Region* r, const State* s, const Law* law);
 void solve(Region* r, const State* s, const Law* law, double dt, double tolerance, int sweeps);

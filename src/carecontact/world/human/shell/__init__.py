@@ -1,7 +1,8 @@
 """The meshed surface of a soft region, sampled from the body: round a limb, or over the belly."""
 
+from carecontact.world.human.shell.keep import kept_shell
 from carecontact.world.human.shell.limb import limb_shell
 from carecontact.world.human.shell.shell import Shell
 from carecontact.world.human.shell.trunk import belly_half_width, belly_span, trunk_shell
 
-__all__ = ["Shell", "belly_half_width", "belly_span", "limb_shell", "trunk_shell"]
+__all__ = ["Shell", "belly_half_width", "belly_span", "kept_shell", "limb_shell", "trunk_shell"]

@@ -1,0 +1,106 @@
+"""A process that has imported what a trial needs, and forks it for each worker: ``python -m
+carecontact.trials.fork_server`` with a socket to the supervisor as standard input.
+
+It never learns what a trial is, so that a worker inherits nothing of another: it gets four file descriptors for each
+and hands them on. It has one thread and renders nothing, so that a fork leaves nothing half done.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import select
+import socket
+import struct
+import sys
+import traceback
+from contextlib import suppress
+from importlib import import_module
+
+from carecontact.errors import DependencyError
+from carecontact.hosting.isolation.kernel import die_with_parent, hide_memory
+from carecontact.trials import worker
+
+NEWS = struct.Struct("=q")
+"""Of a worker, through a pipe of its own: its process id, then its exit status as ``subprocess.Popen.returncode``."""
+TOLD_FD = 3
+"""The request's ``told_fd`` in a forked worker; the socket has this number in the server."""
+NEEDED = (
+    "carecontact.trials.trial", "carecontact.trials.first_answer", "carecontact.hosting.process",
+    "carecontact.scoring.score", "h5py", "numpy.ma", "numpy.random",
+)  # fmt: skip
+"""Modules that a worker would import."""
+
+
+def main() -> None:
+    die_with_parent(os.getppid())
+    hide_memory()
+    line = socket.socket(fileno=os.dup(0))
+    assert line.fileno() == TOLD_FD
+    prepare()
+    alive: dict[int, tuple[int, int]] = {}
+    while True:
+        ready: list[int] = select.select([TOLD_FD, *alive], [], [])[0]
+        for descriptor in ready:
+            if descriptor in alive:
+                pid, news = alive.pop(descriptor)
+                os.write(news, NEWS.pack(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])))
+                os.close(news)
+                os.close(descriptor)
+                continue
+            message, given, _, _ = socket.recv_fds(line, 1, 4)
+            if not message:
+                return
+            pid = os.fork()
+            if pid == 0:
+                line.detach()
+                for mine, news in alive.items():
+                    os.close(mine)
+                    os.close(news[1])
+                os._exit(work(given))
+            # The supervisor kills a worker together with what that started.
+            os.setpgid(pid, pid)
+            for other in given[:-1]:
+                os.close(other)
+            os.write(given[-1], NEWS.pack(pid))
+            alive[os.pidfd_open(pid)] = (pid, given[-1])
+
+
+def prepare() -> None:
+    """Raises RuntimeError where a fork would leave threads behind."""
+    for name in NEEDED:
+        import_module(name)
+    from carecontact.observation.keypoints import import_pose
+    from carecontact.sim.rendering import import_opengl
+
+    import_pose()
+    # Where a library is missing, a trial that renders will say so.
+    with suppress(DependencyError):
+        import_opengl()
+    if len(os.listdir("/proc/self/task")) != 1:
+        raise RuntimeError("a module started a thread when it was imported")
+    # What a collection in a worker would mark, the kernel would have to copy.
+    gc.collect()
+    gc.freeze()
+
+
+def work(given: list[int]) -> int:
+    """Run a worker with the descriptors of its standard input, its output, what it tells and its news; returns its exit
+    status."""
+    requests, output, told, news = given
+    for source, target in ((requests, 0), (output, 1), (output, 2), (told, TOLD_FD)):
+        os.dup2(source, target, inheritable=target < TOLD_FD)
+    for descriptor in (requests, output, told, news):
+        os.close(descriptor)
+    try:
+        return worker.main()
+    except BaseException:
+        traceback.print_exc()
+        return 1
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+
+
+if __name__ == "__main__":
+    main()

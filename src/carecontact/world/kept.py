@@ -1,0 +1,87 @@
+"""Arrays that are kept on disk between trials, since computing them takes longer than loading them.
+
+A file is named by all that its arrays depend on, so that it is never out of date. A trial goes on from stored arrays as
+from computed ones, so the recording is the same bit for bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+CACHE_VARIABLE = "CARECONTACT_CACHE"
+"""Environment variable that names the folder; where it is empty, nothing is kept."""
+DIGEST = "sha256"
+"""Array of a file: the hash of the others."""
+
+
+def cache_folder() -> Path | None:
+    """Where files are kept; None where nothing is to be kept."""
+    chosen = os.environ.get(CACHE_VARIABLE)
+    if chosen is not None:
+        return Path(chosen) if chosen else None
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "carecontact"
+
+
+def kept(kind: str, facts: Mapping[str, object], compute: Callable[[], Arrays]) -> Arrays:
+    """Return what ``compute`` returned earlier for the same facts, or call it and keep that.
+
+    Args:
+        kind: folder for arrays of this kind.
+        facts: all that the arrays depend on, as JSON can spell it.
+    """
+    folder = cache_folder()
+    if folder is None:
+        return compute()
+    path = folder / kind / f"{hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()}.npz"
+    known = _read(path)
+    if known is not None:
+        return known
+    arrays = compute()
+    _write(path, arrays)
+    return arrays
+
+
+def _read(path: Path) -> Arrays | None:
+    """None where the file is missing or not whole."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays: Arrays = dict(stored)
+            return arrays if str(arrays.pop(DIGEST)) == _digest(arrays) else None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _write(path: Path, arrays: Arrays) -> None:
+    """Write the file whole or not at all, since trials run at the same time. Where the folder cannot be written, only
+    time is lost."""
+    part = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+            part = Path(file.name)
+            np.savez(file, allow_pickle=False, **arrays, **{DIGEST: np.array(_digest(arrays))})
+        os.replace(part, path)
+    except OSError:
+        if part is not None:
+            part.unlink(missing_ok=True)
+
+
+def _digest(arrays: Arrays) -> str:
+    digest = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype.str} {array.shape} ".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

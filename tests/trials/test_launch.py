@@ -1,0 +1,134 @@
+"""Workers are forked from a server, or are programs of their own where there is none."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from carecontact.contract.trial import TrialSpec
+from carecontact.hosting.setup import PolicySetup
+from carecontact.protocols import load_protocol
+from carecontact.recording import canonical_hash, read_recording
+from carecontact.trials.launch import ForkedProcess, Launcher, Process, is_stopped
+from carecontact.trials.request import TrialRequest
+from carecontact.trials.told import Told
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="nothing is forked on this system")
+PATIENCE_S = 60.0
+
+
+@pytest.fixture
+def launcher() -> Iterator[Launcher]:
+    made = Launcher()
+    yield made
+    made.close()
+
+
+def start(launcher: Launcher, out: Path, *, policy: str = "nowhere:Nothing", seed: int = 0) -> tuple[Process, Told]:
+    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=seed, policy=policy)
+    pipe, told_fd = os.pipe()
+    request = TrialRequest(
+        spec=spec, policy=PolicySetup.of(policy), out=out, told_fd=told_fd, supervisor=os.getpid()
+    )  # fmt: skip
+    process = launcher.start(request, log=out.with_suffix(".log"))
+    os.close(told_fd)
+    return process, Told(pipe)
+
+
+def soon(condition: Callable[[], bool]) -> None:
+    until = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def stat(pid: int) -> list[str]:
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+
+
+def gone(pid: int) -> bool:
+    try:
+        return stat(pid)[0] in "ZX"
+    except FileNotFoundError:
+        return True
+
+
+def test_a_forked_trial_is_that_of_a_program_and_knows_nothing_of_the_one_before(
+    launcher: Launcher, tmp_path: Path
+) -> None:
+    outs = [tmp_path / f"{k}.h5" for k in range(3)]
+    for out, seed in zip(outs, (0, 1, 0), strict=True):
+        process, told = start(launcher, out, seed=seed)
+        assert isinstance(process, ForkedProcess)
+        assert process.wait() == 0, out.with_suffix(".log").read_text()
+        told.read()
+        assert not told.policy_runs
+    first, other, again = (canonical_hash(read_recording(out)) for out in outs)
+    assert first == again != other
+    process, _ = start(Launcher(forks=False), alone := tmp_path / "alone.h5")
+    assert isinstance(process, subprocess.Popen)
+    assert process.wait() == 0
+    assert canonical_hash(read_recording(alone)) == first
+
+
+def test_a_forked_worker_has_no_descriptor_of_the_server_or_of_another(launcher: Launcher, tmp_path: Path) -> None:
+    one, told = start(launcher, tmp_path / "one.h5", policy="hover")
+    two, _ = start(launcher, tmp_path / "two.h5", policy="hover")
+    soon(lambda: (told.read(), told.policy_runs)[1])
+    ends = [{os.readlink(fd) for fd in Path(f"/proc/{process.pid}/fd").iterdir()} for process in (one, two)]
+    server = int(stat(one.pid)[1])
+    ends.append({os.readlink(fd) for fd in Path(f"/proc/{server}/fd").iterdir()})
+    for k, mine in enumerate(ends[:2]):
+        others = set[str]().union(*ends[:k], *ends[k + 1 :])
+        assert {end for end in mine & others if end.startswith(("pipe:", "socket:", "anon_inode:"))} == set()
+    for process in (one, two):
+        os.killpg(process.pid, signal.SIGKILL)
+        assert process.wait() == -signal.SIGKILL
+
+
+def test_a_killed_worker_and_a_stopped_one_are_told(launcher: Launcher, tmp_path: Path) -> None:
+    process, _ = start(launcher, tmp_path / "trial.h5", policy="hover")
+    assert not is_stopped(process.pid)
+    os.kill(process.pid, signal.SIGSTOP)
+    soon(lambda: is_stopped(process.pid))
+    assert process.poll() is None
+    os.killpg(process.pid, signal.SIGKILL)
+    assert process.wait() == process.poll() == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_what_a_lost_server_forked_dies_and_the_next_worker_is_a_program(
+    launcher: Launcher, tmp_path: Path, how: signal.Signals
+) -> None:
+    process, _ = start(launcher, tmp_path / "trial.h5", policy="hover")
+    server = int(stat(process.pid)[1])
+    os.kill(server, how)
+    soon(lambda: process.poll() is not None)
+    assert process.returncode == -signal.SIGKILL
+    soon(lambda: gone(process.pid))
+    after, _ = start(launcher, tmp_path / "after.h5")
+    assert isinstance(after, subprocess.Popen)
+    assert after.wait() == 0
+    assert read_recording(tmp_path / "after.h5").header.ended == "process_failure"
+
+
+def test_closing_leaves_no_process(tmp_path: Path) -> None:
+    launcher = Launcher()
+    process, _ = start(launcher, tmp_path / "trial.h5", policy="hover")
+    server = int(stat(process.pid)[1])
+    launcher.close()
+    soon(lambda: gone(server) and gone(process.pid))
+
+
+def test_no_module_that_a_worker_needs_starts_a_thread_when_it_is_imported() -> None:
+    program = "from carecontact.trials.fork_server import prepare; prepare()"
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
