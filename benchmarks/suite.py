@@ -4,10 +4,10 @@
 
 Trials of the blind policy `zero-action` on T1, cut at one second, so that little but the cost of a trial is left.
 ``overhead_s`` is the wall time of a trial in a run with one job, less that of the same trial in a process that is warm:
-start of the process, imports, supervision and storing. ``supervision_s`` is the part of it that the supervisor itself
-adds: its loop, the folder, and a worker that does nothing but copy a recording. ``--before`` measures another checkout
-of this project in turn with this one, so that old and new stand beside each other; an environment made for one serves
-both if they need the same packages.
+start of the process, imports, supervision and storing. ``overhead_cpu_s`` is the same in processor time, which a busy
+machine disturbs less. ``supervision_s`` is what the supervisor itself adds: its loop, the folder, and a worker that does
+nothing but copy a recording. ``--before`` measures another checkout of this project in turn with this one, so that old
+and new stand beside each other; an environment made for one serves both if they need the same packages.
 """
 
 from __future__ import annotations
@@ -26,31 +26,33 @@ HERE = Path(__file__).resolve().parents[1]
 ASKED = {"policy": "zero-action", "task": "T1", "time_limit_s": 1}
 
 SPECS = """
-import json, os, sys, time
+import json, os, resource, sys, time
 from pathlib import Path
 from carecontact.protocols import load_protocol, overridden
 from carecontact.runs.plan import plan_trials
 rules = overridden(load_protocol(), {"phases.time_limit_s": %(time_limit_s)d})
 def specs(count):
     return plan_trials(protocol=rules, policy="%(policy)s", tasks=["%(task)s"], seeds=range(count))
+def cpu_s():
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(each.ru_utime + each.ru_stime for each in used)
 folder, count, jobs = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 """
 SUITE = """
 from carecontact.trials.supervisor import run_trials
 run_trials(specs(1), out=folder / "first", jobs=1)  # settles the person and fills the caches
-began = time.perf_counter()
+began, used = time.perf_counter(), cpu_s()
 run_trials(specs(count), out=folder / "suite", jobs=jobs)
-print(json.dumps(time.perf_counter() - began))
+print(json.dumps([time.perf_counter() - began, (cpu_s() - used) / count]))
 """
 WARM = """
 from carecontact.recording import write_recording
 from carecontact.trials.trial import run_trial
-times = []
 for number, spec in enumerate([*specs(1), *specs(count)]):
-    began = time.perf_counter()
     write_recording(run_trial(spec), folder / f"{number}.h5")
-    times.append(time.perf_counter() - began)
-print(json.dumps(sum(times[1:]) / count))
+    if number == 0:
+        began, used = time.perf_counter(), cpu_s()
+print(json.dumps([(time.perf_counter() - began) / count, (cpu_s() - used) / count]))
 """
 WORKER = """
 import json, shutil, sys
@@ -74,29 +76,32 @@ for spec in specs(count):
 alone = time.perf_counter() - began
 began = time.perf_counter()
 run_trials(specs(count), out=folder / "copied", jobs=1, worker_command=command)
-print(json.dumps((time.perf_counter() - began - alone) / count))
+print(json.dumps([(time.perf_counter() - began - alone) / count]))
 """
 
 
-def measured(root: Path, code: str, *, trials: int, jobs: int = 1) -> float:
+def measured(root: Path, code: str, *, trials: int, jobs: int = 1) -> list[float]:
     """What the code of a checkout prints, in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(root / "src")}
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-c", SPECS % ASKED + code, folder, str(trials), str(jobs)]
         done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=environment)
-    return float(json.loads(done.stdout.splitlines()[-1]))
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def suite(root: Path, *, trials: int, jobs: list[int]) -> dict[str, object]:
-    walls = {count: measured(root, SUITE, trials=trials, jobs=count) for count in jobs}
-    warm_s = measured(root, WARM, trials=trials)
+    runs = {count: measured(root, SUITE, trials=trials, jobs=count) for count in jobs}
+    walls = {count: wall for count, (wall, _) in runs.items()}
+    warm_s, warm_cpu_s = measured(root, WARM, trials=trials)
     found: dict[str, object] = {
         "trials_per_minute": {str(count): round(60 * trials / wall, 1) for count, wall in walls.items()},
         "warm_trial_s": round(warm_s, 3),
-        "supervision_s": round(measured(root, COPY, trials=trials), 3),
+        "warm_trial_cpu_s": round(warm_cpu_s, 3),
+        "supervision_s": round(measured(root, COPY, trials=trials)[0], 3),
     }
-    if 1 in walls:
+    if 1 in runs:
         found["overhead_s"] = round(walls[1] / trials - warm_s, 3)
+        found["overhead_cpu_s"] = round(runs[1][1] - warm_cpu_s, 3)
         found["times_one_job"] = {str(count): round(walls[1] / wall, 2) for count, wall in walls.items() if count > 1}
     return found
 
