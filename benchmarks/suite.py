@@ -5,9 +5,9 @@
 Trials of the blind policy `zero-action` on T1, cut at one second, so that little but the cost of a trial is left.
 ``overhead_s`` is the wall time of a trial in a run with one job, less that of the same trial in a process that is warm:
 start of the process, imports, supervision and storing. ``overhead_cpu_s`` is the same in processor time, which a busy
-machine disturbs less. ``supervision_s`` is what the supervisor itself adds: its loop, the folder, and a worker that
-only copies a recording. ``--before`` measures another checkout of this project in turn with this one, so that old and
-new stand beside each other; an environment made for one serves both if they need the same packages.
+machine disturbs less. ``supervision_s`` is what the supervisor adds: its loop, the folder, and a worker that only
+copies a recording. ``--before`` measures another checkout of this project in turn with this one, so that old
+and new stand beside each other; an environment made for one serves both if they need the same packages.
 """
 
 from __future__ import annotations

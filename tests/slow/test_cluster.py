@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,9 @@ def test_a_node_that_dies_costs_no_trial_and_changes_no_hash(cluster: Any, tmp_p
 
     def watch(event: TrialEvent) -> None:
         events.append(event)
-        if event.kind == "finished" and len(nodes) == 2:
+        if sum(each.kind == "started" for each in events) == 3 and len(nodes) == 2:
+            # Both nodes have a trial now, or its recording that nobody has fetched.
+            time.sleep(2)
             cluster.remove_node(nodes.pop(), allow_graceful=False)
 
     specs = trials("zero-action", 8)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,10 +26,8 @@ class Conditions:
     weights: Path | None
     pace_s: float | None
     trial_limit_s: float
-    command: Sequence[str]
-    """Of a trial's process."""
-    forks: bool
-    """Whether trials are forked from a process that has imported what they need, which a single one is not worth."""
+    launcher: Launcher
+    """Starts the trials' processes on this machine; on others, its command does."""
     killed: frozenset[str]
     """Trials that an earlier command lost to a signal."""
 
@@ -65,7 +62,7 @@ def engine_of(name: EngineName, run: Conditions, *, gpus: float) -> Engine:
     if name == "local":
         return Workers(
             out=run.out, work=run.work, policy=run.policy, weights=run.weights, pace_s=run.pace_s,
-            launcher=Launcher(run.command, forks=run.forks), trial_limit_s=run.trial_limit_s,
+            launcher=run.launcher, trial_limit_s=run.trial_limit_s,
             losses=Losses(run.policy, out=run.out, before=run.killed),
         )  # fmt: skip
     from carecontact.trials.ray_engine import RayTrials
@@ -73,6 +70,6 @@ def engine_of(name: EngineName, run: Conditions, *, gpus: float) -> Engine:
     shared = {
         "policy": run.policy, "shipped": run.policy.ref.kind == "importable", "identity": run.identity,
         "weights": run.weights, "pace_s": run.pace_s, "trial_limit_s": run.trial_limit_s,
-        "command": None if run.command == WORKER_COMMAND else run.command,
+        "command": None if run.launcher.command == WORKER_COMMAND else run.launcher.command,
     }  # fmt: skip
     return RayTrials(out=run.out, work=run.work, task=shared, killed=run.killed, gpus=gpus)

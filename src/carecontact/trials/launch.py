@@ -48,8 +48,8 @@ class Launcher:
             command: of a worker as a program; any other than WORKER_COMMAND is never forked.
             forks: whether to fork, where the system can.
         """
-        self._command = command
-        self._forks = forks and tuple(command) == WORKER_COMMAND and hasattr(os, "pidfd_open")
+        self.command = tuple(command)
+        self._forks = forks and self.command == WORKER_COMMAND and hasattr(os, "pidfd_open")
         self._server: subprocess.Popen[bytes] | None = None
         self._line: socket.socket | None = None
 
@@ -77,7 +77,7 @@ class Launcher:
         assert request.told_fd is not None
         with log.open("wb") as output:
             process = subprocess.Popen(
-                self._command, stdin=subprocess.PIPE, stdout=output, stderr=subprocess.STDOUT,
+                self.command, stdin=subprocess.PIPE, stdout=output, stderr=subprocess.STDOUT,
                 env=_environment(), pass_fds=(request.told_fd,), start_new_session=True,
             )  # fmt: skip
         assert process.stdin is not None

@@ -9,6 +9,7 @@ import platform
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 from carecontact import __version__
@@ -112,7 +113,7 @@ def _carried_out(task: NodeTask, node: str) -> NodeDone:
         setup = replace(task.policy, closed=(*task.policy.closed, str(folder.path)))
         workers = Workers(
             out=out, work=work, policy=setup, weights=task.weights, pace_s=task.pace_s,
-            launcher=Launcher(task.command or WORKER_COMMAND, forks=False), trial_limit_s=task.trial_limit_s,
+            launcher=_launcher(tuple(task.command or WORKER_COMMAND)), trial_limit_s=task.trial_limit_s,
             losses=Losses(setup, out=out, before=before),
         )  # fmt: skip
         try:
@@ -130,6 +131,12 @@ def _carried_out(task: NodeTask, node: str) -> NodeDone:
         )
     finally:
         folder.remove()
+
+
+@cache
+def _launcher(command: tuple[str, ...]) -> Launcher:
+    """Of all trials that this process of the cluster runs; what it forks from ends with this process."""
+    return Launcher(command)
 
 
 def _ended(workers: Workers, spec: TrialSpec) -> Ended:

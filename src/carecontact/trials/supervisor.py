@@ -26,7 +26,7 @@ from carecontact.runs.identity import Identity, identity_of
 from carecontact.runs.manifest import MANIFEST, Purpose, Survey, salted, survey, write_manifest
 from carecontact.trials.engine import Engine, EngineName
 from carecontact.trials.engines import Conditions, engine_of
-from carecontact.trials.launch import WORKER_COMMAND
+from carecontact.trials.launch import WORKER_COMMAND, Launcher
 from carecontact.trials.pace import check_pace, late_in
 from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
@@ -103,6 +103,7 @@ def open_run(
     trial_limit_s: float = DEFAULT_TRIAL_LIMIT_S,
     on_event: Callable[[TrialEvent], None] = lambda event: None,
     worker_command: Sequence[str] = WORKER_COMMAND,
+    launcher: Launcher | None = None,
     purpose: Purpose = "run",
 ) -> Generator[Run]:
     """Keep the folder of a run for the trials that it still lacks; the end of the block kills those that run.
@@ -114,6 +115,7 @@ def open_run(
         pace_s: wall time [s] for each control period, as the policy sees it; None: as fast as can be.
         engine: where the trials run.
         gpus: share of a GPU that a cluster reserves for each trial.
+        launcher: starts the workers of other runs of this command, too, if it has the same ``worker_command``.
 
     Raises ConfigError for a folder that holds another run, that another command is at work in, or that cannot be
     written to, and for an engine that cannot be reached; DependencyError for one that is not installed.
@@ -131,17 +133,21 @@ def open_run(
         setup = replace(setup, closed=(*setup.closed, *runs_beside(out)))
         kill_abandoned()
         remove_abandoned_folders()
+        own = None
+        if launcher is None or launcher.command != tuple(worker_command):
+            launcher = own = Launcher(worker_command, forks=len(specs) > len(found.keep) + 1)
         with work_folder(out) as work:
             conditions = Conditions(
                 out=out, work=work, policy=setup, identity=identity, weights=weights, pace_s=pace_s,
-                command=worker_command, forks=len(specs) > len(found.keep) + 1, trial_limit_s=trial_limit_s,
-                killed=found.killed,
+                launcher=launcher, trial_limit_s=trial_limit_s, killed=found.killed,
             )  # fmt: skip
             carrying_out = engine_of(engine, conditions, gpus=gpus)
             try:
                 yield Run(specs, found, carrying_out, out, on_event)
             finally:
                 carrying_out.kill_all()
+                if own is not None:
+                    own.close()
 
 
 class Run:
@@ -196,9 +202,10 @@ class Run:
                 self._stop_full(f"less than {ROOM_BYTES >> 20} MB are free for each trial")
                 break
             spec = self._waiting.pop(0)
+            # First, because the fork server takes a second to start.
+            self._report("started", spec.trial_id)
             self._engine.start(spec)
             self._most = max(self._most, self.running)
-            self._report("started", spec.trial_id)
         self._take_finished()
         self._report_silence()
         if self._waiting or self.running:

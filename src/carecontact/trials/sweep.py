@@ -14,6 +14,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.hosting.setup import PolicySetup
 from carecontact.runs.sweep.cells import Cell
 from carecontact.trials import supervisor
+from carecontact.trials.launch import Launcher
 from carecontact.trials.supervisor import POLL_S, Run, RunSummary, TrialEvent
 
 MOST_OPEN = 32
@@ -56,14 +57,14 @@ def run_cells(
     Raises as ``run_trials``.
     """
     supervisor.check_jobs(jobs)
-    waiting, opened = list(cells), list[_Open]()
+    waiting, opened, launcher = list(cells), list[_Open](), Launcher()
 
     def enter(cell: Cell) -> _Open:
         kept, policy = ExitStack(), policies[cell.policy]
         run = kept.enter_context(
             supervisor.open_run(
                 cell.specs, out=folder(cell), policy=policy.setup, card=policy.card,
-                on_event=lambda event: on_event(cell, event), **options,
+                on_event=lambda event: on_event(cell, event), launcher=launcher, **options,
             )
         )  # fmt: skip
         return _Open(cell=cell, run=run, kept=kept)
@@ -84,6 +85,7 @@ def run_cells(
     finally:
         for each in opened:
             each.kept.close()
+        launcher.close()
 
 
 def _advance(opened: Sequence[_Open], policies: Sequence[SweptPolicy], jobs: int | None) -> None:

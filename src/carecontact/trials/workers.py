@@ -57,6 +57,7 @@ class Workers:
     weights: Path | None
     pace_s: float | None
     launcher: Launcher
+    """Whoever made it closes it: it may start the workers of other runs, too."""
     trial_limit_s: float
     losses: Losses
     """Trials that this command or an earlier one lost to a signal."""
@@ -134,7 +135,6 @@ class Workers:
             kill_tree(worker.process)
             worker.told.close()
         self.running.clear()
-        self.launcher.close()
 
     def _unreached(self, worker: _Worker) -> str | None:
         # A policy of this machine could write the file itself, to leave out a trial.
