@@ -57,8 +57,9 @@ def test_certificate_says_what_was_found(made: Path) -> None:
     assert content.versions["kernel"] == found.sha256()
     assert content.gate_is_extrapolated
     assert content.measured_depth_mm == pytest.approx(2.95, abs=0.15)
-    # The row counts how deep the anchors went: vertices lead the middles of their triangles a little.
-    assert 0.9 < 1000 * content.tissue.measured_depth_m / content.measured_depth_mm < 1.1
+    # The row counts how deep the anchors went: where a triangle's corners lie on a ball of 10 mm, its middle stands off
+    # by up to 0.45 mm.
+    assert 0.8 < 1000 * content.tissue.measured_depth_m / content.measured_depth_mm < 1.1
 
 
 def test_parameters_that_the_data_do_not_pin_down_are_named() -> None:

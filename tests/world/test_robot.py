@@ -85,7 +85,7 @@ def test_the_mitt_s_pad_is_as_far_out_as_the_cap_and_gives_way(model: mujoco.MjM
     add_robot(spec, overridden(PROTOCOL, {"scene.tool": "mitt"}))
     mitt = spec.compile()
     pad = mitt.geom("robot_tool_pad")
-    assert pad.type[0] == mujoco.mjtGeom.mjGEOM_BOX
+    assert pad.type[0] == mujoco.mjtGeom.mjGEOM_ELLIPSOID
     assert pad.pos[2] + pad.size[2] == pytest.approx(PANDA.tcp_z_m)
     assert pad.user[0] == PANDA_MITT.tip.give_m3_n > 0
     assert model.nuser_geom == 0, "a model without a mitt is what it was"

@@ -14,9 +14,8 @@ class Tip:
 
     geom: str
     """Its name in the compiled model."""
-    shape: Literal["ellipsoid", "box"]
     half_m: tuple[float, float, float]
-    """Semi-axes or half sizes in the hand's axes; y is along the finger pair, z out of the tool."""
+    """Semi-axes of an ellipsoid in the hand's axes; y is along the finger pair, z out of the tool."""
     give_m3_n: float = 0.0
     """How far the tip's own surface gives way under pressure [m/Pa]; 0: it is rigid."""
 
@@ -60,7 +59,7 @@ PANDA = Embodiment(
     joint_high_rad=(2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973),
     base_body="robot_base",
     tcp_site="tcp",
-    tip=Tip(geom="robot_tool_cap", shape="ellipsoid", half_m=(0.012, 0.019, 0.012)),
+    tip=Tip(geom="robot_tool_cap", half_m=(0.012, 0.019, 0.012)),
     tcp_z_m=0.117,
     parked_joint_rad=(0.5324, -0.3907, 0.3589, -1.8387, 0.1348, 1.4716, 1.1415),
 )
@@ -71,10 +70,11 @@ with each triangle of a shell; a capsule made up to five, some of them millimetr
 PANDA_MITT = replace(
     PANDA,
     id="panda-mitt",
-    tip=Tip(geom="robot_tool_pad", shape="box", half_m=(0.020, 0.030, 0.0075), give_m3_n=4e-7),
+    tip=Tip(geom="robot_tool_pad", half_m=(0.025, 0.035, 0.010), give_m3_n=4e-7),
 )
-"""The same arm and hand with a wash mitt over the fingers: a pad of 40 x 60 mm, 15 mm thick, about as large as the flat
-of two or three fingers. Its pile gives way by 2 mm under 5 kPa, which is assumed: terry cloth of 3 to 5 mm loses about
+"""The same arm and hand with a wash mitt over the fingers: a rounded pad of 50 x 70 mm, 20 mm thick, about as large
+as the flat of three fingers. It is an ellipsoid like the cap and no box: skin that sinks into a soft box by more than its
+rims are round would be pressed against the walls. Its pile gives way by 2 mm under 5 kPa, which is assumed: terry cloth of 3 to 5 mm loses about
 half of its thickness between 0.05 and 5 kPa, the range of the textile industry's compression test (KES-FB3)."""
 
 EMBODIMENTS: dict[ToolName, Embodiment] = {"caps": PANDA, "mitt": PANDA_MITT}

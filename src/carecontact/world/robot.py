@@ -35,8 +35,7 @@ COLOURS = {
     "dark": (0.16, 0.16, 0.17, 1.0),
     "blue": (0.04, 0.54, 0.78, 1.0),
 }
-TIP_COLOURS = {"ellipsoid": (0.22, 0.24, 0.28, 1.0), "box": (0.30, 0.47, 0.62, 1.0)}
-TIP_SHAPES = {"ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID, "box": mujoco.mjtGeom.mjGEOM_BOX}
+CAP_COLOUR, MITT_COLOUR = (0.22, 0.24, 0.28, 1.0), (0.30, 0.47, 0.62, 1.0)
 PEDESTAL_COLOUR = (0.45, 0.47, 0.50, 1.0)
 PEDESTAL_RADIUS_M = 0.09
 VISUAL_GROUP, COLLISION_GROUP = 1, 3
@@ -211,10 +210,10 @@ def _add_tool(spec: mujoco.MjSpec, hand: mujoco.MjsBody, meshes: list[str], robo
     )
     _make_colliding(shaft)
     touching = hand.add_geom(
-        name=tip.geom, type=TIP_SHAPES[tip.shape], pos=[0, 0, robot.tip_centre_z_m], size=tip.half_m
+        name=tip.geom, type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, pos=[0, 0, robot.tip_centre_z_m], size=tip.half_m
     )
     _make_colliding(touching)
-    touching.group, touching.rgba = VISUAL_GROUP, TIP_COLOURS[tip.shape]
+    touching.group, touching.rgba = VISUAL_GROUP, MITT_COLOUR if tip.give_m3_n else CAP_COLOUR
     if tip.give_m3_n:
         # The compiled tissue reads how far a geom's surface gives way from its first user number.
         spec.nuser_geom = 1
