@@ -72,10 +72,11 @@ PANDA_MITT = replace(
     id="panda-mitt",
     tip=Tip(geom="robot_tool_pad", half_m=(0.025, 0.035, 0.010), give_m3_n=4e-7),
 )
-"""The same arm and hand with a wash mitt over the fingers: a rounded pad of 50 x 70 mm, 20 mm thick, about as large
-as the flat of three fingers. It is an ellipsoid like the cap and no box: skin that sinks into a soft box by more than its
-rims are round would be pressed against the walls. Its pile gives way by 2 mm under 5 kPa, which is assumed: terry cloth of 3 to 5 mm loses about
-half of its thickness between 0.05 and 5 kPa, the range of the textile industry's compression test (KES-FB3)."""
+"""The same arm and hand with a wash mitt over the fingers: a rounded pad of 50 x 70 mm, 20 mm thick, about as large as
+the flat of three fingers. It is an ellipsoid like the cap and no box: skin that sinks into a soft box farther than its
+rims are round would be pressed against the walls. Its pile gives way by 2 mm under 5 kPa, which is assumed: terry cloth
+of 3 to 5 mm loses about half of its thickness between 0.05 and 5 kPa, the range of the textile industry's compression
+test (KES-FB3)."""
 
 EMBODIMENTS: dict[ToolName, Embodiment] = {"caps": PANDA, "mitt": PANDA_MITT}
 """``scene.tool`` of a protocol -> the robot."""
