@@ -66,6 +66,13 @@ class _Terminal:
             os.close(self._ours)
 
 
+def _heeds_signals() -> None:
+    """Under nohup, or in the background of a script, the tests inherit ignored signals, which the command would leave
+    ignored."""
+    for number in (signal.SIGHUP, signal.SIGQUIT):
+        signal.signal(number, signal.SIG_DFL)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel kills worker and policy")
 @pytest.mark.parametrize("how", ["SIGKILL", "SIGQUIT", "closed terminal"])
 def test_nothing_is_left_running(tmp_path: Path, how: str) -> None:
@@ -80,8 +87,7 @@ def test_nothing_is_left_running(tmp_path: Path, how: str) -> None:
     run = subprocess.Popen(
         ["setsid", "--ctty", *command] if how == "closed terminal" else command,
         cwd=tmp_path, stdin=theirs, stdout=theirs, stderr=theirs,
-        # Under nohup the tests inherit that a closed terminal is ignored, which the command would respect.
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
+        preexec_fn=_heeds_signals,
     )  # fmt: skip
     os.close(theirs)
     try:
@@ -112,6 +118,7 @@ def test_what_the_caller_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch) 
     """As under nohup."""
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)}
     try:
+        _heeds_signals()
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
         cli.main(["list", "policies"])
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
