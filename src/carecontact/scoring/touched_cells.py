@@ -7,6 +7,7 @@ control period. P control periods, C cells.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -67,6 +68,7 @@ class TouchedCells:
         """Time [s] in which any cell bears more than a pressure."""
         return float(self.period_s[(self.pressure_pa > pressure_pa).any(axis=1)].sum())
 
+    @cached_property
     def passes(self) -> Passes:
         """A *visit* of a cell lasts while the tool touches it; a visit is a pass if the tool slid by SLID_M."""
         cell: list[int] = []
@@ -100,7 +102,7 @@ class TouchedCells:
         Passes of one cell are assumed to cover the same part of it as far as they can: of three that touch 0.5, 0.8 and
         1.0 of a cell, 0.8 is passed twice.
         """
-        found, out = self.passes(), np.zeros(len(self.area_m2))
+        found, out = self.passes, np.zeros(len(self.area_m2))
         hard = found.pressure_pa >= pressure_pa
         for c in np.unique(found.cell[hard]):
             shares = np.sort(found.share[hard & (found.cell == c)])[::-1]

@@ -27,7 +27,8 @@ CORE_MIN_RADIUS_M = 0.006
 CORE_PIECE_M, CORE_SECTOR_RAD = 0.030, np.pi / 3
 CELL_M = 0.0075
 """Side of a declared cell, for which pressure, shear and slip are kept: half of the tool's tip. A round tip that passes
-over part of a cell wipes more than the share that it touches at once: 15 mm cells lose a tenth, these a thirtieth."""
+over part of a cell wipes more of it than it touches at once. By geometry, a disc of 9 mm radius loses a tenth of its
+strip on cells of 15 mm, and a thirtieth on these."""
 SOLREF = (0.01, 1.0)
 SOLIMP = (0.94, 0.985, 0.003, 0.5, 2.0)
 """Of the core, soft at first touch."""
