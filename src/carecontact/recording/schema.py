@@ -73,8 +73,8 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/withdrawal_s": ("f8", "(3,) when the person withdrew the arm, or was about to; -1 where it did not"),
 }
 """Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
-soft region since schema 3: cells are patches of about 7.5 mm (``world.human.tissue.DeclaredCells``), and a row sums what
-happened since the row before it. What the person does by itself is there where the protocol lets it do something
+soft region since schema 3: cells are patches of about 7.5 mm (``world.human.tissue.DeclaredCells``), and a row sums
+what happened since the row before it. What the person does by itself is there where the protocol lets it do something
 (``contract.protocol.alive``). These paths are allowed as well:
 ``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
 (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``perception/*``
