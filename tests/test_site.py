@@ -1,4 +1,4 @@
-"""The website of the documentation builds without a warning and shows what the code has; its pages load nothing else."""
+"""The website of the documentation builds without a warning, shows what the code has, and loads nothing elsewhere."""
 
 from __future__ import annotations
 
