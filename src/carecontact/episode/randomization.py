@@ -7,6 +7,7 @@ import hashlib
 import numpy as np
 
 from carecontact.contract.protocol import Alive, Protocol
+from carecontact.observation.calibration import Calibration, draw_calibration
 from carecontact.observation.sensor_noise import SensorNoise
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.appearance import draw_appearance, wear
@@ -16,7 +17,7 @@ from carecontact.world.place import draw_place, move_person
 from carecontact.world.scene import Scene
 
 STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
-           "withdrawal")  # fmt: skip
+           "withdrawal", "calibration")  # fmt: skip
 """In the order of the seed's children: a new one goes to the end."""
 
 
@@ -77,6 +78,11 @@ def wake(simulation: Simulation, seed: int, *, salt: str = "") -> None:
         wrist_radius_m=simulation.wrist_radius_m(),
     )  # fmt: skip
     simulation.life.wake(simulation.data, doings)
+
+
+def calibration(protocol: Protocol, seed: int, *, salt: str = "") -> Calibration:
+    """The error with which the cell of one trial knows its fixed cameras."""
+    return draw_calibration(streams(protocol, seed, salt)["calibration"], protocol)
 
 
 def sensor_noise(protocol: Protocol, seed: int, *, salt: str = "", noise_salt: str = "") -> SensorNoise:
