@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, field_validator
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.regions import SEGMENTS, STANDARD_REGIONS
@@ -115,6 +115,12 @@ class Header(BaseModel):
     sha256: dict[str, str]
     """model, body and mesh assets, and the binary of the compiled tissue (``kernel``)"""
     solver_warnings: list[str]
+
+    @field_validator("spec")
+    @classmethod
+    def _sealed(cls, spec: TrialSpec) -> TrialSpec:
+        """A recording may be shown to anyone, at once; the salt of its run may not."""
+        return spec.sealed
 
     @property
     def protocol_sha256(self) -> str:
