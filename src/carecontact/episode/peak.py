@@ -63,9 +63,9 @@ class Peak:
         bind = np.asarray(model.skin_vert, np.float64).reshape(-1, 3)
         length, half_width, outward = frame.size_m.tolist()
         reach = np.array([length / 2, half_width, outward]) + MARGIN_M
-        near = (np.abs((bind - frame.origin) @ frame.axes) < reach).all(axis=1)
+        near = np.all(np.abs((bind - frame.origin) @ frame.axes) < reach, axis=1)
         faces = np.asarray(model.skin_face).reshape(-1, 3)
-        faces = faces[near[faces].all(axis=1)]
+        faces = faces[np.all(near[faces], axis=1)]
         kept = np.unique(faces)
         placed = (skin_in_world(model, data) + skin_shift(scene, data))[kept]
         return {

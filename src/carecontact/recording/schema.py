@@ -81,11 +81,11 @@ what happened since the row before it. What the person does by itself is there w
 ``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
 (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``report/skin_in_world`` (N, 3) f4 [m],
 the skin round the target region, dented as at the peak, with its triangles ``report/skin_faces`` (F, 3) i4,
-``perception/*`` (``recording.perception``), and ``wall/*``, the only place for what may differ between two runs of the same trial: it is
-outside the canonical hash. ``wall/isolation`` holds, as text, how far the policy's process was isolated,
-``wall/policy_output`` what it printed last, ``wall/act_s`` (A,) the wall time [s] from each observation's leaving until
-its answer, ``wall/between_acts_s`` (A - 1,) that from each answer until the next observation left, and ``wall/pace``
-(2,) the pace of the run [s] and how many observations came late (``trials.pace``)."""
+``perception/*`` (``recording.perception``), and ``wall/*``, the only place for what may differ between two runs of the
+same trial: it is outside the canonical hash. ``wall/isolation`` holds, as text, how far the policy's process was
+isolated, ``wall/policy_output`` what it printed last, ``wall/act_s`` (A,) the wall time [s] from each observation's
+leaving until its answer, ``wall/between_acts_s`` (A - 1,) that from each answer until the next observation left, and
+``wall/pace`` (2,) the pace of the run [s] and how many observations came late (``trials.pace``)."""
 
 
 class Failure(BaseModel):
