@@ -70,6 +70,8 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/muscle_work_j": ("f4", "(P, 2) that breathing and the arm's muscles have done since t = 0"),
     "scorer/repositioning_s": ("f8", "(E,) when the person changes the arm's place, drawn before the trial"),
     "scorer/repositioning_rad": ("f8", "(E,) by which turn of the shoulder's abduction"),
+    "report/peak_pose_camera_in_world": ("f8", "(7,) of the camera of ``report/peak_rgb``: x right, y down, z ahead"),
+    "report/peak_focal_px": ("f8", "(1,) its focal length; the optical axis meets the picture in its middle"),
     "scorer/withdrawal_s": ("f8", "(3,) when the person withdrew the arm, or was about to; -1 where it did not"),
 }
 """Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
@@ -77,11 +79,13 @@ soft region since schema 3: cells are patches of about 7.5 mm (``world.human.tis
 what happened since the row before it. What the person does by itself is there where the protocol lets it do something
 (``contract.protocol.alive``). These paths are allowed as well:
 ``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
-(H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``perception/*``
-(``recording.perception``), and ``wall/*``, the only place for what may differ between two runs of the same trial: it is
-outside the canonical hash. ``wall/isolation`` holds, as text, how far the policy's process was isolated,
-``wall/between_acts_s`` (A - 1,) the wall time [s] from each answer until the next observation left, and ``wall/pace``
-(2,) the pace of the run [s] and how many observations came late (``trials.pace``)."""
+(H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``report/skin_in_world`` (N, 3) f4 [m],
+the skin round the target region, dented as at the peak, with its triangles ``report/skin_faces`` (F, 3) i4,
+``perception/*`` (``recording.perception``), and ``wall/*``, the only place for what may differ between two runs of the
+same trial: it is outside the canonical hash. ``wall/isolation`` holds, as text, how far the policy's process was
+isolated, ``wall/policy_output`` what it printed last, ``wall/act_s`` (A,) the wall time [s] from each observation's
+leaving until its answer, ``wall/between_acts_s`` (A - 1,) that from each answer until the next observation left, and
+``wall/pace`` (2,) the pace of the run [s] and how many observations came late (``trials.pace``)."""
 
 
 class Failure(BaseModel):
