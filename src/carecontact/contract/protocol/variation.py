@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from carecontact.contract.protocol.section import Section
 
@@ -32,6 +32,17 @@ class Variation(Section):
     """The same across the bed."""
     place_yaw_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
     """The same, turned about the vertical through the right shoulder (``world.place``)."""
+    tissue: Literal["declared", "published-v1"] = "declared"
+    """How stiff the soft regions are: as ``person.tissue`` says, or that times a factor that is drawn from published
+    differences between people (``world.human.spread``)."""
+
+    @model_serializer(mode="wrap")
+    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what protocols did not always have, at its default: they keep their hash."""
+        content = handler(self)
+        if self.tissue == "declared":
+            del content["tissue"]
+        return content
 
     @property
     def sensor_noise(self) -> bool:
