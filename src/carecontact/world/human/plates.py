@@ -19,7 +19,7 @@ from carecontact.world.human.body import Array, Body
 FREQUENCY_RAD_S, SHANK_RAD_S = 500.0, 600.0
 """Of a plate on its spring. Chosen: a blow of 1 kg loses little to the plate's own mass, and the spring is still
 followed at the physics step of 2 ms (in the fast mode of 4 ms, only because its damping is integrated implicitly). The
-shank has the stiffest spring and would have the heaviest plate, 0.24 kg: at 0.17 kg, a blow of 1 kg loses less to it."""
+shank has the stiffest spring and would have the heaviest plate, 0.24 kg; it has 0.17 kg."""
 LEAST_MASS_KG = 0.1
 DAMPING_RATIO = 1.2
 """Of the plate alone, which returns and does not ring; a tool of 1 to 10 kg meets 0.1 to 0.5 of its own critical
