@@ -11,7 +11,7 @@ from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.protocol import Camera, Protocol
 
 STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
-           "withdrawal", "body", "pose", "park", "camera", "calibration", "bed_height", "alive_noise")  # fmt: skip
+           "withdrawal", "calibration", "tissue", "body", "pose", "park", "camera", "bed_height")  # fmt: skip
 """In the order of the seed's children: a new one goes to the end."""
 
 

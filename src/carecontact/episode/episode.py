@@ -30,6 +30,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.session import ActionBounds, Session
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.camera_poses import CameraPoses
 from carecontact.episode.cells import CellLog
 from carecontact.episode.drawn import like
 from carecontact.episode.drivers import Driver, driver_of
@@ -40,7 +41,7 @@ from carecontact.episode.log import TrialLog
 from carecontact.episode.peak import Peak
 from carecontact.episode.perception import PerceptionLog
 from carecontact.episode.prepare import World, constants_of, settled_world, under_control
-from carecontact.episode.randomization import sensor_noise
+from carecontact.episode.randomization import calibration, sensor_noise
 from carecontact.episode.vision import person_segmenter
 from carecontact.errors import ActionError, ConfigError, PolicyError
 from carecontact.observation.builder import ObservationBuilder, RawReadings
@@ -105,6 +106,8 @@ class Episode:
         self._wall_s = [started, time.monotonic()]
         self._open = ExitStack()
         self._force_cut = ForceCut(self.protocol)
+        self.privileged = False
+        """Whether the policy is given the simulation; the recording says so."""
         self._driver: Driver | None = None
         self._builder: ObservationBuilder | None = None
         self._perception: PerceptionLog | None = None
@@ -128,7 +131,9 @@ class Episode:
                 **self._life.constants(),
             },
         )
-        self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol)
+        known = calibration(self.protocol, self.spec.seed, salt=self.spec.salt)
+        self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol, calibration=known)
+        self._poses = CameraPoses(self._renderer)
         self._peak = Peak(self.simulation, target=SEGMENTS.index(REGIONS[self.task.region].segment))
         self.simulation.start()
         self.log.add_state(self.simulation.time_s, self.simulation.integration_state())
@@ -221,6 +226,7 @@ class Episode:
         self.log.add_observation(observation, sent_sha256 or self._digest(observation))
         self.log.add_notes(notes or {})
         self._perception.add(self.simulation.data, observation)
+        self._poses.add(self.simulation.data, observation)
 
     def step(self, action: Action, *, observe: bool = True) -> Step:
         """Execute one action for one period of the card's control rate.
@@ -297,7 +303,7 @@ class Episode:
         if self._ended is None:
             raise ConfigError("Episode.finish: the episode has not ended; step until it has, or fail() it")
         extra, renders = self.log.extra, self._renderer.renders.copy()
-        extra |= self._life.ended()
+        extra |= self._life.ended() | self._poses.arrays()
         if self._perception is not None:
             extra |= self._perception.arrays()
         extra |= self._peak.pictures(self._renderer, region=self.task.region)
@@ -311,7 +317,7 @@ class Episode:
         header = header_of(
             self.spec, self.simulation, self._settled, self._ended, model_sha256=self._model_sha256,
             card=None if self.card is None else self.card.plain(),
-            control=None if self.card is None else self.card.control,
+            control=None if self.card is None else self.card.control, privileged=self.privileged,
         )  # fmt: skip
         unused = frozenset[str]() if self._driver is None else self._driver.unused
         arrays = {path: values for path, values in self.log.arrays().items() if path not in unused}

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from carecontact.contract.protocol import Alive, Protocol
 from carecontact.episode.draws import STREAMS, streams, words
+from carecontact.kernel.region import set_law
+from carecontact.observation.calibration import Calibration, draw_calibration
 from carecontact.observation.sensor_noise import SensorNoise
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.appearance import draw_appearance, wear
+from carecontact.world.human.spread import draw_tissue
 from carecontact.world.life import draw_doings
 from carecontact.world.light import draw_light, shine
 from carecontact.world.place import UNMOVED, Place, move_person
 from carecontact.world.scene import Scene
 
-__all__ = ["STREAMS", "comfort_arm_deg", "dress", "lay", "sensor_noise", "streams", "wake"]
+__all__ = [
+    "STREAMS", "calibration", "comfort_arm_deg", "dress", "lay", "sensor_noise", "soften", "streams", "wake"
+]  # fmt: skip
 
 
 def comfort_arm_deg(protocol: Protocol, seed: int, *, salt: str = "") -> float:
@@ -42,6 +47,18 @@ def lay(scene: Scene, place: Place) -> None:
         move_person(scene.model, place)
 
 
+def soften(simulation: Simulation, seed: int, *, salt: str = "") -> None:
+    """Give the soft regions of a settled world the stiffness that its protocol varies with the seed.
+
+    Once. Nothing touches a soft region while the person settles, so that all draws of a person lie in the same way.
+    """
+    scene = simulation.scene
+    if scene.protocol.variation.tissue == "published-v1":
+        rows = {name: region.tissue for name, region in scene.regions.items()}
+        for name, row in draw_tissue(streams(scene.protocol, seed, salt)["tissue"], rows).items():
+            set_law(simulation.model, name, row)
+
+
 def wake(simulation: Simulation, seed: int, *, salt: str = "") -> None:
     """Let the person of a settled world begin what its protocol lets it do by itself; nothing where it does nothing."""
     protocol = simulation.protocol
@@ -52,6 +69,11 @@ def wake(simulation: Simulation, seed: int, *, salt: str = "") -> None:
         wrist_radius_m=simulation.wrist_radius_m(),
     )  # fmt: skip
     simulation.life.wake(simulation.data, doings)
+
+
+def calibration(protocol: Protocol, seed: int, *, salt: str = "") -> Calibration:
+    """The error with which the cell of one trial knows its fixed cameras."""
+    return draw_calibration(streams(protocol, seed, salt)["calibration"], protocol)
 
 
 def sensor_noise(protocol: Protocol, seed: int, *, salt: str = "", noise_salt: str = "") -> SensorNoise:
