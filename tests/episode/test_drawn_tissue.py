@@ -31,7 +31,7 @@ def test_a_seed_draws_its_tissue_again_and_another_seed_another() -> None:
     first, again, other = laws(DRAWN, 0), laws(DRAWN, 0), laws(DRAWN, 1)
     np.testing.assert_array_equal(first, again)
     assert (first[:, 0] != other[:, 0]).all()
-    rows = draw_tissue(streams(DRAWN, 0)["tissue"], DRAWN.person.tissue)
+    rows = draw_tissue(streams(DRAWN, 0, "")["tissue"], DRAWN.person.tissue)
     np.testing.assert_array_equal(first, [astuple(Law.of(rows[name])) for name in DRAWN.regions])
     same = [COLUMNS.index(name) for name in ("friction", "thickness_m", "contact_n_m3", "membrane_n_m")]
     np.testing.assert_array_equal(first[:, same], other[:, same])

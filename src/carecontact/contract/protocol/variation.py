@@ -8,6 +8,9 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from carecontact.contract.protocol.section import Section
 
+LATER = ("calibration_m", "calibration_deg", "tissue")
+"""Fields that protocols did not always have."""
+
 
 class Randomization(Section):
     seeds: list[int]
@@ -32,6 +35,10 @@ class Variation(Section):
     """The same across the bed."""
     place_yaw_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
     """The same, turned about the vertical through the right shoulder (``world.place``)."""
+    calibration_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
+    """Standard deviation of the error with which the cell knows where each fixed camera is, along each axis."""
+    calibration_deg: Annotated[float, Field(ge=0, le=5)] = 0.0
+    """The same about each axis of the camera (``observation.calibration``)."""
     tissue: Literal["declared", "published-v1"] = "declared"
     """How stiff the soft regions are: as ``person.tissue`` says, or that times a factor that is drawn from published
     differences between people (``world.human.spread``)."""
@@ -39,9 +46,10 @@ class Variation(Section):
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out what protocols did not always have, at its default: they keep their hash."""
-        content = handler(self)
-        if self.tissue == "declared":
-            del content["tissue"]
+        content, fields = handler(self), type(self).model_fields
+        for name in LATER:
+            if getattr(self, name) == fields[name].default:
+                del content[name]
         return content
 
     @property
