@@ -40,7 +40,7 @@ class Audit:
         """Where everything passed, nothing in it depends on place, time or machine."""
         return {
             "schema": SCHEMA, "passed": self.passed, "quick": self.quick, "policies": list(self.policies),
-            "protocol": {"id": self.protocol.id, "sha256": self.protocol.sha256, "body": self.protocol.person.body},
+            "protocol": {"id": self.protocol.name, "sha256": self.protocol.sha256, "body": self.protocol.person.body},
             "versions": package_versions(), "parts": [part.as_json() for part in self.parts],
         }  # fmt: skip
 
