@@ -15,9 +15,7 @@ from carecontact.world.light import draw_light, shine
 from carecontact.world.place import UNMOVED, Place, move_person
 from carecontact.world.scene import Scene
 
-__all__ = [
-    "STREAMS", "calibration", "comfort_arm_deg", "dress", "lay", "sensor_noise", "soften", "streams", "wake"
-]  # fmt: skip
+__all__ = ["STREAMS", "calibration", "comfort_arm_deg", "dress", "lay", "sensor_noise", "soften", "streams", "wake"]
 
 
 def comfort_arm_deg(protocol: Protocol, seed: int, *, salt: str = "") -> float:

@@ -19,6 +19,7 @@ from carecontact.world.furniture import add_furniture, add_light
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.breathing import add_servos, add_slide, carrier, move_skin
 from carecontact.world.human.build import tissue_of
+from carecontact.world.human.clearance import free_middle
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.library import load_body
 from carecontact.world.human.muscles import add_muscles
@@ -190,7 +191,8 @@ def region_shell(body: Body, region: str, tissue: Tissue, turn: ArmTurn = NOT_TU
     segment, shape = REGIONS[region].segment, REGIONS[region].shape
     match shape:
         case Tube():
-            return limb_shell(body, segment, shape, upward_in_bind(body, segment, turn), tissue)
+            middle = free_middle(body, segment) if shape.beside_trunk else 0.5
+            return limb_shell(body, segment, shape, upward_in_bind(body, segment, turn), tissue, middle=middle)
         case Belly():
             return trunk_shell(body, np.array([0.0, -1.0, 0.0]), tissue)
         case None:

@@ -9,10 +9,10 @@ from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model
 from carecontact.contract.protocol.parking import Parking
 from carecontact.contract.protocol.section import Section
 
-DRAWS_MODELS = ("bodies", "shoulder_rotation_deg", "palm_deg", "place_toward_head_m", "overhead_shift_m",
-                "overhead_turn_deg", "parking")  # fmt: skip
-"""Fields of which each trial's compiled model is a draw."""
-LATER = ("calibration_m", "calibration_deg", "tissue", *DRAWS_MODELS)
+DRAWN = ("bodies", "shoulder_rotation_deg", "palm_deg", "place_toward_head_m", "overhead_shift_m", "overhead_turn_deg",
+         "parking")  # fmt: skip
+"""Fields that change the compiled model with the seed."""
+LATER = ("calibration_m", "calibration_deg", "tissue", *DRAWN)
 """Fields that protocols did not always have."""
 Angles = tuple[float, float]
 
@@ -46,6 +46,13 @@ class Variation(Section):
     """The same across the bed."""
     place_yaw_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
     """The same, turned about the vertical through the right shoulder (``world.place``)."""
+    calibration_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
+    """Standard deviation of the error with which the cell knows where each fixed camera is, along each axis."""
+    calibration_deg: Annotated[float, Field(ge=0, le=5)] = 0.0
+    """The same about each axis of the camera (``observation.calibration``)."""
+    tissue: Literal["declared", "published-v1"] = "declared"
+    """How stiff the soft regions are: as ``person.tissue`` says, or that times a factor that is drawn from published
+    differences between people (``world.human.spread``)."""
     place_toward_head_m: Annotated[float | None, Field(ge=0, le=0.1)] = None
     """Farthest toward the head, where that is less than ``place_along_m``: patients slide down in bed, not up."""
     bodies: tuple[str, ...] = ()
@@ -61,13 +68,6 @@ class Variation(Section):
     """The same, turned about each axis of the camera."""
     parking: Parking | None = None
     """Where the robot stands; without it at ``scene.robot_base_m``."""
-    calibration_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
-    """Standard deviation of the error with which the cell knows where each fixed camera is, along each axis."""
-    calibration_deg: Annotated[float, Field(ge=0, le=5)] = 0.0
-    """The same about each axis of the camera (``observation.calibration``)."""
-    tissue: Literal["declared", "published-v1"] = "declared"
-    """How stiff the soft regions are: as ``person.tissue`` says, or that times a factor that is drawn from published
-    differences between people (``world.human.spread``)."""
 
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -86,4 +86,4 @@ class Variation(Section):
     @property
     def draws_models(self) -> bool:
         """Whether trials of one region and several seeds have several compiled models."""
-        return any(getattr(self, name) != type(self).model_fields[name].default for name in DRAWS_MODELS)
+        return any(getattr(self, name) != type(self).model_fields[name].default for name in DRAWN)
