@@ -148,7 +148,7 @@ def sure_landmarks(observation: Observation, camera: str) -> int:
 
 
 def skin_tone(protocol: Protocol, seed: int) -> str:
-    skin = draw_appearance(streams(protocol, seed)["appearance"]).skin
+    skin = draw_appearance(streams(protocol, seed, "")["appearance"]).skin
     return next(name for name, colour in SKIN_TONES.items() if colour == skin)
 
 

@@ -56,9 +56,9 @@ def other_hidden_values(spec: TrialSpec) -> TrialSpec:
 
 def other_arm_angle(spec: TrialSpec) -> TrialSpec:
     """The same trial with a seed that lays the person's arm at an angle far from this one's."""
-    own = comfort_arm_deg(spec.protocol, spec.seed)
+    own = comfort_arm_deg(spec.protocol, spec.seed, salt=spec.salt)
     seeds = range(spec.seed + OTHER_SEED, spec.seed + OTHER_SEED + OTHER_ANGLES)
-    far = max(seeds, key=lambda seed: abs(comfort_arm_deg(spec.protocol, seed) - own))
+    far = max(seeds, key=lambda seed: abs(comfort_arm_deg(spec.protocol, seed, salt=spec.salt) - own))
     return spec.model_copy(update={"seed": far})
 
 

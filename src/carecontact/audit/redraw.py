@@ -47,7 +47,8 @@ def main(folder: str) -> None:
         key = _key(spec)
         world = worlds[key] = worlds.get(key) or _World(spec)
         policy = read_meta(trial).policy
-        noise, dt_s = sensor_noise(spec.protocol, spec.seed), spec.protocol.physics.dt_s
+        noise = sensor_noise(spec.protocol, spec.seed, salt=spec.salt, noise_salt=spec.noise_salt)
+        dt_s = spec.protocol.physics.dt_s
         looks += [
             {
                 "trial": trial.name,
@@ -63,7 +64,7 @@ def main(folder: str) -> None:
 def _key(spec: TrialSpec) -> str:
     """Equal for trials of one and the same world: how long a trial lasts and what its sensors add is not drawn."""
     protocol = without_noise(spec.protocol).model_dump(mode="json", exclude={"phases"})
-    return json.dumps([protocol, spec.task_id, spec.seed], sort_keys=True)
+    return json.dumps([protocol, spec.task_id, spec.seed, spec.salt], sort_keys=True)
 
 
 class _World:
@@ -126,8 +127,8 @@ class _World:
     def _whole(self) -> Pictures:
         spec = self._spec
         scene = build_scene(spec.protocol, target=spec.protocol.task(spec.task_id).region)
-        dress(scene, spec.seed)
-        lay(scene, spec.seed)
+        dress(scene, spec.seed, salt=spec.salt)
+        lay(scene, spec.seed, salt=spec.salt)
         return Pictures(scene.model, self._cameras)
 
     @cached_property

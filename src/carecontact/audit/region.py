@@ -133,7 +133,7 @@ def cards_of(trials: Sequence[Watched], *, together: bool) -> list[PolicyCard]:
     for trial in trials:
         card = trial.card
         if card is not None:
-            wanted = (card.modalities, card.cameras if card.modalities else ())
+            wanted = (card.modalities, card.cameras)
             asked.setdefault(wanted, []).append(trial.policy)
     if together and asked:
         modalities = {m for wanted, _ in asked for m in wanted}
@@ -179,7 +179,7 @@ def two_starts(spec: TrialSpec, keyframe: Keyframe, *, folder: Path) -> tuple[Wa
 
 
 def _settled(spec: TrialSpec) -> tuple[Simulation, Settled, str]:
-    return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed)
+    return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed, salt=spec.salt)
 
 
 def _at_contact(keyframe: Keyframe, spec: TrialSpec) -> Simulation:

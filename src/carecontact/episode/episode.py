@@ -195,7 +195,7 @@ class Episode:
             self._open.enter_context(self._renderer)
         self._driver = driver_of(card, self.simulation)
         segmenter = person_segmenter(self.protocol, self._weights) if "masks" in card.modalities else None
-        noise = sensor_noise(self.protocol, self.spec.seed, salt=self.spec.noise_salt)
+        noise = sensor_noise(self.protocol, self.spec.seed, salt=self.spec.salt, noise_salt=self.spec.noise_salt)
         self._builder = ObservationBuilder(
             self._renderer, card, self.protocol, MediaPipePose(), noise=noise, segmenter=segmenter
         )
@@ -361,4 +361,4 @@ def _bounds_of(protocol: Protocol) -> ActionBounds:
 
 
 def _world(spec: TrialSpec) -> World:
-    return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed)
+    return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed, salt=spec.salt)

@@ -18,9 +18,12 @@ World = tuple[Simulation, Settled, str]
 """A simulation at t = 0, how its person settled, and the sha256 of its model before dressing and settling."""
 
 
-def settled_world(protocol: Protocol, *, task_id: str, seed: int) -> World:
+def settled_world(protocol: Protocol, *, task_id: str, seed: int, salt: str = "") -> World:
     """Build the task's world, dress it as the seed says, let the person settle, and wake it where the
     protocol lets it do something by itself.
+
+    Args:
+        salt: the trial's secret (``TrialSpec.salt``).
 
     Raises:
         SceneError: the world cannot be built.
@@ -30,11 +33,11 @@ def settled_world(protocol: Protocol, *, task_id: str, seed: int) -> World:
     # Before anything is changed: looks and place are the seed's, settling writes the seed's rest angles, a policy its
     # stiffness.
     model_sha256 = scene.model_sha256
-    dress(scene, seed)
-    lay(scene, seed)
+    dress(scene, seed, salt=salt)
+    lay(scene, seed, salt=salt)
     simulation = Simulation(scene)
-    settled = settle(simulation, comfort_arm_deg(protocol, seed), model_sha256=model_sha256)
-    wake(simulation, seed)
+    settled = settle(simulation, comfort_arm_deg(protocol, seed, salt=salt), model_sha256=model_sha256)
+    wake(simulation, seed, salt=salt)
     return simulation, settled, model_sha256
 
 

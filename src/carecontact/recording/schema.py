@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, field_validator, model_serializer
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.regions import SEGMENTS, STANDARD_REGIONS
@@ -123,6 +123,12 @@ class Header(BaseModel):
         """Leave the field out where there is no privilege: such a trial keeps the header, and so the hash, that it had
         before there was the field."""
         return {name: value for name, value in serialize(self).items() if name != "privileged" or value}
+
+    @field_validator("spec")
+    @classmethod
+    def _sealed(cls, spec: TrialSpec) -> TrialSpec:
+        """A recording may be shown to anyone, at once; the salt of its run may not."""
+        return spec.sealed
 
     @property
     def protocol_sha256(self) -> str:

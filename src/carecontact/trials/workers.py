@@ -181,7 +181,7 @@ def _read(worker: _Worker) -> tuple[Recording | None, str]:
         recording = read_recording(worker.partial)
     except RecordingError as error:
         return None, str(error)
-    if recording.header.spec == worker.spec:
+    if recording.header.spec == worker.spec.sealed:
         return recording, ""
     return None, f"the worker recorded another trial, {recording.header.spec.trial_id}"
 
