@@ -53,7 +53,7 @@ def test_a_leak_ends_with_status_1_and_its_name(
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--policy", "no-such"], "no policy named 'no-such'; valid: hover"),
+        (["--policy", "no-such"], "no policy named 'no-such'; valid: feint-and-wait, hover"),
         (["--policy", "oracle"], "oracle: this policy is privileged"),
         (["--policy", "hover", "hover"], "hover is named twice"),
         (["--protocol", "none"], "no protocol named 'none'"),
