@@ -37,11 +37,11 @@ STIFFER = 2.0
 class Keyframe:
     """One settled world of a task and seed. Every trial that begins from it begins from the same bits."""
 
-    def __init__(self, protocol: Protocol, *, task_id: str, seed: int) -> None:
+    def __init__(self, protocol: Protocol, *, task_id: str, seed: int, salt: str = "") -> None:
         """Builds, settles and presses once. Raises SceneError or SettleError as a trial does, and SceneError if the
         robot cannot touch the region."""
-        simulation, self.settled, self.model_sha256 = settled_world(protocol, task_id=task_id, seed=seed)
-        self._laid_at_deg = comfort_arm_deg(protocol, seed)
+        simulation, self.settled, self.model_sha256 = settled_world(protocol, task_id=task_id, seed=seed, salt=salt)
+        self._laid_at_deg = comfort_arm_deg(protocol, seed, salt=salt)
         self.scene = simulation.scene
         self._parked = simulation.integration_state()
         self.parked_pose = simulation.control.target_in_base

@@ -119,6 +119,8 @@ def _world(contact: Contact) -> dict[str, str]:
     world = {name: header.sha256[name] for name in ("body", "robot", "model", "kernel") if name in header.sha256}
     if "mujoco" in header.versions:
         world["mujoco"] = header.versions["mujoco"]
+    if header.spec.salt_sha256:
+        world["salt"] = header.spec.salt_sha256
     return world
 
 
