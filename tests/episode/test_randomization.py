@@ -76,7 +76,7 @@ def test_streams_are_the_documented_children_of_the_seed() -> None:
     made = streams(PROTOCOL, 3, "")
     assert tuple(made) == STREAMS == (
         "comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
-        "withdrawal", "calibration",
+        "withdrawal", "calibration", "tissue",
     )  # fmt: skip
     for k, name in enumerate(STREAMS):
         child = np.random.SeedSequence([*words, 3], spawn_key=(k,))

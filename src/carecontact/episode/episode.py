@@ -103,6 +103,8 @@ class Episode:
         self._wall_s = [started, time.monotonic()]
         self._open = ExitStack()
         self._force_cut = ForceCut(self.protocol)
+        self.privileged = False
+        """Whether the policy is given the simulation; the recording says so."""
         self._driver: Driver | None = None
         self._builder: ObservationBuilder | None = None
         self._perception: PerceptionLog | None = None
@@ -312,7 +314,7 @@ class Episode:
         header = header_of(
             self.spec, self.simulation, self._settled, self._ended, model_sha256=self._model_sha256,
             card=None if self.card is None else self.card.plain(),
-            control=None if self.card is None else self.card.control,
+            control=None if self.card is None else self.card.control, privileged=self.privileged,
         )  # fmt: skip
         unused = frozenset[str]() if self._driver is None else self._driver.unused
         arrays = {path: values for path, values in self.log.arrays().items() if path not in unused}

@@ -7,17 +7,19 @@ import hashlib
 import numpy as np
 
 from carecontact.contract.protocol import Alive, Protocol
+from carecontact.kernel.region import set_law
 from carecontact.observation.calibration import Calibration, draw_calibration
 from carecontact.observation.sensor_noise import SensorNoise
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.appearance import draw_appearance, wear
+from carecontact.world.human.spread import draw_tissue
 from carecontact.world.life import draw_doings
 from carecontact.world.light import draw_light, shine
 from carecontact.world.place import draw_place, move_person
 from carecontact.world.scene import Scene
 
 STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
-           "withdrawal", "calibration")  # fmt: skip
+           "withdrawal", "calibration", "tissue")  # fmt: skip
 """In the order of the seed's children: a new one goes to the end."""
 
 
@@ -66,6 +68,18 @@ def lay(scene: Scene, seed: int, *, salt: str = "") -> None:
     variation = scene.protocol.variation
     if variation.place_along_m or variation.place_across_m or variation.place_yaw_deg:
         move_person(scene.model, draw_place(streams(scene.protocol, seed, salt)["place"], variation))
+
+
+def soften(simulation: Simulation, seed: int, *, salt: str = "") -> None:
+    """Give the soft regions of a settled world the stiffness that its protocol varies with the seed.
+
+    Once. Nothing touches a soft region while the person settles, so that all draws of a person lie in the same way.
+    """
+    scene = simulation.scene
+    if scene.protocol.variation.tissue == "published-v1":
+        rows = {name: region.tissue for name, region in scene.regions.items()}
+        for name, row in draw_tissue(streams(scene.protocol, seed, salt)["tissue"], rows).items():
+            set_law(simulation.model, name, row)
 
 
 def wake(simulation: Simulation, seed: int, *, salt: str = "") -> None:

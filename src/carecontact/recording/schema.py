@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, field_validator
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, field_validator, model_serializer
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.regions import SEGMENTS, STANDARD_REGIONS
@@ -59,6 +59,7 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "policy/believed_pose_camera_in_base": ("f8", "(A, V, 7) as it was shown, with the calibration's error; else NaN"),
     "scorer/pose_camera_in_base": ("f8", "(A, V, 7) where each camera is; 0 for one that the protocol lacks"),
     "scorer/human_joint_reaction": ("f4", "(T, J) [N m] torque of each scored joint's end stop"),
+    "scorer/region_law": ("f8", "(R, 11) of each soft region, in the order of kernel.region.Law; 0 on a rigid one"),
     "scorer/cell_in_region": ("f4", "(C, 3) [m] centre of each cell at rest, in the target region's frame"),
     "scorer/cell_area_m2": ("f4", "(C,)"),
     "scorer/cell_press_ns": ("f4", "(P, C) normal force times time, summed over the period"),
@@ -76,7 +77,9 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
 }
 """Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
 soft region since schema 3: cells are patches of about 7.5 mm (``world.human.tissue.DeclaredCells``), and a row sums
-what happened since the row before it. What the person does by itself is there where the protocol lets it do something
+what happened since the row before it. ``scorer/region_law`` is there where the law of a region is not its row in the
+protocol: on a body of another build, and where the seed draws the tissue. What the person does by itself is there
+where the protocol lets it do something
 (``contract.protocol.alive``). These paths are allowed as well:
 ``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
 (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``report/skin_in_world`` (N, 3) f4 [m],
@@ -107,6 +110,8 @@ class Header(BaseModel):
     """The policy's card as shown in the handshake; None if it never came."""
     control: str | None = None
     """Id of the controller that executed the actions; None if the card never came."""
+    privileged: bool = False
+    """Whether the policy was given the simulation: such a trial shows what can be done and ranks no method."""
     embodiment: str
     comfort_arm_deg: float | None
     """Measured after settling."""
@@ -125,6 +130,12 @@ class Header(BaseModel):
     def _sealed(cls, spec: TrialSpec) -> TrialSpec:
         """A recording may be shown to anyone, at once; the salt of its run may not."""
         return spec.sealed
+
+    @model_serializer(mode="wrap")
+    def _without_privilege(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave the field out where there is no privilege: such a trial keeps the header, and so the hash, that it had
+        before there was the field."""
+        return {name: value for name, value in serialize(self).items() if name != "privileged" or value}
 
     @property
     def protocol_sha256(self) -> str:

@@ -8,7 +8,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from carecontact.contract.protocol.section import Section
 
-LATER = ("calibration_m", "calibration_deg")
+LATER = ("calibration_m", "calibration_deg", "tissue")
 """Fields that protocols did not always have."""
 
 
@@ -39,6 +39,9 @@ class Variation(Section):
     """Standard deviation of the error with which the cell knows where each fixed camera is, along each axis."""
     calibration_deg: Annotated[float, Field(ge=0, le=5)] = 0.0
     """The same about each axis of the camera (``observation.calibration``)."""
+    tissue: Literal["declared", "published-v1"] = "declared"
+    """How stiff the soft regions are: as ``person.tissue`` says, or that times a factor that is drawn from published
+    differences between people (``world.human.spread``)."""
 
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
