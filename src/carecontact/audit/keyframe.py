@@ -73,8 +73,8 @@ class Keyframe:
         return simulation, self.settled, self.model_sha256
 
     def _approach(self, simulation: Simulation, *, region: str) -> tuple[F64, F64]:
-        """The state BEFORE_S before first contact, and the poses that follow it. If a person moved meanwhile, the press is
-        aimed again."""
+        """The state BEFORE_S before first contact, and the poses that follow it; the press is aimed again if the person
+        has moved meanwhile."""
         simulation.start()
         steps = round(1 / CONTROL_HZ / simulation.model.opt.timestep)
         back, ahead = round(BEFORE_S * CONTROL_HZ), round(AFTER_S * CONTROL_HZ)
