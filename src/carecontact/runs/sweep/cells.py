@@ -18,6 +18,7 @@ from carecontact.protocols import load_protocol, overridden
 from carecontact.runs.freeze import check_frozen
 from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
 from carecontact.runs.preflight import check_protocol, check_rows
+from carecontact.runs.salt import with_salt
 from carecontact.runs.sweep.plan import AXES, Plan, Value
 
 NAME_CHARACTERS = 100
@@ -89,12 +90,17 @@ def places_of(plan: Plan, *, named: str) -> list[Place]:
 
 
 def cells_of(
-    plan: Plan, places: Sequence[Place], policies: Sequence[tuple[str, str, Mapping[str, str], Sequence[str]]]
+    plan: Plan,
+    places: Sequence[Place],
+    policies: Sequence[tuple[str, str, Mapping[str, str], Sequence[str]]],
+    *,
+    salt: str = "",
 ) -> list[Cell]:
     """One cell for each place and policy, place by place.
 
     Args:
         policies: label, text of the reference, arguments and names of variables of each policy of the plan.
+        salt: the secret of a salted run.
     """
     labels = [label for label, *_ in policies]
     if twice := next((label for label in labels if labels.count(label) > 1), None):
@@ -105,9 +111,12 @@ def cells_of(
             label=label,
             place=place,
             specs=tuple(
-                plan_trials(
-                    protocol=place.protocol, policy=text, tasks=place.tasks, seeds=place.seeds, arguments=arguments,
-                    environment=environment,
+                with_salt(
+                    plan_trials(
+                        protocol=place.protocol, policy=text, tasks=place.tasks, seeds=place.seeds,
+                        arguments=arguments, environment=environment,
+                    ),
+                    salt,
                 )
             ),
         )
