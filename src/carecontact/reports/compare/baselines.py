@@ -41,6 +41,8 @@ class Baselines:
 
     method: Passed
     baselines: tuple[Passed, ...]
+    kept: tuple[str, ...] = ()
+    """Those of ``baselines`` whose scores are kept with the package; methods that see may be among them."""
 
     @property
     def tasks(self) -> tuple[str, ...]:
