@@ -76,7 +76,7 @@ def test_streams_are_the_documented_children_of_the_seed() -> None:
     made = streams(PROTOCOL, 3, "")
     assert tuple(made) == STREAMS == (
         "comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
-        "withdrawal",
+        "withdrawal", "calibration", "tissue",
     )  # fmt: skip
     for k, name in enumerate(STREAMS):
         child = np.random.SeedSequence([*words, 3], spawn_key=(k,))
@@ -97,7 +97,7 @@ def test_a_salt_changes_every_stream_and_ties_none_to_another() -> None:
 def test_every_draw_of_a_salted_trial_uses_its_salt(monkeypatch: pytest.MonkeyPatch) -> None:
     varied = {
         "appearance": "varied-v1", "light": "varied-v1", "depth_noise": "structured-light-v1",
-        "encoder_noise_rad": 0.003, "place_along_m": 0.01,
+        "encoder_noise_rad": 0.003, "place_along_m": 0.01, "calibration_m": 0.003,
     }  # fmt: skip
     person = PROTOCOL.person.model_copy(update={"alive": Alive(breathing=Breathing())})
     variation = PROTOCOL.variation.model_copy(update=varied)
@@ -107,7 +107,7 @@ def test_every_draw_of_a_salted_trial_uses_its_salt(monkeypatch: pytest.MonkeyPa
     spec = TrialSpec(protocol=protocol, task_id="T1", seed=0, policy="zero-action", salt="5a" * 32)
     with Episode(spec, card=PolicyCard(name="blind", control_hz=20.0)) as episode:
         episode.reset()
-    assert used == ["5a" * 32] * 5
+    assert used == ["5a" * 32] * 6
 
 
 def test_salted_noise_does_not_tell_the_seed() -> None:

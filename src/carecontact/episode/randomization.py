@@ -7,16 +7,19 @@ import hashlib
 import numpy as np
 
 from carecontact.contract.protocol import Alive, Protocol
+from carecontact.kernel.region import set_law
+from carecontact.observation.calibration import Calibration, draw_calibration
 from carecontact.observation.sensor_noise import SensorNoise
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.appearance import draw_appearance, wear
+from carecontact.world.human.spread import draw_tissue
 from carecontact.world.life import draw_doings
 from carecontact.world.light import draw_light, shine
 from carecontact.world.place import draw_place, move_person
 from carecontact.world.scene import Scene
 
 STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
-           "withdrawal")  # fmt: skip
+           "withdrawal", "calibration", "tissue")  # fmt: skip
 """In the order of the seed's children: a new one goes to the end."""
 
 
@@ -67,6 +70,18 @@ def lay(scene: Scene, seed: int, *, salt: str = "") -> None:
         move_person(scene.model, draw_place(streams(scene.protocol, seed, salt)["place"], variation))
 
 
+def soften(simulation: Simulation, seed: int, *, salt: str = "") -> None:
+    """Give the soft regions of a settled world the stiffness that its protocol varies with the seed.
+
+    Once. Nothing touches a soft region while the person settles, so that all draws of a person lie in the same way.
+    """
+    scene = simulation.scene
+    if scene.protocol.variation.tissue == "published-v1":
+        rows = {name: region.tissue for name, region in scene.regions.items()}
+        for name, row in draw_tissue(streams(scene.protocol, seed, salt)["tissue"], rows).items():
+            set_law(simulation.model, name, row)
+
+
 def wake(simulation: Simulation, seed: int, *, salt: str = "") -> None:
     """Let the person of a settled world begin what its protocol lets it do by itself; nothing where it does nothing."""
     protocol = simulation.protocol
@@ -77,6 +92,11 @@ def wake(simulation: Simulation, seed: int, *, salt: str = "") -> None:
         wrist_radius_m=simulation.wrist_radius_m(),
     )  # fmt: skip
     simulation.life.wake(simulation.data, doings)
+
+
+def calibration(protocol: Protocol, seed: int, *, salt: str = "") -> Calibration:
+    """The error with which the cell of one trial knows its fixed cameras."""
+    return draw_calibration(streams(protocol, seed, salt)["calibration"], protocol)
 
 
 def sensor_noise(protocol: Protocol, seed: int, *, salt: str = "", noise_salt: str = "") -> SensorNoise:

@@ -56,9 +56,10 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "actions/clipped": ("u1", "(M,) 1 where a target outside the workspace was moved onto its border"),
     "actions/damping_ratio": ("f8", "(M,) in force"),
     "actions/wrench_in_tcp": ("f8", "(M, 6) feedforward in force: force [N], torque [N m]"),
-    "policy/believed_pose_camera_in_base": ("f8", "(A, V, 7) as the policy was shown it, with its calibration error"),
-    "policy/believed_pose_base_in_world": ("f8", "(A, 7) where the cell's calibration has the robot's base"),
+    "policy/believed_pose_camera_in_base": ("f8", "(A, V, 7) as it was shown, with the calibration's error; else NaN"),
+    "scorer/pose_camera_in_base": ("f8", "(A, V, 7) where those cameras are"),
     "scorer/human_joint_reaction": ("f4", "(T, J) [N m] torque of each scored joint's end stop"),
+    "scorer/region_law": ("f8", "(R, 11) of each soft region, in the order of kernel.region.Law; 0 on a rigid one"),
     "scorer/cell_in_region": ("f4", "(C, 3) [m] centre of each cell at rest, in the target region's frame"),
     "scorer/cell_area_m2": ("f4", "(C,)"),
     "scorer/cell_press_ns": ("f4", "(P, C) normal force times time, summed over the period"),
@@ -76,7 +77,9 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
 }
 """Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
 soft region since schema 3: cells are patches of about 7.5 mm (``world.human.tissue.DeclaredCells``), and a row sums
-what happened since the row before it. What the person does by itself is there where the protocol lets it do something
+what happened since the row before it. ``scorer/region_law`` is there where the law of a region is not its row in the
+protocol: on a body of another build, and where the seed draws the tissue. What the person does by itself is there
+where the protocol lets it do something
 (``contract.protocol.alive``). These paths are allowed as well:
 ``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
 (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``report/skin_in_world`` (N, 3) f4 [m],

@@ -18,6 +18,7 @@ from carecontact.world.cameras import add_cameras
 from carecontact.world.furniture import add_furniture, add_light
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.breathing import add_servos, add_slide, carrier, move_skin
+from carecontact.world.human.build import tissue_of
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.library import load_body
 from carecontact.world.human.muscles import add_muscles
@@ -118,7 +119,7 @@ def _add_person(
         add_muscles(spec)
     regions: dict[str, SoftRegion] = {}
     for region in protocol.soft_regions:
-        tissue = protocol.person.tissue[region]
+        tissue = tissue_of(body, region, protocol.person.tissue[region])
         shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue))
         on = carrier(REGIONS[region].segment, breathes=breathes)
         regions[region] = add_tissue(spec, body, region, shell, tissue, on=on)
