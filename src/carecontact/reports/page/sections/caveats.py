@@ -111,7 +111,8 @@ def _baselines(page: Page) -> list[Caveat]:
     if page.judged and page.baselines is None:
         text = (
             "This page does not show how many trials a policy that cannot do the task passes. Run zero-action, hover, "
-            "random and replay with the same seeds and name them with carecontact report DIR --baseline RUN..."
+            "random, replay, replay-registered and mean-person with the same seeds and name them with carecontact "
+            "report DIR --baseline RUN..."
         )
         found.append(("No blind baselines", text))
     if page.lost_baselines:
