@@ -43,7 +43,7 @@ class Audit:
         return {
             "schema": SCHEMA, "passed": self.passed, "quick": self.quick, "policies": list(self.policies),
             "privileged": list(self.privileged),
-            "protocol": {"id": self.protocol.id, "sha256": self.protocol.sha256, "body": self.protocol.person.body},
+            "protocol": {"id": self.protocol.name, "sha256": self.protocol.sha256, "body": self.protocol.person.body},
             "versions": package_versions(), "parts": [part.as_json() for part in self.parts],
         }  # fmt: skip
 

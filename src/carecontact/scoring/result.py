@@ -31,6 +31,9 @@ MEASURED = (
 )  # fmt: skip
 """Fields of ``TrialScore`` that metrics fill."""
 
+DRAWN = "drawn "
+"""Before the name of a part of the world that the seed draws (``TrialScore.world``)."""
+
 
 class TrialScore(BaseModel):
     """None means NA. Produced by ``scoring.score_recording`` alone; SI units."""
@@ -59,6 +62,7 @@ class TrialScore(BaseModel):
     language_sent: str | None = None
     """Sampling parameters that they accepted."""
     protocol_id: str
+    """With the level, where there is one: ``my-protocol L2``."""
     protocol_sha256: str
     overrides: dict[str, str] = {}
     """Field of the protocol -> what a command replaced it with."""
@@ -66,7 +70,9 @@ class TrialScore(BaseModel):
     """Canonical hash of the recording that was scored."""
     world: dict[str, str]
     """What was simulated: hashes of ``model``, ``body`` and ``robot``, the version of ``mujoco``, as far as recorded.
-    ``model`` is left out where the policy changed its stiffness, because the recorded hash then holds that choice."""
+    ``model`` is left out where the policy changed its stiffness, because the recorded hash then holds that choice.
+    Where the protocol draws bodies or bases, ``model`` and ``body`` are called ``drawn model`` and ``drawn body``: they
+    are the seed's."""
     ended: str
     duration_s: float
     failure_message: str | None
