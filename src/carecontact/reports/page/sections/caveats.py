@@ -120,7 +120,8 @@ def _baselines(page: Page) -> list[Caveat]:
         text = (
             f"{page.kept_scores}{' ' if page.kept_scores else ''}"
             "This page does not show how many trials a policy that cannot do the task passes. Run zero-action, hover, "
-            "random and replay with the same seeds and name them with carecontact report DIR --baseline RUN..."
+            "random, replay, replay-registered and mean-person with the same seeds and name them with carecontact "
+            "report DIR --baseline RUN..."
         )
         found.append(("No blind baselines", text))
     if page.lost_baselines:
