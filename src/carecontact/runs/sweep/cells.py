@@ -15,6 +15,7 @@ from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, did_you_mean
 from carecontact.protocols import load_protocol, overridden
+from carecontact.protocols.friction import SKIN_STATES
 from carecontact.runs.freeze import check_frozen
 from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
 from carecontact.runs.preflight import check_protocol, check_rows
@@ -128,7 +129,10 @@ def cells_of(
 def _along(protocol: Protocol, axis: str, value: Value, *, place: str) -> Protocol:
     """The protocol with one value of an axis."""
     if axis == "friction":
-        changes: dict[str, Value] = {f"person.tissue.{name}.friction": value for name in protocol.soft_regions}
+        if isinstance(value, str) and value not in SKIN_STATES:
+            raise ConfigError(f"{place}: expected a coefficient, or {', '.join(SKIN_STATES)}, got {value!r}")
+        coefficient = SKIN_STATES[value].coefficient if isinstance(value, str) else value
+        changes: dict[str, Value] = {f"person.tissue.{name}.friction": coefficient for name in protocol.soft_regions}
     elif axis == "latency_ms":
         if isinstance(value, str):
             raise ConfigError(f"{place}: expected a number of milliseconds, got {value!r}")
