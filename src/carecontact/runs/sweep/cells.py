@@ -18,6 +18,7 @@ from carecontact.protocols import load_protocol, overridden
 from carecontact.runs.freeze import check_frozen
 from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
 from carecontact.runs.preflight import check_protocol, check_rows
+from carecontact.runs.sweep.factors import AXIS, factor_protocols
 from carecontact.runs.sweep.plan import AXES, Plan, Value
 
 NAME_CHARACTERS = 100
@@ -64,17 +65,12 @@ def places_of(plan: Plan, *, named: str) -> list[Place]:
     """
     axes = [name for name in plan.axes if name != "protocol"]
     places: list[Place] = []
-    for protocol_name in plan.protocols:
-        try:
-            whole = check_frozen(protocol_name, load_protocol(protocol_name), unfrozen=False)
-        except ConfigError as error:
-            raise ConfigError(f"plan {named}: axes.protocol: {error}") from None
+    for shown, whole in _bases(plan, named):
         rules = _changed(whole, plan.set, place=f"plan {named}: set")
         for axis in axes:
             for value in plan.axes[axis]:
                 _checked(_along(rules, axis, value, place=f"plan {named}: axes.{axis}"), place=f"{named}: axes.{axis}")
         tasks, seeds = _trials(plan, rules, named)
-        shown = {"protocol": protocol_name} if "protocol" in plan.axes else {}
         for values in product(*(plan.axes[axis] for axis in axes)):
             chosen = dict(zip(axes, values, strict=True))
             made = rules
@@ -84,6 +80,28 @@ def places_of(plan: Plan, *, named: str) -> list[Place]:
             texts = shown | {axis: _text(value) for axis, value in chosen.items()}
             places.append(Place(values=texts, protocol=made, tasks=tasks, seeds=seeds))
     return places
+
+
+def _bases(plan: Plan, named: str) -> list[tuple[dict[str, str], Protocol]]:
+    """What the other axes are varied on, with the value of its own axis where it has one."""
+    if plan.factors is not None:
+        place = f"plan {named}: factors"
+        low, high = (_loaded(name, place) for name in (plan.factors.low, plan.factors.high))
+        groups = {name: [str(path) for path in paths] for name, paths in plan.factors.groups.items()}
+        found = factor_protocols(low, high, groups, place=place)
+        return [({AXIS: value}, protocol) for value, protocol in found.items()]
+    place = f"plan {named}: axes.protocol"
+    return [({"protocol": name} if "protocol" in plan.axes else {}, _loaded(name, place)) for name in plan.protocols]
+
+
+def _loaded(name: str, place: str) -> Protocol:
+    """A protocol as titles name it: its id or file, and its level after a space where it has levels."""
+    whole, _, level = name.partition(" ") if not name.endswith(".toml") else (name, "", "")
+    chosen = {"level": level} if level else {}
+    try:
+        return check_frozen(whole, load_protocol(whole, **chosen), unfrozen=False)
+    except ConfigError as error:
+        raise ConfigError(f"{place}: {error}") from None
 
 
 def cells_of(
