@@ -36,5 +36,5 @@ def test_one_picture_of_every_camera(
     assert capsys.readouterr().out.startswith("look-T3-s007.png: T3 seed 7")
     assert Path("look-T3-s007.png").read_bytes().startswith(b"\x89PNG")
     card = asked.pop("card")
-    assert asked == {"task_id": "T3", "seed": 7, "body": "man-old-light", "tool": "mitt", "weights": None}
+    assert asked == {"task_id": "T3", "seed": 7, "body": "man-old-light", "tool": "mitt", "weights": None, "salt": ""}
     assert (card.modalities, card.cameras) == (MODALITIES, CAMERAS)

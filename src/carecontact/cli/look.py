@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.groups import FLAT, RulesGroup, VisionGroup
+from carecontact.cli.groups import FLAT, RulesGroup, SaltGroup, VisionGroup
 from carecontact.contract.embodiment import ToolName
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ class Look:
     """What the robot's hand wears in place of the protocol's: rigid caps over the fingertips, or a soft wash mitt. The
     sheet names this change."""
     vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
+    salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
     out: Path | None = None
     """Picture to write, .png, .jpg or .pdf; default: look-TASK-sSEED.png in the current folder."""
 
@@ -51,7 +52,9 @@ class Look:
         path = check_sheet_path(self.out or Path(f"look-{trial}.png"))
         check_protocol(rules)
         card = PolicyCard(name="look", modalities=MODALITIES, cameras=CAMERAS)
-        observation = first_look(rules, task_id=self.task, seed=self.seed, card=card, weights=self.vision.weights)
+        observation = first_look(
+            rules, task_id=self.task, seed=self.seed, card=card, weights=self.vision.weights, salt=self.salted.salt
+        )
         name = rules.task(self.task).name
         title = f"{self.task} {name}, seed {self.seed}, {rules.title} (the policy does not receive this line)"
         save_sheet(observation, path, title=title)

@@ -108,7 +108,7 @@ class Truth:
                              1 - MIN_REGION_M / float(np.linalg.norm(b - a)))  # fmt: skip
                 return a + max(free_from, begins) * (b - a), b
             case TrunkSight(joints=(lower, upper), middle=middle, length=share):
-                a, b = (sum(self._joint(f"{side} {j}") for side in ("left", "right")) / 2 for j in (lower, upper))
+                a, b = ((self._joint(f"left {j}") + self._joint(f"right {j}")) / 2 for j in (lower, upper))
                 return a + (middle - share / 2) * (b - a), a + (middle + share / 2) * (b - a)
         raise AssertionError(row.sight)
 

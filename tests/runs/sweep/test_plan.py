@@ -93,7 +93,7 @@ def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
         (
             "stiffness =",
             "stifness =",
-            r"axes\.stifness: no such axis \(did you mean 'stiffness'\?\); valid: protocol, body",
+            r"axes\.stifness: no such axis \(did you mean 'stiffness'\?\); valid: protocol, level, body",
         ),
         ("0.5]\nstiff", "7]\nstiff", r"axes\.friction: .*person\.tissue\.forearm\.friction: expected at most 2"),
         ("0.5]\nstiff", '"damp"]\nstiff', r"axes\.friction: expected a coefficient, or dry, wet, soapy, got 'damp'"),
