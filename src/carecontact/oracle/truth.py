@@ -6,10 +6,11 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.episode.perception import SEGMENT_AT
+from carecontact.episode.perception import SEGMENT_AT, middle_share
 from carecontact.errors import ContractError
 from carecontact.regions import REGIONS, LimbSight, TrunkSight
 from carecontact.sight import RegionGeometry
+from carecontact.sight.region import MIN_REGION_M
 from carecontact.sim.simulation import Simulation
 from carecontact.sim.true_skin import skin_in_world
 from carecontact.world.human.skeleton import body_name
@@ -102,7 +103,10 @@ class Truth:
         match row.sight:
             case LimbSight(joints=(first, second), free_from=free_from):
                 a, b = self._joint(f"{row.side} {first}"), self._joint(f"{row.side} {second}")
-                return a + free_from * (b - a), b
+                # Where a chest crowds the arm, the region of this body begins nearer the next joint.
+                begins = min(2 * middle_share(self.simulation.model, self.region) - 1,
+                             1 - MIN_REGION_M / float(np.linalg.norm(b - a)))  # fmt: skip
+                return a + max(free_from, begins) * (b - a), b
             case TrunkSight(joints=(lower, upper), middle=middle, length=share):
                 a, b = ((self._joint(f"left {j}") + self._joint(f"right {j}")) / 2 for j in (lower, upper))
                 return a + (middle - share / 2) * (b - a), a + (middle + share / 2) * (b - a)
