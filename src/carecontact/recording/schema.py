@@ -124,6 +124,17 @@ class Header(BaseModel):
     sha256: dict[str, str]
     """model, body and mesh assets, and the binary of the compiled tissue (``kernel``)"""
     solver_warnings: list[str]
+    drawn: dict[str, Any] = {}
+    """What the seed drew of body, arm, place, robot's base and overhead camera (``episode.drawn``); empty where the
+    protocol draws none of them. For the scorer, never for a policy."""
+
+    @model_serializer(mode="wrap")
+    def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out ``drawn`` where it is empty: such a trial keeps the header that it had before."""
+        content = serialize(self)
+        if not self.drawn:
+            del content["drawn"]
+        return content
 
     @field_validator("spec")
     @classmethod

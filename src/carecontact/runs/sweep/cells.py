@@ -63,19 +63,21 @@ def places_of(plan: Plan, *, named: str) -> list[Place]:
 
     Raises ConfigError naming the axis, the value and what is valid.
     """
-    axes = [name for name in plan.axes if name != "protocol"]
+    axes = [name for name in plan.axes if name not in ("protocol", "level")]
     places: list[Place] = []
-    for protocol_name in plan.protocols:
+    for protocol_name, level in product(plan.protocols, plan.levels):
         try:
-            whole = check_frozen(protocol_name, load_protocol(protocol_name), unfrozen=False)
+            whole = check_frozen(protocol_name, load_protocol(protocol_name, level=level), unfrozen=False)
         except ConfigError as error:
-            raise ConfigError(f"plan {named}: axes.protocol: {error}") from None
+            raise ConfigError(f"plan {named}: axes.{'protocol' if level is None else 'level'}: {error}") from None
         rules = _changed(whole, plan.set, place=f"plan {named}: set")
         for axis in axes:
             for value in plan.axes[axis]:
                 _checked(_along(rules, axis, value, place=f"plan {named}: axes.{axis}"), place=f"{named}: axes.{axis}")
         tasks, seeds = _trials(plan, rules, named)
         shown = {"protocol": protocol_name} if "protocol" in plan.axes else {}
+        if level is not None:
+            shown["level"] = level
         for values in product(*(plan.axes[axis] for axis in axes)):
             chosen = dict(zip(axes, values, strict=True))
             made = rules
@@ -134,7 +136,7 @@ def _along(protocol: Protocol, axis: str, value: Value, *, place: str) -> Protoc
     elif axis in AXES or "." in axis:
         changes = {AXES.get(axis, axis): value}
     else:
-        valid = ["protocol", *AXES]
+        valid = ["protocol", "level", *AXES]
         raise ConfigError(
             f"{place}: no such axis{did_you_mean(axis, valid)}; valid: {', '.join(valid)}, and any field of the "
             'protocol by its dotted name, such as "gates.touch.duration_s"'

@@ -45,13 +45,18 @@ class Plan(_Table):
     """What the order of the policies is read from: the share of such trials."""
     policies: Annotated[list[PlannedPolicy], Field(min_length=1)]
     axes: dict[str, Values] = {}
-    """Axis -> its values: ``protocol``, one of AXES, or the dotted name of any field of the protocol."""
+    """Axis -> its values: ``protocol``, ``level``, one of AXES, or the dotted name of any field of the protocol."""
     set: dict[str, Value] = {}
     """Field of the protocol -> value in place of its own, in every combination."""
 
     @property
     def protocols(self) -> list[str]:
         return [str(name) for name in self.axes.get("protocol", [DEFAULT_PROTOCOL])]
+
+    @property
+    def levels(self) -> list[str | None]:
+        """Of every protocol; a plan of protocols without levels names none."""
+        return [str(name) for name in self.axes["level"]] if "level" in self.axes else [None]
 
 
 AXES = {
