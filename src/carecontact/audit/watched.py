@@ -141,7 +141,7 @@ def watch(
         watched.error = failure.message
     card, protocol = watched.card, drawn[-1]
     if log is not None and watched.looks and card is not None:
-        scene, known = protocol.scene, calibration(protocol, spec.seed, salt=spec.salt)
+        scene, known = protocol.scene, calibration(spec.protocol, spec.seed, salt=spec.salt)
         write_meta(
             log,
             Meta(

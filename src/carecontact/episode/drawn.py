@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from carecontact.contract.protocol import Protocol
+from carecontact.contract.protocol import Protocol, Variation
+from carecontact.contract.protocol.variation import DRAWN
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.draws import body_of, overhead_of, posture_of
 from carecontact.episode.parking import parked
@@ -71,6 +72,12 @@ def like(protocol: Protocol, other: Protocol) -> Protocol:
     return protocol.model_copy(update={
         "person": protocol.person.model_copy(update=update), "scene": other.scene, "cameras": other.cameras
     })  # fmt: skip
+
+
+def settled_draws(protocol: Protocol) -> Protocol:
+    """A drawn protocol (``Drawn.protocol``) from which no seed draws another body, base or camera."""
+    defaults = {name: Variation.model_fields[name].default for name in DRAWN}
+    return protocol.model_copy(update={"variation": protocol.variation.model_copy(update=defaults)})
 
 
 def _concrete(protocol: Protocol, laid: Protocol, seed: int, salt: str) -> Protocol:
