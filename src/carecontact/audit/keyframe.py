@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.drawn import draw, like
 from carecontact.episode.prepare import settled_world
-from carecontact.episode.randomization import comfort_arm_deg
 from carecontact.errors import SceneError
 from carecontact.kernel.region import set_law
 from carecontact.policies.motion import UP, Leg, radial_quat, sample, travel
@@ -41,12 +41,13 @@ class Keyframe:
         """Builds, settles and presses once. Raises SceneError or SettleError as a trial does, and SceneError if the
         robot cannot touch the region."""
         simulation, self.settled, self.model_sha256 = settled_world(protocol, task_id=task_id, seed=seed)
-        self._laid_at_deg = comfort_arm_deg(protocol, seed)
+        region = protocol.task(task_id).region
+        self._laid_at_deg = draw(protocol, region=region, seed=seed).comfort_arm_deg
         self.scene = simulation.scene
         self._parked = simulation.integration_state()
         self.parked_pose = simulation.control.target_in_base
         """(7,) of the TCP in base; as a goal it moves nothing."""
-        self._near, self.poses = self._approach(simulation, region=protocol.task(task_id).region)
+        self._near, self.poses = self._approach(simulation, region=region)
         """(n, 7) poses of the TCP in base at CONTROL_HZ that follow the later keyframe and end in contact."""
 
     def parked(self, spec: TrialSpec) -> tuple[Simulation, Settled, str]:
@@ -60,7 +61,9 @@ class Keyframe:
     def twin(self, spec: TrialSpec) -> tuple[Simulation, Settled, str]:
         """The same moment in a world with other hidden values: those of ``spec`` and stiffer tissue, which moves like
         the other until contact, because tissue that nothing touches does nothing."""
-        scene = replace(self.scene, model=copy.deepcopy(self.scene.model), protocol=spec.protocol)
+        scene = replace(
+            self.scene, model=copy.deepcopy(self.scene.model), protocol=like(spec.protocol, self.scene.protocol)
+        )
         for name, region in scene.regions.items():
             law = region.tissue.model_dump()
             stiffer = {field: STIFFER * law[field] for field in ("a_n_m3", "b_n_m4", "c_n_m5", "damping_ns_m3")}

@@ -31,6 +31,8 @@ class Audit:
     policies: tuple[str, ...]
     quick: bool
     parts: tuple[Part, ...]
+    privileged: tuple[str, ...] = ()
+    """Policies that were left out because they are given the whole simulation."""
 
     @property
     def passed(self) -> bool:
@@ -40,7 +42,8 @@ class Audit:
         """Where everything passed, nothing in it depends on place, time or machine."""
         return {
             "schema": SCHEMA, "passed": self.passed, "quick": self.quick, "policies": list(self.policies),
-            "protocol": {"id": self.protocol.id, "sha256": self.protocol.sha256, "body": self.protocol.person.body},
+            "privileged": list(self.privileged),
+            "protocol": {"id": self.protocol.name, "sha256": self.protocol.sha256, "body": self.protocol.person.body},
             "versions": package_versions(), "parts": [part.as_json() for part in self.parts],
         }  # fmt: skip
 
@@ -50,12 +53,15 @@ def audit(
     policies: Sequence[PolicySetup],
     *,
     quick: bool,
+    privileged: Sequence[str] = (),
     on_event: Callable[[str], None] = lambda said: None,
 ) -> Audit:
     """Run every part on every policy.
 
     The quick form presses one region, with one card that requests all that the policies request. The full form presses
     every region of the protocol with each card, and lets the policies' own trials run to their end.
+
+    ``privileged``: policies that are left out, as the result names them.
 
     Raises SceneError or SettleError where no world can be made, CarecontactError if the audit itself breaks.
     """
@@ -79,7 +85,7 @@ def audit(
                 region.make_again()
     parts = tuple(_merged(part.NAME, part.TITLE, found[part.NAME]) for part in PARTS)
     names = tuple(policy.ref.text for policy in policies)
-    return Audit(protocol=protocol, policies=names, quick=quick, parts=parts)
+    return Audit(protocol=protocol, policies=names, quick=quick, parts=parts, privileged=tuple(privileged))
 
 
 def write(result: Audit, folder: Path) -> Path:

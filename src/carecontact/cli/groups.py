@@ -33,6 +33,8 @@ class JsonGroup:
 class ProtocolGroup:
     protocol: str = "bathing-draft"
     """Id of a shipped protocol (see `carecontact list protocols`) or a .toml file."""
+    level: str | None = None
+    """Level of the protocol, where it has any: bathing-wide-draft has L0, L1, L2 and L3."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +52,7 @@ class ChangedProtocolGroup(ProtocolGroup):
         expected."""
         from carecontact.protocols import load_protocol
 
-        return self.changed(load_protocol(self.protocol))
+        return self.changed(load_protocol(self.protocol, level=self.level))
 
     def changed(self, protocol: Protocol, **options: Mapping[str, object]) -> Protocol:
         """``protocol`` with these changes and those of other options, by the option's name.

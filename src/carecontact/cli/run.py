@@ -201,7 +201,7 @@ class Run:
         from carecontact.runs.preflight import check_protocol, check_rows
 
         name = self.rules.protocol
-        loaded = check_frozen(name, load_protocol(name), unfrozen=self.unfrozen)
+        loaded = check_frozen(name, load_protocol(name, level=self.rules.level), unfrozen=self.unfrozen)
         stiffness = {} if self.stiffness is None else {"impedance.translational_n_m": self.stiffness}
         latency = {} if self.latency_ms is None else {"phases.latency_s": self.latency_ms / 1000}
         changed = self.rules.changed(

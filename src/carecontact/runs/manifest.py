@@ -125,7 +125,7 @@ def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity,
     manifest = Manifest(
         purpose=earlier.purpose if earlier else purpose,
         policy=specs[0].policy,
-        protocol=ProtocolName(id=protocol.id, sha256=protocol.sha256, overrides=protocol.overrides),
+        protocol=ProtocolName(id=protocol.name, sha256=protocol.sha256, overrides=protocol.overrides),
         identity=identity,
         noise_salt=specs[0].noise_salt,
         trials=sorted({*(earlier.trials if earlier else ()), *(spec.trial_id for spec in specs)}),

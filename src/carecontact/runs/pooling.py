@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from carecontact.errors import ConfigError
-from carecontact.scoring.result import TrialScore
+from carecontact.scoring.result import DRAWN, TrialScore
 
 
 def judged(scores: Iterable[TrialScore]) -> list[TrialScore]:
@@ -49,12 +49,15 @@ def _check_one_world(scores: Sequence[TrialScore]) -> None:
 def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, TrialScore] | None:
     """The first part of the world in which two scores differ, and the two; None in one world.
 
-    The compiled model has the fine skin on the task's region, so that models are compared region by region.
+    The compiled model has the fine skin on the task's region, so that models are compared region by region, and those
+    that a seed draws seed by seed.
     """
-    first: dict[tuple[str, ...], TrialScore] = {}
+    first: dict[tuple[object, ...], TrialScore] = {}
     for score in scores:
         for what, value in score.world.items():
-            place = (what, score.region) if what == "model" else (what,)
+            place: tuple[object, ...] = (what, score.region) if what.endswith("model") else (what,)
+            if what.startswith(DRAWN):
+                place = (*place, score.seed)
             other = first.setdefault(place, score)
             if other.world[what] != value:
                 return what, other, score

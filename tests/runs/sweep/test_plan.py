@@ -79,7 +79,7 @@ def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
         (
             "stiffness =",
             "stifness =",
-            r"axes\.stifness: no such axis \(did you mean 'stiffness'\?\); valid: protocol, body",
+            r"axes\.stifness: no such axis \(did you mean 'stiffness'\?\); valid: protocol, level, body",
         ),
         ("0.5]\nstiff", "7]\nstiff", r"axes\.friction: .*person\.tissue\.forearm\.friction: expected at most 2"),
         ("[200, 400]", "[200, 5000]", r"axes\.stiffness: .*expected 100 to 1000"),

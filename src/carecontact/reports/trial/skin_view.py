@@ -131,7 +131,7 @@ def _touching(recording: Recording, found: Paths) -> list[slice]:
     """Stretches of control periods with a force on any segment."""
     from carecontact.scoring.contact import runs
 
-    felt = (recording["scorer/normal_force"] > 0).any(axis=1)
+    felt = np.any(recording["scorer/normal_force"] > 0, axis=1)
     step = np.clip(np.searchsorted(recording["scorer/time_s"], found.time_s) - 1, 0, None)
     return [slice(start, stop) for start, stop in runs(felt[step]).tolist() if stop - start > 1]
 

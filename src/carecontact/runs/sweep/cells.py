@@ -63,7 +63,7 @@ def places_of(plan: Plan, *, named: str) -> list[Place]:
 
     Raises ConfigError naming the axis, the value and what is valid.
     """
-    axes = [name for name in plan.axes if name != "protocol"]
+    axes = [name for name in plan.axes if name not in ("protocol", "level")]
     places: list[Place] = []
     for shown, whole in _bases(plan, named):
         rules = _changed(whole, plan.set, place=f"plan {named}: set")
@@ -83,23 +83,30 @@ def places_of(plan: Plan, *, named: str) -> list[Place]:
 
 
 def _bases(plan: Plan, named: str) -> list[tuple[dict[str, str], Protocol]]:
-    """What the other axes are varied on, with the value of its own axis where it has one."""
+    """What the other axes are varied on, with the values of its own axes where it has any."""
     if plan.factors is not None:
         place = f"plan {named}: factors"
-        low, high = (_loaded(name, place) for name in (plan.factors.low, plan.factors.high))
+        low, high = (_loaded(*_with_level(name), place) for name in (plan.factors.low, plan.factors.high))
         groups = {name: [str(path) for path in paths] for name, paths in plan.factors.groups.items()}
         found = factor_protocols(low, high, groups, place=place)
         return [({AXIS: value}, protocol) for value, protocol in found.items()]
-    place = f"plan {named}: axes.protocol"
-    return [({"protocol": name} if "protocol" in plan.axes else {}, _loaded(name, place)) for name in plan.protocols]
+    bases: list[tuple[dict[str, str], Protocol]] = []
+    for name, level in product(plan.protocols, plan.levels):
+        shown = {"protocol": name} if "protocol" in plan.axes else {}
+        place = f"plan {named}: axes.{'protocol' if level is None else 'level'}"
+        bases.append((shown if level is None else {**shown, "level": level}, _loaded(name, level, place)))
+    return bases
 
 
-def _loaded(name: str, place: str) -> Protocol:
+def _with_level(name: str) -> tuple[str, str | None]:
     """A protocol as titles name it: its id or file, and its level after a space where it has levels."""
-    whole, _, level = name.partition(" ") if not name.endswith(".toml") else (name, "", "")
-    chosen = {"level": level} if level else {}
+    whole, _, level = name.rpartition(" ")
+    return (name, None) if not whole or name.endswith(".toml") else (whole, level)
+
+
+def _loaded(name: str, level: str | None, place: str) -> Protocol:
     try:
-        return check_frozen(whole, load_protocol(whole, **chosen), unfrozen=False)
+        return check_frozen(name, load_protocol(name, level=level), unfrozen=False)
     except ConfigError as error:
         raise ConfigError(f"{place}: {error}") from None
 
@@ -143,7 +150,7 @@ def _along(protocol: Protocol, axis: str, value: Value, *, place: str) -> Protoc
     elif axis in AXES or "." in axis:
         changes = {AXES.get(axis, axis): value}
     else:
-        valid = ["protocol", *AXES]
+        valid = ["protocol", "level", *AXES]
         raise ConfigError(
             f"{place}: no such axis{did_you_mean(axis, valid)}; valid: {', '.join(valid)}, and any field of the "
             'protocol by its dotted name, such as "gates.touch.duration_s"'

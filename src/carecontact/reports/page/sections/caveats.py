@@ -40,6 +40,7 @@ def caveats(page: Page) -> dict[str, Any]:
 def cannot_say(page: Page) -> list[Caveat]:
     headers = list(page.headers.values())
     return [
+        *_privileged(page.scores),
         *_few(page.scores),
         *_bodies(headers),
         *_variation(headers),
@@ -51,6 +52,16 @@ def cannot_say(page: Page) -> list[Caveat]:
         *_isolation(page),
         ("Simulation", "These are forces on a simulated person. They say nothing about comfort, pain or injury."),
     ]
+
+
+def _privileged(scores: Sequence[TrialScore]) -> list[Caveat]:
+    if not any(score.privileged for score in scores):
+        return []
+    text = (
+        "The policy was given the simulation: the true skin, pose and contact force. Its rates show what can be done, "
+        "as a ceiling; they rank no method."
+    )
+    return [("Privileged", text)]
 
 
 def _few(scores: Sequence[TrialScore]) -> list[Caveat]:
