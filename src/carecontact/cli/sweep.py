@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, EngineGroup, JsonGroup, PolicyGroup, Switch
+from carecontact.cli.groups import FLAT, EngineGroup, JsonGroup, PolicyGroup, SaltGroup, Switch
 from carecontact.errors import ConfigError, DependencyError
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ class Sweep:
     shard: str | None = None
     """Run one part of the cells: 2/4 is the second of four. The parts can share --out, and the last one to end writes
     the whole table."""
+    salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
     retry_failed: Switch = False
     """Run again the trials in which the policy crashed or the harness failed."""
     dry_run: Switch = False
@@ -90,11 +91,12 @@ class Sweep:
         warnings = dict[str, None]()
         try:
             setups = [policy_setup(planned.policy, _options(planned)) for planned in plan.policies]
+            setups = [replace(setup, closed=(*setup.closed, *self.salted.closed)) for setup in setups]
             named = [
                 (planned.label or _title(planned), setup.ref.text, setup.arguments, tuple(setup.environment))
                 for planned, setup in zip(plan.policies, setups, strict=True)
             ]
-            cells = cells_of(plan, places, named)
+            cells = cells_of(plan, places, named, salt=self.salted.salt)
         except ConfigError as error:
             raise ConfigError(f"plan {self.plan}: policies: {error}") from None
         for planned, setup in zip(plan.policies, setups, strict=True):
