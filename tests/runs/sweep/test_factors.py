@@ -83,7 +83,7 @@ def test_a_plan_of_factors_has_a_place_for_each(tmp_path: Path) -> None:
     [
         (
             '[factors]\nlow = "bathing-draft"\nhigh = "x"\n[axes]\nprotocol = ["bathing-draft"]\n',
-            "factors: they stand in place of axes.protocol and axes.level",
+            "factors: they stand in place of axes.protocol; give only one",
         ),
         ('[factors]\nlow = "bathing-draft"\nhigh = "bathing-moved-drift"\n', "plan p: factors: .*bathing-moved-drift"),
     ],
