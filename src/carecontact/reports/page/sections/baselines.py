@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from carecontact.policies.registry import POLICIES
 from carecontact.reports.intervals import enough_seeds
 from carecontact.reports.page.section import Page, section
 
@@ -49,5 +50,5 @@ def baselines(page: Page) -> dict[str, Any] | None:
         "tasks": found.tasks,
         "enough": enough_seeds(page.judged),
         "shipped": ", ".join(found.kept),
-        "blinds": [row.policy for row in found.baselines if row.policy not in found.kept or row.policy in BLIND],
+        "blinds": [row.policy for row in found.baselines if row.policy in BLIND or row.policy not in POLICIES],
     }
