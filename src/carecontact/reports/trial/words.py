@@ -72,9 +72,7 @@ def _closest(recording: Recording) -> str:
     away = distance_to_surface(points_in_region(tip, region_poses(recording)), size)
     nearest = int(away.argmin())
     time_s = float(recording["scorer/time_s"][nearest])
-    return (
-        f"; the tool's tip came to {1000 * max(away[nearest], 0.0):.0f} mm from the region's surface, at {time_s:.2f} s"
-    )
+    return f"; the tip of the tool came to {1000 * max(away[nearest], 0.0):.0f} mm from the region, at {time_s:.2f} s"
 
 
 def _end(score: TrialScore, header: Header) -> str:
