@@ -6,6 +6,7 @@ from typing import Any
 
 from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.drawn import drawn_facts
 from carecontact.episode.ended import Ended
 from carecontact.kernel.found import sha256 as kernel_sha256
 from carecontact.recording.schema import SEGMENTS, Header
@@ -23,8 +24,10 @@ def header_of(
     model_sha256: str,
     card: dict[str, Any] | None,
     control: str | None,
+    privileged: bool = False,
 ) -> Header:
-    """``card``, ``control``: None where the policy never showed its card."""
+    """``card``, ``control``: None where the policy never showed its card. ``privileged``: it was given the
+    simulation."""
     warnings = simulation.solver_warnings()
     if simulation.normal_sum_truncated:
         warnings.append("normal-force sensor full: normal sums are too small")
@@ -34,6 +37,7 @@ def header_of(
         failure=ended.failure,
         card=card,
         control=control,
+        privileged=privileged,
         embodiment=EMBODIMENTS[spec.protocol.scene.tool].id,
         comfort_arm_deg=settled.comfort_arm_deg,
         segments=list(SEGMENTS),
@@ -49,4 +53,5 @@ def header_of(
             "kernel": kernel_sha256(),
         },
         solver_warnings=warnings,
+        drawn=drawn_facts(simulation.scene) if spec.protocol.variation.draws_models else {},
     )

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, field_validator
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, field_validator, model_serializer
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.regions import SEGMENTS, STANDARD_REGIONS
@@ -57,7 +57,7 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "actions/damping_ratio": ("f8", "(M,) in force"),
     "actions/wrench_in_tcp": ("f8", "(M, 6) feedforward in force: force [N], torque [N m]"),
     "policy/believed_pose_camera_in_base": ("f8", "(A, V, 7) as it was shown, with the calibration's error; else NaN"),
-    "scorer/pose_camera_in_base": ("f8", "(A, V, 7) where those cameras are"),
+    "scorer/pose_camera_in_base": ("f8", "(A, V, 7) where each camera is; 0 for one that the protocol lacks"),
     "scorer/human_joint_reaction": ("f4", "(T, J) [N m] torque of each scored joint's end stop"),
     "scorer/region_law": ("f8", "(R, 11) of each soft region, in the order of kernel.region.Law; 0 on a rigid one"),
     "scorer/cell_in_region": ("f4", "(C, 3) [m] centre of each cell at rest, in the target region's frame"),
@@ -110,6 +110,8 @@ class Header(BaseModel):
     """The policy's card as shown in the handshake; None if it never came."""
     control: str | None = None
     """Id of the controller that executed the actions; None if the card never came."""
+    privileged: bool = False
+    """Whether the policy was given the simulation: such a trial shows what can be done and ranks no method."""
     embodiment: str
     comfort_arm_deg: float | None
     """Measured after settling."""
@@ -122,12 +124,29 @@ class Header(BaseModel):
     sha256: dict[str, str]
     """model, body and mesh assets, and the binary of the compiled tissue (``kernel``)"""
     solver_warnings: list[str]
+    drawn: dict[str, Any] = {}
+    """What the seed drew of body, arm, place, robot's base and overhead camera (``episode.drawn``); empty where the
+    protocol draws none of them. For the scorer, never for a policy."""
+
+    @model_serializer(mode="wrap")
+    def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out ``drawn`` where it is empty: such a trial keeps the header that it had before."""
+        content = serialize(self)
+        if not self.drawn:
+            del content["drawn"]
+        return content
 
     @field_validator("spec")
     @classmethod
     def _sealed(cls, spec: TrialSpec) -> TrialSpec:
         """A recording may be shown to anyone, at once; the salt of its run may not."""
         return spec.sealed
+
+    @model_serializer(mode="wrap")
+    def _without_privilege(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave the field out where there is no privilege: such a trial keeps the header, and so the hash, that it had
+        before there was the field."""
+        return {name: value for name, value in serialize(self).items() if name != "privileged" or value}
 
     @property
     def protocol_sha256(self) -> str:

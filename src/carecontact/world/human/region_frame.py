@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from carecontact.regions import REGIONS
-from carecontact.world.human.body import CHILD_ALONG, PARENT, Array, Body
+from carecontact.world.human.body import CHILD_ALONG, Array, Body
 from carecontact.world.human.joints import hinges
-from carecontact.world.human.pose import lying_pose_deg, rotation_from_bind, trunk_rotation
+from carecontact.world.human.pose import (
+    MIDDLE_ARM_DEG,
+    NOT_TURNED,
+    ArmTurn,
+    lying_pose_deg,
+    segment_pose,
+    trunk_rotation,
+)
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import rigid_points
 
-MIDDLE_ARM_DEG = 52.5
-"""Middle of the comfort arm's range, 45 to 60 degrees."""
 MIDDLE_SHARE = 0.1
 """Of a rigid region's length, either way from its middle: its radii are measured there."""
 TRUNK_AXIS, FOOT_AXIS = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
@@ -42,14 +46,14 @@ def soft_frame(shell: Shell) -> RegionFrame:
     )  # fmt: skip
 
 
-def rigid_frame(body: Body, region: str) -> RegionFrame:
+def rigid_frame(body: Body, region: str, turn: ArmTurn = NOT_TURNED) -> RegionFrame:
     """Of a region without a shell: the whole segment, measured on its rigid surface.
 
     Raises SceneError for a segment that has none.
     """
     segment = REGIONS[region].segment
     x = _axis(body, segment)
-    outward = upward_in_bind(body, segment)
+    outward = upward_in_bind(body, segment, turn)
     z = outward - (outward @ x) * x
     z /= np.linalg.norm(z)
     y = np.cross(z, x)
@@ -66,15 +70,10 @@ def rigid_frame(body: Body, region: str) -> RegionFrame:
     )  # fmt: skip
 
 
-def upward_in_bind(body: Body, segment: str) -> Array:
+def upward_in_bind(body: Body, segment: str, turn: ArmTurn = NOT_TURNED) -> Array:
     """(3,) direction in the segment's bind frame that faces up in the nominal lying pose (middle comfort angle)."""
-    rows, pose = hinges(body), lying_pose_deg(body, MIDDLE_ARM_DEG)
-    chain: list[str] = [segment]
-    while (parent := PARENT[chain[0]]) is not None:
-        chain.insert(0, parent)
-    rotation = trunk_rotation(body)
-    for _, link in pairwise(chain):
-        rotation = rotation @ rotation_from_bind(rows, link, pose)
+    rows, pose = hinges(body), lying_pose_deg(body, MIDDLE_ARM_DEG, turn)
+    rotation, _ = segment_pose(body, rows, pose, trunk_rotation(body), segment)
     return rotation.T @ np.array([0.0, 0.0, 1.0])
 
 

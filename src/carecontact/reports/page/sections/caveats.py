@@ -42,6 +42,7 @@ def caveats(page: Page) -> dict[str, Any]:
 def cannot_say(page: Page) -> list[Caveat]:
     headers = list(page.headers.values())
     return [
+        *_privileged(page.scores),
         *_few(page.scores),
         *_bodies(headers),
         *_variation(headers),
@@ -53,6 +54,16 @@ def cannot_say(page: Page) -> list[Caveat]:
         *_isolation(page),
         ("Simulation", "These are forces on a simulated person. They say nothing about comfort, pain or injury."),
     ]
+
+
+def _privileged(scores: Sequence[TrialScore]) -> list[Caveat]:
+    if not any(score.privileged for score in scores):
+        return []
+    text = (
+        "The policy was given the simulation: the true skin, pose and contact force. Its rates show what can be done, "
+        "as a ceiling; they rank no method."
+    )
+    return [("Privileged", text)]
 
 
 def _few(scores: Sequence[TrialScore]) -> list[Caveat]:
@@ -109,7 +120,8 @@ def _baselines(page: Page) -> list[Caveat]:
         text = (
             f"{page.kept_scores}{' ' if page.kept_scores else ''}"
             "This page does not show how many trials a policy that cannot do the task passes. Run zero-action, hover, "
-            "random and replay with the same seeds and name them with carecontact report DIR --baseline RUN..."
+            "random, replay, replay-registered and mean-person with the same seeds and name them with carecontact "
+            "report DIR --baseline RUN..."
         )
         found.append(("No blind baselines", text))
     if page.lost_baselines:
