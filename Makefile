@@ -1,7 +1,7 @@
 # Every target makes its own Python environment first (tools/bootstrap.sh): nothing has to be installed beforehand.
 BIN := .venv/bin
 .DEFAULT_GOAL := help
-.PHONY: help env demo test lint test-slow test-grounded-sam bench wheels clean
+.PHONY: help env demo docs test lint test-slow test-grounded-sam bench wheels clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -35,6 +35,9 @@ bench: env ## measure the speed of physics, trials and command line, as JSON
 wheels: env ## build the sdist and the wheels of every platform into dist, and check them
 	@.venv-uv/bin/uv run --quiet --isolated --no-project --python $(BIN)/python --with lief==1.0.0 \
 		--with mujoco-core==4.0.0 python tools/wheels.py .venv-uv/bin/uv
+
+docs: env ## build the website of the documentation into build/site
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 clean: ## remove what the other targets made, runs/demo included
 	rm -rf .venv .venv-uv .venv-torch build dist runs/demo .pytest_cache .ruff_cache .import_linter_cache .hypothesis

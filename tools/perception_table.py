@@ -28,7 +28,7 @@ import carecontact
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Protocol, Variation
-from carecontact.episode.perception import PerceptionLog, true_target
+from carecontact.episode.perception import PerceptionLog, middle_share, true_target
 from carecontact.episode.randomization import comfort_arm_deg, dress, sensor_noise, streams
 from carecontact.observation.builder import ObservationBuilder
 from carecontact.observation.keypoints import KeyPoints, MediaPipePose
@@ -112,7 +112,7 @@ def scene_rows(protocol: Protocol, seed: int, keypoints: Remembering) -> list[Ro
         look(noisy, "noise", "")
         look(protocol, "wrist", "", ON_WRIST)
         for region in STANDARD_REGIONS:
-            place, _ = true_target(region, joints, skin, model.skin_face)
+            place, _ = true_target(region, joints, skin, model.skin_face, least_share=middle_share(model, region))
             simulation.robot.set_joint_position(data, above(place, protocol))
             mujoco.mj_forward(model, data)
             look(protocol, "over", region)
@@ -148,7 +148,7 @@ def sure_landmarks(observation: Observation, camera: str) -> int:
 
 
 def skin_tone(protocol: Protocol, seed: int) -> str:
-    skin = draw_appearance(streams(protocol, seed)["appearance"]).skin
+    skin = draw_appearance(streams(protocol, seed, "")["appearance"]).skin
     return next(name for name, colour in SKIN_TONES.items() if colour == skin)
 
 

@@ -215,3 +215,19 @@ def test_synonyms_are_understood(capsys: pytest.CaptureFixture[str]) -> None:
     for given in (["--null", "b"], ["--null=b"], ["--baseline", "b"]):
         assert main(["compare", "nowhere", *given]) == 2
         assert "nowhere: no such folder" in capsys.readouterr().err
+
+
+def test_a_missing_vision_model_stops_the_run_before_a_trial_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As after `pip install carecontact` alone, whose user would find every trial failed in the harness."""
+    lacking = tmp_path / "lacking"
+    lacking.mkdir()
+    (lacking / "mediapipe.py").write_text("raise ModuleNotFoundError('no', name='mediapipe')")
+    monkeypatch.setenv("PYTHONPATH", str(lacking))
+    monkeypatch.chdir(tmp_path)
+    assert main([*RUN, "state-machine", "--jobs", "1"]) == 2
+    said = capsys.readouterr().err
+    assert "the run stops with 0 of 1 trial(s) done: the modalities landmarks and masks need MediaPipe" in said
+    assert "`carecontact doctor` prints the command that installs it" in said
+    assert not list(tmp_path.glob("r/*.h5"))

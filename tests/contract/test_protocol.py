@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from carecontact.contract.protocol import Protocol
+from carecontact.contract.protocol import Protocol, Variation
 from carecontact.protocols import load_protocol
 
 PROTOCOL = load_protocol()
@@ -169,7 +169,8 @@ def test_variation_that_is_off_is_no_word_of_the_protocol() -> None:
 
 @pytest.mark.parametrize(
     "varied", [{"appearance": "varied-v1"}, {"light": "varied-v1"}, {"depth_noise": "structured-light-v1"},
-               {"encoder_noise_rad": 0.003}, {"place_along_m": 0.01}, {"place_across_m": 0.01}, {"place_yaw_deg": 1.0}]
+               {"encoder_noise_rad": 0.003}, {"place_along_m": 0.01}, {"place_across_m": 0.01}, {"place_yaw_deg": 1.0},
+               {"calibration_m": 0.003}, {"calibration_deg": 0.2}]
 )  # fmt: skip
 def test_variation_that_is_on_is_part_of_the_protocol(varied: dict[str, object]) -> None:
     protocol = load_protocol()
@@ -178,11 +179,17 @@ def test_variation_that_is_on_is_part_of_the_protocol(varied: dict[str, object])
     assert Protocol.model_validate_json(other.model_dump_json()) == other
 
 
+def test_a_variation_from_before_a_field_existed_keeps_its_hash() -> None:
+    varied = Variation(light="varied-v1")
+    assert "calibration_m" not in varied.model_dump(mode="json")
+    assert Variation.model_validate(varied.model_dump(mode="json")) == varied
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
         {"appearance": "other"}, {"encoder_noise_rad": -1}, {"colour": "red"}, {"place_along_m": 40.0},
-        {"place_across_m": -0.01}, {"place_yaw_deg": 90.0},
+        {"place_across_m": -0.01}, {"place_yaw_deg": 90.0}, {"calibration_m": 3.0}, {"calibration_deg": -0.2},
     ],
 )  # fmt: skip
 def test_unknown_variations_are_refused(wrong: dict[str, object]) -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import hashlib
+
 import pytest
 from pydantic import ValidationError
 
@@ -28,6 +30,16 @@ def test_an_empty_noise_salt_is_not_spelt_and_another_one_is() -> None:
     assert set(SPEC.model_dump(mode="json")) == {"protocol", "task_id", "seed", "policy"}
     salted = SPEC.model_copy(update={"noise_salt": "ab"})
     assert TrialSpec.model_validate_json(salted.model_dump_json()).noise_salt == "ab"
+
+
+def test_a_sealed_trial_names_the_hash_of_its_salt_and_not_the_salt() -> None:
+    salt = "5a" * 32
+    salted = SPEC.model_copy(update={"salt": salt})
+    assert TrialSpec.model_validate_json(salted.model_dump_json()).salt == salt
+    assert salt not in repr(salted)
+    assert salt not in salted.sealed.model_dump_json()
+    assert salted.sealed.salt_sha256 == hashlib.sha256(salt.encode()).hexdigest() == salted.sealed.commitment
+    assert SPEC.sealed == SPEC
 
 
 def test_policy_arguments_are_spelt_only_when_there_are_any() -> None:

@@ -7,6 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.protocol import Alive
+from carecontact.contract.protocol.alive import Breathing
+from carecontact.contract.trial import TrialSpec
+from carecontact.episode import randomization
+from carecontact.episode.episode import Episode
 from carecontact.episode.randomization import STREAMS, comfort_arm_deg, sensor_noise, streams
 from carecontact.protocols import load_protocol
 
@@ -67,14 +73,41 @@ def test_streams_are_the_documented_children_of_the_seed() -> None:
     """Built by hand from id and seed: the k-th stream is the k-th child, whatever else is drawn or added."""
     digest = hashlib.sha256(PROTOCOL.id.encode()).digest()
     words = [int.from_bytes(digest[k : k + 4], "little") for k in range(0, 32, 4)]
-    made = streams(PROTOCOL, 3)
+    made = streams(PROTOCOL, 3, "")
     assert tuple(made) == STREAMS == (
         "comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
-        "withdrawal",
+        "withdrawal", "calibration", "tissue",
     )  # fmt: skip
     for k, name in enumerate(STREAMS):
         child = np.random.SeedSequence([*words, 3], spawn_key=(k,))
         np.testing.assert_array_equal(made[name].random(4), np.random.default_rng(child).random(4))
+
+
+def test_a_salt_changes_every_stream_and_ties_none_to_another() -> None:
+    """By hand: each stream is seeded by a hash of its own, and the protocol's own seeds stay as they are."""
+    made, other = streams(PROTOCOL, 3, "5a" * 32), streams(PROTOCOL, 3, "5b" * 32)
+    assert tuple(made) == STREAMS
+    for name, unsalted in streams(PROTOCOL, 3, "").items():
+        digest = hashlib.sha256(f"{'5a' * 32} {PROTOCOL.id} 3 {name}".encode()).digest()
+        drawn = made[name].random(4)
+        np.testing.assert_array_equal(drawn, np.random.default_rng(np.frombuffer(digest, "<u4").tolist()).random(4))
+        assert not np.isin(drawn, [unsalted.random(4), other[name].random(4)]).any()
+
+
+def test_every_draw_of_a_salted_trial_uses_its_salt(monkeypatch: pytest.MonkeyPatch) -> None:
+    varied = {
+        "appearance": "varied-v1", "light": "varied-v1", "depth_noise": "structured-light-v1",
+        "encoder_noise_rad": 0.003, "place_along_m": 0.01, "calibration_m": 0.003,
+    }  # fmt: skip
+    person = PROTOCOL.person.model_copy(update={"alive": Alive(breathing=Breathing())})
+    variation = PROTOCOL.variation.model_copy(update=varied)
+    protocol = PROTOCOL.model_copy(update={"person": person, "variation": variation})
+    used: list[str] = []
+    monkeypatch.setattr(randomization, "streams", lambda *given: used.append(given[2]) or streams(*given))
+    spec = TrialSpec(protocol=protocol, task_id="T1", seed=0, policy="zero-action", salt="5a" * 32)
+    with Episode(spec, card=PolicyCard(name="blind", control_hz=20.0)) as episode:
+        episode.reset()
+    assert used == ["5a" * 32] * 6
 
 
 def test_salted_noise_does_not_tell_the_seed() -> None:
@@ -87,21 +120,21 @@ def test_salted_noise_does_not_tell_the_seed() -> None:
 
     def misses(salt: str) -> list[float]:
         """[rad] of every candidate, as somebody who does not know the salt computes them."""
-        seen = sensor_noise(noisy, seed, salt=salt).joint_position(parked + sag, sim_time_s=0.0)
+        seen = sensor_noise(noisy, seed, noise_salt=salt).joint_position(parked + sag, sim_time_s=0.0)
         return [np.abs(sensor_noise(noisy, s).joint_position(parked, sim_time_s=0.0) - seen).max() for s in candidates]
 
     assert int(np.argmin(misses(""))) == seed, "the attack works where there is no salt"
     assert min(misses("0123abcd")) > 1e-3
 
-    same = [sensor_noise(noisy, seed, salt="0123abcd").joint_position(parked, sim_time_s=0.1) for _ in range(2)]
+    same = [sensor_noise(noisy, seed, noise_salt="0123abcd").joint_position(parked, sim_time_s=0.1) for _ in range(2)]
     np.testing.assert_array_equal(*same)
-    other = sensor_noise(noisy, seed + 1, salt="0123abcd").joint_position(parked, sim_time_s=0.1)
+    other = sensor_noise(noisy, seed + 1, noise_salt="0123abcd").joint_position(parked, sim_time_s=0.1)
     assert np.abs(other - same[0]).max() > 1e-3
 
 
 def test_streams_are_independent() -> None:
-    draws = {name: generator.random(2000) for name, generator in streams(PROTOCOL, 0).items()}
-    drained = streams(PROTOCOL, 0)
+    draws = {name: generator.random(2000) for name, generator in streams(PROTOCOL, 0, "").items()}
+    drained = streams(PROTOCOL, 0, "")
     drained["comfort_arm"].random(1000)
     for name in STREAMS[1:]:
         np.testing.assert_array_equal(drained[name].random(2000), draws[name])
@@ -110,6 +143,6 @@ def test_streams_are_independent() -> None:
 
 
 def test_policy_stream_of_one_seed_says_nothing_about_the_next() -> None:
-    table = np.array([[streams(PROTOCOL, s)[n].random() for n in STREAMS] for s in range(300)])
+    table = np.array([[streams(PROTOCOL, s, "")[n].random() for n in STREAMS] for s in range(300)])
     assert len(np.unique(table)) == table.size
     assert np.abs(np.corrcoef(table.T) - np.eye(len(STREAMS))).max() < 0.2

@@ -122,7 +122,7 @@ def model_xml(law: Tissue, mesh: Mesh) -> str:
         f'data="{" ".join(repr(float(x)) for x in made.numeric(k).data)}"/>'
         for k in range(made.nnumeric)
     )
-    counts = {"vertices": 13, "edges": 3, "points": 8}
+    counts = {"vertices": 13, "edges": 3, "triangles": 5}
     config = "".join(
         f'<config key="{kind}" value="{made.numeric(f"sheet/{kind}").data.size // columns}"/>'
         for kind, columns in counts.items()

@@ -82,6 +82,9 @@ class FakeRenderer:
         np.testing.assert_array_equal(joint_position, np.arange(7.0))
         return np.full((H, W), 2.0, np.float32)
 
+    def at_encoders(self, joint_position: np.ndarray) -> None:
+        np.testing.assert_array_equal(joint_position, np.arange(7.0))
+
     def intrinsics(self, camera: str) -> np.ndarray:
         return INTRINSICS
 
@@ -91,13 +94,11 @@ class FakeRenderer:
 
 def build(modalities: tuple[str, ...], cameras: tuple[str, ...] = ("overhead",)) -> tuple[Observation, FakeRenderer]:
     renderer = FakeRenderer()
-    protocol = load_protocol()
-    scene = protocol.scene.model_copy(update={"mattress_top_m": 0.6, "robot_base_m": (0.0, 0.0, 0.6)})
     card = PolicyCard(name="test", modalities=modalities, cameras=cameras)
     made = ObservationBuilder(
         renderer,  # pyright: ignore[reportArgumentType]
         card,
-        protocol.model_copy(update={"scene": scene}),
+        load_protocol(),
         FakeKeypoints(),
     )
     return made.build(None, instruction="touch", sim_time_s=0.5), renderer  # pyright: ignore[reportArgumentType]
@@ -161,7 +162,7 @@ def test_masks_and_landmarks_share_one_estimate() -> None:
         robot_depth=renderer.robot_depth(np.arange(7.0), "overhead"),
         cell_depth=renderer.cell_depth(np.arange(7.0), "overhead"),
     )
-    derive_view(raw, modalities=("masks", "landmarks"), keypoints=keypoints, bed_height_in_base_m=0.0)
+    derive_view(raw, modalities=("masks", "landmarks"), keypoints=keypoints)
     assert keypoints.calls == 1
 
 
@@ -188,7 +189,7 @@ def test_a_segmenter_stands_in_for_the_estimators_mask_alone(modalities: tuple[s
 def test_a_missing_image_is_an_error() -> None:
     raw = RawView(intrinsics=INTRINSICS, pose_camera_in_base=DOWN, rgb=np.zeros((H, W, 3), np.uint8))
     with pytest.raises(ObservationError, match="depth"):
-        derive_view(raw, modalities=("landmarks",), keypoints=FakeKeypoints(), bed_height_in_base_m=0.0)
+        derive_view(raw, modalities=("landmarks",), keypoints=FakeKeypoints())
 
 
 def test_the_allowlist_is_the_contract() -> None:
@@ -210,14 +211,12 @@ def test_readings_alone_give_the_observation_again() -> None:
     assert made.raw is None
     seen = made.build(None, instruction="touch", sim_time_s=0.5)  # pyright: ignore[reportArgumentType]
     assert made.raw is not None
-    scene = load_protocol().scene
     again = derive(
         made.raw,
         instruction="touch",
         sim_time_s=0.5,
         modalities=MODALITIES,
         keypoints=FakeKeypoints(),
-        bed_height_in_base_m=scene.mattress_top_m - scene.robot_base_m[2],
     )
     assert pack(codec.encode_observation(again)) == pack(codec.encode_observation(seen))
 

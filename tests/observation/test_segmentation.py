@@ -1,15 +1,23 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from carecontact.contract.observation import MASK_NAMES
+from carecontact.observation import segmentation
 from carecontact.observation.segmentation import robot_mask, segment
 
 SHAPE = (6, 8)
 F32 = np.float32
+
+
+def points_of(depth: np.ndarray) -> np.ndarray:
+    """Pixels 10 mm apart, seen from 2 m above a bed at height 0."""
+    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    return np.stack([0.01 * u, 0.01 * v, 2.0 - depth.astype(float)], -1)
 
 
 def segmented(person: np.ndarray, depth: np.ndarray, robot: np.ndarray, cell: np.ndarray) -> dict[str, np.ndarray]:
@@ -18,12 +26,12 @@ def segmented(person: np.ndarray, depth: np.ndarray, robot: np.ndarray, cell: np
         depth=depth,
         robot_depth=robot,
         cell_depth=cell,
-        height_in_base=2.0 - depth.astype(float),
-        bed_height_in_base_m=0.0,
+        points=points_of(depth),
     )
 
 
-def test_known_pixels() -> None:
+def test_known_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(segmentation, "bed_plane", lambda points, *, free, person: np.zeros(3))
     # Columns: person, sheet and pillow with a person's label, robot over the person, bed, floor, nothing, person
     # before a place where the empty cell has no depth.
     person = np.ones((1, 8), F32)
@@ -34,6 +42,20 @@ def test_known_pixels() -> None:
     assert set(masks) == set(MASK_NAMES)
     names = [next(name for name in MASK_NAMES if masks[name][0, k]) for k in range(8)]
     assert names == ["human", "bed", "background", "robot", "bed", "background", "background", "human"]
+
+
+def test_the_bed_is_what_the_picture_shows() -> None:
+    person = np.zeros((60, 90), F32)
+    person[20:40, 30:60] = 0.9
+    for height in (0.0, 0.11):
+        depth = np.full(person.shape, 2.0 - height, F32)
+        cell = depth.copy()
+        depth[20:40, 30:60] -= 0.2
+        depth[:, 80:] = 2.55  # the floor
+        masks = segmented(person, depth, np.full(person.shape, np.nan, F32), cell)
+        assert masks["human"].sum() == 20 * 30
+        assert masks["bed"].sum() == 60 * 80 - 20 * 30
+        assert masks["background"][:, 80:].all()
 
 
 def test_what_the_pose_mask_misses_is_human_only_near_it() -> None:

@@ -9,8 +9,10 @@ import pytest
 from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.protocols import load_protocol
 from carecontact.protocols.tissue_sets import load_tissue_set
+from tests.scoring.gates_v2 import GATES
 
 BASE = load_protocol("bathing-draft")
+GATES_V2 = Path(__file__).parents[1] / "scoring" / "gates-v2.toml"
 HEAD = 'base = "bathing-draft"\nid = "mine-v1"\ndescription = "Mine."\n'
 
 
@@ -55,6 +57,22 @@ def test_a_tissue_set_brings_its_own_rows(tmp_path: Path) -> None:
     second = load_protocol(written(tmp_path, f"{HEAD}[person.tissue.forearm]\nfriction = 0.7\n"))
     own = BASE.person.tissue
     assert second.person.tissue == {**own, "forearm": own["forearm"].model_copy(update={"friction": 0.7})}
+
+
+def test_gates_of_another_version_inherit_none(tmp_path: Path) -> None:
+    found = load_protocol(str(written(tmp_path, HEAD + GATES_V2.read_text())))
+    assert found.gates == GATES
+    short = HEAD + GATES_V2.read_text().replace("duration_s = 1.0", "", 1)
+    with pytest.raises(ConfigError, match=r"gates\.touch\.duration_s: missing"):
+        load_protocol(str(written(tmp_path, short)))
+
+
+def test_a_field_that_gates_of_this_version_do_not_have_lists_those_that_they_have(tmp_path: Path) -> None:
+    text = HEAD + GATES_V2.read_text().replace("passes = 3", "passes = 3\nstroke_m = 0.1")
+    with pytest.raises(
+        ConfigError, match=r"stroke_m: no such field in the table gates\.scrub; valid: least_n, most_n,"
+    ):
+        load_protocol(str(written(tmp_path, text)))
 
 
 def test_a_base_may_have_a_base_and_lies_relative_to_its_heir(tmp_path: Path) -> None:

@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from carecontact.contract.protocol import Gates
 from carecontact.protocols import load_protocol
 from carecontact.scoring import score_recording
+from tests.scoring.gates_v2 import GATES, GENTLE, TABLE
 from tests.scoring.synthetic import JOINT_RANGE, hold, make_recording, target_segment
 
 PROTOCOL = load_protocol()
 LIMIT = float(np.radians(5.0))
-GATED = PROTOCOL.model_copy(
-    update={"gates": type(PROTOCOL.gates).model_validate(
-        PROTOCOL.gates.model_dump() | {"version": "gates-v2", "joint_beyond_rad": LIMIT, "joint_consumed": 0.8}
-    )}
-)  # fmt: skip
+GATED = GENTLE.model_copy(update={"gates": GATES.model_copy(update={"joint_beyond_rad": LIMIT})})
 
 
 def score(protocol, *, past_rad: float):
@@ -24,7 +22,7 @@ def score(protocol, *, past_rad: float):
     joints = np.ones((1000, 2))
     joints[500, 0] = JOINT_RANGE[0][1] + past_rad
     recording = make_recording(
-        "T1", duration=2.0, normal={target_segment("T1"): hold(2.0, 0.2, 1.9, 8.0)}, joints=joints, protocol=protocol
+        "T1", duration=2.0, normal={target_segment("T1"): hold(2.0, 0.2, 1.9, 5.0)}, joints=joints, protocol=protocol
     )
     return score_recording(recording)
 
@@ -56,5 +54,8 @@ def test_protocols_without_the_gate_score_as_ever() -> None:
 
 @pytest.mark.parametrize("change", [{"version": "gates-v2"}, {"joint_beyond_rad": 0.1}])
 def test_the_gate_goes_with_its_version(change: dict[str, object]) -> None:
+    tables = {name: value for name, value in TABLE.items() if not name.startswith("joint")}
+    if "version" not in change:
+        tables = PROTOCOL.gates.model_dump()
     with pytest.raises(ValidationError, match="gates-v2, which needs both"):
-        type(PROTOCOL.gates).model_validate(PROTOCOL.gates.model_dump() | change)
+        Gates.model_validate(tables | change)

@@ -9,7 +9,7 @@ import pytest
 
 from carecontact.errors import ConfigError
 from carecontact.recording.reader import read_verified
-from carecontact.trials.pace import BETWEEN, PACED, WARM_S, Pace, check_pace
+from carecontact.trials.pace import ACT, BETWEEN, PACED, WARM_S, Pace, check_pace
 
 
 class Clock:
@@ -50,12 +50,16 @@ def test_an_observation_leaves_on_the_grid(periods: int, took_s: float, leaves_s
 def test_without_a_pace_nothing_waits_and_the_time_is_noted() -> None:
     clock = Clock()
     pace = Pace(None, clock=clock, sleep=clock.sleep)
+    pace.hold()
+    clock.now += 0.7
     pace.answered(1)
     clock.now += 0.3
     pace.hold()
+    clock.now += 0.2
+    pace.answered(1)
     assert {name: values.tolist() for name, values in pace.arrays().items()} == {
-        BETWEEN: [pytest.approx(0.3, abs=1e-3)]
-    }
+        BETWEEN: [pytest.approx(0.3, abs=1e-3)], ACT: [pytest.approx(t, abs=1e-3) for t in (0.7, 0.2)]
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("wrong", [0.1, -1.0, 5.1, float("nan")])

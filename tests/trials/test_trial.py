@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carecontact.contract.geometry import pixels, pose_matrix
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.prepare import settled_world
 from carecontact.hosting.setup import PolicySetup
 from carecontact.protocols import load_protocol
-from carecontact.recording import Failure, canonical_hash, read_recording
+from carecontact.recording import Failure, Recording, canonical_hash, read_recording
 from carecontact.recording.perception import perception_errors
 from carecontact.scoring import score_recording
 from carecontact.sim.rendering import SceneRenderer
@@ -93,8 +94,24 @@ def test_same_spec_in_fresh_processes_gives_the_same_recording(policies: Path, t
     assert recording["policy/observation_sha256"].shape == (1, 32)
     assert recording["policy/frames/0000/overhead/rgb"].shape == (480, 640, 3)
     assert recording["report/peak_rgb"].std() > 10
+    check_close_up(recording)
     risen = recording["scorer/pose_tcp_in_world"][:, 2]
     assert 0.005 < risen.max() - risen[0] < 0.03, "the impedance follows a target that leads it"
+
+
+def check_close_up(recording: Recording) -> None:
+    """The stored camera saw the tool where the picture has it, and the stored skin lies on the declared cells."""
+    pose, focal = recording["report/peak_pose_camera_in_world"], float(recording["report/peak_focal_px"][0])
+    intrinsics = np.array([[focal, 0, 320], [0, focal, 180], [0, 0, 1.0]])
+    tip = recording["scorer/pose_tcp_in_world"][-1, :3].astype(float)
+    camera = pose_matrix(pose[:3], pose[3:])
+    assert pixels(tip + [0, 0, 0.02], intrinsics, camera) == pytest.approx([320, 180], abs=1)
+    assert pixels(tip, intrinsics, camera)[1] > 200, "down in the picture is down in the world"
+    region = recording["scorer/region_pose_in_world"][-1, 0].astype(float)
+    cells = recording["scorer/cell_in_region"] @ pose_matrix(region[:3], region[3:])[:3, :3].T + region[:3]
+    skin = recording["report/skin_in_world"]
+    assert np.median(np.linalg.norm(cells[:, None] - skin[None], axis=2).min(1)) < 0.008
+    assert recording["report/skin_faces"].max() == len(skin) - 1
 
 
 def test_action_outside_the_workspace_is_the_policys_process_failure(policies: Path) -> None:

@@ -15,6 +15,7 @@ from carecontact.kernel.region import Law
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS, STANDARD_REGIONS
+from carecontact.world.human.build import tissue_of
 from carecontact.world.human.plates import plate_body, plates
 from carecontact.world.human.pose import FIXED_SEGMENTS
 from carecontact.world.human.skeleton import body_name
@@ -168,7 +169,7 @@ def test_every_target_has_the_same_person_and_only_its_skin_is_finer(
 ) -> None:
     assert list(scene.regions) == list(scene.frames) == list(STANDARD_REGIONS)
     for name, region in scene.regions.items():
-        assert region.tissue == PROTOCOL.person.tissue[name]
+        assert region.tissue == tissue_of(scene.body, name, PROTOCOL.person.tissue[name])
     if scene.body.name == PROTOCOL.person.body:
         plain = scene_of(None).model
         for field in ("body_mass", "body_inertia", "geom_pos", "numeric_data", "jnt_stiffness", "dof_damping"):

@@ -22,9 +22,10 @@ CONTROL = "scorer/force_human_from_robot_in_world"
 
 
 def without_noise(protocol: Protocol) -> Protocol:
-    """The protocol without sensor noise, which is drawn from the seed by design and would differ between the two
-    worlds."""
-    quiet = protocol.variation.model_copy(update={"depth_noise": "none", "encoder_noise_rad": 0.0})
+    """The protocol without sensor noise and errors of calibration, which are drawn from the seed by design and would
+    differ between the two worlds."""
+    exact = {"depth_noise": "none", "encoder_noise_rad": 0.0, "calibration_m": 0.0, "calibration_deg": 0.0}
+    quiet = protocol.variation.model_copy(update=exact)
     return protocol.model_copy(update={"variation": quiet})
 
 
@@ -56,9 +57,9 @@ def other_hidden_values(spec: TrialSpec) -> TrialSpec:
 
 def other_arm_angle(spec: TrialSpec) -> TrialSpec:
     """The same trial with a seed that lays the person's arm at an angle far from this one's."""
-    own = comfort_arm_deg(spec.protocol, spec.seed)
+    own = comfort_arm_deg(spec.protocol, spec.seed, salt=spec.salt)
     seeds = range(spec.seed + OTHER_SEED, spec.seed + OTHER_SEED + OTHER_ANGLES)
-    far = max(seeds, key=lambda seed: abs(comfort_arm_deg(spec.protocol, seed) - own))
+    far = max(seeds, key=lambda seed: abs(comfort_arm_deg(spec.protocol, seed, salt=spec.salt) - own))
     return spec.model_copy(update={"seed": far})
 
 

@@ -31,10 +31,12 @@ class Meta:
     instruction: str
     modalities: tuple[str, ...]
     cameras: tuple[str, ...]
-    bed_height_in_base_m: float
     tcp_in_hand_m: tuple[float, float, float]
     cell: dict[str, Any]
-    """Calibration of the cell: ``robot_base_m``, ``robot_yaw_deg`` and the ``cameras`` of the protocol."""
+    """What the cell is: ``robot_base_m``, ``robot_yaw_deg`` and the ``cameras`` of the protocol."""
+    calibration: dict[str, list[list[float]]]
+    """Fixed camera -> (4, 4) error with which the cell knows its pose (``observation.calibration``); empty without
+    one."""
     arguments: dict[str, str] = field(default_factory=dict[str, str])
     """The card's arguments. For a dialect, they say how its messages are made."""
 

@@ -62,7 +62,6 @@ def _changed(look: LoggedLook, meta: Meta, keypoints: KeypointEstimator) -> list
             sim_time_s=look.sim_time_s,
             modalities=meta.modalities,
             keypoints=keypoints,
-            bed_height_in_base_m=meta.bed_height_in_base_m,
         )
         again = observation_again(observation, meta.arguments, meta.cameras, sent=look.sent)
     except CarecontactError as error:
@@ -85,9 +84,8 @@ def _misplaced(raw: RawReadings, meta: Meta) -> list[tuple[str, str]]:
     for name, view in raw.views.items():
         camera, place = meta.cell["cameras"][name], f"cameras.{name}"
         rows.append((f"{place}.intrinsics", view.intrinsics, intrinsics(camera)))
-        rows.append(
-            (f"{place}.pose_camera_in_base", view.pose_camera_in_base, pose_camera_in_base(camera, meta.cell, hand))
-        )
+        believed = pose_camera_in_base(camera, meta.cell, hand) @ np.array(meta.calibration.get(name, np.eye(4)))
+        rows.append((f"{place}.pose_camera_in_base", view.pose_camera_in_base, believed))
     out: list[tuple[str, str]] = []
     for place, logged, known in rows:
         away = float(np.abs(logged - known).max())

@@ -20,7 +20,8 @@ from carecontact.audit.raw_log import IMAGES, SPEC, LoggedLook, WorldState, read
 from carecontact.audit.state import DRAWN, robot_addresses
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.trial import TrialSpec
-from carecontact.episode.randomization import dress, lay, sensor_noise
+from carecontact.episode.randomization import calibration, dress, lay, sensor_noise
+from carecontact.observation.calibration import Calibration
 from carecontact.observation.sensor_noise import SensorNoise
 from carecontact.world.furniture import FURNITURE_GROUP
 from carecontact.world.robot import VISUAL_GROUP
@@ -47,13 +48,14 @@ def main(folder: str) -> None:
         key = _key(spec)
         world = worlds[key] = worlds.get(key) or _World(spec)
         policy = read_meta(trial).policy
-        noise, dt_s = sensor_noise(spec.protocol, spec.seed), spec.protocol.physics.dt_s
+        noise = sensor_noise(spec.protocol, spec.seed, salt=spec.salt, noise_salt=spec.noise_salt)
+        known, dt_s = calibration(spec.protocol, spec.seed, salt=spec.salt), spec.protocol.physics.dt_s
         looks += [
             {
                 "trial": trial.name,
                 "policy": policy,
                 "time_s": look.state.steps * dt_s,
-                "differences": world.differences(look, noise),
+                "differences": world.differences(look, noise, known),
             }
             for look in read_looks(trial)
         ]
@@ -63,7 +65,7 @@ def main(folder: str) -> None:
 def _key(spec: TrialSpec) -> str:
     """Equal for trials of one and the same world: how long a trial lasts and what its sensors add is not drawn."""
     protocol = without_noise(spec.protocol).model_dump(mode="json", exclude={"phases"})
-    return json.dumps([protocol, spec.task_id, spec.seed], sort_keys=True)
+    return json.dumps([protocol, spec.task_id, spec.seed, spec.salt], sort_keys=True)
 
 
 class _World:
@@ -74,12 +76,13 @@ class _World:
         self._cameras = {str(name): camera for name, camera in spec.protocol.cameras.items()}
         self._cell = cell_model(spec.protocol)
 
-    def differences(self, look: LoggedLook, noise: SensorNoise) -> list[tuple[str, str]]:
-        """(place, what differs) of all readings behind one message, to the last bit."""
+    def differences(self, look: LoggedLook, noise: SensorNoise, known: Calibration) -> list[tuple[str, str]]:
+        """(place, what differs) of all readings behind one message, to the last bit. ``known``: with which error the
+        cell knows its cameras."""
         state, raw = look.state, look.raw
         now_s = state.steps * self._spec.protocol.physics.dt_s
         angles = noise.joint_position(state.joint_position, sim_time_s=now_s)
-        data = _at(self._cell, angles)
+        data = _at(self._cell, angles, known)
         rows: list[tuple[str, Any, Any]] = [
             ("sim_time_s", now_s, look.sim_time_s),
             ("joint_position", angles, raw.joint_position),
@@ -99,7 +102,7 @@ class _World:
                 shown = getattr(view, image)
                 if shown is None:
                     continue
-                again = self._image(image, name, state, angles)
+                again = self._image(image, name, state, angles, known)
                 if image == "depth":
                     again = noise.depth(again, optics, camera=name, sim_time_s=now_s)
                 rows.append((f"cameras.{name}.{image}", again, shown))
@@ -109,12 +112,12 @@ class _World:
             for where, what in differences(expected, got, f"observation.{place}")
         ]
 
-    def _image(self, image: str, camera: str, state: WorldState, angles: F64) -> npt.NDArray[Any]:
+    def _image(self, image: str, camera: str, state: WorldState, angles: F64, known: Calibration) -> npt.NDArray[Any]:
         self.images += 1
         if image == "robot_depth":
-            return self._empty.depth(_at(self._empty.model, angles), camera, group=VISUAL_GROUP)
+            return self._empty.depth(_at(self._empty.model, angles, known), camera, group=VISUAL_GROUP)
         if image == "cell_depth":
-            return self._empty.depth(_at(self._empty.model, angles), camera, group=FURNITURE_GROUP)
+            return self._empty.depth(_at(self._empty.model, angles, known), camera, group=FURNITURE_GROUP)
         model = self._whole.model
         data = mujoco.MjData(model)
         mujoco.mj_setState(model, data, state.vector, DRAWN)
@@ -126,8 +129,8 @@ class _World:
     def _whole(self) -> Pictures:
         spec = self._spec
         scene = build_scene(spec.protocol, target=spec.protocol.task(spec.task_id).region)
-        dress(scene, spec.seed)
-        lay(scene, spec.seed)
+        dress(scene, spec.seed, salt=spec.salt)
+        lay(scene, spec.seed, salt=spec.salt)
         return Pictures(scene.model, self._cameras)
 
     @cached_property
@@ -135,11 +138,17 @@ class _World:
         return Pictures(cell_model(self._spec.protocol, like=self._whole.model), self._cameras)
 
 
-def _at(model: mujoco.MjModel, angles: F64) -> mujoco.MjData:
+def _at(model: mujoco.MjModel, angles: F64, known: Calibration) -> mujoco.MjData:
+    """The robot at its angles, and every fixed camera where the cell believes it to be."""
     data = mujoco.MjData(model)
     data.qpos[robot_addresses(model)[0]] = angles
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)
+    for name, error in known.items():
+        camera = data.cam(name)
+        rotation = camera.xmat.reshape(3, 3) @ CV_FROM_GL
+        camera.xpos[:] = camera.xpos + rotation @ error[:3, 3]
+        camera.xmat[:] = (rotation @ error[:3, :3] @ CV_FROM_GL).ravel()
     return data
 
 

@@ -179,7 +179,7 @@ def two_starts(spec: TrialSpec, keyframe: Keyframe, *, folder: Path) -> tuple[Wa
 
 
 def _settled(spec: TrialSpec) -> tuple[Simulation, Settled, str]:
-    return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed)
+    return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed, salt=spec.salt)
 
 
 def _at_contact(keyframe: Keyframe, spec: TrialSpec) -> Simulation:

@@ -17,6 +17,7 @@ from carecontact.audit.state import StateReader
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.randomization import calibration
 from carecontact.errors import CarecontactError
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire import codec
@@ -137,14 +138,14 @@ def watch(
         watched.error = failure.message
     card, protocol = watched.card, spec.protocol
     if log is not None and watched.looks and card is not None:
-        scene = protocol.scene
+        scene, known = protocol.scene, calibration(protocol, spec.seed, salt=spec.salt)
         write_meta(
             log,
             Meta(
                 policy=policy, instruction=watched.instruction, arguments=dict(card.arguments),
                 modalities=card.modalities, cameras=card.cameras,
-                bed_height_in_base_m=scene.mattress_top_m - scene.robot_base_m[2],
                 tcp_in_hand_m=(0.0, 0.0, PANDA.tcp_z_m),
+                calibration={name: error.tolist() for name, error in known.items()},
                 cell={
                     "robot_base_m": scene.robot_base_m, "robot_yaw_deg": scene.robot_yaw_deg,
                     "cameras": {name: camera.model_dump() for name, camera in protocol.cameras.items()},

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from carecontact.behaviours import (
     BEHAVIOURS,
     Attempt,
@@ -19,6 +21,7 @@ from carecontact.behaviours import (
     mm,
     steps,
 )
+from carecontact.behaviours.push_from_onset import PushFromOnset
 
 
 class PushGate(Section):
@@ -31,6 +34,7 @@ class PushGate(Section):
 
 class Push(Behaviour[PushGate]):
     gate = PushGate
+    versions: ClassVar = {"gates-v2": PushFromOnset()}
     sweeps = (
         Sweep(name="push_force_n", field="force_n", values=(1.0, 3.0, 5.0), title="Push: force", unit="N"),
         Sweep(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from carecontact.behaviours import (
     BEHAVIOURS,
     Attempt,
@@ -18,6 +20,7 @@ from carecontact.behaviours import (
     TrialScore,
     mm,
 )
+from carecontact.behaviours.scrub_passes import ScrubPasses
 
 
 class ScrubGate(Section):
@@ -34,6 +37,7 @@ class Scrub(Behaviour[ScrubGate]):
     """Judged on one contact episode and not on a hold, so a brief gap is forgiven."""
 
     gate = ScrubGate
+    versions: ClassVar = {"gates-v2": ScrubPasses()}
     sweeps = (
         Sweep(
             name="scrub_stroke_m",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from carecontact.behaviours import (
     BEHAVIOURS,
     Attempt,
@@ -15,6 +17,7 @@ from carecontact.behaviours import (
     let_go,
     steps,
 )
+from carecontact.behaviours.touch_gently import GentleTouch
 
 
 class TouchGate(Section):
@@ -24,6 +27,7 @@ class TouchGate(Section):
 
 class Touch(Behaviour[TouchGate]):
     gate = TouchGate
+    versions: ClassVar = {"gates-v2": GentleTouch()}
 
     def judge(self, contact: Contact, gate: TouchGate, attempt: Attempt) -> Judgement:
         return Judgement(time_met=attempt.held_steps >= steps(gate.duration_s, contact.dt_s), progress_met=True)

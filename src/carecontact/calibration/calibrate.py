@@ -17,6 +17,7 @@ from carecontact.calibration.identify import identify
 from carecontact.calibration.replay import Replay, group_curves
 from carecontact.contract.protocol import Protocol, Tissue
 from carecontact.errors import ConfigError
+from carecontact.world.human.build import tissue_of
 from carecontact.world.human.library import load_body
 
 CERTIFICATE, ROW, FIGURE = "certificate.json", "tissue.toml", "calibration.png"
@@ -42,13 +43,14 @@ def calibrate(
     """
     file = read_trials(trials, region=region)
     curves = [make_curve(trial) for trial in file.trials]
-    row = rules.person.tissue[region]
+    person = load_body(body)
+    row = tissue_of(person, region, rules.person.tissue[region])
     _check_depths(curves, region, row)
     on_progress(f"{count_of(curves)} of the {region}")
     laws = identify(curves)
     groups = group_curves(curves)
     on_progress(f"identified: {laws[0].law.name}; {len(groups)} presses to replay")
-    replay = Replay(body=load_body(body), region=region, tissue=row, groups=groups)
+    replay = Replay(body=person, region=region, tissue=row, groups=groups)
     fit = fit_law(curves, replay=replay, on_progress=on_progress)
     content = make_content(file, curves, laws, replay, fit, region=region, body=body, rules=rules)
     out.mkdir(parents=True, exist_ok=True)

@@ -76,8 +76,10 @@ def _tasks(protocol: str) -> list[tuple[str, str]]:
 
 def _actions(protocol: str) -> list[tuple[str, str]]:
     from carecontact.contract.protocol import BEHAVIOURS
+    from carecontact.protocols import load_protocol
 
-    return _rows(BEHAVIOURS, lambda row: f"gate: {', '.join(row.gate.model_fields) or 'no fields'}")
+    version = load_protocol(protocol).gates.version
+    return _rows(BEHAVIOURS, lambda row: f"gate: {', '.join(row.under(version).gate.model_fields) or 'no fields'}")
 
 
 def _regions(protocol: str) -> list[tuple[str, str]]:

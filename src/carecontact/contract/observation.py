@@ -25,7 +25,8 @@ class CameraView:
     intrinsics: F64
     """(3, 3) pinhole matrix [px]: u right, v down."""
     pose_camera_in_base: F64
-    """(4, 4) camera -> robot base, OpenCV axes: x right, y down, z forward [m]."""
+    """(4, 4) camera -> robot base, OpenCV axes: x right, y down, z forward [m]. As the cell's calibration and encoders
+    have it; a protocol may give them errors."""
     rgb: U8 | None = None
     """(H, W, 3)"""
     depth: F32 | None = None

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+import hashlib
+from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
 from carecontact.contract.protocol import Protocol
 
-LATER = ("policy_arguments", "policy_environment", "noise_salt")
+LATER = ("policy_arguments", "policy_environment", "noise_salt", "salt", "salt_sha256")
 """Fields that trials did not always have."""
 
 
@@ -30,11 +31,26 @@ class TrialSpec(BaseModel):
     """Drawn once per run whose protocol has sensor noise, and never shown to the policy: if protocol and seed alone
     determined the noise, a policy could find the seed by comparing a single reading with the noise of every published
     seed."""
+    salt: str = Field(default="", repr=False)
+    """Secret of a run whose persons nobody may know beforehand: every draw of the trial depends on it. A recording
+    never holds it, only its hash (``sealed``); empty for a run on published seeds."""
+    salt_sha256: str = ""
+    """Of the salt of a recorded trial, in base 16."""
 
     @model_serializer(mode="wrap")
     def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out LATER fields that are empty: such a trial keeps the JSON, and so the hash, that it had before."""
         return {name: value for name, value in serialize(self).items() if name not in LATER or value}
+
+    @property
+    def commitment(self) -> str:
+        """The sha256 of the salt in base 16, which may be published before the run; empty where there is no salt."""
+        return hashlib.sha256(self.salt.encode()).hexdigest() if self.salt else self.salt_sha256
+
+    @property
+    def sealed(self) -> Self:
+        """The trial with the hash of its salt in place of the salt, as a recording names it."""
+        return self.model_copy(update={"salt": "", "salt_sha256": self.commitment}) if self.salt else self
 
     @property
     def trial_id(self) -> str:

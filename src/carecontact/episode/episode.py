@@ -30,6 +30,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.session import ActionBounds, Session
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.camera_poses import CameraPoses
 from carecontact.episode.cells import CellLog
 from carecontact.episode.drivers import Driver, driver_of
 from carecontact.episode.ended import Ended, ForceCut, cut_by_solver, cut_by_speed
@@ -39,7 +40,7 @@ from carecontact.episode.log import TrialLog
 from carecontact.episode.peak import Peak
 from carecontact.episode.perception import PerceptionLog
 from carecontact.episode.prepare import World, constants_of, settled_world, under_control
-from carecontact.episode.randomization import sensor_noise
+from carecontact.episode.randomization import calibration, sensor_noise
 from carecontact.episode.vision import person_segmenter
 from carecontact.errors import ActionError, ConfigError, PolicyError
 from carecontact.observation.builder import ObservationBuilder, RawReadings
@@ -102,6 +103,8 @@ class Episode:
         self._wall_s = [started, time.monotonic()]
         self._open = ExitStack()
         self._force_cut = ForceCut(self.protocol)
+        self.privileged = False
+        """Whether the policy is given the simulation; the recording says so."""
         self._driver: Driver | None = None
         self._builder: ObservationBuilder | None = None
         self._perception: PerceptionLog | None = None
@@ -125,7 +128,9 @@ class Episode:
                 **self._life.constants(),
             },
         )
-        self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol)
+        known = calibration(self.protocol, self.spec.seed, salt=self.spec.salt)
+        self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol, calibration=known)
+        self._poses = CameraPoses(self._renderer)
         self._peak = Peak(self.simulation, target=SEGMENTS.index(REGIONS[self.task.region].segment))
         self.simulation.start()
         self.log.add_state(self.simulation.time_s, self.simulation.integration_state())
@@ -193,7 +198,7 @@ class Episode:
             self._open.enter_context(self._renderer)
         self._driver = driver_of(card, self.simulation)
         segmenter = person_segmenter(self.protocol, self._weights) if "masks" in card.modalities else None
-        noise = sensor_noise(self.protocol, self.spec.seed, salt=self.spec.noise_salt)
+        noise = sensor_noise(self.protocol, self.spec.seed, salt=self.spec.salt, noise_salt=self.spec.noise_salt)
         self._builder = ObservationBuilder(
             self._renderer, card, self.protocol, MediaPipePose(), noise=noise, segmenter=segmenter
         )
@@ -218,6 +223,7 @@ class Episode:
         self.log.add_observation(observation, sent_sha256 or self._digest(observation))
         self.log.add_notes(notes or {})
         self._perception.add(self.simulation.data, observation)
+        self._poses.add(self.simulation.data, observation)
 
     def step(self, action: Action, *, observe: bool = True) -> Step:
         """Execute one action for one period of the card's control rate.
@@ -294,7 +300,7 @@ class Episode:
         if self._ended is None:
             raise ConfigError("Episode.finish: the episode has not ended; step until it has, or fail() it")
         extra, renders = self.log.extra, self._renderer.renders.copy()
-        extra |= self._life.ended()
+        extra |= self._life.ended() | self._poses.arrays()
         if self._perception is not None:
             extra |= self._perception.arrays()
         extra |= self._peak.pictures(self._renderer, region=self.task.region)
@@ -308,7 +314,7 @@ class Episode:
         header = header_of(
             self.spec, self.simulation, self._settled, self._ended, model_sha256=self._model_sha256,
             card=None if self.card is None else self.card.plain(),
-            control=None if self.card is None else self.card.control,
+            control=None if self.card is None else self.card.control, privileged=self.privileged,
         )  # fmt: skip
         unused = frozenset[str]() if self._driver is None else self._driver.unused
         arrays = {path: values for path, values in self.log.arrays().items() if path not in unused}
@@ -359,4 +365,4 @@ def _bounds_of(protocol: Protocol) -> ActionBounds:
 
 
 def _world(spec: TrialSpec) -> World:
-    return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed)
+    return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed, salt=spec.salt)

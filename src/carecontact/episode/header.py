@@ -23,8 +23,10 @@ def header_of(
     model_sha256: str,
     card: dict[str, Any] | None,
     control: str | None,
+    privileged: bool = False,
 ) -> Header:
-    """``card``, ``control``: None where the policy never showed its card."""
+    """``card``, ``control``: None where the policy never showed its card. ``privileged``: it was given the
+    simulation."""
     warnings = simulation.solver_warnings()
     if simulation.normal_sum_truncated:
         warnings.append("normal-force sensor full: normal sums are too small")
@@ -34,6 +36,7 @@ def header_of(
         failure=ended.failure,
         card=card,
         control=control,
+        privileged=privileged,
         embodiment=EMBODIMENTS[spec.protocol.scene.tool].id,
         comfort_arm_deg=settled.comfort_arm_deg,
         segments=list(SEGMENTS),

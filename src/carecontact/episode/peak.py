@@ -1,4 +1,4 @@
-"""The moment of a trial that its report shows, and the two pictures of it."""
+"""The moment of a trial that its report shows: two pictures of it, and the skin as it lay then."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.sim.close_up import render_close_up
+from carecontact.sim.close_up import render_close_up, skin_shift
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
+from carecontact.sim.true_skin import skin_in_world
 
 F64 = npt.NDArray[np.float64]
+MARGIN_M = (0.08, 0.06, 0.06)
+"""How far beyond a region its skin is kept: along it, across it and outward."""
 
 
 class Peak:
@@ -36,14 +39,36 @@ class Peak:
             self._time_s, self._state = self._simulation.time_s, self._simulation.integration_state()
 
     def pictures(self, renderer: SceneRenderer, *, region: str) -> Mapping[str, npt.NDArray[Any]]:
-        """The room and the contact from near, at the peak or at the end of a trial without contact, as ``report/*``."""
+        """The room, the contact from near and the region's skin, at the peak or at the end of a trial without contact,
+        as ``report/*``."""
         model = self._simulation.model
         data = mujoco.MjData(model)
         state = self._simulation.integration_state() if self._state is None else self._state
         mujoco.mj_setState(model, data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
         mujoco.mj_forward(model, data)
+        close = render_close_up(renderer, self._simulation.scene, data, region=region)
         return {
             "report/snapshot_rgb": renderer.rgb(data, "exterior"),
-            "report/peak_rgb": render_close_up(renderer, self._simulation.scene, data, region=region),
+            "report/peak_rgb": close.image,
+            "report/peak_pose_camera_in_world": close.pose_camera_in_world.astype("<f8"),
+            "report/peak_focal_px": np.array([close.focal_px], "<f8"),
             "report/peak_time_s": np.array([self._time_s], "<f8"),
+            **self._skin(data, region),
+        }
+
+    def _skin(self, data: mujoco.MjData, region: str) -> Mapping[str, npt.NDArray[Any]]:
+        """The skin round the region, dented as it was then."""
+        scene, model = self._simulation.scene, self._simulation.model
+        frame = scene.frames[region]
+        bind = np.asarray(model.skin_vert, np.float64).reshape(-1, 3)
+        length, half_width, outward = frame.size_m.tolist()
+        reach = np.array([length / 2, half_width, outward]) + MARGIN_M
+        near = np.all(np.abs((bind - frame.origin) @ frame.axes) < reach, axis=1)
+        faces = np.asarray(model.skin_face).reshape(-1, 3)
+        faces = faces[np.all(near[faces], axis=1)]
+        kept = np.unique(faces)
+        placed = (skin_in_world(model, data) + skin_shift(scene, data))[kept]
+        return {
+            "report/skin_in_world": placed.astype("<f4"),
+            "report/skin_faces": np.searchsorted(kept, faces).astype("<i4"),
         }

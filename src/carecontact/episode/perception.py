@@ -86,7 +86,8 @@ class PerceptionLog:
                 found = region_from_observation(observation, region, side=REGIONS[region].side, camera=camera)
             except ContractError:
                 continue
-            centre, along = true_target(region, joints, skin, self._model.skin_face)
+            least = middle_share(self._model, region)
+            centre, along = true_target(region, joints, skin, self._model.skin_face, least_share=least)
             across = np.array([-along[1], along[0], 0.0])
             errors[row] = (found.centre_m - centre) @ np.stack([along, across, [0, 0, 1]], 1)
         return errors
@@ -129,13 +130,24 @@ def iou(found: Bool, true: Bool) -> float:
     return int((found & true).sum()) / union if union else 1.0
 
 
+def middle_share(model: mujoco.MjModel, region: str) -> float:
+    """Share of a limb's line at which the middle of its region lies; 0 for a region that is not found by a limb."""
+    row = REGIONS[region]
+    if not isinstance(row.sight, LimbSight):
+        return 0.0
+    along = model.body(body_name(f"{row.side}_{SEGMENT_AT[row.sight.joints[1]]}")).pos
+    return float(model.site(f"region_{region}").pos @ along / (along @ along))
+
+
 def true_target(
-    region: str, joints_in_base: dict[str, F64], skin_in_base: F64, faces: npt.NDArray[np.integer]
-) -> tuple[F64, F64]:
+    region: str, joints_in_base: dict[str, F64], skin_in_base: F64, faces: npt.NDArray[np.integer], *,
+    least_share: float = 0.0,
+) -> tuple[F64, F64]:  # fmt: skip
     """(3,) the skin above the region's middle and (3,) the horizontal direction of its limb.
 
     The middle is the one that the shipped policies look for, in the true joint centres: what is measured is perception,
-    not anatomy. Raises ConfigError for a region whose row does not say between which joints it lies.
+    not anatomy. On a body whose chest crowds the arm, it is no nearer to the trunk than ``least_share`` of the limb
+    (``middle_share``). Raises ConfigError for a region whose row does not say between which joints it lies.
     """
     row = REGIONS[region]
     match row.sight:
@@ -143,7 +155,7 @@ def true_target(
             start, end = ((joints_in_base[f"left {j}"] + joints_in_base[f"right {j}"]) / 2 for j in (lower, upper))
         case LimbSight(joints=(first, second), free_from=free_from):
             start, end = joints_in_base[f"{row.side} {first}"], joints_in_base[f"{row.side} {second}"]
-            share = (1 + free_from) / 2
+            share = max((1 + free_from) / 2, least_share)
         case None:
             raise ConfigError(f"region {region} has no joints between which it lies")
     middle = start + share * (end - start)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import astuple, fields
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.control import Control
 from carecontact.contract.protocol import Protocol
-from carecontact.episode.randomization import comfort_arm_deg, dress, lay, wake
+from carecontact.episode.randomization import comfort_arm_deg, dress, lay, soften, wake
+from carecontact.kernel.region import Law
 from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.world.scene import build_scene, controlled, copy_settings
@@ -18,9 +20,12 @@ World = tuple[Simulation, Settled, str]
 """A simulation at t = 0, how its person settled, and the sha256 of its model before dressing and settling."""
 
 
-def settled_world(protocol: Protocol, *, task_id: str, seed: int) -> World:
-    """Build the task's world, dress it as the seed says, let the person settle, and wake it where the
-    protocol lets it do something by itself.
+def settled_world(protocol: Protocol, *, task_id: str, seed: int, salt: str = "") -> World:
+    """Build the task's world, dress it as the seed says, let the person settle, and give it the tissue and
+    the life that the protocol varies with the seed.
+
+    Args:
+        salt: the trial's secret (``TrialSpec.salt``).
 
     Raises:
         SceneError: the world cannot be built.
@@ -30,11 +35,12 @@ def settled_world(protocol: Protocol, *, task_id: str, seed: int) -> World:
     # Before anything is changed: looks and place are the seed's, settling writes the seed's rest angles, a policy its
     # stiffness.
     model_sha256 = scene.model_sha256
-    dress(scene, seed)
-    lay(scene, seed)
+    dress(scene, seed, salt=salt)
+    lay(scene, seed, salt=salt)
     simulation = Simulation(scene)
-    settled = settle(simulation, comfort_arm_deg(protocol, seed), model_sha256=model_sha256)
-    wake(simulation, seed)
+    settled = settle(simulation, comfort_arm_deg(protocol, seed, salt=salt), model_sha256=model_sha256)
+    soften(simulation, seed, salt=salt)
+    wake(simulation, seed, salt=salt)
     return simulation, settled, model_sha256
 
 
@@ -59,4 +65,17 @@ def constants_of(simulation: Simulation, settled: Settled) -> Mapping[str, npt.N
         "scorer/human_joint_settled": settled.joint_position.astype("<f8"),
         "scorer/wrist_settled_in_world": settled.wrist_in_world.astype("<f8"),
         "scorer/region_size_m": simulation.scene.region_size_m.astype("<f8"),
+        **_own_law(simulation),
     }
+
+
+def _own_law(simulation: Simulation) -> dict[str, npt.NDArray[np.float64]]:
+    """The compiled laws, where any differs from its row in the protocol: by the body's build, or by the seed's draw."""
+    rows = simulation.protocol.person.tissue
+    law = np.zeros((len(simulation.protocol.regions), len(fields(Law))))
+    declared = law.copy()
+    for at, name in enumerate(simulation.protocol.regions):
+        if name in simulation.scene.regions:
+            law[at] = simulation.model.numeric(f"{name}/law").data
+            declared[at] = astuple(Law.of(rows[name]))
+    return {} if np.array_equal(law, declared) else {"scorer/region_law": law.astype("<f8")}

@@ -14,7 +14,8 @@ from carecontact.kernel import library
 
 Array = npt.NDArray[np.float64]
 
-HEAD, RING_ROWS, CELL_SIZE = 2, 64, 4
+HEAD, RING_ROWS, CELL_SIZE = 3, 64, 4
+HELD_SIZE, POINTS_EACH = 4, 4
 ROW = np.dtype(
     [
         ("force_n", "f8", 3), ("normal_n", "f8"), ("centroid_m", "f8", 3), ("depth_m", "f8"), ("pressure_pa", "f8"),
@@ -50,7 +51,7 @@ class Readings:
             raise SceneError(f"the model has no soft region {name}")
         self.name = name
         vertices = model.numeric(f"{name}/vertices").data.reshape(-1, 13)
-        points = model.numeric(f"{name}/points").data.reshape(-1, 8)
+        triangles = model.numeric(f"{name}/triangles").data.reshape(-1, 5)
         self.bone = int(np.flatnonzero(model.body_plugin == self.instance)[0])
         self.places = vertices[:, :3].copy()
         """(N, 3) vertices at rest, in the bone's frame [m]"""
@@ -58,8 +59,8 @@ class Readings:
         """(N, 3, 3) by rows: inward, and two tangents"""
         self.areas = vertices[:, 12].copy()
         first, size = int(model.plugin_stateadr[self.instance]), int(model.plugin_statenum[self.instance])
-        n, cells = len(vertices), int(points[:, 7].max(initial=-1)) + 1
-        at = np.cumsum([first + HEAD, 3 * n, 3 * n, 3 * len(points), CELL_SIZE * cells])
+        n, cells = len(vertices), int(triangles[:, 4].max(initial=-1)) + 1
+        at = np.cumsum([first + HEAD, 3 * n, 3 * n, HELD_SIZE * POINTS_EACH * len(triangles), CELL_SIZE * cells])
         self._first = first
         self._u, self._rate = slice(at[0], at[1]), slice(at[1], at[2])
         self._cells, self._ring = slice(at[3], at[4]), slice(at[4], first + size)

@@ -1,6 +1,6 @@
 """A soft region in a MuJoCo model: an instance of the plugin on the bone, and the numbers that it reads.
 
-The arrays travel as custom numerics ``<name>/vertices``, ``/edges``, ``/points``, ``/law`` and ``/options``; their
+The arrays travel as custom numerics ``<name>/vertices``, ``/edges``, ``/triangles``, ``/law`` and ``/options``; their
 columns are those of ``c/region.h``.
 """
 
@@ -70,11 +70,10 @@ class Mesh:
         return edges[weights > 0].astype(np.int64), weights[weights > 0]
 
     @cached_property
-    def points(self) -> Array:
-        """(M, 8) the contact points, one in the middle of each triangle: corners, shares of the corners, area, cell."""
+    def rows(self) -> Array:
+        """(M, 5) of each triangle: corners, area, cell."""
         a, b, c = (self.places[self.triangles[:, k]] for k in range(3))
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-        return np.c_[self.triangles, np.full((len(area), 3), 1 / 3), area, self.cells]
+        return np.c_[self.triangles, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2, self.cells]
 
     @property
     def cell_count(self) -> int:
@@ -138,14 +137,14 @@ def add_region(
     reach = max(REACH_M, REACH_LENGTHS * tissue.coupling_length_m)
     numbers = {
         "vertices": np.c_[mesh.places, mesh.frames.reshape(-1, 9), mesh.areas], "edges": np.c_[edges, weights],
-        "points": mesh.points, "law": np.array(astuple(Law.of(tissue))),
+        "triangles": mesh.rows, "law": np.array(astuple(Law.of(tissue))),
         "options": np.array([reach, TOLERANCE_M, SWEEPS, ledger], np.float64),
     }  # fmt: skip
     for kind, values in numbers.items():
         spec.add_numeric(name=f"{name}/{kind}", data=values.ravel().tolist(), size=values.size)
     made = spec.add_plugin(name=name, plugin_name=library.PLUGIN, active=True)
     # The plugin is asked for the size of its state before the model has its numerics.
-    counts = {"vertices": len(mesh.places), "edges": len(edges), "points": len(mesh.points), "cells": mesh.cell_count}
+    counts = {kind: len(numbers[kind]) for kind in ("vertices", "edges", "triangles")} | {"cells": mesh.cell_count}
     made.config = {"key": name, "tools": tools, **{kind: str(count) for kind, count in counts.items()}}
     bone.plugin.active, bone.plugin.name, bone.plugin.plugin_name, bone.plugin.id = True, name, library.PLUGIN, made
 

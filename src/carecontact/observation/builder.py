@@ -70,12 +70,13 @@ class RawView:
 
     intrinsics: F64
     pose_camera_in_base: F64
+    """(4, 4) as the cell believes it to be (``observation.calibration``)."""
     rgb: U8 | None = None
     depth: F32 | None = None
     robot_depth: F32 | None = None
-    """Depth of the robot's own model at the encoder angles."""
+    """Depth of the robot's own model at the encoder angles, from the believed pose."""
     cell_depth: F32 | None = None
-    """Depth of the empty cell, which is known from calibration."""
+    """Depth of the empty cell, which is known from calibration, from the believed pose."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +110,6 @@ def derive_view(
     *,
     modalities: tuple[str, ...],
     keypoints: KeypointEstimator,
-    bed_height_in_base_m: float,
     segmenter: PersonSegmenter | None = None,
 ) -> dict[str, Any]:
     """Make every named modality from one camera's images; a pure function if the models are. Without a ``segmenter``
@@ -146,8 +146,7 @@ def derive_view(
             depth=raw.depth,
             robot_depth=raw.robot_depth,
             cell_depth=raw.cell_depth,
-            height_in_base=points[..., 2],
-            bed_height_in_base_m=bed_height_in_base_m,
+            points=points,
         )
     if "landmarks" in modalities and found and raw.depth is not None:
         view["landmarks"] = found.landmarks
@@ -168,7 +167,6 @@ def derive(
     sim_time_s: float,
     modalities: tuple[str, ...],
     keypoints: KeypointEstimator,
-    bed_height_in_base_m: float,
     segmenter: PersonSegmenter | None = None,
 ) -> Observation:
     """Make the observation from raw readings, without a simulator. Raises ObservationError as its parts do."""
@@ -187,7 +185,6 @@ def derive(
             view,
             modalities=modalities,
             keypoints=keypoints,
-            bed_height_in_base_m=bed_height_in_base_m,
             segmenter=segmenter,
         )
         for camera, view in raw.views.items()
@@ -211,7 +208,6 @@ class ObservationBuilder:
         self._renderer, self._card, self._keypoints, self._segmenter = renderer, card, keypoints, segmenter
         # Without a key no noise can be repeated; a protocol with noise needs the trial's own.
         self._noise = noise or SensorNoise(Variation(), key=(), dt_s=protocol.physics.dt_s)
-        self._bed_height_in_base_m = protocol.scene.mattress_top_m - protocol.scene.robot_base_m[2]
         self._images = {image for modality in card.modalities for image in IMAGES_FOR[modality]}
         self.raw: RawReadings | None = None
         """What the last observation was made of; for the audit, never for a policy."""
@@ -235,16 +231,15 @@ class ObservationBuilder:
             sim_time_s=sim_time_s,
             modalities=self._card.modalities,
             keypoints=self._keypoints,
-            bed_height_in_base_m=self._bed_height_in_base_m,
             segmenter=self._segmenter,
         )
 
     def raw_view(self, data: mujoco.MjData, camera: str, *, angles: F64, sim_time_s: float) -> RawView:
         """``angles``: (7,) [rad] as the encoders give them."""
         renderer, images = self._renderer, self._images
-        known = renderer.at_encoders(angles) if self._noise.on_encoders else data
         intrinsics, depth = renderer.intrinsics(camera), None
-        pose = renderer.pose_camera_in_base(known, camera)
+        # Where calibration and encoders have the camera, and not where it is.
+        pose = renderer.pose_camera_in_base(renderer.at_encoders(angles), camera)
         if "depth" in images:
             depth = renderer.depth(data, camera)
             depth = self._noise.depth(depth, intrinsics, camera=camera, sim_time_s=sim_time_s)

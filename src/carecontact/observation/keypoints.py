@@ -14,6 +14,8 @@ from typing import Protocol as TypingProtocol
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.errors import DependencyError
+
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
 
@@ -96,11 +98,20 @@ def _without_needless() -> Iterator[None]:
 
 
 def import_pose() -> Any:
-    """MediaPipe's class, which no thread belongs to before an object of it is made."""
+    """MediaPipe's class, which no thread belongs to before an object of it is made.
+
+    Raises DependencyError if MediaPipe is not installed.
+    """
     os.environ.setdefault("GLOG_minloglevel", "3")
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-    with _quiet_stderr(), _without_needless():
-        from mediapipe.python.solutions.pose import Pose
+    try:
+        with _quiet_stderr(), _without_needless():
+            from mediapipe.python.solutions.pose import Pose
+    except ModuleNotFoundError as error:
+        raise DependencyError(
+            f"the modalities landmarks and masks need MediaPipe, and {error.name} is not installed; "
+            "`carecontact doctor` prints the command that installs it"
+        ) from None
     return Pose
 
 

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.observation.bed_plane import bed_plane
+
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
@@ -51,19 +53,21 @@ def segment(
     depth: F32,
     robot_depth: F32,
     cell_depth: F32,
-    height_in_base: F64,
-    bed_height_in_base_m: float,
+    points: F64,
 ) -> dict[str, Bool]:
     """Four disjoint (H, W) masks that cover the image: human, robot, bed, background.
 
     Human: near the model's person, nearer than the empty cell, and not robot. Where nobody was found (``person`` all 0)
-    nothing is human. ``height_in_base`` is each pixel's z in base [m], NaN without depth. A calibrated cell knows its
-    bed's height.
+    nothing is human. Bed: near the plane that ``bed_plane`` finds in this image, and neither; where it finds none,
+    nothing is bed. ``points`` (H, W, 3) are the pixels in base [m], NaN without depth.
     """
     robot = robot_mask(depth, robot_depth)
     human = _grown(person > PERSON_PROBABILITY, PERSON_GROWN_PX) & nearer_than_cell(depth, cell_depth) & ~robot
-    with np.errstate(invalid="ignore"):
-        bed = (np.abs(height_in_base - bed_height_in_base_m) < BED_BAND_M) & ~human & ~robot
+    plane, bed = bed_plane(points, free=~(human | robot), person=human), np.zeros_like(human)
+    if plane is not None:
+        with np.errstate(invalid="ignore"):
+            above = points[..., 2] - points[..., :2] @ plane[:2] - plane[2]
+            bed = (np.abs(above) < BED_BAND_M) & ~human & ~robot
     return {"human": human, "robot": robot, "bed": bed, "background": ~(human | robot | bed)}
 
 

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from carecontact.contract.policy_ref import IMPORTABLE, SCHEMES, PolicyRef
-from carecontact.errors import UnknownNameError
+from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.registry import Registry
+
+Role = Literal["method", "blind", "probe", "privileged"]
+"""What a policy is for: a method may be ranked. A blind baseline lacks an ability that a task is meant to require, and
+the best of them is the floor under every rate. A probe changes one thing about a method, to see whether the world
+rewards it. A privileged policy is given the simulation, and its rate is the ceiling. Only methods are ranked."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,6 +23,7 @@ class PolicyRow:
     languages: tuple[str, ...] = ()
     """Kinds of language backend that --language may name, the policy's default first. A policy that lists any takes the
     arguments ``language`` and ``record``."""
+    role: Role = "method"
 
 
 POLICIES: Registry[PolicyRow] = Registry("policy", row=PolicyRow, plural="policies")
@@ -25,6 +32,7 @@ POLICIES.register(
     PolicyRow(
         target="carecontact.policies.zero_action:ZeroAction",
         description="Blind baseline: stays parked for the whole trial. It must fail every task safely.",
+        role="blind",
     ),
 )
 POLICIES.register(
@@ -32,6 +40,7 @@ POLICIES.register(
     PolicyRow(
         target="carecontact.policies.hover:Hover",
         description="Blind baseline: finds the named region and waits 50 mm above it. It must fail every task safely.",
+        role="blind",
     ),
 )
 POLICIES.register(
@@ -41,6 +50,7 @@ POLICIES.register(
         description=(
             "Blind baseline: moves to random targets in the workspace. If it passes a gate, the gate is too easy."
         ),
+        role="blind",
     ),
 )
 POLICIES.register(
@@ -50,6 +60,7 @@ POLICIES.register(
         description=(
             "Blind baseline: repeats actions that the state machine executed at another arm angle, without looking."
         ),
+        role="blind",
     ),
 )
 POLICIES.register(
@@ -83,18 +94,48 @@ POLICIES.register(
 )
 
 
+POLICIES.register(
+    "oracle",
+    PolicyRow(
+        target="carecontact.oracle.policy:Oracle",
+        description="Privileged ceiling: the state machine's motions, given the true skin, pose and contact force.",
+        role="privileged",
+    ),
+)
+
+
+def role_of(policy: str) -> Role:
+    """Return the role of a policy as results name it; one that no row here describes is a method."""
+    try:
+        return POLICIES[policy].role if policy in POLICIES else "method"
+    except ConfigError:  # another package's row that cannot be loaded any more
+        return "method"
+
+
+def is_privileged(ref: PolicyRef) -> bool:
+    """Whether this package's own row says so: no other package's policy is ever given a simulation."""
+    return ref.kind == "registered" and POLICIES.package(ref.text) is None and role_of(ref.text) == "privileged"
+
+
 def policy_target(ref: PolicyRef) -> str:
     """Return ``module:Class`` of a registered or importable policy.
 
-    Raises UnknownNameError listing the registered names; ValueError for a remote policy, which has no target here.
+    Raises UnknownNameError listing the registered names; ConfigError for a privileged policy, which no process but a
+    trial's own may run; ValueError for a remote policy, which has no target here.
     """
     if ref.kind == "remote":
         raise ValueError(f"{ref.text} is not a policy of this host")
     if ref.kind == "importable":
         return ref.text
     try:
-        return POLICIES[ref.text].target
+        row = POLICIES[ref.text]
     except UnknownNameError as error:
         raise UnknownNameError(
             "policy", ref.text, (*error.valid, IMPORTABLE, *(f"{scheme}://HOST:PORT" for scheme in SCHEMES))
         ) from None
+    if row.role == "privileged":
+        raise ConfigError(
+            f"policy {ref.text} is privileged: it is given the simulation of a trial, so it cannot be served, checked, "
+            f"audited or run in a process of its own; give it to carecontact run"
+        )
+    return row.target

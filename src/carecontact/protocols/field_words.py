@@ -42,16 +42,17 @@ WORDS = {
 """Type of an error of pydantic's -> our words, with the names of its context."""
 
 
-def words(found: Mapping[str, Any], model: type[BaseModel] | None) -> str:
+def words(found: Mapping[str, Any], model: type[BaseModel] | None, content: object = None) -> str:
     """What one error says, without its field.
 
     Args:
         found: as ``ValidationError.errors`` lists it.
         model: of the whole file; with it an unknown field names those that its table has.
+        content: of the whole file, whose version of the gates says which fields these have.
     """
     kind, context = found["type"], found.get("ctx", {})
     if kind == "extra_forbidden":
-        table, valid = _place(found["loc"][:-1]), _fields(model, found["loc"][:-1])
+        table, valid = _place(found["loc"][:-1]), _fields(model, found["loc"][:-1], content)
         meant = did_you_mean(str(found["loc"][-1]), valid)
         return f"no such field in {table}{meant}" + (f"; valid: {', '.join(valid)}" if valid else "")
     if kind in WORDS:
@@ -82,7 +83,7 @@ def _place(loc: Sequence[int | str]) -> str:
     return f"the table {'.'.join(named)}" if named else "the file"
 
 
-def _fields(model: type[BaseModel] | None, loc: Sequence[int | str]) -> list[str]:
+def _fields(model: type[BaseModel] | None, loc: Sequence[int | str], content: object) -> list[str]:
     """Names of the fields of the table at a place; none where the place is not a table of fixed fields."""
     if model is Protocol and not loc:
         return ["base", *(name for name in Protocol.model_fields if name != "overrides")]
@@ -91,7 +92,7 @@ def _fields(model: type[BaseModel] | None, loc: Sequence[int | str]) -> list[str
         if isinstance(part, int) and isinstance(here, type) and issubclass(here, BaseModel):
             continue  # an entry of the list whose tables were found with its name
         if here is Gates:
-            here = BEHAVIOURS[str(part)].gate if part in BEHAVIOURS else None
+            here = BEHAVIOURS[str(part)].under(_gates_version(content)).gate if part in BEHAVIOURS else None
         elif isinstance(here, type) and issubclass(here, BaseModel):
             field = here.model_fields.get(str(part))
             here = None if field is None else field.annotation
@@ -100,3 +101,8 @@ def _fields(model: type[BaseModel] | None, loc: Sequence[int | str]) -> list[str
         if isinstance(part, int) or (tables and not isinstance(here, type)):
             here = tables[0] if tables else None
     return list(here.model_fields) if isinstance(here, type) and issubclass(here, BaseModel) else []
+
+
+def _gates_version(content: object) -> str:
+    gates: Any = content.get("gates") if isinstance(content, Mapping) else None
+    return str(gates.get("version")) if isinstance(gates, Mapping) else ""

@@ -52,11 +52,15 @@ def ancestry(name_or_path: str, *, heirs: tuple[str, ...] = ()) -> list[tuple[st
 
 def inherit(base: Table, own: Table) -> Table:
     """``own`` over ``base``: tables are merged key by key; every other value, lists and so ``tasks`` too, is replaced
-    as a whole. A ``person.tissue_set`` brings its own rows, so those of the base go."""
+    as a whole. A ``person.tissue_set`` brings its own rows, so those of the base go; and where another
+    ``gates.version`` is named the base's gates go, whose fields mean something else."""
     kept = {name: value for name, value in base.items() if name not in OWN}
     person, own_person = kept.get("person"), own.get("person")
     if isinstance(person, dict) and isinstance(own_person, dict) and "tissue_set" in own_person:
         kept["person"] = {name: value for name, value in person.items() if name != "tissue"}
+    gates, own_gates = kept.get("gates"), own.get("gates")
+    if isinstance(gates, dict) and isinstance(own_gates, dict) and "version" in own_gates:
+        kept["gates"] = gates if gates.get("version") == own_gates["version"] else {}
     return {"frozen": False, **merged(kept, own)}
 
 

@@ -61,7 +61,7 @@ def faults(error: ValidationError, *, model: type[BaseModel] | None = None, cont
     for found in error.errors():
         value, where = found["input"], field_path(found["loc"], content)
         shown = "" if isinstance(value, dict | list | tuple) else f" (got {str(value)[:INPUT_CHARACTERS]})"
-        said = words(found, model)
+        said = words(found, model, content)
         # A check over several fields names its field in the message.
         lines.append(f"{where}: {said}{shown}" if where else said)
     return lines

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, field_validator, model_serializer
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.regions import SEGMENTS, STANDARD_REGIONS
@@ -56,9 +56,10 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "actions/clipped": ("u1", "(M,) 1 where a target outside the workspace was moved onto its border"),
     "actions/damping_ratio": ("f8", "(M,) in force"),
     "actions/wrench_in_tcp": ("f8", "(M, 6) feedforward in force: force [N], torque [N m]"),
-    "policy/believed_pose_camera_in_base": ("f8", "(A, V, 7) as the policy was shown it, with its calibration error"),
-    "policy/believed_pose_base_in_world": ("f8", "(A, 7) where the cell's calibration has the robot's base"),
+    "policy/believed_pose_camera_in_base": ("f8", "(A, V, 7) as it was shown, with the calibration's error; else NaN"),
+    "scorer/pose_camera_in_base": ("f8", "(A, V, 7) where those cameras are"),
     "scorer/human_joint_reaction": ("f4", "(T, J) [N m] torque of each scored joint's end stop"),
+    "scorer/region_law": ("f8", "(R, 11) of each soft region, in the order of kernel.region.Law; 0 on a rigid one"),
     "scorer/cell_in_region": ("f4", "(C, 3) [m] centre of each cell at rest, in the target region's frame"),
     "scorer/cell_area_m2": ("f4", "(C,)"),
     "scorer/cell_press_ns": ("f4", "(P, C) normal force times time, summed over the period"),
@@ -70,18 +71,24 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/muscle_work_j": ("f4", "(P, 2) that breathing and the arm's muscles have done since t = 0"),
     "scorer/repositioning_s": ("f8", "(E,) when the person changes the arm's place, drawn before the trial"),
     "scorer/repositioning_rad": ("f8", "(E,) by which turn of the shoulder's abduction"),
+    "report/peak_pose_camera_in_world": ("f8", "(7,) of the camera of ``report/peak_rgb``: x right, y down, z ahead"),
+    "report/peak_focal_px": ("f8", "(1,) its focal length; the optical axis meets the picture in its middle"),
     "scorer/withdrawal_s": ("f8", "(3,) when the person withdrew the arm, or was about to; -1 where it did not"),
 }
 """Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
 soft region since schema 3: cells are patches of about 7.5 mm (``world.human.tissue.DeclaredCells``), and a row sums
-what happened since the row before it. What the person does by itself is there where the protocol lets it do something
+what happened since the row before it. ``scorer/region_law`` is there where the law of a region is not its row in the
+protocol: on a body of another build, and where the seed draws the tissue. What the person does by itself is there
+where the protocol lets it do something
 (``contract.protocol.alive``). These paths are allowed as well:
 ``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
-(H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``perception/*``
-(``recording.perception``), and ``wall/*``, the only place for what may differ between two runs of the same trial: it is
-outside the canonical hash. ``wall/isolation`` holds, as text, how far the policy's process was isolated,
-``wall/between_acts_s`` (A - 1,) the wall time [s] from each answer until the next observation left, and ``wall/pace``
-(2,) the pace of the run [s] and how many observations came late (``trials.pace``)."""
+(H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``report/skin_in_world`` (N, 3) f4 [m],
+the skin round the target region, dented as at the peak, with its triangles ``report/skin_faces`` (F, 3) i4,
+``perception/*`` (``recording.perception``), and ``wall/*``, the only place for what may differ between two runs of the
+same trial: it is outside the canonical hash. ``wall/isolation`` holds, as text, how far the policy's process was
+isolated, ``wall/policy_output`` what it printed last, ``wall/act_s`` (A,) the wall time [s] from each observation's
+leaving until its answer, ``wall/between_acts_s`` (A - 1,) that from each answer until the next observation left, and
+``wall/pace`` (2,) the pace of the run [s] and how many observations came late (``trials.pace``)."""
 
 
 class Failure(BaseModel):
@@ -103,6 +110,8 @@ class Header(BaseModel):
     """The policy's card as shown in the handshake; None if it never came."""
     control: str | None = None
     """Id of the controller that executed the actions; None if the card never came."""
+    privileged: bool = False
+    """Whether the policy was given the simulation: such a trial shows what can be done and ranks no method."""
     embodiment: str
     comfort_arm_deg: float | None
     """Measured after settling."""
@@ -115,6 +124,18 @@ class Header(BaseModel):
     sha256: dict[str, str]
     """model, body and mesh assets, and the binary of the compiled tissue (``kernel``)"""
     solver_warnings: list[str]
+
+    @field_validator("spec")
+    @classmethod
+    def _sealed(cls, spec: TrialSpec) -> TrialSpec:
+        """A recording may be shown to anyone, at once; the salt of its run may not."""
+        return spec.sealed
+
+    @model_serializer(mode="wrap")
+    def _without_privilege(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave the field out where there is no privilege: such a trial keeps the header, and so the hash, that it had
+        before there was the field."""
+        return {name: value for name, value in serialize(self).items() if name != "privileged" or value}
 
     @property
     def protocol_sha256(self) -> str:

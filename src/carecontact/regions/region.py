@@ -22,6 +22,9 @@ class Tube:
     """Segments, without their side, whose surface closes the rigid ends: the one nearer the trunk, then the other."""
     near_end_from: float = -0.03
     """Where the nearer rigid end begins, as a share of the same line; negative: before the joint."""
+    beside_trunk: bool = False
+    """Whether the trunk can be in the way of a hand that comes from above. On bodies where it is, the region lies
+    nearer the next joint (``world.human.clearance``)."""
     held_out_m: tuple[tuple[float, float], ...] = ()
     """Places (along, across) of the region's frame where validation compares the tissue with published curves [m];
     each is at least 8 mm from those of tools/fit_tissue.py."""
@@ -51,7 +54,8 @@ class LimbSight:
     joint, as shares of the line between them. Means over rendered persons from above (seeds below 1000); a property of
     the estimator and not of anatomy."""
     free_from: float = 0.0
-    """Share of the line before which limb and trunk are one."""
+    """Share of the line before which limb and trunk are one. Where it is above 0, the shipped policies also keep clear
+    of a chest that stands higher than the limb."""
 
     def __post_init__(self) -> None:
         """Raises ConfigError for ``joints`` that are not two of JOINTS."""
@@ -96,7 +100,8 @@ class Region:
     """Direction of the close-up's view in the world [deg]: from the bed and the feet, where the robot does not stand in
     the way."""
     scripted_along_m: float = 0.0
-    """Where validation makes its scripted contacts, along the region's axis from its middle [m]."""
+    """Where validation makes its scripted contacts, along the region's axis from the middle that it has on a body whose
+    trunk is not in the way [m]."""
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a segment that no body has, a neighbourhood without one, ``words`` that are one text,

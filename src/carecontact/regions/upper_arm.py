@@ -13,6 +13,7 @@ REGIONS.register(
             closed_by=("clavicle", "forearm"),
             # The shoulder's cap reaches over the joint.
             near_end_from=-0.25,
+            beside_trunk=True,
             held_out_m=((0.016, -0.007), (-0.019, 0.009), (0.006, 0.011)),
         ),
         words=("upper arm", "upper-arm", "upperarm", "biceps", "bicep", "triceps"),

@@ -39,14 +39,19 @@ class Drawing:
             f'<rect class="{style}" x="{_px(x)}" y="{_px(y)}" width="{_px(width)}" height="{_px(height)}"{corner}/>'
         )
 
-    def circle(self, style: str, x: float, y: float, radius: float) -> None:
-        self.parts.append(f'<circle class="{style}" cx="{_px(x)}" cy="{_px(y)}" r="{radius:g}"/>')
+    def circle(self, style: str, x: float, y: float, radius: float, *, opacity: float = 1.0) -> None:
+        through = "" if opacity == 1.0 else f' opacity="{opacity:.2f}"'
+        self.parts.append(f'<circle class="{style}" cx="{_px(x)}" cy="{_px(y)}" r="{radius:.3g}"{through}/>')
 
     def polyline(self, style: str, points: Points) -> None:
         self.parts.append(f'<polyline class="{style}" points="{_points(points)}"/>')
 
     def polygon(self, style: str, points: Points) -> None:
         self.parts.append(f'<polygon class="{style}" points="{_points(points)}"/>')
+
+    def image(self, uri: str, x: float = 0, y: float = 0, *, width: float | None = None) -> None:
+        """A picture as a data URI with its upper left corner at a place, as wide as the drawing by default."""
+        self.parts.append(f'<image href="{uri}" x="{_px(x)}" y="{_px(y)}" width="{_px(width or self.width)}"/>')
 
     def svg(self) -> str:
         head = (

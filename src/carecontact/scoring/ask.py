@@ -35,7 +35,8 @@ def ask(contact: Contact, method: str, *arguments: object, action: str | None = 
     """
     action = action or contact.task.action
     trial_id = contact.recording.header.spec.trial_id
-    behaviour, title = behaviour_of(action), f"{BEHAVIOURS.title(action)}: {method}"
+    behaviour = behaviour_of(action, contact.protocol.gates.version)
+    title = f"{BEHAVIOURS.title(action)}: {method}"
     with blamed_on(title, trial_id):
         found: Any = getattr(behaviour, method)(*arguments)
     classes, expected = ANSWERS[method]

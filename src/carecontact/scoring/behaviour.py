@@ -6,13 +6,18 @@ The shipped actions are in ``carecontact.behaviours``, one file each.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Literal, TypeVar, cast
+from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, cast
 
-from carecontact.contract.protocol import BEHAVIOURS, Section
+import numpy as np
+from pydantic import model_validator
+
+from carecontact.contract.protocol import BEHAVIOURS, Positive, Section
 from carecontact.errors import ConfigError
 from carecontact.scoring.attribution.commanded import CommandedContact
 from carecontact.scoring.contact import Contact, Mask, runs, steps
+from carecontact.scoring.filters import F64
 from carecontact.scoring.gate import Attempt, Gate, Judgement
 from carecontact.scoring.progress import Episode
 from carecontact.scoring.result import TrialScore
@@ -37,6 +42,19 @@ class Sweep:
     """From the field's unit to the shown one."""
 
 
+class ForceBand(Section):
+    """A gate's range of the force summed over the neighbourhood, averaged over a moment (``scoring.held_force``)."""
+
+    least_n: Positive
+    most_n: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.least_n >= self.most_n:
+            raise ValueError(f"least_n {self.least_n:g} has to be below most_n {self.most_n:g}")
+        return self
+
+
 class Behaviour(ABC, Generic[G]):
     """One action: the schema of its gate, how a trial is judged by it, and the words for a trial that fails.
 
@@ -52,6 +70,11 @@ class Behaviour(ABC, Generic[G]):
     """Whether the action is meant to move a limb. Results pool the joint-limit margin C2 over such actions alone: it
     says little where nothing was meant to move."""
 
+    versions: ClassVar[Mapping[str, Behaviour[Any]]] = {}
+    """Version of a protocol's gates -> who judges the action there, where that is another than this."""
+    harder: ClassVar[Section | None] = None
+    """A stricter table of the gate that no trial has to pass; ``harder_band@1`` reports who would."""
+
     def __init_subclass__(cls) -> None:
         """Raises ConfigError for a sweep of a field that the gate does not have."""
         super().__init_subclass__()
@@ -60,6 +83,10 @@ class Behaviour(ABC, Generic[G]):
             if sweep.field not in fields:
                 known = ", ".join(fields)
                 raise ConfigError(f"{cls.__name__}.sweeps: the gate has no field {sweep.field!r}; valid: {known}")
+
+    def under(self, version: str) -> Behaviour[Any]:
+        """Who judges the action where ``gates.version`` is this."""
+        return self.versions.get(version, self)
 
     @abstractmethod
     def judge(self, contact: Contact, gate: G, attempt: Attempt) -> Judgement: ...
@@ -92,17 +119,21 @@ class Behaviour(ABC, Generic[G]):
         return f"touched for {score.longest_on_s:.2f} s"
 
 
-def behaviour_of(action: str) -> Behaviour[Any]:
-    """Raises UnknownNameError for an action that nothing registers, ConfigError for a row that is not a Behaviour."""
+def behaviour_of(action: str, version: str) -> Behaviour[Any]:
+    """Who judges an action under a version of the gates.
+
+    Raises UnknownNameError for an action that nothing registers, ConfigError for a row that is not a Behaviour.
+    """
     row: object = BEHAVIOURS[action]
     if not isinstance(row, Behaviour):
         raise ConfigError(f"action {action!r} is registered as {type(row).__name__}; expected a Behaviour object")
-    return cast("Behaviour[Any]", row)
+    return cast("Behaviour[Any]", row).under(version)
 
 
 def actions_that_move() -> frozenset[str]:
     """The registered actions that are meant to move a limb; one that cannot be loaded has no trials to pool."""
-    return frozenset(action for action in BEHAVIOURS.usable() if behaviour_of(action).moves_the_person)
+    usable = BEHAVIOURS.usable()
+    return frozenset(action for action, row in usable.items() if isinstance(row, Behaviour) and row.moves_the_person)
 
 
 def let_go(contact: Contact, holding: Mask, duration_s: float) -> bool:
@@ -119,3 +150,8 @@ def let_go(contact: Contact, holding: Mask, duration_s: float) -> bool:
 def mm(metres: float) -> str:
     """Whole millimetres with their unit."""
     return f"{metres * 1000:.0f} mm"
+
+
+def middle_force(force: F64) -> str:
+    """``, median 7.3 N``; nothing for no sample."""
+    return f", median {np.median(force):.1f} N" if len(force) else ""

@@ -38,6 +38,8 @@ class Judgement:
     """The contact lasted long enough."""
     progress_met: bool
     """What the contact had to bring about was reached: a displacement, a stroke."""
+    band_met: bool = True
+    """Nothing was too light, too hard or too far: contact and motion were in the ranges that the gate asks for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +49,7 @@ class Gate:
     success: bool
     time_met: bool
     progress_met: bool
+    band_met: bool
     longest_on_s: float
     """Longest stretch that counts toward a hold."""
     best: Episode | None

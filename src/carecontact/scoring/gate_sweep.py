@@ -23,13 +23,14 @@ def protocol_sweeps(protocol: Protocol) -> dict[str, tuple[str | None, Sweep]]:
     Raises ConfigError where two sweeps have the same name.
     """
     used = {task.action for task in protocol.tasks}
-    return sweeps_of(action for action in protocol.gates.actions if action in used)
+    return sweeps_of((action for action in protocol.gates.actions if action in used), protocol.gates.version)
 
 
-def sweeps_of(actions: Iterable[str]) -> dict[str, tuple[str | None, Sweep]]:
-    """As ``protocol_sweeps``, for these actions. Raises ConfigError where two sweeps have the same name."""
+def sweeps_of(actions: Iterable[str], version: str) -> dict[str, tuple[str | None, Sweep]]:
+    """As ``protocol_sweeps``, for these actions under a version of the gates. Raises ConfigError where two sweeps have
+    the same name."""
     found: dict[str, tuple[str | None, Sweep]] = {FLOOR.name: (None, FLOOR)}
-    for action, sweep in [(name, sweep) for name in actions for sweep in behaviour_of(name).sweeps]:
+    for action, sweep in [(name, sweep) for name in actions for sweep in behaviour_of(name, version).sweeps]:
         if sweep.name in found:
             other = found[sweep.name][0]
             owner = "the contact floor" if other is None else BEHAVIOURS.title(other)
@@ -75,7 +76,7 @@ def _level_at_floor(contact: Contact, measures: Measures, on_n: float) -> int:
     off_n = on_n * definition.off_n / definition.on_n
     if (on_n, off_n) != (definition.on_n, definition.off_n):
         contact = with_floor(contact, on_n=on_n, off_n=off_n)
-        needs = behaviour_of(contact.task.action).needs
+        needs = behaviour_of(contact.task.action, contact.protocol.gates.version).needs
         measures = measure(contact, episodes="episodes" in needs, wrist="wrist" in needs)
     return level(reach_verdict(contact, judge(contact, measures)))
 

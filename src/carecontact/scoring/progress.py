@@ -94,18 +94,29 @@ def _measure(contact: Contact, track: Track, start: int, stop: int) -> Episode:
 
 def count_reversals(position: F64, threshold: float) -> int:
     """(N,) positions without a gap -> changes of direction, each counted once ``threshold`` has been travelled back."""
-    count, direction = 0, 0
+    return len(turning_points(position, threshold))
+
+
+def turning_points(position: F64, threshold: float) -> list[int]:
+    """(N,) positions without a gap -> indices of the outermost position before each change of direction; a change is
+    one where ``threshold`` has been travelled back."""
+    found: list[int] = []
+    direction = low_at = high_at = 0
     low = high = float(position[0]) if len(position) else 0.0
-    for value in position.tolist():
+    for i, value in enumerate(position.tolist()):
         if value < low:  # by hand: min and max take four times as long
-            low = value
+            low, low_at = value, i
         if value > high:
-            high = value
+            high, high_at = value, i
         if direction >= 0 and high - value >= threshold:
-            count, direction, low = count + (direction > 0), -1, value
+            if direction > 0:
+                found.append(high_at)
+            direction, low, low_at = -1, value, i
         elif direction <= 0 and value - low >= threshold:
-            count, direction, high = count + (direction < 0), 1, value
-    return count
+            if direction < 0:
+                found.append(low_at)
+            direction, high, high_at = 1, value, i
+    return found
 
 
 def wrist_displacement(contact: Contact) -> tuple[float, float]:
@@ -117,3 +128,18 @@ def wrist_displacement(contact: Contact) -> tuple[float, float]:
         float(distance[contact.neighbourhood_on].max(initial=0.0)),
         float(distance.max(initial=0.0)),
     )
+
+
+def wrist_from_onset(contact: Contact) -> float:
+    """Largest horizontal distance of the wrist from where it was when the contact episode began [m]; of all episodes,
+    while the neighbourhood is on.
+
+    What the person does before the contact does not count. What it does during the contact does: the recording has one
+    way of one wrist, which person and robot make together, and no part of it belongs to one of them.
+    """
+    wrist = contact.recording["scorer/wrist_in_world"][:, :2].astype(np.float64)
+    moved = 0.0
+    for start, stop in episodes(contact):
+        way = np.linalg.norm(wrist[start:stop] - wrist[start], axis=1)
+        moved = max(moved, float(way[contact.neighbourhood_on[start:stop]].max(initial=0.0)))
+    return moved

@@ -16,6 +16,7 @@ FailureMode = Literal[
     "off_target_contact",
     "lost_contact",
     "insufficient_progress",
+    "outside_band",
     "wrong_share",
     "time_limit",
 ]

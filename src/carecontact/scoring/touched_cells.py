@@ -68,6 +68,14 @@ class TouchedCells:
         """Time [s] in which any cell bears more than a pressure."""
         return float(self.period_s[(self.pressure_pa > pressure_pa).any(axis=1)].sum())
 
+    def share_of_time_below(self, pressure_pa: float) -> float:
+        """Share of the time in contact in which the mean pressure over all cells is at most this; there has to be
+        contact."""
+        touch = self.touch_m2s.sum(axis=1)
+        held = touch > 0
+        low = self.press_ns.sum(axis=1)[held] <= pressure_pa * touch[held]
+        return float(self.period_s[held][low].sum() / self.period_s[held].sum())
+
     @cached_property
     def passes(self) -> Passes:
         """A *visit* of a cell lasts while the tool touches it; a visit is a pass if the tool slid by SLID_M."""

@@ -82,6 +82,8 @@ def _failure_mode(contact: Contact, gate: Gate) -> FailureMode:
         return "off_target_contact"
     if not gate.time_met and ask(contact, "lost", contact, contact.protocol.gates.of(contact.task.action), gate):
         return "lost_contact"
+    if not gate.success and gate.time_met and gate.progress_met and not gate.band_met:
+        return "outside_band"
     # Short of progress, or stopped of its own accord; a hold that the clock cut short is neither.
     if not gate.success and not (gate.progress_met and ended == "time_limit"):
         return "insufficient_progress"

@@ -29,6 +29,13 @@ MAX_SHIFT_M = 0.04
 PROFILE = np.linspace(0.1, 0.9, 17)
 """Fractions of the region's length at which the top surface is read."""
 MIN_PROFILE = 9
+HAND_REACH_M, HAND_OVER_TIP_M, HALF_SCRUB_M = 0.12, 0.035, 0.025
+"""From the tool to the corners of the robot's hand, which touched the chests of heavy bodies there; height of its
+underside over the tip; half of what a scrub has to cover."""
+MIN_REGION_M = 0.10
+"""Of a limb's region that a chest crowds: a scrub has room in it."""
+CROWDED = np.linspace(0.95, 0.2, 39)
+"""Places along a limb at which the chest is looked for, from the next joint to the trunk."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +92,7 @@ def region_from_observation(
             start, end = _trunk_line(view, sight)
             search = TRUNK_SEARCH_M
         case LimbSight() as sight:
-            start, end = _limb_line(view, sight, side, region)
+            start, end = _limb_line(view, sight, side, region, person)
             search = SEARCH_HALF_WIDTH_M
         case None:
             raise PerceptionFailure(f"no joints are known between which the {region.replace('_', ' ')} lies")
@@ -105,14 +112,30 @@ def _trunk_line(view: CameraView, sight: TrunkSight) -> tuple[F64, F64]:
     return middle - half * along, middle + half * along
 
 
-def _limb_line(view: CameraView, sight: LimbSight, side: str, region: str) -> tuple[F64, F64]:
+def _limb_line(view: CameraView, sight: LimbSight, side: str, region: str, person: F64) -> tuple[F64, F64]:
     """(3,) and (3,) ends of a region's line along a limb, nearer the trunk first."""
     first, second = sight.joints
     start, end = joint_centre(view, f"{side} {first}"), joint_centre(view, f"{side} {second}")
     limits = LEG_LENGTH_M if "knee" in sight.joints else LIMB_LENGTH_M
     _checked_length(end - start, limits, f"{side} {region.replace('_', ' ')}")
     start, end = _at_centres(sight, start, end)
-    return start + sight.free_from * (end - start), end
+    return start + free_from(sight, person, start, end) * (end - start), end
+
+
+def free_from(sight: LimbSight, person: F64, start: F64, end: F64) -> float:
+    """Share of a limb's line at which its region begins: where the row says, or on a person whose chest is in the way
+    of a hand there, so far toward the next joint that half a scrub before the region's middle is free."""
+    length = float(np.linalg.norm((end - start)[:2]))
+    if sight.free_from == 0 or length < MIN_REGION_M:
+        return sight.free_from
+    for share in CROWDED[CROWDED > sight.free_from]:
+        place = start + share * (end - start)
+        beside = person[np.hypot(person[:, 0] - place[0], person[:, 1] - place[1]) < HAND_REACH_M, 2]
+        top = _column(person, place)
+        if len(beside) and np.percentile(beside, 98) - top > HAND_OVER_TIP_M:
+            wanted = 2 * (share + HALF_SCRUB_M / length) - 1
+            return float(np.clip(wanted, sight.free_from, max(1 - MIN_REGION_M / length, sight.free_from)))
+    return sight.free_from
 
 
 def _at_centres(sight: LimbSight | TrunkSight, first: F64, second: F64) -> tuple[F64, F64]:

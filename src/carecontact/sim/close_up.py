@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -9,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.embodiment import PANDA
+from carecontact.contract.geometry import quat_from_matrix
 from carecontact.kernel.readings import Readings
 from carecontact.regions import REGIONS
 from carecontact.sim.rendering import SceneRenderer
@@ -21,24 +23,59 @@ NEIGHBOURS_M = 2 * REACH_M
 VISIBLE_M = 5e-4
 
 
-def render_close_up(
-    renderer: SceneRenderer, scene: Scene, data: mujoco.MjData, *, region: str
-) -> npt.NDArray[np.uint8]:
-    """(H, W, 3) of the exterior camera's size, looking at the tool's tip. For people to look at, never for a policy."""
-    return renderer.free_view(
-        data, look_at=data.site(PANDA.tcp_site).xpos + [0, 0, 0.02], distance_m=0.36,
-        azimuth_deg=REGIONS[region].close_up_azimuth_deg,
-        elevation_deg=-20.0, size_of="exterior", edit=lambda made: dent(scene, data, made),
+DISTANCE_M, ELEVATION_DEG = 0.22, -20.0
+"""Of the camera from where it looks; the picture then shows 0.3 m of the skin, a region of a limb."""
+ABOVE_TIP_M = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloseUp:
+    image: npt.NDArray[np.uint8]
+    """(H, W, 3)"""
+    pose_camera_in_world: npt.NDArray[np.float64]
+    """(7,) position [m] and quat_wxyz of the camera: x to the right, y down, z along its line of sight."""
+    focal_px: float
+    """Focal length; the optical axis meets the picture in its middle."""
+
+
+def render_close_up(renderer: SceneRenderer, scene: Scene, data: mujoco.MjData, *, region: str) -> CloseUp:
+    """A picture of the exterior camera's size, of the tool's tip. For people to look at, never for a policy."""
+    look_at = data.site(PANDA.tcp_site).xpos + [0, 0, ABOVE_TIP_M]
+    azimuth_deg = REGIONS[region].close_up_azimuth_deg
+    image = renderer.free_view(
+        data, look_at=look_at, distance_m=DISTANCE_M, azimuth_deg=azimuth_deg, elevation_deg=ELEVATION_DEG,
+        size_of="exterior", edit=lambda made: dent(scene, data, made),
     )  # fmt: skip
+    # MuJoCo's free camera: azimuth about the vertical from the x axis, elevation above the horizon.
+    azimuth, elevation = np.radians([azimuth_deg, ELEVATION_DEG])
+    forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    turn = np.stack([right, np.cross(forward, right), forward], axis=1)
+    half = np.radians(float(scene.model.vis.global_.fovy)) / 2
+    return CloseUp(
+        image=image,
+        pose_camera_in_world=np.concatenate([look_at - DISTANCE_M * forward, quat_from_matrix(turn)]),
+        focal_px=float(image.shape[0] / 2 / np.tan(half)),
+    )
 
 
 def dent(scene: Scene, data: mujoco.MjData, made: mujoco.MjvScene) -> None:
     """Move the drawn skin's vertices with the shell beneath them, in place."""
     model = scene.model
-    bind = np.asarray(model.skin_vert).reshape(-1, 3)[: model.nskinvert]
     faces = np.asarray(model.skin_face).reshape(-1, 3)
-    touched = np.zeros(len(bind), bool)
     drawn = np.asarray(made.skinvert).reshape(-1, 3)[: model.nskinvert]
+    shift = skin_shift(scene, data)
+    drawn += shift.astype(drawn.dtype)
+    # Elsewhere the interpolated normals are smoother than those of the split triangles.
+    touched = np.linalg.norm(shift, axis=1) > VISIBLE_M
+    _renew_normals(drawn, np.asarray(made.skinnormal).reshape(-1, 3)[: model.nskinvert], faces, touched)
+
+
+def skin_shift(scene: Scene, data: mujoco.MjData) -> npt.NDArray[np.float64]:
+    """(V, 3) by how much the shells of the soft regions move each vertex of the skin, in the world [m]."""
+    model = scene.model
+    bind = np.asarray(model.skin_vert).reshape(-1, 3)[: model.nskinvert]
+    total = np.zeros((len(bind), 3))
     for name, region in scene.regions.items():
         felt = Readings(model, name)
         moved = (felt.vertices(data) - felt.places) @ data.xmat[felt.bone].reshape(3, 3).T
@@ -57,11 +94,8 @@ def dent(scene: Scene, data: mujoco.MjData, made: mujoco.MjvScene) -> None:
         weight = 1 / (d + 0.002) ** 2
         weight /= weight.sum(1, keepdims=True)
         fade = np.clip((REACH_M - d[:, 0]) / (REACH_M / 2), 0, 1)
-        shift = np.einsum("ij,ijk->ik", weight, moved[order]) * fade[:, None]
-        drawn[near] += shift.astype(drawn.dtype)
-        # Elsewhere the interpolated normals are smoother than those of the split triangles.
-        touched[near[np.linalg.norm(shift, axis=1) > VISIBLE_M]] = True
-    _renew_normals(drawn, np.asarray(made.skinnormal).reshape(-1, 3)[: len(bind)], faces, touched)
+        total[near] += np.einsum("ij,ijk->ik", weight, moved[order]) * fade[:, None]
+    return total
 
 
 def _within(places: npt.NDArray[Any], others: npt.NDArray[Any], margin_m: float) -> npt.NDArray[np.bool_]:

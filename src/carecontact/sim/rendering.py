@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from ctypes.util import find_library
 from dataclasses import dataclass
 from functools import cache
@@ -114,8 +114,11 @@ class SceneRenderer:
     ``free_view`` and ``truth``.
     """
 
-    def __init__(self, model: mujoco.MjModel, *, protocol: Protocol) -> None:
-        self._model, self.protocol = model, protocol
+    def __init__(
+        self, model: mujoco.MjModel, *, protocol: Protocol, calibration: Mapping[str, F64] | None = None
+    ) -> None:
+        """``calibration``: camera -> (4, 4) error in its frame of where the cell believes it to be; none by default."""
+        self._model, self.protocol, self.calibration = model, protocol, dict(calibration or {})
         self.proprioception = Proprioception(model)
         self._cameras: dict[str, Camera] = {str(name): camera for name, camera in protocol.cameras.items()}
         self._context: Any = None
@@ -182,9 +185,9 @@ class SceneRenderer:
     def cell_depth(self, joint_position: npt.ArrayLike, camera: str) -> F32:
         """(H, W) depth [m] of bed, pillow, arm board and room without person and robot; NaN beyond DEPTH_RANGE_M.
 
-        What a real cell's cameras saw before anyone lay down, pillow and board in their places; for a camera on the
-        hand, what its map of the empty cell gives at the encoder angles (7,) [rad]. A camera that stands is rendered
-        once.
+        What a real cell's map of itself, made before anyone lay down, pillow and board in their places, shows from
+        where the cell believes the camera to be; for a camera on the hand, at the encoder angles (7,) [rad]. A camera
+        that stands is rendered once.
         """
         if camera in self._empty_cell:
             return self._empty_cell[camera].copy()
@@ -208,13 +211,18 @@ class SceneRenderer:
         return TrueView(human=np.isin(label, mine), depth=self._metres(buffer))
 
     def at_encoders(self, joint_position: npt.ArrayLike) -> mujoco.MjData:
-        """The world as calibration and encoders (7,) [rad] know it, without the person; valid until the next call."""
+        """The world as encoders (7,) [rad] and calibration know it, without the person; valid until the next call."""
         if self._calibrated is None:
             self._calibrated = mujoco.MjData(self._model)
-        data = self._calibrated
+        data: mujoco.MjData = self._calibrated
         self.proprioception.set_joint_position(data, joint_position)
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_camlight(self._model, data)
+        for name, error in self.calibration.items():
+            position, matrix = data.cam_xpos[self._model.camera(name).id], data.cam_xmat[self._model.camera(name).id]
+            rotation = matrix.reshape(3, 3) @ _CV_FROM_GL
+            position += rotation @ error[:3, 3]
+            matrix[:] = (rotation @ error[:3, :3] @ _CV_FROM_GL).ravel()
         return data
 
     def size(self, camera: str) -> tuple[int, int]:
@@ -231,7 +239,8 @@ class SceneRenderer:
         return np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
 
     def pose_camera_in_base(self, data: mujoco.MjData, camera: str) -> F64:
-        """(4, 4) camera -> robot base; camera axes x right, y down, z forward."""
+        """(4, 4) camera -> robot base; camera axes x right, y down, z forward. Of ``data`` from ``at_encoders``: where
+        the cell believes the camera to be."""
         index = self._model.camera(camera).id
         rotation = data.cam_xmat[index].reshape(3, 3) @ _CV_FROM_GL
         return self.proprioception.in_base(data, data.cam_xpos[index], rotation)

@@ -22,7 +22,7 @@ class Ended:
     warnings: tuple[str, ...] | None = None
     """About the policy's first answer; None: it gave none."""
     unreached: str | None = None
-    """Why the policy's server could not be reached, so that the trial did not begin."""
+    """Why no trial can begin: the policy's server could not be reached, or a package is missing."""
     unstored: bool = False
     """Whether there was no space for the recording."""
     lost: str | None = None

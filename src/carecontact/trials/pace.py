@@ -21,9 +21,10 @@ import numpy.typing as npt
 from carecontact.errors import ConfigError
 from carecontact.recording.schema import Recording
 
-BETWEEN, PACED = "wall/between_acts_s", "wall/pace"
-"""Arrays of a recording: (A - 1,) wall time [s] from each answer until the next observation left; (2,) the pace [s],
-and how many of these observations came late. Only a run with a pace has the second."""
+BETWEEN, ACT, PACED = "wall/between_acts_s", "wall/act_s", "wall/pace"
+"""Arrays of a recording: (A - 1,) wall time [s] from each answer until the next observation left; (A,) from when each
+observation left until its answer came; (2,) the pace [s], and how many of these observations came late. Only a run with
+a pace has the third."""
 WARM_S = 0.1
 """Some ten times what it takes to make and send a message with every modality of one camera."""
 MAX_PACE_S = 5.0
@@ -58,12 +59,16 @@ class Pace:
         self._pace_s, self._clock, self._sleep = pace_s, clock, sleep
         self._answered_s: float | None = None
         self._periods = 0
+        self._left_s: float | None = None
         self._between_s: list[float] = []
+        self._act_s: list[float] = []
         self._late = 0
 
     def answered(self, periods: int) -> None:
         """An answer came, which is executed in so many control periods."""
         self._answered_s, self._periods = self._clock(), periods
+        if self._left_s is not None:
+            self._act_s.append(self._answered_s - self._left_s)
 
     def hold(self, rehearse: Callable[[], object] = lambda: None) -> None:
         """Return when the next observation may leave.
@@ -75,6 +80,7 @@ class Pace:
             rehearse: makes the message.
         """
         if self._answered_s is None:
+            self._left_s = self._clock()
             return
         if self._pace_s is not None:
             needed = math.ceil((self._clock() - self._answered_s + WARM_S) / self._pace_s)
@@ -85,11 +91,12 @@ class Pace:
             rehearse()
             while self._clock() < until:
                 pass
-        self._between_s.append(self._clock() - self._answered_s)
+        self._left_s = self._clock()
+        self._between_s.append(self._left_s - self._answered_s)
 
     def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
         """Return what the recording keeps of it."""
-        kept = {BETWEEN: np.array(self._between_s, "<f8")}
+        kept = {BETWEEN: np.array(self._between_s, "<f8"), ACT: np.array(self._act_s, "<f8")}
         if self._pace_s is not None:
             kept[PACED] = np.array([self._pace_s, self._late], "<f8")
         return kept

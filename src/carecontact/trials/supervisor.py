@@ -59,7 +59,8 @@ class RunSummary:
     ran: tuple[str, ...]
     kept: tuple[str, ...]
     unreached: str | None
-    """Why the policy's server could not be reached, so that the run stopped before its end; None: it is complete."""
+    """Why the run stopped before its end: the policy's server could not be reached, or a package is missing; None: it
+    is complete."""
     late: dict[str, int]
     """Trial that this command ran with a pace -> how many of its observations came late, where any did."""
     most_at_once: int

@@ -20,6 +20,8 @@ from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire.messages import act_message
 from carecontact.observation.builder import RawReadings
+from carecontact.oracle.drive import drive
+from carecontact.policies.registry import is_privileged
 from carecontact.recording.schema import Recording
 from carecontact.trials.pace import Pace
 from carecontact.trials.request import check_setup, setup_of
@@ -69,6 +71,9 @@ def run_trial(
     check_setup(spec, setup)
     report = on_policy if on_policy is not None and setup.ref.kind != "remote" else _report_to_nobody
     with Episode(spec, prepare=prepare, weights=weights) as episode:
+        if is_privileged(setup.ref):
+            drive(episode, setup.ref)
+            return episode.finish()
         report(True)
         _converse(episode, setup, Pace(pace_s), on_look, on_wait, on_sent)
         report(False)

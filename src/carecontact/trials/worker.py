@@ -2,8 +2,8 @@
 
 The worker tells its supervisor when a local policy runs and what it answered (``trials.told``). Exit status 0 means
 that the recording was written, whatever happened to the trial, or that UNREACHED says why the trial did not begin;
-UNSTORED, that there was no space for the recording. A crash of the interpreter itself writes nothing; then the
-supervisor writes a recording.
+LACKING, that this machine lacks a package, which UNREACHED names; UNSTORED, that there was no space for the recording.
+A crash of the interpreter itself writes nothing; then the supervisor writes a recording.
 """
 
 from __future__ import annotations
@@ -37,9 +37,12 @@ WAITING = "waiting.txt"
 FIRST_ANSWER = "first_answer.json"
 """File beside it with the warnings about the policy's first answer: a list of texts."""
 UNREACHED = "unreached.txt"
-"""File beside it in which the worker says why it could not reach its policy's server; then there is no recording."""
+"""File beside it in which the worker says why no trial can begin here, since it does not reach the policy's server or a
+package is missing; then there is no recording."""
 UNSTORED = 74
 """Exit status: EX_IOERR of sysexits.h."""
+LACKING = 69
+"""Exit status: EX_UNAVAILABLE of sysexits.h. A status, because a policy of this machine could write the file."""
 
 
 def main() -> int:
@@ -50,17 +53,16 @@ def main() -> int:
     from carecontact.recording.storage import is_full
 
     try:
-        _run()
+        return _run()
     except Exception as error:
         if not is_full(error):
             raise
         return UNSTORED
-    return 0
 
 
-def _run() -> None:
-    """Raises StorageError or OSError where there is no space for what it writes."""
-    from carecontact.errors import CarecontactError, UnreachableError
+def _run() -> int:
+    """Return the exit status. Raises StorageError or OSError where there is no space for what it writes."""
+    from carecontact.errors import CarecontactError, DependencyError, UnreachableError
     from carecontact.recording import write_recording
     from carecontact.recording.storage import is_full
     from carecontact.trials.failed import harness_error_recording, tail
@@ -99,8 +101,9 @@ def _run() -> None:
             on_look=look, on_policy=lambda runs: tell(POLICY_RUNS if runs else POLICY_GONE), on_wait=wait,
         )  # fmt: skip
         write_recording(recording, request.out)
-    except UnreachableError as error:
+    except (UnreachableError, DependencyError) as error:
         request.out.with_name(UNREACHED).write_text(str(error))
+        return LACKING if isinstance(error, DependencyError) else 0
     except Exception as error:
         if is_full(error):
             raise
@@ -109,6 +112,7 @@ def _run() -> None:
         reason = str(error) if isinstance(error, CarecontactError) else f"{type(error).__name__}: {error}"
         message = f"{reason}\n\n{tail(trace)}"
         write_recording(harness_error_recording(request.spec, kind=type(error).__name__, message=message), request.out)
+    return 0
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from carecontact.trials.launch import Launcher, Process, is_stopped
 from carecontact.trials.lost import Losses, is_policy_killed
 from carecontact.trials.request import TrialRequest
 from carecontact.trials.told import Told
-from carecontact.trials.worker import FIRST_ANSWER, UNREACHED, UNSTORED, WAITING
+from carecontact.trials.worker import FIRST_ANSWER, LACKING, UNREACHED, UNSTORED, WAITING
 
 ROOM_BYTES = 48 << 20
 """Free space that a trial needs to begin: a whole trial takes 2 MB, and its policy's notes may take 32 MB more
@@ -137,9 +137,10 @@ class Workers:
         self.running.clear()
 
     def _unreached(self, worker: _Worker) -> str | None:
-        # A policy of this machine could write the file itself, to leave out a trial.
+        # A policy of this machine could write the file to leave out a trial, but cannot choose a worker's exit status.
+        believed = self.policy.ref.kind == "remote" or worker.process.wait() == LACKING
         note = worker.partial.with_name(UNREACHED)
-        return note.read_text() if self.policy.ref.kind == "remote" and note.is_file() else None
+        return note.read_text(errors="replace") if believed and note.is_file() else None
 
     def _collected(self, worker: _Worker, kind: str, death: str) -> Recording | str:
         """Return the recording, then in ``worker.partial`` whoever wrote it, or why the trial has to run once more."""
@@ -181,7 +182,7 @@ def _read(worker: _Worker) -> tuple[Recording | None, str]:
         recording = read_recording(worker.partial)
     except RecordingError as error:
         return None, str(error)
-    if recording.header.spec == worker.spec:
+    if recording.header.spec == worker.spec.sealed:
         return recording, ""
     return None, f"the worker recorded another trial, {recording.header.spec.trial_id}"
 

@@ -30,10 +30,11 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     curves: dict[str, Array] = {}
     fitted_to = applying(subject)
     measures.append(Measure(name="published curves that apply to this tissue", value=float(len(fitted_to))))
-    for reference in (fitted_to or QUICK_UNFITTED) if quick else REFERENCES:
+    for published in (fitted_to or QUICK_UNFITTED) if quick else REFERENCES:
+        reference = published.times(_share(subject, published.region))
         places = held_out_m(reference.region)[: QUICK_PLACES if quick else None]
         curve = responses(subject, reference, places)
-        fitted = reference in fitted_to
+        fitted = published in fitted_to
         scale = reference.force_n.max()
         each = 100 * np.sqrt(np.mean((curve - reference.force_n) ** 2, axis=1)) / scale
         mean = curve.mean(0)
@@ -59,6 +60,12 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     return CheckResult(check="calibration-residual", title=TITLE, measures=tuple(measures), curves=curves)
 
 
+def _share(subject: Subject, region: str) -> float:
+    """Of the row's law that this body has by its build. The curves are of people of every build, and the rows that
+    were fitted to them are taken as those of man-adult; the P5-P95 of people stays."""
+    return subject.tissue(region).a_n_m3 / subject.protocol.person.tissue[region].a_n_m3
+
+
 def held_out_m(region: str) -> tuple[tuple[float, float], ...]:
     """Places (along, across) of the region's frame that the fit did not use [m]; empty for a rigid region."""
     shape = REGIONS[region].shape
@@ -71,7 +78,7 @@ def applying(subject: Subject) -> tuple[Reference, ...]:
     found: dict[str, Reference] = {}
     for name, references in FITTED.items():
         shipped = load_tissue_set(name).tissue
-        found |= {r.name: r for r in references if subject.tissue(r.region) == shipped[r.region]}
+        found |= {r.name: r for r in references if subject.protocol.person.tissue[r.region] == shipped[r.region]}
     return tuple(found.values())
 
 

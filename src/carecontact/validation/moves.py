@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from carecontact.contract.geometry import matrix_from_quat
-from carecontact.regions import REGIONS
+from carecontact.regions import REGIONS, Tube
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.validation.result import Array
 from carecontact.world.human.surface_mesh import Triangles
+from carecontact.world.scene import Scene
 
 DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 """quat_wxyz in the robot's base of a tool whose z points to the floor."""
@@ -26,13 +27,24 @@ def skin_points(simulation: Simulation, region: str) -> Array:
     return data.xpos[felt.bone] + felt.vertices(data) @ data.xmat[felt.bone].reshape(3, 3).T
 
 
+def scripted_along_m(scene: Scene, region: str) -> float:
+    """Where scripted contacts are made, along the region's axis from its middle [m]: at the same place of every body's
+    limb, or at the region's middle where that lies nearer the next joint."""
+    row = REGIONS[region]
+    if not (isinstance(row.shape, Tube) and row.shape.beside_trunk):
+        return row.scripted_along_m
+    whole = float(np.linalg.norm(scene.body.axis_vector(row.segment)))
+    return max(0.0, row.scripted_along_m - (whole - float(scene.frames[region].size_m[0])) / 2)
+
+
 def surface_point(simulation: Simulation, region: str, offset: tuple[float, float] = (0.0, 0.0)) -> Array:
     """(3,) skin under the region's place of contact plus a horizontal ``offset`` (along, across) [m]. Raises SceneError
     where the region's shell does not lie."""
     along, across = axes(simulation, region)
     corners = skin_points(simulation, region)[simulation.scene.regions[region].shell.triangles]
     middle = simulation.data.site(f"region_{region}").xpos
-    above = middle + (REGIONS[region].scripted_along_m + offset[0]) * along + offset[1] * across + [0, 0, ABOVE_M]
+    forward = scripted_along_m(simulation.scene, region) + offset[0]
+    above = middle + forward * along + offset[1] * across + [0, 0, ABOVE_M]
     down = np.array([0.0, 0.0, -1.0])
     return above + float(Triangles(corners).first_hits(above[None], down[None])[0]) * down
 

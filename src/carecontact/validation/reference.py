@@ -11,7 +11,7 @@ Abdomen: Remus et al. 2024, Front Bioeng Biotechnol 12:1384062, supplement S1 (C
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,6 +35,10 @@ class Reference:
     """(n,) P5"""
     high_n: Array
     """(n,) P95"""
+
+    def times(self, factor: float) -> Reference:
+        """The same with the middle curve times a factor; its band stays."""
+        return replace(self, force_n=factor * self.force_n)
 
 
 def _limb(

@@ -68,8 +68,8 @@ class Subject:
         return self.protocol.soft_regions[: 1 if quick else None]
 
     def tissue(self, region: str) -> Tissue:
-        """The tissue row that the protocol declares."""
-        return self.protocol.person.tissue[region]
+        """The tissue of this body: the protocol's row, or what it becomes on a body of another build."""
+        return self.scene(region).regions[region].tissue
 
     def with_dt(self, dt_s: float) -> Subject:
         """The same person at another time step."""

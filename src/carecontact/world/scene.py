@@ -18,6 +18,8 @@ from carecontact.world.cameras import add_cameras
 from carecontact.world.furniture import add_furniture, add_light
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.breathing import add_servos, add_slide, carrier, move_skin
+from carecontact.world.human.build import tissue_of
+from carecontact.world.human.clearance import free_middle
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.library import load_body
 from carecontact.world.human.muscles import add_muscles
@@ -118,7 +120,7 @@ def _add_person(
         add_muscles(spec)
     regions: dict[str, SoftRegion] = {}
     for region in protocol.soft_regions:
-        tissue = protocol.person.tissue[region]
+        tissue = tissue_of(body, region, protocol.person.tissue[region])
         shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue))
         on = carrier(REGIONS[region].segment, breathes=breathes)
         regions[region] = add_tissue(spec, body, region, shell, tissue, on=on)
@@ -175,7 +177,8 @@ def region_shell(body: Body, region: str, tissue: Tissue) -> Shell:
     segment, shape = REGIONS[region].segment, REGIONS[region].shape
     match shape:
         case Tube():
-            return limb_shell(body, segment, shape, upward_in_bind(body, segment), tissue)
+            middle = free_middle(body, segment) if shape.beside_trunk else 0.5
+            return limb_shell(body, segment, shape, upward_in_bind(body, segment), tissue, middle=middle)
         case Belly():
             return trunk_shell(body, np.array([0.0, -1.0, 0.0]), tissue)
         case None:

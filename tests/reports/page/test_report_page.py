@@ -14,8 +14,8 @@ import pytest
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.recording import Failure, Header, Recording, read_recording, write_recording
 from carecontact.reports.failures import failure_modes
+from carecontact.reports.frames import MAX_BYTES, jpeg_data_uri
 from carecontact.reports.page.chosen import FAILURES_SHOWN, trials_in_detail
-from carecontact.reports.page.frames import MAX_BYTES, jpeg_data_uri
 from carecontact.reports.page.page import write_report
 from carecontact.reports.page.section import Page as RunPage
 from carecontact.reports.page.sections.caveats import cannot_say

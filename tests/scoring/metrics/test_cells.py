@@ -140,6 +140,46 @@ def test_time_above_a_pressure_and_dose_of_shear() -> None:
     assert value("shear_dose@1", recording) == pytest.approx(0.5 * area * 50 * MMHG_PA * 0.8, rel=1e-4)
 
 
+def everywhere(strokes: int = 3, mmhg: float = 12.0, width_m: float = ACROSS * CELL_M) -> Wipe:
+    """Over all of the cells, as far as the fixed corner of a wipe lets it."""
+    return Wipe(strokes=strokes, pressure_pa=mmhg * MMHG_PA, width_m=width_m, way_m=0.14, length_m=0.019)
+
+
+def test_a_wipe_that_leaves_a_quarter_out_is_not_effective() -> None:
+    """The corner where these wipes begin leaves out two rows of eight."""
+    assert value("effective@1", recording_of(everywhere())) == 0.0
+
+
+@pytest.mark.parametrize(("strokes", "mmhg", "clean"), [(3, 11, 1.0), (2, 60, 0.0), (3, 9, 0.0)])
+def test_a_region_is_effectively_wiped_by_three_passes_at_ten_mmhg(strokes: int, mmhg: float, clean: float) -> None:
+    recording = recording_of(everywhere(strokes=strokes, mmhg=mmhg))
+    untouched = ~recording["scorer/cell_touch_m2s"].any(axis=0)
+    recording.arrays["scorer/cell_area_m2"] = np.where(untouched, 1e-9, recording["scorer/cell_area_m2"])
+    assert value("effective@1", recording) == clean
+
+
+@pytest.mark.parametrize(("firm_s", "comfortable"), [(0.0, 1.0), (0.1, 0.0)])
+def test_wiping_is_comfortable_while_nearly_all_of_it_is_soft(firm_s: float, comfortable: float) -> None:
+    """1.6 s at 13 mmHg, then so long at 30 mmHg: 6 % of the time is too much."""
+    wipes = [Wipe(strokes=2, pressure_pa=13 * MMHG_PA)]
+    if firm_s:
+        wipes.append(Wipe(strokes=1, pressure_pa=30 * MMHG_PA, way_m=0.1 * firm_s))
+    recording = recording_of(*wipes)
+    assert value("comfortable@1", recording) == comfortable
+    assert value("comfortable_fragile@1", recording) == comfortable
+
+
+def test_a_hard_edge_of_the_tool_is_no_hard_wipe() -> None:
+    """One cell in the middle bears three times the pressure; over the tool it is the mean that counts."""
+    recording = recording_of(Wipe(strokes=1, pressure_pa=20 * MMHG_PA))
+    press = recording["scorer/cell_press_ns"].copy()
+    press[:, 60] *= 3
+    recording.arrays["scorer/cell_press_ns"] = press
+    assert value("exposure_uncomfortable@1", recording) > 0
+    assert value("comfortable@1", recording) == 1.0
+    assert value("comfortable_fragile@1", recording) == 0.0
+
+
 def test_nothing_touched_is_nothing_wiped_and_no_pressure() -> None:
     empty = recording_of(Wipe(pressure_pa=0.0, width_m=0.0))
     assert touched_cells(find_contact(empty)) is None

@@ -21,6 +21,10 @@ class HasGate(Protocol):
         """Schema of the table ``[gates.<action>]``."""
         ...
 
+    def under(self, version: str) -> HasGate:
+        """The row that judges the action where ``gates.version`` is this."""
+        ...
+
 
 BEHAVIOURS: Registry[HasGate] = Registry(
     "action", row=HasGate, expected="a Behaviour object", plural="behaviours", scan="carecontact.behaviours"
@@ -28,11 +32,12 @@ BEHAVIOURS: Registry[HasGate] = Registry(
 """Action -> its behaviour. Other packages add rows through the entry-point group ``carecontact.behaviours``."""
 
 
-def _gate(named: tuple[str, object]) -> Section:
-    """The table of one action, by the action's own schema; its errors keep their place in the file."""
-    action, table = named
+def _gate(named: tuple[str, str, object]) -> Section:
+    """The table of one action, by the action's own schema under the gates' version; its errors keep their place in the
+    file."""
+    version, action, table = named
     try:
-        return BEHAVIOURS[action].gate.model_validate(table)
+        return BEHAVIOURS[action].under(version).gate.model_validate(table)
     except UnknownNameError as error:
         raise ValueError(str(error)) from None
 
@@ -45,7 +50,8 @@ class Gates(Section):
     __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(_gate)]]  # pyright: ignore[reportIncompatibleVariableOverride]
 
     version: Literal["gates-v1", "gates-v2"]
-    """The second judges the person's joints too, and needs both of their fields."""
+    """The second judges the person's joints too, needs both of their fields, and has other tables for touch, push and
+    scrub: how gently they have to be done (``behaviours``)."""
     region_share: Fraction
     """Region-correct: C3 and at least this share of contact impulse on the named region."""
     joint_beyond_rad: Positive | None = None
@@ -69,11 +75,12 @@ class Gates(Section):
     @model_validator(mode="before")
     @classmethod
     def _with_names(cls, content: object) -> object:
-        """Hand each action's table on with its name, by which ``_gate`` finds the schema."""
+        """Hand each action's table on with the version and its name, by which ``_gate`` finds the schema."""
         if not isinstance(content, Mapping):
             return content
         tables = cast("Mapping[str, object]", content)
-        return {name: table if name in cls.model_fields else (name, table) for name, table in tables.items()}
+        version = str(tables.get("version"))
+        return {name: table if name in cls.model_fields else (version, name, table) for name, table in tables.items()}
 
     @model_serializer(mode="wrap")
     def _share_last(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -48,7 +48,18 @@ class Tissue(Section):
     """Anchor displacement that the presses to which the law was fitted reach on this mesh: deeper is extrapolated. The
     indenter's travel is more, since the contact gives way too."""
     friction: Annotated[float, Field(gt=0, le=2)]
+    bmi_kg_m2: Annotated[float, Field(ge=10, le=80)] | None = None
+    """Body mass index of the person whom thickness and law are of: on another body they change with its own
+    (``world.human.build``). None: they are the same on every body."""
     source: Annotated[str, Field(min_length=1)]
+
+    @model_serializer(mode="wrap")
+    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what rows did not always have, where it is not given: protocols keep their hash."""
+        content = handler(self)
+        if self.bmi_kg_m2 is None:
+            del content["bmi_kg_m2"]
+        return content
 
     @model_validator(mode="after")
     def _solvable(self) -> Self:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from carecontact.contract.protocol.section import Section
+
+LATER = ("calibration_m", "calibration_deg", "tissue")
+"""Fields that protocols did not always have."""
 
 
 class Randomization(Section):
@@ -32,6 +35,22 @@ class Variation(Section):
     """The same across the bed."""
     place_yaw_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
     """The same, turned about the vertical through the right shoulder (``world.place``)."""
+    calibration_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
+    """Standard deviation of the error with which the cell knows where each fixed camera is, along each axis."""
+    calibration_deg: Annotated[float, Field(ge=0, le=5)] = 0.0
+    """The same about each axis of the camera (``observation.calibration``)."""
+    tissue: Literal["declared", "published-v1"] = "declared"
+    """How stiff the soft regions are: as ``person.tissue`` says, or that times a factor that is drawn from published
+    differences between people (``world.human.spread``)."""
+
+    @model_serializer(mode="wrap")
+    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what protocols did not always have, at its default: they keep their hash."""
+        content, fields = handler(self), type(self).model_fields
+        for name in LATER:
+            if getattr(self, name) == fields[name].default:
+                del content[name]
+        return content
 
     @property
     def sensor_noise(self) -> bool:

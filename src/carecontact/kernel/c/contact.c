@@ -9,6 +9,9 @@ static const double NEAR_GAP = 0.001;  // [m] a point farther outside cannot com
 // Cosine between a point's inward direction and the tool's normal, from which on the tool can press it. Upright walls do
 // not: a disc on springs that know nothing of each other would plough.
 static const double STEEPEST = 0.05;
+// Skin that the tool's face has pressed goes on bearing where it is pushed round the rim and up the wall, until the wall
+// overhangs this much.
+static const double OVERHANGS = -0.3;
 // How far a middle stands off at first, over the tool's depth. Beside a mesh of 2.5 mm (ball of 10 and 20 mm, cap), the
 // forces at 0.3 to 2 mm are nearest with this: with 1/8 they are 10 to 25 % too high, with 1/2 as much too low.
 static const double ARRIVES = 0.25;
@@ -18,7 +21,7 @@ static const double REVIEW = 2e-5;
 // Where a point is, and how far it will have moved at the end of the step if its vertices go on as in the step before.
 static void place_of(const Region* r, const State* s, const Point* p, double dt, double at[3], double ahead[3]) {
   for (int k = 0; k < 3; k++) at[k] = ahead[k] = 0;
-  for (int c = 0; c < p->corners; c++) {
+  for (int c = 0; c < 3; c++) {
     const Vertex* v = r->vertex + p->corner[c];
     double moved[3], moving[3];
     rotate_back(moved, v->frame, s->u + 3 * p->corner[c]);
@@ -31,15 +34,16 @@ static void place_of(const Region* r, const State* s, const Point* p, double dt,
 }
 
 // The gap to the tool that a point at a place lies deepest in, and that tool's normal. Returns its number, or -1.
-static int deepest_tool(const Region* r, const Point* p, const double place[3], double thickness, double* gap,
-                        double normal[3]) {
+static int deepest_tool(const Region* r, const Point* p, const double place[3], double thickness, double steepest,
+                        double* gap, double normal[3]) {
   int best = -1;
   *gap = NEAR_GAP;
   for (int k = 0; k < r->ntool; k++) {
     double enters, found, n[3];
-    if (!r->tool[k].near || !tool_gap(r->tool + k, place, p->inward, NEAR_GAP, &enters, &found, n)) continue;
+    if (!r->tool[k].near || r->tool[k].faced != p->third) continue;
+    if (!tool_gap(r->tool + k, place, p->inward, NEAR_GAP, &enters, &found, n)) continue;
     // A tool that begins deeper than the tissue lies beyond the bone.
-    if (enters > thickness || dot(n, p->inward) < STEEPEST || found > *gap) continue;
+    if (enters > thickness || dot(n, p->inward) < steepest || found > *gap) continue;
     best = k;
     *gap = found;
     memcpy(normal, n, 3 * sizeof(double));
@@ -58,17 +62,16 @@ static double standing_off(const Region* r, const Point* p, int tool, const doub
     deep += p->inward[k] * (place[k] - p->place[k]);
   }
   if (deep <= 0) return 0;
-  for (int k = 0; k < p->corners; k++) bend += p->share[k] * tool_bend(r->tool + tool, foot, normal, p->offset[k]);
+  for (int k = 0; k < 3; k++) bend += p->share[k] * tool_bend(r->tool + tool, foot, normal, p->offset[k]);
   return least(bend, ARRIVES * deep);
 }
 
 // Measures the gap where the point has moved by `seen`, from which it is taken as linear. Returns 0 far from every tool.
-static int measure(const Region* r, const State* s, const Law* law, Contact* c) {
+static int measure(const Region* r, const Law* law, Contact* c) {
   const Point* p = r->point + c->point;
-  const double* before = s->traction + 3 * c->point;
   double place[3], gap, normal[3];
   for (int k = 0; k < 3; k++) place[k] = c->at[k] + c->seen[k];
-  int tool = deepest_tool(r, p, place, law->thickness, &gap, normal);
+  int tool = deepest_tool(r, p, place, law->thickness, c->stayed ? OVERHANGS : STEEPEST, &gap, normal);
   if (tool < 0) return 0;
   c->tool = tool;
   gap += standing_off(r, p, tool, place, gap, normal);
@@ -76,25 +79,46 @@ static int measure(const Region* r, const State* s, const Law* law, Contact* c) 
   c->gap = gap - dot(normal, c->seen);
   c->stiff = 1 / (1 / law->contact + r->tool[tool].give);
   tool_shift(r->tool + tool, c->at, c->shift);
-  double along = dot(before, normal);
-  for (int k = 0; k < 3; k++) c->held[k] = before[k] - along * normal[k];
-  for (int k = 0; k < p->corners; k++) rotate(c->local[k], r->vertex[p->corner[k]].frame, normal);
+  double along = dot(c->before, normal);
+  for (int k = 0; k < 3; k++) c->held[k] = c->before[k] - along * normal[k];
+  for (int k = 0; k < 3; k++) rotate(c->local[k], r->vertex[p->corner[k]].frame, normal);
   return 1;
 }
 
-void contact_find(Region* r, const State* s, const Law* law, double dt) {
-  for (int q = 0; q < r->npoint; q++) {
-    const Point* p = r->point + q;
-    if (r->moves[p->corner[0]] != CLOSE) continue;
-    Contact c = {.point = q};
-    place_of(r, s, p, dt, c.at, c.seen);
-    if (!measure(r, s, law, &c)) continue;
-    r->contact_of[q] = r->ncontact;
-    r->contact[r->ncontact++] = c;
+void contact_keep(Region* r, const Contact* c) {
+  const Point* p = r->point + c->point;
+  for (int k = 0; k < 3; k++) {
+    int at = r->vertex[p->corner[k]].use + r->live[p->corner[k]]++;
+    r->live_contact[at] = r->ncontact;
+    r->live_corner[at] = k;
   }
+  r->contact[r->ncontact++] = *c;
 }
 
-int contact_review(Region* r, const State* s, const Law* law) {
+void contact_forget(Region* r) {
+  for (int i = 0; i < r->ncontact; i++)
+    for (int k = 0; k < 3; k++) r->live[r->point[r->contact[i].point].corner[k]] = 0;
+  r->ncontact = 0;
+}
+
+static void find_one(Region* r, const State* s, const Law* law, double dt, int q) {
+  Contact c = {.point = q, .stayed = r->held_of[q] >= 0};
+  if (c.stayed) memcpy(c.before, s->held + HELD_SIZE * r->held_of[q] + 1, sizeof c.before);
+  place_of(r, s, r->point + q, dt, c.at, c.seen);
+  if (!measure(r, law, &c)) return;
+  contact_keep(r, &c);
+}
+
+void contact_find(Region* r, const State* s, const Law* law, double dt) {
+  int meets[2] = {0, 0};
+  for (int k = 0; k < r->ntool; k++) meets[r->tool[k].faced] |= r->tool[k].near;
+  for (int k = 0; k < (int)*s->holds; k++) r->held_of[(int)s->held[HELD_SIZE * k]] = k;
+  for (int q = 0; q < r->npoint; q++)
+    if (r->moves[r->point[q].corner[0]] == CLOSE && meets[r->point[q].third]) find_one(r, s, law, dt, q);
+  for (int k = 0; k < (int)*s->holds; k++) r->held_of[(int)s->held[HELD_SIZE * k]] = -1;
+}
+
+int contact_review(Region* r, const Law* law) {
   int changed = 0;
   for (int i = 0; i < r->ncontact; i++) {
     Contact* c = r->contact + i;
@@ -102,7 +126,7 @@ int contact_review(Region* r, const State* s, const Law* law) {
     for (int k = 0; k < 3; k++) off[k] = c->moved[k] - c->seen[k];
     if (!c->touching || dot(off, off) < REVIEW * REVIEW) continue;
     memcpy(c->seen, c->moved, sizeof c->seen);
-    changed |= measure(r, s, law, c);
+    changed |= measure(r, law, c);
   }
   return changed;
 }

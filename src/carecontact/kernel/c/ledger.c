@@ -26,10 +26,9 @@ void ledger(Region* r, const State* s, const Law* law) {
     const Contact* c = r->contact + i;
     if (!c->touching) continue;
     double area = r->point[c->point].area, size = dot(c->traction, c->traction);
-    const double* before = s->traction + 3 * c->point;
     stored += area * (c->pressure * c->pressure + size) / (2 * c->stiff);
     // By the trapezoidal rule, like the work of a spring.
-    rubbed += area * (law->friction * c->pressure + sqrt(dot(before, before))) / 2 * c->slipped;
+    rubbed += area * (law->friction * c->pressure + sqrt(dot(c->before, c->before))) / 2 * c->slipped;
   }
   row[ROW_STORED] = stored;
   row[ROW_KINETIC] = kinetic;

@@ -9,7 +9,7 @@
 #include "export.h"
 #include "region.h"
 
-static const char* ATTRIBUTES[] = {"key", "vertices", "edges", "points", "cells", "tools"};
+static const char* ATTRIBUTES[] = {"key", "vertices", "edges", "triangles", "cells", "tools"};
 
 static Region* region_of(const mjData* d, int instance) { return (Region*)d->plugin_data[instance]; }
 
@@ -24,7 +24,7 @@ static int count(const mjModel* m, int instance, const char* name) {
 }
 
 static int nstate(const mjModel* m, int instance) {
-  return state_size(count(m, instance, "vertices"), count(m, instance, "points"), count(m, instance, "cells"));
+  return state_size(count(m, instance, "vertices"), count(m, instance, "triangles"), count(m, instance, "cells"));
 }
 
 static int init(const mjModel* m, mjData* d, int instance) {

@@ -8,18 +8,18 @@
 
 #include "vec.h"
 
-enum { STATE_HEAD = 2 };
+enum { STATE_HEAD = 3 };
 
-int state_size(int nvertex, int npoint, int ncell) {
-  return STATE_HEAD + 6 * nvertex + 3 * npoint + CELL_SIZE * ncell + RING_ROWS * ROW_SIZE;
+int state_size(int nvertex, int ntriangle, int ncell) {
+  return STATE_HEAD + 6 * nvertex + HELD_SIZE * POINTS_EACH * ntriangle + CELL_SIZE * ncell + RING_ROWS * ROW_SIZE;
 }
 
 State state_of(const Region* r, double* state) {
-  State s = {.steps = state, .awake = state + 1};
+  State s = {.steps = state, .awake = state + 1, .holds = state + 2};
   s.u = state + STATE_HEAD;
   s.rate = s.u + 3 * r->nvertex;
-  s.traction = s.rate + 3 * r->nvertex;
-  s.cells = s.traction + 3 * r->npoint;
+  s.held = s.rate + 3 * r->nvertex;
+  s.cells = s.held + HELD_SIZE * r->npoint;
   s.ring = s.cells + CELL_SIZE * r->ncell;
   return s;
 }
@@ -70,36 +70,38 @@ static void link_vertices(Region* r, const double* edge, int nedge) {
     }
 }
 
-// The contact points, and which of them each vertex carries.
-static void place_points(Region* r, const double* row) {
-  for (int q = 0; q < r->npoint; q++, row += POINT_SIZE) {
-    Point* p = r->point + q;
-    for (int c = 0; c < 3; c++) {
-      if (row[POINT_SHARE + c] == 0) continue;
-      const Vertex* v = r->vertex + (int)row[POINT_CORNER + c];
-      p->corner[p->corners] = (int)row[POINT_CORNER + c];
-      p->share[p->corners++] = row[POINT_SHARE + c];
-      for (int k = 0; k < 3; k++) {
-        p->place[k] += row[POINT_SHARE + c] * v->place[k];
-        p->inward[k] += row[POINT_SHARE + c] * v->frame[k];
-      }
+// One contact point of a triangle, with these shares of its corners.
+static void place_point(const Region* r, Point* p, const double* row, const double share[3], double area) {
+  memcpy(p->share, share, sizeof p->share);
+  p->area = area;
+  p->cell = (int)row[TRIANGLE_CELL];
+  for (int c = 0; c < 3; c++) {
+    Vertex* v = r->vertex + (int)row[TRIANGLE_CORNER + c];
+    p->corner[c] = (int)row[TRIANGLE_CORNER + c];
+    v->uses++;
+    for (int k = 0; k < 3; k++) {
+      p->place[k] += share[c] * v->place[k];
+      p->inward[k] += share[c] * v->frame[k];
     }
-    for (int c = 0; c < p->corners; c++)
-      for (int k = 0; k < 3; k++) p->offset[c][k] = r->vertex[p->corner[c]].place[k] - p->place[k];
-    double length = sqrt(dot(p->inward, p->inward));
-    for (int k = 0; k < 3; k++) p->inward[k] /= length;
-    p->area = row[POINT_AREA];
-    p->cell = (int)row[POINT_CELL];
-    for (int c = 0; c < p->corners; c++) r->vertex[p->corner[c]].uses++;
+  }
+  for (int c = 0; c < 3; c++)
+    for (int k = 0; k < 3; k++) p->offset[c][k] = r->vertex[p->corner[c]].place[k] - p->place[k];
+  double length = sqrt(dot(p->inward, p->inward));
+  for (int k = 0; k < 3; k++) p->inward[k] /= length;
+}
+
+// The contact points. The thirds lie where the rule of three points has them, which is exact for squares (Strang and Fix
+// 1973).
+static void place_points(Region* r, const double* row) {
+  static const double SHARES[POINTS_EACH][3] = {
+      {1. / 3, 1. / 3, 1. / 3}, {2. / 3, 1. / 6, 1. / 6}, {1. / 6, 2. / 3, 1. / 6}, {1. / 6, 1. / 6, 2. / 3}};
+  for (int q = 0; q < r->npoint; q++) {
+    int which = q % POINTS_EACH;
+    const double* triangle = row + TRIANGLE_SIZE * (q / POINTS_EACH);
+    r->point[q].third = which > 0;
+    place_point(r, r->point + q, triangle, SHARES[which], triangle[TRIANGLE_AREA] / (which ? 3 : 1));
   }
   for (int i = 0, at = 0; i < r->nvertex; at += r->vertex[i++].uses) r->vertex[i].use = at;
-  for (int i = 0; i < r->nvertex; i++) r->vertex[i].uses = 0;
-  for (int q = 0; q < r->npoint; q++)
-    for (int c = 0; c < r->point[q].corners; c++) {
-      Vertex* v = r->vertex + r->point[q].corner[c];
-      r->use_point[v->use + v->uses] = q;
-      r->use_corner[v->use + v->uses++] = c;
-    }
 }
 
 static void bound(Region* r) {
@@ -144,11 +146,12 @@ static void allocate(Region* r, int nedge) {
   r->contact = calloc(q, sizeof(Contact));
   r->neighbour = calloc(e, sizeof(int));
   r->neighbour_weight = calloc(e, sizeof(double));
-  r->use_point = calloc(3 * q, sizeof(int));
-  r->use_corner = calloc(3 * q, sizeof(int));
+  r->live = calloc(n, sizeof(int));
+  r->live_contact = calloc(3 * q, sizeof(int));
+  r->live_corner = calloc(3 * q, sizeof(int));
   r->window = calloc(n, sizeof(int));
-  r->contact_of = malloc(q * sizeof(int));
-  for (size_t i = 0; i < q; i++) r->contact_of[i] = -1;
+  r->held_of = malloc(q * sizeof(int));
+  for (size_t i = 0; i < q; i++) r->held_of[i] = -1;
   r->moves = calloc(n, 1);
   r->hit = calloc(n, 1);
   r->in_patch = calloc(n, sizeof(int));
@@ -166,7 +169,8 @@ int region_init(const mjModel* m, int instance, Region* r) {
   const char* key = mj_getPluginConfig(m, instance, "key");
   int nedge = attribute(m, instance, "edges");
   r->nvertex = attribute(m, instance, "vertices");
-  r->npoint = attribute(m, instance, "points");
+  int ntriangle = attribute(m, instance, "triangles");
+  r->npoint = POINTS_EACH * ntriangle;
   r->ncell = attribute(m, instance, "cells");
   r->nv = m->nv;
   r->bone = -1;
@@ -182,10 +186,10 @@ int region_init(const mjModel* m, int instance, Region* r) {
   }
   int vertices = numeric(m, key, "vertices", VERTEX_SIZE * r->nvertex);
   int edges = numeric(m, key, "edges", EDGE_SIZE * nedge);
-  int points = numeric(m, key, "points", POINT_SIZE * r->npoint);
+  int triangles = numeric(m, key, "triangles", TRIANGLE_SIZE * ntriangle);
   r->law_address = numeric(m, key, "law", LAW_SIZE);
   r->option_address = numeric(m, key, "options", OPTION_SIZE);
-  if (vertices < 0 || edges < 0 || points < 0 || r->law_address < 0 || r->option_address < 0) return -1;
+  if (vertices < 0 || edges < 0 || triangles < 0 || r->law_address < 0 || r->option_address < 0) return -1;
   allocate(r, nedge);
   for (int i = 0; i < r->nvertex; i++) {
     const double* row = m->numeric_data + vertices + VERTEX_SIZE * i;
@@ -194,7 +198,7 @@ int region_init(const mjModel* m, int instance, Region* r) {
     r->vertex[i].area = row[VERTEX_AREA];
   }
   link_vertices(r, m->numeric_data + edges, nedge);
-  place_points(r, m->numeric_data + points);
+  place_points(r, m->numeric_data + triangles);
   bound(r);
   patches_make(r);
   return find_tools(m, instance, r);
@@ -202,9 +206,9 @@ int region_init(const mjModel* m, int instance, Region* r) {
 
 void region_free(Region* r) {
   for (int k = 0; k < r->ntool; k++) tool_free(r->tool + k);
-  void* all[] = {r->vertex, r->point, r->contact, r->tool, r->neighbour, r->neighbour_weight, r->use_point,
-                 r->use_corner, r->window, r->contact_of, r->moves, r->hit, r->in_patch, r->patch, r->px, r->py, r->pz, r->u, r->rate,
-                 r->balance, r->force};
+  void* all[] = {r->vertex, r->point, r->contact, r->tool, r->neighbour, r->neighbour_weight, r->live,
+                 r->live_contact, r->live_corner, r->window, r->held_of, r->moves, r->hit, r->in_patch, r->patch,
+                 r->px, r->py, r->pz, r->u, r->rate, r->balance, r->force};
   for (size_t k = 0; k < sizeof all / sizeof *all; k++) free(all[k]);
 }
 
@@ -213,21 +217,14 @@ void region_copy(Region* to, const Region* from) {
   size_t n = (size_t)from->nvertex;
   to->ready = from->ready;
   to->nwindow = from->nwindow;
-  for (int i = 0; i < to->ncontact; i++) to->contact_of[to->contact[i].point] = -1;
-  to->ncontact = from->ncontact;
   memcpy(to->window, from->window, sizeof(int) * n);
   memcpy(to->moves, from->moves, n);
-  memcpy(to->contact, from->contact, sizeof(Contact) * (size_t)from->ncontact);
-  for (int i = 0; i < to->ncontact; i++) to->contact_of[to->contact[i].point] = i;
+  contact_forget(to);
+  for (int i = 0; i < from->ncontact; i++) contact_keep(to, from->contact + i);
   memcpy(to->u, from->u, sizeof(double) * 3 * n);
   memcpy(to->rate, from->rate, sizeof(double) * 3 * n);
   memcpy(to->row, from->row, sizeof to->row);
   memcpy(to->force, from->force, sizeof(double) * (size_t)from->nv);
-}
-
-static void forget_contacts(Region* r) {
-  for (int i = 0; i < r->ncontact; i++) r->contact_of[r->contact[i].point] = -1;
-  r->ncontact = 0;
 }
 
 void region_step(const mjModel* m, mjData* d, Region* r, const State* s) {
@@ -237,7 +234,7 @@ void region_step(const mjModel* m, mjData* d, Region* r, const State* s) {
   memset(r->force, 0, sizeof(double) * (size_t)r->nv);
   r->ready = 1;
   window_find(m, d, r, s, option[OPTION_REACH]);
-  forget_contacts(r);
+  contact_forget(r);
   // Without a vertex that may move no point can touch, and most of the time no tool is near.
   if (!r->nwindow) return;
   contact_find(r, s, &law, m->opt.timestep);
@@ -264,8 +261,7 @@ void region_commit(Region* r, State* s, double dt) {
   // Without springs and dampers MuJoCo asks for no passive forces, and there is no step to commit.
   if (!r->ready) return;
   r->ready = 0;
-  if (*s->awake != 0) memset(s->traction, 0, sizeof(double) * 3 * (size_t)r->npoint);
-  *s->awake = 0;
+  *s->awake = *s->holds = 0;
   for (int k = 0; k < r->nwindow; k++) {
     int at = 3 * r->window[k], still = 1;
     for (int j = at; j < at + 3; j++) still &= fabs(r->u[j]) < STILL && fabs(r->rate[j]) < STILL;
@@ -279,7 +275,9 @@ void region_commit(Region* r, State* s, double dt) {
     const Contact* c = r->contact + i;
     if (!c->touching) continue;
     *s->awake = 1;
-    memcpy(s->traction + 3 * c->point, c->traction, 3 * sizeof(double));
+    double* row = s->held + HELD_SIZE * (int)(*s->holds)++;
+    row[0] = c->point;
+    memcpy(row + 1, c->traction, 3 * sizeof(double));
   }
   add_to_cells(r, s, dt);
   memcpy(s->ring + ROW_SIZE * ((long)*s->steps % RING_ROWS), r->row, sizeof r->row);

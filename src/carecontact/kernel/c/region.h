@@ -46,10 +46,14 @@ enum { LAW_A, LAW_B, LAW_C, LAW_DAMPING, LAW_DAMPING_GROWTH, LAW_MASS, LAW_COUPL
 // The numeric "<key>/options".
 enum { OPTION_REACH, OPTION_TOLERANCE, OPTION_SWEEPS, OPTION_LEDGER, OPTION_SIZE };
 
-// Columns of the numerics "<key>/vertices", "<key>/edges" and "<key>/points".
+// Columns of the numerics "<key>/vertices", "<key>/edges" and "<key>/triangles".
 enum { VERTEX_PLACE = 0, VERTEX_INWARD = 3, VERTEX_ALONG = 6, VERTEX_ACROSS = 9, VERTEX_AREA = 12, VERTEX_SIZE = 13 };
 enum { EDGE_FROM, EDGE_TO, EDGE_WEIGHT, EDGE_SIZE };
-enum { POINT_CORNER = 0, POINT_SHARE = 3, POINT_AREA = 6, POINT_CELL = 7, POINT_SIZE = 8 };
+enum { TRIANGLE_CORNER = 0, TRIANGLE_AREA = 3, TRIANGLE_CELL = 4, TRIANGLE_SIZE = 5 };
+
+// Contact points of a triangle: the first, in its middle, meets round tools; the others, of a third of the area each,
+// meet tools with faces, on whose rims a whole triangle would turn over at once.
+enum { POINTS_EACH = 4 };
 
 typedef struct {
   double a, b, c, damping, damping_growth, mass, coupling, membrane, friction, contact, thickness;
@@ -60,11 +64,12 @@ typedef struct {
   double area, weight;        // weight: sum over its edges
   double span;                // length of its longest edge [m]
   int edge, edges;            // its stretch of neighbour and neighbour_weight
-  int use, uses;              // its stretch of use_point and use_corner
+  int use, uses;              // its stretch of live_contact and live_corner
 } Vertex;
 
 typedef struct {
-  int corner[3], corners, cell;
+  int corner[3], cell;
+  int third;             // whether it meets tools with faces, and not round ones
   double share[3], area;
   double place[3], offset[3][3];  // undeformed; of the corners from it
   double inward[3];      // unit, of the undeformed surface
@@ -93,7 +98,9 @@ typedef struct {
   double gap;            // negative inside; continued from `seen` to the start of the step as if the tool were flat [m]
   double seen[3];        // how far it had moved where the gap was measured [m]
   double traction[3];    // friction per area now [Pa]
-  double held[3];        // friction carried over from the step before, turned onto the tool's tangent plane [Pa]
+  int stayed;            // whether it touched in the step before
+  double before[3];      // its friction per area then [Pa]
+  double held[3];        // the same, turned onto the tool's tangent plane [Pa]
   double stiff;          // of the layer between skin and tool: the skin's and the tool's own, one after the other [N/m^3]
   double shift[3];       // how far the tool's material moved past it in the last step [m]
   double local[3][3];    // the normal in the frame of each corner
@@ -108,7 +115,7 @@ typedef struct {
   Vertex* vertex;
   Point* point;
   Tool* tool;
-  int *neighbour, *use_point, *use_corner;
+  int* neighbour;
   double* neighbour_weight;
   double middle[3], bound;  // a sphere that holds the region
   float *px, *py, *pz;      // places again, for the search
@@ -118,7 +125,10 @@ typedef struct {
   // Of the step that is being made; committed by region_commit.
   int ready;                 // region_step ran since the last commit
   int nwindow, ncontact;
-  int *window, *contact_of;  // vertices that may move, in their order; a point's contact or -1
+  int* window;               // vertices that may move, in their order
+  int* live;  // (nvertex) how many contacts a vertex carries
+  int *live_contact, *live_corner;  // which, and which of their corners it is
+  int* held_of;              // (npoint) a point's row in the state's friction, or -1; used while contacts are found
   unsigned char *moves, *hit;  // (nvertex) AWAY, MOVES or CLOSE; near the tool that is looked at
   Contact* contact;
   double *u, *rate;         // (nvertex, 3)
@@ -128,12 +138,15 @@ typedef struct {
   int nv;
 } Region;
 
-// Where things lie in a region's plugin_state.
+// Where things lie in a region's plugin_state. `holds` is the number of points that touched in the last step, and `held`
+// has a row for each: its number and its friction per area.
 typedef struct {
-  double *steps, *awake, *u, *rate, *traction, *cells, *ring;
+  double *steps, *awake, *u, *rate, *holds, *held, *cells, *ring;
 } State;
 
-int state_size(int nvertex, int npoint, int ncell);
+enum { HELD_SIZE = 4 };
+
+int state_size(int nvertex, int ntriangle, int ncell);
 State state_of(const Region* r, double* state);
 
 int region_init(const mjModel* m, int instance, Region* r);  // 0, or -1 after mju_warning
@@ -146,9 +159,12 @@ void region_commit(Region* r, State* s, double dt);
 Law law_read(const mjModel* m, const Region* r);
 void patches_make(Region* r);
 void window_find(const mjModel* m, const mjData* d, Region* r, const State* s, double reach);
+// Adds a contact to those of the step, and to its three vertices'; forgets all.
+void contact_keep(Region* r, const Contact* c);
+void contact_forget(Region* r);
 void contact_find(Region* r, const State* s, const Law* law, double dt);
 // Measures anew the gaps of points that end far from where they were expected; returns whether there were any.
-int contact_review(Region* r, const State* s, const Law* law);
+int contact_review(Region* r, const Law* law);
 void solve(Region* r, const State* s, const Law* law, double dt, double tolerance, int sweeps);
 void wrench_apply(const mjModel* m, mjData* d, Region* r);
 void ledger(Region* r, const State* s, const Law* law);

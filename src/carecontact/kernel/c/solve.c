@@ -52,17 +52,16 @@ static void solve3(const double B[6], const double g[3], double x[3]) {
 }
 
 // Adds what the contacts of a vertex do: to the forces g and to the tangent B, both in the vertex's frame.
-static int add_contacts(Region* r, const Law* law, const Vertex* v, double g[3], double B[6]) {
+static int add_contacts(Region* r, const Law* law, int i, double g[3], double B[6]) {
+  const Vertex* v = r->vertex + i;
   double sum[3] = {0, 0, 0}, turned[3];
   int any = 0;
-  for (int k = v->use; k < v->use + v->uses; k++) {
-    int at = r->contact_of[r->use_point[k]];
-    if (at < 0) continue;
-    Contact* c = r->contact + at;
+  for (int k = v->use; k < v->use + r->live[i]; k++) {
+    Contact* c = r->contact + r->live_contact[k];
     double sticks = respond(law, c);
     if (!c->touching) continue;
     any = 1;
-    int corner = r->use_corner[k];
+    int corner = r->live_corner[k];
     const Point* p = r->point + c->point;
     double share = p->share[corner] * p->area, stiff = c->stiff * share * p->share[corner];
     const double* m = c->local[corner];
@@ -83,14 +82,14 @@ static int add_contacts(Region* r, const Law* law, const Vertex* v, double g[3],
 }
 
 // Carries the contact points of a vertex along with it, by x in the vertex's frame.
-static void carry(Region* r, const Vertex* v, const double x[3]) {
+static void carry(Region* r, int i, const double x[3]) {
+  const Vertex* v = r->vertex + i;
   double moved[3];
   rotate_back(moved, v->frame, x);
-  for (int k = v->use; k < v->use + v->uses; k++) {
-    int at = r->contact_of[r->use_point[k]];
-    if (at < 0) continue;
-    double share = r->point[r->use_point[k]].share[r->use_corner[k]];
-    for (int j = 0; j < 3; j++) r->contact[at].moved[j] += share * moved[j];
+  for (int k = v->use; k < v->use + r->live[i]; k++) {
+    Contact* c = r->contact + r->live_contact[k];
+    double share = r->point[c->point].share[r->live_corner[k]];
+    for (int j = 0; j < 3; j++) c->moved[j] += share * moved[j];
   }
 }
 
@@ -120,7 +119,7 @@ static double relax(Region* r, const Law* law, int i, double share) {
                  b->pull[1] + law->membrane * around[1] - b->tangential * u[1],
                  b->pull[2] + law->membrane * around[2] - b->tangential * u[2]};
   double B[6] = {stiff, 0, 0, b->tangential, 0, b->tangential};
-  if (r->moves[i] == CLOSE && add_contacts(r, law, v, g, B)) {
+  if (r->moves[i] == CLOSE && add_contacts(r, law, i, g, B)) {
     solve3(B, g, x);
     double size = most3(x), part = size > LARGEST ? LARGEST / size : share;
     for (int j = 0; j < 3; j++) x[j] *= part;
@@ -130,7 +129,7 @@ static double relax(Region* r, const Law* law, int i, double share) {
     x[2] = g[2] * b->over;
   }
   for (int j = 0; j < 3; j++) u[j] += x[j];
-  if (r->moves[i] == CLOSE) carry(r, v, x);
+  if (r->moves[i] == CLOSE) carry(r, i, x);
   return most3(x);
 }
 
@@ -145,7 +144,7 @@ void solve(Region* r, const State* s, const Law* law, double dt, double toleranc
       ahead[j] = dt * s->rate[3 * i + j];
       r->u[3 * i + j] += ahead[j];
     }
-    if (r->moves[i] == CLOSE) carry(r, r->vertex + i, ahead);
+    if (r->moves[i] == CLOSE) carry(r, i, ahead);
   }
   int sweep = 0, reviewed = 0;
   double worst = 0;
@@ -154,7 +153,7 @@ void solve(Region* r, const State* s, const Law* law, double dt, double toleranc
     worst = 0;
     for (int k = 0; k < r->nwindow; k++) worst = most(worst, relax(r, law, r->window[k], share));
     sweep++;
-    if (worst < tolerance && (reviewed++ || !contact_review(r, s, law))) break;
+    if (worst < tolerance && (reviewed++ || !contact_review(r, law))) break;
   }
   for (int i = 0; i < r->ncontact; i++) respond(law, r->contact + i);
   for (int k = 0; k < r->nwindow; k++)

@@ -64,6 +64,7 @@ int tool_init(const mjModel* m, int geom, Tool* tool) {
   memcpy(tool->box, m->geom_aabb + 6 * geom, sizeof tool->box);
   tool->bound = m->geom_rbound[geom];
   tool->give = m->nuser_geom ? m->geom_user[geom * m->nuser_geom] : 0;
+  tool->faced = tool->type == mjGEOM_BOX || tool->type == mjGEOM_CYLINDER || tool->type == mjGEOM_MESH;
   switch (tool->type) {
     case mjGEOM_SPHERE:
       tool->size[1] = tool->size[2] = tool->size[0];

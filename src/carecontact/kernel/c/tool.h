@@ -9,6 +9,7 @@ typedef struct {
   double box[6];     // centre and half sizes of its box, in its own frame
   int nplane;        // of a mesh: half-spaces n . x <= o of its convex hull, in its own frame
   double* plane;     // (nplane, 4)
+  int faced;         // whether it has faces that meet in rims, and is not round everywhere
   double give;       // how far its own surface gives way under pressure [m/Pa]; 0 if rigid
   int near;          // whether it may touch the region in this step
   // In the bone's frame, set once a step by tool_place:

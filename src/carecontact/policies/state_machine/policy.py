@@ -20,9 +20,9 @@ from carecontact.policies.language.backend import Intent, LanguageBackend
 from carecontact.policies.language.model import LanguageModel
 from carecontact.policies.language.rules import Rules
 from carecontact.policies.language.selection import transcript_of
-from carecontact.policies.motion import CONTROL_HZ, TRAVEL_CLEARANCE_M, sample
-from carecontact.policies.state_machine import fixed_values as fixed
+from carecontact.policies.motion import CONTROL_HZ, sample
 from carecontact.policies.state_machine.candidates import Candidate, PlanningFailure, candidates
+from carecontact.policies.state_machine.primitives import travel_height
 from carecontact.sight import person_points, region_from_observation
 
 F64 = npt.NDArray[np.float64]
@@ -92,7 +92,9 @@ class StateMachine:
             raise ContractError("act() was called before reset()")
         side = "right" if intent.side == "none" else intent.side
         geometry = region_from_observation(observation, intent.region, side=side, camera=CAMERA)
-        height = _travel_height(observation, geometry.centre_m)
+        height = travel_height(
+            person_points(observation.cameras[CAMERA]), observation.pose_tcp_in_base, geometry.centre_m
+        )
         options = candidates(
             geometry, start_pose=observation.pose_tcp_in_base, travel_height_m=height, bounds=self._bounds
         )
@@ -121,15 +123,3 @@ class StateMachine:
 def _backend(language: str, record: Path | None) -> LanguageBackend:
     transcript = transcript_of(language, record=record)
     return Rules() if transcript is None else LanguageModel(transcript)
-
-
-def _travel_height(observation: Observation, goal: F64) -> float:
-    """Return a height in base [m] that clears the person between the parked tool and ``goal`` (3,)."""
-    person = person_points(observation.cameras[CAMERA])
-    start = observation.pose_tcp_in_base[:2]
-    way = goal[:2] - start
-    offset = person[:, :2] - start
-    share = np.clip(offset @ way / max(float(way @ way), 1e-9), 0.0, 1.0)
-    near = np.linalg.norm(offset - share[:, None] * way, axis=1) < fixed.TRAVEL_CORRIDOR_M
-    top = float(person[near, 2].max()) if near.any() else float(goal[2])
-    return top + TRAVEL_CLEARANCE_M

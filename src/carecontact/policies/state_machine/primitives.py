@@ -9,6 +9,7 @@ from carecontact.policies.motion import (
     CAP_RADIUS_M,
     FREE_SPEED_M_S,
     NEAR_SPEED_M_S,
+    TRAVEL_CLEARANCE_M,
     UP,
     Leg,
     radial_quat,
@@ -107,6 +108,22 @@ def push(
         Leg(points=away[None], quat_wxyz=quat, speed_m_s=NEAR_SPEED_M_S),
         Leg(points=away_high[None], quat_wxyz=quat, speed_m_s=NEAR_SPEED_M_S),
     ]
+
+
+def travel_height(person: F64, start_pose: F64, goal: F64) -> float:
+    """Return a height in base [m] that clears the person between the parked tool and ``goal`` (3,).
+
+    Args:
+        person: (N, 3) points of the person's surface in base [m].
+        start_pose: (7,) pose of the parked tool in base.
+    """
+    start = start_pose[:2]
+    way = goal[:2] - start
+    offset = person[:, :2] - start
+    share = np.clip(offset @ way / max(float(way @ way), 1e-9), 0.0, 1.0)
+    near = np.linalg.norm(offset - share[:, None] * way, axis=1) < fixed.TRAVEL_CORRIDOR_M
+    top = float(person[near, 2].max()) if near.any() else float(goal[2])
+    return top + TRAVEL_CLEARANCE_M
 
 
 def _hover(skin: F64, quat: F64) -> Leg:

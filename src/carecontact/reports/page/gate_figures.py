@@ -82,7 +82,8 @@ def gate_panels(scores: Sequence[TrialScore], protocol: Protocol | None) -> list
     """
     counted = judged(scores)
     panels: list[Panel] = []
-    for name, (action, sweep) in sweeps_of(sorted({s.action for s in counted})).items():
+    version = counted[0].metric_versions.get("gates", "") if counted else ""
+    for name, (action, sweep) in sweeps_of(sorted({s.action for s in counted}), version).items():
         of_gate = [s for s in counted if action in (None, s.action)]
         rows = gate_sweep(of_gate).get(name, [])
         if not rows:

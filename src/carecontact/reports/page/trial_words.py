@@ -25,6 +25,6 @@ def progress(score: TrialScore) -> str:
     """The figures that the action's gate judges. Raises ConfigError for an action that cannot give them."""
     if not score.valid_contact:
         return "no valid contact"
-    behaviour = behaviour_of(score.action)
+    behaviour = behaviour_of(score.action, score.metric_versions.get("gates", ""))
     with blamed_on(f"{BEHAVIOURS.title(score.action)}: progress", score.trial_id):
         return behaviour.progress(score)

@@ -1,4 +1,4 @@
-"""C3@1: task success under the protocol's gates (``gates-v1``)."""
+"""C3@1: task success under the protocol's gates."""
 
 from __future__ import annotations
 
@@ -33,9 +33,14 @@ def judge(contact: Contact, measures: Measures | None = None) -> Gate:
     )
     judged: Judgement = ask(contact, "judge", contact, gate, attempt)
     return Gate(
-        success=contact.valid and not broke_down(contact.recording.header) and judged.time_met and judged.progress_met,
+        success=contact.valid
+        and not broke_down(contact.recording.header)
+        and judged.time_met
+        and judged.progress_met
+        and judged.band_met,
         time_met=judged.time_met,
         progress_met=judged.progress_met,
+        band_met=judged.band_met,
         longest_on_s=attempt.held_steps * contact.dt_s,
         best=attempt.best,
         wrist_m=measures.wrist_m,

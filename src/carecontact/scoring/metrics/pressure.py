@@ -12,6 +12,9 @@ COMFORT_MMHG = 25.0
 Journal of Nursing Science; only its abstract was read)."""
 FRAGILE_MMHG = 14.0
 """Upper end of weak wiping in the same study, at which 11 % felt slight pain, people with sensitive skin among them."""
+MOST_OF_TIME = 0.95
+"""Share of the time in contact; assumed. The studies give the pressure of whole wipes, so a single moment is not
+compared with them, but neither may a hard stroke hide in the mean of a trial."""
 PAIN_PACK = "iso-ts-15066-2016-pressure"
 
 
@@ -44,6 +47,26 @@ def fragile(contact: Contact) -> float | None:
     return _time_above(contact, FRAGILE_MMHG)
 
 
+@metric("comfortable@1", title=f"Wiped below {COMFORT_MMHG:g} mmHg", unit="1", better="higher", median=False, order=35)
+def comfortable(contact: Contact) -> float | None:
+    """1 where the pressure under the tool stays at or below COMFORT_MMHG for MOST_OF_TIME of its time in contact, else
+    0; None (NA) if none was touched."""
+    return _stays_below(contact, COMFORT_MMHG)
+
+
+@metric(
+    "comfortable_fragile@1",
+    title=f"Wiped below {FRAGILE_MMHG:g} mmHg (fragile skin)",
+    unit="1",
+    better="higher",
+    median=False,
+    order=36,
+)
+def comfortable_fragile(contact: Contact) -> float | None:
+    """The same with FRAGILE_MMHG."""
+    return _stays_below(contact, FRAGILE_MMHG)
+
+
 @metric(
     "pressure_utilisation@1",
     title="Peak pressure relative to the ISO/TS 15066 pressure limit (to be checked against the standard)",
@@ -62,3 +85,9 @@ def pressure_utilisation(contact: Contact) -> float | None:
 def _time_above(contact: Contact, mmhg: float) -> float | None:
     cells = touched_cells(contact)
     return None if cells is None else cells.time_above(mmhg * MMHG_PA)
+
+
+def _stays_below(contact: Contact, mmhg: float) -> float | None:
+    """What a sensor on the whole tool would say: force over area in contact, in each control period."""
+    cells = touched_cells(contact)
+    return None if cells is None else float(cells.share_of_time_below(mmhg * MMHG_PA) >= MOST_OF_TIME)

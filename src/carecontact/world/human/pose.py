@@ -13,6 +13,8 @@ from carecontact.world.human.joints import Hinge, hinges
 
 BOARD_HEIGHT_M = 0.022
 """Padded arm board above the mattress: it bends the elbow a little, so that every arm joint rests inside its range."""
+MIDDLE_ARM_DEG = 52.5
+"""Middle of the comfort arm's range, 45 to 60 degrees."""
 RIGHT_SHOULDER_M = (0.438, 0.195)
 """World x and y of the right shoulder's centre: whoever lies there, the comfort arm starts beside its board."""
 
@@ -119,17 +121,26 @@ def root_position(body: Body, mattress_top_m: float) -> Array:
     return np.array([RIGHT_SHOULDER_M[0] - shoulder[0], RIGHT_SHOULDER_M[1] - shoulder[1], height])
 
 
-def _height(body: Body, rows: list[Hinge], pose: dict[str, float], trunk: Array, proxy: Proxy) -> float:
-    """Height of a sphere's lowest point over the pelvis joint in the pose [m]."""
+def segment_pose(
+    body: Body, rows: list[Hinge], pose_deg: dict[str, float], trunk: Array, segment: str
+) -> tuple[Array, Array]:
+    """(3, 3) turn of a segment out of the mesh frame, and (3,) its joint from that of the pelvis [m], in the world's
+    directions; ``trunk`` (3, 3) is the pelvis' own turn."""
     chain: list[str] = []
-    segment: str | None = proxy.segment
-    while segment is not None:
-        chain.insert(0, segment)
-        segment = PARENT[segment]
+    link: str | None = segment
+    while link is not None:
+        chain.insert(0, link)
+        link = PARENT[link]
     turn, place = trunk, np.zeros(3)
     for parent, child in pairwise(chain):
         place = place + turn @ (body.joint_centre[child] - body.joint_centre[parent])
-        turn = turn @ rotation_from_bind(rows, child, pose)
+        turn = turn @ rotation_from_bind(rows, child, pose_deg)
+    return turn, place
+
+
+def _height(body: Body, rows: list[Hinge], pose: dict[str, float], trunk: Array, proxy: Proxy) -> float:
+    """Height of a sphere's lowest point over the pelvis joint in the pose [m]."""
+    turn, place = segment_pose(body, rows, pose, trunk, proxy.segment)
     return float(place[2] + (turn @ (proxy.centre - body.joint_centre[proxy.segment]))[2]) - proxy.radius_m
 
 

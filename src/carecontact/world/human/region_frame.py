@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from carecontact.regions import REGIONS
-from carecontact.world.human.body import CHILD_ALONG, PARENT, Array, Body
+from carecontact.world.human.body import CHILD_ALONG, Array, Body
 from carecontact.world.human.joints import hinges
-from carecontact.world.human.pose import lying_pose_deg, rotation_from_bind, trunk_rotation
+from carecontact.world.human.pose import MIDDLE_ARM_DEG, lying_pose_deg, segment_pose, trunk_rotation
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import rigid_points
 
-MIDDLE_ARM_DEG = 52.5
-"""Middle of the comfort arm's range, 45 to 60 degrees."""
 MIDDLE_SHARE = 0.1
 """Of a rigid region's length, either way from its middle: its radii are measured there."""
 TRUNK_AXIS, FOOT_AXIS = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
@@ -69,12 +66,7 @@ def rigid_frame(body: Body, region: str) -> RegionFrame:
 def upward_in_bind(body: Body, segment: str) -> Array:
     """(3,) direction in the segment's bind frame that faces up in the nominal lying pose (middle comfort angle)."""
     rows, pose = hinges(body), lying_pose_deg(body, MIDDLE_ARM_DEG)
-    chain: list[str] = [segment]
-    while (parent := PARENT[chain[0]]) is not None:
-        chain.insert(0, parent)
-    rotation = trunk_rotation(body)
-    for _, link in pairwise(chain):
-        rotation = rotation @ rotation_from_bind(rows, link, pose)
+    rotation, _ = segment_pose(body, rows, pose, trunk_rotation(body), segment)
     return rotation.T @ np.array([0.0, 0.0, 1.0])
 
 

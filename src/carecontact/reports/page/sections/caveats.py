@@ -160,6 +160,7 @@ def _varied(variation: Variation) -> list[str]:
         "light": variation.light != "fixed",
         "depth noise": variation.depth_noise != "none",
         "encoder noise": variation.encoder_noise_rad > 0,
+        "the error of the cameras' calibration": variation.calibration_m > 0 or variation.calibration_deg > 0,
     }
     return [text for text, on in texts.items() if on]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from carecontact.recording.schema import Recording
 from carecontact.reports.failures import only_crashes
-from carecontact.reports.page.frames import Frame, jpeg_data_uri
+from carecontact.reports.frames import Frame, jpeg_data_uri
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.text import task_name
 from carecontact.scoring.result import TrialScore

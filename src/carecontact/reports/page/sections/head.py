@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from carecontact.recording.schema import Recording
-from carecontact.reports.page.frames import Frame, jpeg_data_uri
+from carecontact.reports.frames import Frame, jpeg_data_uri
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.title import protocol_of
 from carecontact.runs.pooling import judged

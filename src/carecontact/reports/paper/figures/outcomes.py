@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 MODES = (
     "insufficient_progress", "no_target_contact", "off_target_contact", "lost_contact", "wrong_share",
-    "safety_truncation", "time_limit", "process_failure",
+    "safety_truncation", "time_limit", "process_failure", "outside_band",
 )  # fmt: skip
 NEAR_MM = 250.0
 """Tool paths are drawn where they are within this distance of the region's middle, along it and across it."""
-MODE_COLOURS = ("#E69F00", "#56B4E9", "#0072B2", "#CC79A7", "#F0E442", "#D55E00", "#999999", "#000000")
+MODE_COLOURS = ("#E69F00", "#56B4E9", "#0072B2", "#CC79A7", "#F0E442", "#D55E00", "#999999", "#000000", "#8C564B")
 
 
 def mean_force(score: TrialScore) -> float | None:

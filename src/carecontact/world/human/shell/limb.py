@@ -33,9 +33,11 @@ class _Limb:
     low: float
     high: float
     """The soft part along x [m]."""
+    middle: float
+    """Of the region, as a share of the line to the next joint."""
 
     @classmethod
-    def of(cls, body: Body, segment: str, tube: Tube, outward: Array) -> _Limb:
+    def of(cls, body: Body, segment: str, tube: Tube, outward: Array, middle: float) -> _Limb:
         along = body.axis_vector(segment)
         length = float(np.linalg.norm(along))
         x = along / length
@@ -43,11 +45,24 @@ class _Limb:
         z /= np.linalg.norm(z)
         low, high = np.array(tube.span) * length
         frame = np.stack([x, np.cross(z, x), z], 1)
-        return cls(start=body.joint_centre[segment], along=along, frame=frame, low=low, high=high)
+        return cls(start=body.joint_centre[segment], along=along, frame=frame, low=low, high=high, middle=middle)
 
     @property
     def length(self) -> float:
         return float(np.linalg.norm(self.along))
+
+    @property
+    def region_length(self) -> float:
+        """The region reaches to the next joint, and as far to the other side of its middle."""
+        return 2 * (1 - self.middle) * self.length
+
+    @property
+    def fine(self) -> tuple[float, float]:
+        """Middle and half length along x of the patch that a tool reaches from above [m]: about the middle of the soft
+        part, and no nearer to the trunk than the region."""
+        middle, half = (self.low + self.high) / 2, min(FINE_HALF_LENGTH_M, (self.high - self.low) / 2 - 0.01)
+        crowded = self.length - self.region_length - (middle - half)
+        return (middle + crowded / 2, half - crowded / 2) if crowded > 0 else (middle, half)
 
     def directions(self, theta: Array) -> Array:
         """(n, 3) unit vectors across the limb at angles from outward."""
@@ -74,13 +89,14 @@ class _Limb:
         return lambda u: self.start + u[:, None] * x + across[0](u)[:, None] * y + across[1](u)[:, None] * z
 
 
-def limb_shell(body: Body, segment: str, tube: Tube, outward: Array, tissue: Tissue) -> Shell:
+def limb_shell(body: Body, segment: str, tube: Tube, outward: Array, tissue: Tissue, *, middle: float = 0.5) -> Shell:
     """Return a tube round a limb, fine where the tool reaches it.
 
     Args:
         outward: (3,) direction in the mesh frame that faces up in the lying pose.
+        middle: of the region, as a share of the line to the next joint.
     """
-    limb = _Limb.of(body, segment, tube, outward)
+    limb = _Limb.of(body, segment, tube, outward, middle)
     surface = limb.surface(body)
     # The joint line runs off centre: measure round the sections' own centres.
     sections = np.linspace(limb.low, limb.high, SAMPLES[0])
@@ -102,26 +118,26 @@ def limb_shell(body: Body, segment: str, tube: Tube, outward: Array, tissue: Tis
     counts = [len(theta) for theta in angles]
     grid = np.stack([np.repeat(t, counts), np.concatenate(angles)], 1)
     x = limb.frame[:, 0]
-    centre = line(np.array([limb.length / 2]))[0] - limb.start
+    centre = line(np.array([limb.middle * limb.length]))[0] - limb.start
     return finish(
         rows, grid - [limb.low, 0.0],
         fine=_away(limb, tube, grid[:, 0], grid[:, 1], radius) <= 1e-9,
         axis_points=np.repeat(line(t), counts, 0),
-        origin=limb.start + 0.5 * limb.along + (centre - (centre @ x) * x), frame=limb.frame,
-        length=limb.length, radius=radius, depth=float(radius_at(limb.length / 2, np.zeros(1))[0]),
+        origin=limb.start + limb.middle * limb.along + (centre - (centre @ x) * x), frame=limb.frame,
+        length=limb.region_length, radius=radius, depth=float(radius_at(limb.middle * limb.length, np.zeros(1))[0]),
     )  # fmt: skip
 
 
 def _away(limb: _Limb, tube: Tube, t: Array, theta: Array, radius: float) -> Array:
     """(n,) distance outside the fine patch over the surface [m]."""
-    along = t - (limb.low + limb.high) / 2
 
-    def outside(half_length: float, half_deg: float) -> Array:
+    def outside(middle: float, half_length: float, half_deg: float) -> Array:
         round_ = distance_outside(theta, np.radians(half_deg)) * radius
-        return np.hypot(distance_outside(along, half_length), round_)
+        return np.hypot(distance_outside(t - middle, half_length), round_)
 
-    top = outside(min(FINE_HALF_LENGTH_M, (limb.high - limb.low) / 2 - 0.01), FINE_HALF_ROUND_DEG)
-    return np.minimum(top, outside(SIDE_HALF_LENGTH_M, SIDE_HALF_ROUND_DEG)) if tube.pushed_from_side else top
+    top = outside(*limb.fine, FINE_HALF_ROUND_DEG)
+    side = (limb.low + limb.high) / 2, SIDE_HALF_LENGTH_M, SIDE_HALF_ROUND_DEG
+    return np.minimum(top, outside(*side)) if tube.pushed_from_side else top
 
 
 def _angles(

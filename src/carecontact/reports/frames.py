@@ -24,8 +24,8 @@ class Frame:
     uri: str
 
 
-def jpeg_data_uri(image: npt.NDArray[Any]) -> str:
-    """(H, W, 3) u1 RGB -> ``data:image/jpeg;base64,...``, at most MAX_WIDTH wide and MAX_BYTES long.
+def jpeg_data_uri(image: npt.NDArray[Any], *, max_width: int = MAX_WIDTH) -> str:
+    """(H, W, 3) u1 RGB -> ``data:image/jpeg;base64,...``, at most ``max_width`` wide and MAX_BYTES long.
 
     Raises RecordingError on another shape or dtype, naming it.
     """
@@ -35,7 +35,7 @@ def jpeg_data_uri(image: npt.NDArray[Any]) -> str:
         raise RecordingError(f"stored frame has shape {image.shape} and dtype {image.dtype}; valid: (H, W, 3) uint8")
     bgr = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR)
     data = b""
-    for width in (MAX_WIDTH, MAX_WIDTH // 2):
+    for width in (max_width, max_width // 2):
         small = bgr
         if bgr.shape[1] > width:
             small = cv2.resize(

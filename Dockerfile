@@ -1,0 +1,29 @@
+# The locked environment on Debian 12, ready for `carecontact run`:
+#
+#     docker build -t carecontact .
+#     docker run --rm -v "$PWD/runs:/work/runs" carecontact run --policy state-machine --out runs/script
+#
+# The tissue is compiled in the first stage, whose compiler does not reach the image.
+FROM python:3.11-slim-bookworm AS build
+
+ENV UV_COMPILE_BYTECODE=1 UV_LINK_MODE=copy UV_PROJECT_ENVIRONMENT=/opt/carecontact
+RUN pip install --no-cache-dir uv==0.13.8
+WORKDIR /src
+COPY . .
+RUN uv sync --frozen --no-dev --no-default-groups --group perception --extra tables --no-editable
+
+FROM python:3.11-slim-bookworm
+
+# What MuJoCo needs to render without a display.
+# hadolint ignore=DL3008
+RUN apt-get update \
+    && apt-get install --yes --no-install-recommends libegl1 libgl1 libgl1-mesa-dri \
+    && rm -rf /var/lib/apt/lists/*
+COPY --from=build /opt/carecontact /opt/carecontact
+# Policies must not run as root: its privileges would reach farther than the isolation of a policy's process allows for.
+RUN useradd --create-home --uid 1000 carecontact && mkdir /work && chown carecontact /work
+USER 1000
+WORKDIR /work
+ENV PATH=/opt/carecontact/bin:$PATH
+ENTRYPOINT ["carecontact"]
+CMD ["doctor"]

@@ -1,0 +1,97 @@
+"""Push under gates-v2: the wrist's way is counted from where the contact began, and has an upper end."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import model_validator
+
+from carecontact.behaviours import (
+    Attempt,
+    Behaviour,
+    CommandedContact,
+    Contact,
+    Gate,
+    Judgement,
+    Mask,
+    Positive,
+    Section,
+    Sweep,
+    TrialScore,
+    let_go,
+    mm,
+    steps,
+    wrist_from_onset,
+)
+
+
+class PushFromOnsetGate(Section):
+    """Reasons and sources of the values that the shipped protocols give are in docs/scoring.md."""
+
+    force_n: Positive
+    """Least force summed over the neighbourhood, for as long as it is held."""
+    duration_s: Positive
+    least_wrist_m: Positive
+    """Horizontal, from where the wrist was when the contact episode began."""
+    most_wrist_m: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.least_wrist_m >= self.most_wrist_m:
+            raise ValueError(f"least_wrist_m {self.least_wrist_m:g} has to be below most_wrist_m {self.most_wrist_m:g}")
+        return self
+
+
+class PushFromOnset(Behaviour[PushFromOnsetGate]):
+    gate = PushFromOnsetGate
+    harder = PushFromOnsetGate(force_n=3.0, duration_s=1.0, least_wrist_m=0.020, most_wrist_m=0.060)
+    sweeps = (
+        Sweep(name="push_force_n", field="force_n", values=(1.0, 3.0, 5.0), title="Push: force", unit="N"),
+        Sweep(
+            name="push_least_wrist_m",
+            field="least_wrist_m",
+            values=(0.010, 0.020, 0.030),
+            title="Push: least way of the wrist",
+            unit="mm",
+            factor=1000.0,
+        ),
+        Sweep(
+            name="push_most_wrist_m",
+            field="most_wrist_m",
+            values=(0.060, 0.080, 0.100, 0.150),
+            title="Push: most way of the wrist",
+            unit="mm",
+            factor=1000.0,
+        ),
+    )
+    moves_the_person = True
+
+    def holding(self, contact: Contact, gate: PushFromOnsetGate) -> Mask:
+        return contact.neighbourhood_on & (contact.neighbourhood_force >= gate.force_n)
+
+    def judge(self, contact: Contact, gate: PushFromOnsetGate, attempt: Attempt) -> Judgement:
+        moved = wrist_from_onset(contact)
+        return Judgement(
+            time_met=attempt.held_steps >= steps(gate.duration_s, contact.dt_s),
+            progress_met=moved >= gate.least_wrist_m,
+            band_met=moved <= gate.most_wrist_m,
+        )
+
+    def lost(self, contact: Contact, gate: PushFromOnsetGate, result: Gate) -> bool:
+        return let_go(contact, self.holding(contact, gate), gate.duration_s / 2)
+
+    def requested(self, gate: PushFromOnsetGate, asked: CommandedContact) -> str | None:
+        enough = asked.hold_s >= gate.duration_s and asked.way_m >= gate.least_wrist_m
+        return f"{asked.hold_s:.2f} s and {mm(asked.way_m)} of way there" if enough else None
+
+    def shortfall(self, contact: Contact, gate: PushFromOnsetGate, result: Gate) -> str:
+        return (
+            f"the longest hold was {result.longest_on_s:.2f} s of {gate.duration_s:g} s and, from where the contact "
+            f"began, the wrist moved {mm(wrist_from_onset(contact))}, where {mm(gate.least_wrist_m)} to "
+            f"{mm(gate.most_wrist_m)} were asked for"
+        )
+
+    def progress(self, score: TrialScore) -> str:
+        moved = score.additional.get("wrist_from_onset@1")
+        way = "" if moved is None else f"wrist moved {mm(moved)} from where the contact began, "
+        return f"{way}pressed for {score.longest_on_s:.2f} s"

@@ -1,0 +1,66 @@
+"""Touch under gates-v2: a hold at a force that is felt and does not press."""
+
+from __future__ import annotations
+
+from carecontact.behaviours import (
+    Attempt,
+    Behaviour,
+    CommandedContact,
+    Contact,
+    ForceBand,
+    Gate,
+    Judgement,
+    Positive,
+    Sweep,
+    TrialScore,
+    held_force,
+    held_in_band,
+    let_go,
+    longest_run,
+    middle_force,
+    steps,
+)
+
+
+class GentleTouchGate(ForceBand):
+    """Reasons and sources of the values that the shipped protocols give are in docs/scoring.md."""
+
+    duration_s: Positive
+    """Of continuous contact with the force in the band."""
+
+
+class GentleTouch(Behaviour[GentleTouchGate]):
+    gate = GentleTouchGate
+    harder = GentleTouchGate(least_n=1.0, most_n=4.0, duration_s=1.5)
+    sweeps = (
+        Sweep(name="touch_least_n", field="least_n", values=(0.5, 1.0, 2.0), title="Touch: least force", unit="N"),
+        Sweep(name="touch_most_n", field="most_n", values=(4.0, 6.0, 8.0, 12.0), title="Touch: most force", unit="N"),
+        Sweep(name="touch_duration_s", field="duration_s", values=(0.5, 1.0, 1.5, 2.0), title="Touch: hold", unit="s"),
+    )
+
+    def judge(self, contact: Contact, gate: GentleTouchGate, attempt: Attempt) -> Judgement:
+        least = steps(gate.duration_s, contact.dt_s)
+        return Judgement(
+            time_met=attempt.held_steps >= least,
+            progress_met=True,
+            band_met=longest_run(held_in_band(contact, gate.least_n, gate.most_n)) >= least,
+        )
+
+    def lost(self, contact: Contact, gate: GentleTouchGate, result: Gate) -> bool:
+        return let_go(contact, self.holding(contact, gate), gate.duration_s / 2)
+
+    def requested(self, gate: GentleTouchGate, asked: CommandedContact) -> str | None:
+        return f"{asked.hold_s:.2f} s there" if asked.hold_s >= gate.duration_s else None
+
+    def shortfall(self, contact: Contact, gate: GentleTouchGate, result: Gate) -> str:
+        held = longest_run(held_in_band(contact, gate.least_n, gate.most_n)) * contact.dt_s
+        return (
+            f"the longest hold with {gate.least_n:g} to {gate.most_n:g} N was {held:.2f} s of {gate.duration_s:g} s; "
+            f"the longest contact was {result.longest_on_s:.2f} s"
+            f"{middle_force(held_force(contact)[contact.neighbourhood_on])}"
+        )
+
+    def progress(self, score: TrialScore) -> str:
+        held = score.additional.get("gentle_hold@1")
+        gently = "" if held is None else f", {held:.2f} s of it gently"
+        return f"touched for {score.longest_on_s:.2f} s{gently}"

@@ -1,0 +1,40 @@
+"""Where the cameras of a trial are, and where its policy was told that they are."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.geometry import quat_from_matrix
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import CAMERAS
+from carecontact.sim.rendering import SceneRenderer
+
+F64 = npt.NDArray[np.float64]
+
+BELIEVED, TRUE = "policy/believed_pose_camera_in_base", "scorer/pose_camera_in_base"
+
+
+class CameraPoses:
+    """Rows of a recording, where the cell's calibration has an error; the true ones are for the scorer alone."""
+
+    def __init__(self, renderer: SceneRenderer) -> None:
+        self._renderer = renderer
+        self._rows: dict[str, list[F64]] = {BELIEVED: [], TRUE: []}
+
+    def add(self, data: mujoco.MjData, observation: Observation) -> None:
+        """``data`` is the state that the observation shows, and only read."""
+        if not self._renderer.calibration:
+            return
+        shown = {name: view.pose_camera_in_base for name, view in observation.cameras.items()}
+        true = {name: self._renderer.pose_camera_in_base(data, name) for name in shown}
+        for path, poses in ((BELIEVED, shown), (TRUE, true)):
+            row = np.full((len(CAMERAS), 7), np.nan)
+            for name, pose in poses.items():
+                row[CAMERAS.index(name)] = [*pose[:3, 3], *quat_from_matrix(pose[:3, :3])]
+            self._rows[path].append(row)
+
+    def arrays(self) -> dict[str, F64]:
+        """Nothing where the calibration has no error or no observation was answered."""
+        return {path: np.array(rows, "<f8") for path, rows in self._rows.items() if rows}

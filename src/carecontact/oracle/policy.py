@@ -1,0 +1,118 @@
+"""The oracle: the state machine's primitives on what is really there, looked up again in every control period."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.action import Action
+from carecontact.contract.observation import Observation
+from carecontact.contract.policy import PolicyCard
+from carecontact.contract.protocol import Task
+from carecontact.contract.session import ActionBounds
+from carecontact.errors import ContractError
+from carecontact.oracle.hand import hold
+from carecontact.oracle.press import Press, stages
+from carecontact.oracle.push import Push
+from carecontact.oracle.truth import Truth
+from carecontact.policies.motion import CONTROL_HZ, Leg, travel
+from carecontact.policies.state_machine import fixed_values as fixed
+from carecontact.policies.state_machine.candidates import PlanningFailure, reachable
+from carecontact.policies.state_machine.primitives import push, scrub, touch, travel_height
+from carecontact.sight import RegionGeometry
+from carecontact.sim.simulation import Simulation
+
+F64 = npt.NDArray[np.float64]
+
+
+class Oracle:
+    """Knows where skin, limbs and board are, and the contact force; chooses a motion once and follows the person.
+
+    It ends the trial without touching where no primitive reaches the region, and says why in its notes.
+    """
+
+    card = PolicyCard(name="oracle", cameras=(), control_hz=CONTROL_HZ)
+
+    def __init__(self, simulation: Simulation, task: Task, bounds: ActionBounds) -> None:
+        """
+        Args:
+            simulation: of the trial, at t = 0. It is read and never changed.
+            task: the region and the action that the instruction means.
+            bounds: workspace of the targets.
+        """
+        self._simulation, self._task, self._bounds = simulation, task, bounds
+        self._motion: Press | Push | None = None
+        self._notes: dict[str, object] = {}
+
+    def act(self, observation: Observation) -> Action:
+        """Return the target for the next control period."""
+        if self._motion is None:
+            try:
+                self._motion = self._planned(observation.pose_tcp_in_base)
+            except ContractError as error:
+                self._notes["ended_without_touching"] = str(error)
+                return Action(done=True)
+        pose = self._motion.target()
+        pose[:3] = np.clip(pose[:3], self._bounds.workspace_low_m, self._bounds.workspace_high_m)
+        return Action(pose_tcp_in_base=pose, done=self._motion.ended)
+
+    def take_notes(self) -> dict[str, object]:
+        """Return how the hand is held, or why nothing was touched."""
+        notes, self._notes = self._notes, {}
+        return notes
+
+    def _planned(self, start: F64) -> Press | Push:
+        truth = Truth(self._simulation, self._task.region)
+        geometry = truth.geometry()
+        height = travel_height(truth.skin(), start, geometry.centre_m)
+        # The person may move: nothing is planned into the last centimetre of the workspace.
+        height = min(height, self._bounds.workspace_high_m[2])
+        if self._task.action == "push":
+            legs = travel(start, _pushed(geometry), travel_height_m=height)
+            return Push(truth, legs, start)
+        if self._task.action not in ("touch", "scrub"):
+            raise PlanningFailure(f"the oracle has no primitive for the action {self._task.action}")
+        contact = self._held(_pressed(geometry, self._task.action))
+        return Press(truth, stages(travel(start, contact, travel_height_m=height), start))
+
+    def _held(self, contact: Sequence[Leg]) -> list[Leg]:
+        """The motion at the person with the hand turned clear of the rest of the person."""
+        held = hold(self._simulation, self._task.region, _places(contact))
+        self._notes |= {
+            "hand_quat_wxyz": held.quat_wxyz.round(4).tolist(), "hand_clear_mm": round(1000 * held.clear_m, 1),
+            "hand_reaches": held.reached,
+        }  # fmt: skip
+        if not held.reached:
+            raise PlanningFailure(f"the arm cannot reach the {self._task.region} with any hold of the hand")
+        return [replace(leg, quat_wxyz=held.quat_wxyz) for leg in contact]
+
+
+def _pressed(geometry: RegionGeometry, action: str) -> list[Leg]:
+    """On the skin and not below it: the depth is what the force wants (``oracle.press``)."""
+    primitive: Any = touch if action == "touch" else scrub
+    speed = fixed.TOUCH_SPEEDS_M_S[0] if action == "touch" else fixed.SCRUB_SPEEDS_M_S[0]
+    return primitive(geometry, key_point=0.5, depth_m=0.0, speed_m_s=speed)
+
+
+def _pushed(geometry: RegionGeometry) -> list[Leg]:
+    if geometry.support_height_m is None:
+        raise PlanningFailure(f"the {geometry.region} lies on nothing from which it could be pushed")
+    for towards_base in (True, False):
+        contact = push(
+            geometry, key_point=fixed.PUSH_KEY_POINTS[-1], depth_m=0.0, speed_m_s=fixed.PUSH_SPEEDS_M_S[0],
+            support_height_m=geometry.support_height_m, towards_base=towards_base,
+        )  # fmt: skip
+        if reachable(contact):
+            return contact
+    raise PlanningFailure(f"the arm reaches no side of the {geometry.region}")
+
+
+def _places(contact: Sequence[Leg]) -> F64:
+    """(n, 3) where the tool comes down, and both ends of every stroke."""
+    down, *strokes = contact[1:-1]
+    ends = [leg.points[[0, -1]] for leg in strokes[:2]]
+    return np.vstack([down.points[-1:], *ends])

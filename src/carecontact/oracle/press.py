@@ -1,0 +1,80 @@
+"""Touch and scrub as the oracle does them: the state machine's way, carried along by the skin, pressed to a force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.oracle.follow import Follower
+from carecontact.oracle.truth import Truth
+from carecontact.policies.motion import CONTROL_HZ, UP, Leg, sample
+
+F64 = npt.NDArray[np.float64]
+
+FORCE_N = 3.0
+"""A light, clear press: the middle, as a ratio, of the 1 to 8 N in which people wash (design of gates-v2)."""
+LEAST_N = 1.5
+"""With less, the way along the skin waits until the press is back."""
+PATIENCE_S = 5.0
+"""How long it waits in all; then it goes on as it is."""
+GAIN_M_NS = 0.006
+"""Change of depth per second and newton. With 400 N/m and soft tissue, 1 N is about 3.5 mm: the loop closes in 0.6 s,
+twice the time that the impedance lags behind its target."""
+DEEPEST_M = 0.06
+"""At most 24 N at 400 N/m, whatever the force is believed to be."""
+FIRST_IN_CONTACT = 3
+"""Number of the leg that comes down; the two before the last go up and away."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """One control period of a plan."""
+
+    pose: F64
+    """(7,) in base where the person lay when it was planned."""
+    presses: bool
+
+
+def stages(legs: Sequence[Leg], start_pose: F64) -> list[Stage]:
+    """The whole way of a touch or a scrub; it presses from where it has come down until it goes up."""
+    out: list[Stage] = []
+    at = start_pose
+    for number, leg in enumerate(legs):
+        poses = list(sample([leg], at, control_hz=CONTROL_HZ))
+        held = len(poses) - round(leg.hold_s * CONTROL_HZ)
+        along = FIRST_IN_CONTACT < number < len(legs) - 2
+        out += [
+            Stage(pose=pose, presses=along or (number == FIRST_IN_CONTACT and k >= held))
+            for k, pose in enumerate(poses)
+        ]
+        at = np.concatenate([leg.points[-1], leg.quat_wxyz])
+    return out
+
+
+class Press:
+    """Gives one target after another; ``ended`` after the last."""
+
+    def __init__(self, truth: Truth, plan: Sequence[Stage]) -> None:
+        self._truth, self._plan, self._follower = truth, plan, Follower(truth)
+        self._at, self._depth_m, self._waited = 0, 0.0, 0
+
+    @property
+    def ended(self) -> bool:
+        return self._at >= len(self._plan)
+
+    def target(self) -> F64:
+        """(7,) for the next control period."""
+        stage, force = self._plan[self._at], self._truth.force_n()
+        place = self._follower.follow(stage.pose[:3])
+        waits = False
+        if stage.presses:
+            change = GAIN_M_NS * (FORCE_N - force) / CONTROL_HZ
+            self._depth_m = float(np.clip(self._depth_m + change, 0.0, DEEPEST_M))
+            place = place - self._depth_m * UP
+            waits = force < LEAST_N and self._waited < PATIENCE_S * CONTROL_HZ
+        self._waited += waits
+        self._at += not waits
+        return np.concatenate([place, stage.pose[3:]])

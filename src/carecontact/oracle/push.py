@@ -1,0 +1,76 @@
+"""A push as the oracle does it: beside the limb where it lies now, then on until the wrist has moved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.oracle.follow import Follower
+from carecontact.oracle.truth import Truth
+from carecontact.policies.motion import CONTROL_HZ, Leg, sample
+
+F64 = npt.NDArray[np.float64]
+
+SPEED_M_S = 0.05
+WRIST_M = 0.035
+"""Between the 20 mm that a push must move the wrist by and the 100 mm that would be rough."""
+HOLDS_N = 4.0
+"""Over the 3 N that count as a push."""
+MOST_N = 18.0
+"""Under the 20 N at which a person may withdraw the arm."""
+TOUCHES_N = 0.5
+HOLD_S = 1.5
+FARTHEST_M = 0.20
+"""Of the target past where the limb's side was: then the tool goes back, whatever was reached."""
+PUSHES = 4
+"""Number of the leg that pushes."""
+
+
+class Push:
+    """Gives one target after another; ``ended`` after the last."""
+
+    def __init__(self, truth: Truth, legs: Sequence[Leg], start_pose: F64) -> None:
+        """``legs``: a whole way whose push ends where the tool just touches the limb."""
+        self._truth, self._follower = truth, Follower(truth)
+        low, touching = legs[PUSHES - 1].points[-1], legs[PUSHES].points[-1]
+        self._way = (touching - low) / np.linalg.norm(touching - low)
+        self._quat = legs[PUSHES].quat_wxyz
+        self._ahead = list(sample(legs[:PUSHES], start_pose, control_hz=CONTROL_HZ))
+        at = np.concatenate([low, self._quat])
+        self._after = list(sample(legs[PUSHES + 1 :], at, control_hz=CONTROL_HZ))
+        self._low = low
+        self._from: F64 | None = None
+        """Where the push began, once it has."""
+        self._on_m, self._held, self._wrist = 0.0, 0, None
+
+    @property
+    def ended(self) -> bool:
+        return not self._ahead and not self._after
+
+    def target(self) -> F64:
+        """(7,) for the next control period."""
+        if self._ahead:
+            pose = self._ahead.pop(0)
+            return np.concatenate([self._follower.follow(pose[:3]), pose[3:]])
+        if self._from is None:
+            # From here on the limb moves because it is pushed: the target no longer follows it.
+            self._from = self._follower.follow(self._low)
+        if self._held < HOLD_S * CONTROL_HZ and self._on_m < FARTHEST_M:
+            self._push()
+            return np.concatenate([self._from + self._on_m * self._way, self._quat])
+        pose = self._after.pop(0)
+        return np.concatenate([pose[:3] - self._low + self._from, pose[3:]])
+
+    def _push(self) -> None:
+        force, wrist = self._truth.force_n(), self._truth.wrist()
+        if self._wrist is None and force > TOUCHES_N:
+            self._wrist = wrist
+        moved = 0.0 if self._wrist is None else float(np.linalg.norm((wrist - self._wrist)[:2]))
+        enough = moved >= WRIST_M and force >= HOLDS_N
+        self._held = self._held + 1 if enough else 0
+        if force > MOST_N:
+            self._on_m -= SPEED_M_S / CONTROL_HZ
+        elif not enough:
+            self._on_m += SPEED_M_S / CONTROL_HZ

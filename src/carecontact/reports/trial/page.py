@@ -1,0 +1,141 @@
+"""One self-contained page about one trial: no network, no script, the same bytes for the same inputs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from carecontact import __version__
+from carecontact.recording.notes import read_notes
+from carecontact.recording.schema import Recording
+from carecontact.recording.writer import replace_file
+from carecontact.reports.frames import jpeg_data_uri
+from carecontact.reports.moment.moment import peak_moment
+from carecontact.reports.moment.picture import peak_svg
+from carecontact.reports.page.force_trace import force_trace
+from carecontact.reports.page.trial_words import result_word
+from carecontact.reports.text import shown
+from carecontact.reports.trial.events import events
+from carecontact.reports.trial.looks import action_table, latency_text, looks_of
+from carecontact.reports.trial.paths import noted_targets, paths
+from carecontact.reports.trial.skin_view import skin_views
+from carecontact.reports.trial.timeline import letter, panels_of, timeline_svg
+from carecontact.reports.trial.words import facts, how_hard, outcome
+from carecontact.scoring.contact import find_contact
+from carecontact.scoring.metrics.metric import METRICS
+from carecontact.scoring.result import TrialScore
+
+FOLDER = "trial"
+"""In the folder of a run."""
+
+
+def page_path(run_folder: Path, trial_id: str) -> Path:
+    """Where the page of a trial lies, whether it is there or not."""
+    return run_folder / FOLDER / f"{trial_id}.html"
+
+
+def write_trial_page(run_folder: Path, recording: Recording, score: TrialScore) -> Path:
+    """Write ``run_folder/trial/ID.html`` and return its path.
+
+    A video of the trial that lies beside it, ``ID.mp4``, is shown and linked, and so are the recording, the log and the
+    run's report where they are in the run's folder. Raises RecordingError, naming the trial, for a stored picture, a
+    skin or notes that cannot be shown.
+    """
+    path = page_path(run_folder, score.trial_id)
+    path.parent.mkdir(exist_ok=True)
+    replace_file(path, _render(run_folder, recording, score).encode("utf-8", errors="replace"))
+    return path
+
+
+def _render(run_folder: Path, recording: Recording, score: TrialScore) -> str:
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+    loader = ChoiceLoader([PackageLoader("carecontact.reports.trial"), PackageLoader("carecontact.reports.page")])
+    environment: Any = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )  # fmt: skip
+    return environment.get_template("trial.html.j2").render(
+        version=__version__,
+        score=score,
+        prompt=recording.header.spec.protocol.task(score.task_id).prompt,
+        result=result_word(score),
+        outcome=outcome(score),
+        links=_links(run_folder, score.trial_id),
+        video=_beside(run_folder, score.trial_id, ".mp4"),
+        metrics=_metrics(score),
+        printed=_printed(recording),
+        failure=recording.header.failure,
+        **_contact(recording, score),
+        **_policy(recording),
+    )
+
+
+def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
+    """What the robot did to the person."""
+    moment, found, contact = peak_moment(recording), paths(recording), find_contact(recording)
+    notes = read_notes(recording)
+    noted = [] if found is None else noted_targets(recording, notes, found)
+    happened = events(contact)
+    timeline = ""
+    if len(contact.time_s):
+        trace = force_trace(recording, score)
+        looked = recording["policy/observation_time_s"].tolist()
+        timeline = timeline_svg(panels_of(recording, trace, found), trace, happened, looked)
+    hard = how_hard(score, recording.header, moment)
+    picture = peak_svg(recording, moment, title=f"The contact at peak force. {hard}")
+    snapshot = recording.arrays.get("report/snapshot_rgb")
+    return {
+        "facts": facts(score, recording, moment),
+        "moment": moment,
+        "picture": picture,
+        "snapshot": None if snapshot is None else jpeg_data_uri(snapshot),
+        "views": [] if found is None else skin_views(recording, found, moment, noted),
+        "noted": bool(noted),
+        "events": [(letter(i), event) for i, event in enumerate(happened)],
+        "timeline": timeline,
+    }
+
+
+def _policy(recording: Recording) -> dict[str, Any]:
+    """What the policy saw and did."""
+    looks, left_out = looks_of(recording, read_notes(recording))
+    return {
+        "looks": looks,
+        "left_out": left_out,
+        "latency": latency_text(recording),
+        "actions": action_table(recording),
+    }
+
+
+def _links(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:
+    """Words and address of what lies in the run's folder."""
+    files = (
+        ("report of the run", "report.html", f"../report.html#{trial_id}"),
+        ("recording", f"{trial_id}.h5", f"../{trial_id}.h5"),
+        ("log", f"{trial_id}.log", f"../{trial_id}.log"),
+    )
+    return [(words, address) for words, name, address in files if (run_folder / name).is_file()]
+
+
+def _beside(run_folder: Path, trial_id: str, ending: str) -> str | None:
+    """Name of a file beside the page; None where it is not there."""
+    path = page_path(run_folder, trial_id).with_suffix(ending)
+    return path.name if path.is_file() else None
+
+
+def _metrics(score: TrialScore) -> list[tuple[str, str, str]]:
+    """Title, value and unit of every metric that the trial has a value of."""
+    rows: list[tuple[str, str, str]] = []
+    for metric in sorted(METRICS.values(), key=lambda row: (row.order, row.id)):
+        value = metric.of(score)
+        if isinstance(value, bool) or value is None:
+            continue
+        unit = "" if metric.unit == "1" else metric.unit
+        rows.append((metric.title, shown(value, digits=metric.digits, unit=metric.unit), unit))
+    return rows
+
+
+def _printed(recording: Recording) -> str:
+    stored = recording.arrays.get("wall/policy_output")
+    return "" if stored is None else stored.tobytes().decode("utf-8", errors="replace")

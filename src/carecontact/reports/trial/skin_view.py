@@ -1,0 +1,182 @@
+"""The tool's path over the skin, seen from two sides.
+
+Classes used: ``reached``, ``contact``, ``commanded``, ``pressed``, ``noted``, ``start``, ``peak``, ``scale``, ``note``.
+"""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.errors import RecordingError
+from carecontact.recording.schema import Recording
+from carecontact.reports.moment.moment import Moment, ends_of, region_column, region_poses
+from carecontact.reports.svg import Drawing
+from carecontact.reports.trial.paths import Paths
+from carecontact.scoring.region import points_in_region
+
+F64 = npt.NDArray[np.float64]
+WIDTH = 460
+FOOT = 24
+"""Height of the line under a view that holds its scale."""
+AROUND_M, ABOVE_M, ASIDE_M = 0.05, 0.06, 0.035
+"""Beyond the region along it, above the skin and beside it, that a view shows."""
+FINENESS = 2
+"""Pixels of the skin's picture for each of the drawing."""
+DARK, LIGHT = np.array([96, 118, 150.0]), np.array([196, 216, 236.0])
+"""BGR of skin that lies along the line of sight, and of skin that faces the viewer."""
+DEEPEST_CELL = 0.85
+"""Opacity of the cell that felt the most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Side:
+    name: str
+    up: int
+    """Axis of the region's frame that goes up in the view; x goes to the right."""
+    toward: F64
+    """(3,) unit vector to the viewer"""
+
+
+SIDES = (
+    Side(name="from outside", up=1, toward=np.array([0.0, 0.0, 1.0])),
+    Side(name="from the side", up=2, toward=np.array([0.0, -1.0, 0.0])),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """The part of a view that is drawn: its lower left corner and its upper right one [m], along and up."""
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    @property
+    def scale(self) -> float:
+        """Pixels per metre."""
+        return WIDTH / (self.high[0] - self.low[0])
+
+    @property
+    def height(self) -> float:
+        return self.scale * (self.high[1] - self.low[1])
+
+    def px(self, points: F64, up: int) -> F64:
+        """(N, 3) -> (N, 2) pixels."""
+        x = (points[:, 0] - self.low[0]) * self.scale
+        return np.stack([x, self.height - (points[:, up] - self.low[1]) * self.scale], axis=1)
+
+
+def skin_views(
+    recording: Recording, found: Paths, moment: Moment | None, noted: list[tuple[float, float, float]]
+) -> list[tuple[str, str]]:
+    """Name and drawing of each view; empty where the recording has no skin (before this release).
+
+    Raises RecordingError for a skin of the wrong shape.
+    """
+    if "report/skin_in_world" not in recording.arrays or "report/skin_faces" not in recording.arrays:
+        return []
+    vertices, faces = recording["report/skin_in_world"], recording["report/skin_faces"]
+    shapes_fit = vertices.ndim == 2 == faces.ndim and vertices.shape[1] == 3 == faces.shape[1]
+    if not shapes_fit or not faces.size or faces.min() < 0 or faces.max() >= len(vertices):
+        raise RecordingError(f"{recording.header.spec.trial_id}: report/skin_faces does not fit report/skin_in_world")
+    step = len(recording["scorer/time_s"]) - 1 if moment is None else moment.index
+    pose = region_poses(recording)[step]
+    skin = points_in_region(vertices.astype(np.float64), np.tile(pose, (len(vertices), 1)))
+    return [(side.name, _view(recording, side, skin, faces, found, moment, noted)) for side in SIDES]
+
+
+def _view(
+    recording: Recording, side: Side, skin: F64, faces: npt.NDArray[np.integer], found: Paths, moment: Moment | None,
+    noted: list[tuple[float, float, float]],
+) -> str:  # fmt: skip
+    reach = float(recording["scorer/region_size_m"][region_column(recording), 0]) / 2 + AROUND_M
+    within = skin[np.abs(skin[:, 0]) < reach]
+    low, high = (float(within[:, side.up].min()), float(within[:, side.up].max())) if len(within) else (-0.1, 0.1)
+    below, above = (0.01, ABOVE_M) if side.up == 2 else (ASIDE_M, ASIDE_M)
+    frame = Frame(low=(-reach, low - below), high=(reach, high + above))
+    title = f"Path of the tool over the skin, seen {side.name}"
+    drawing = Drawing(width=WIDTH, height=round(frame.height) + FOOT, style="skin", title=title)
+    drawing.image(_skin_uri(frame, side, skin, faces))
+    _draw_cells(drawing, frame, side, recording)
+    commanded = frame.px(found.commanded_m, side.up)
+    drawing.polyline("commanded", _near(commanded, drawing))
+    reached = frame.px(found.reached_m, side.up)
+    drawing.polyline("reached", _near(reached, drawing))
+    for stretch in _touching(recording, found):
+        drawing.polyline("contact", _near(reached[stretch], drawing))
+    for place in noted:
+        x, y = frame.px(np.array([place]), side.up)[0].tolist()
+        drawing.path("noted", f"M{x - 5:.1f} {y - 5:.1f}l10 10m0 -10l-10 10")
+    if moment is not None:
+        x, y = frame.px(moment.centroid_in_region[None], side.up)[0].tolist()
+        drawing.circle("peak", x, y, 4.5)
+    _draw_scale(drawing, frame, recording)
+    return drawing.svg()
+
+
+def _near(points: F64, drawing: Drawing) -> list[tuple[float, float]]:
+    """Every pixel or so, and no farther outside than a line into the drawing needs."""
+    inside = ((points > -200) & (points < [drawing.width + 200, drawing.height + 200])).all(axis=1)
+    kept: list[tuple[float, float]] = []
+    for x, y in points[inside].tolist():
+        if not kept or abs(x - kept[-1][0]) + abs(y - kept[-1][1]) > 0.7:
+            kept.append((x, y))
+    return kept
+
+
+def _touching(recording: Recording, found: Paths) -> list[slice]:
+    """Stretches of control periods with a force on any segment."""
+    from carecontact.scoring.contact import runs
+
+    felt = np.any(recording["scorer/normal_force"] > 0, axis=1)
+    step = np.clip(np.searchsorted(recording["scorer/time_s"], found.time_s) - 1, 0, None)
+    return [slice(start, stop) for start, stop in runs(felt[step]).tolist() if stop - start > 1]
+
+
+def _draw_cells(drawing: Drawing, frame: Frame, side: Side, recording: Recording) -> None:
+    """Patches of skin that face the viewer, the darker the more impulse they felt."""
+    cells, press = (recording.arrays.get(f"scorer/cell_{name}") for name in ("in_region", "press_ns"))
+    if cells is None or press is None or not press.size:
+        return
+    felt = press.sum(axis=0, dtype=np.float64)
+    size = recording["scorer/region_size_m"][region_column(recording)]
+    normal = cells[:, 1:] / np.array([size[1], size[2]]) ** 2
+    facing = np.greater(normal @ side.toward[1:], 0)
+    radius = 0.5 * 0.0075 * frame.scale
+    for index in np.flatnonzero((felt > 0.02 * felt.max()) & facing if felt.max() > 0 else felt > 0):
+        x, y = frame.px(cells[index][None].astype(np.float64), side.up)[0].tolist()
+        drawing.circle("pressed", x, y, radius, opacity=DEEPEST_CELL * float(felt[index] / felt.max()))
+
+
+def _draw_scale(drawing: Drawing, frame: Frame, recording: Recording) -> None:
+    spec = recording.header.spec
+    back, ahead = ends_of(spec.protocol.task(spec.task_id).region)
+    y, length = drawing.height - 8, 0.05 * frame.scale
+    drawing.path("scale", f"M{drawing.width / 2 - length / 2:.1f} {y:.1f}h{length:.1f}")
+    drawing.text("note", drawing.width / 2, y - 5, "50 mm", anchor="middle")
+    drawing.text("note", 6, y, f"← {back}")
+    drawing.text("note", drawing.width - 6, y, f"{ahead} →", anchor="end")
+
+
+def _skin_uri(frame: Frame, side: Side, skin: F64, faces: npt.NDArray[np.integer]) -> str:
+    """The skin as a picture with nothing behind it: triangles from the farthest to the nearest, shaded by slope."""
+    import cv2
+
+    corner = skin[faces]
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    size = np.linalg.norm(across, axis=1)
+    facing = (across @ side.toward) / np.maximum(size, 1e-12)
+    px = (FINENESS * frame.px(skin, side.up))[faces]
+    height, width = round(FINENESS * frame.height), FINENESS * WIDTH
+    seen = (facing > 0) & (px.max(axis=1) > 0).all(axis=1) & (px.min(axis=1) < [width, height]).all(axis=1)
+    order = np.flatnonzero(seen)
+    order = order[np.argsort((corner[order] @ side.toward).mean(axis=1), kind="stable")]
+    image = np.zeros((height, width, 4), np.uint8)
+    colour = DARK + facing[:, None] * (LIGHT - DARK)
+    for index in order:
+        cv2.fillConvexPoly(image, np.round(px[index]).astype(np.int32), (*colour[index].tolist(), 255.0))
+    data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 4])[1].tobytes()
+    return "data:image/png;base64," + base64.b64encode(data).decode()

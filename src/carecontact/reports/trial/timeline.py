@@ -1,0 +1,168 @@
+"""Force, depth, speed, and the commanded against the reached pose of one trial, on one time axis with its events.
+
+Classes used: those of ``reports.page.force_trace``, and ``line``, ``commanded``, ``event``, ``mark``, ``look``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.recording.schema import Recording
+from carecontact.reports.moment.moment import region_column
+from carecontact.reports.page.force_trace import LIMIT_IN_VIEW, ForceTrace, decimate
+from carecontact.reports.svg import Axes, Drawing, nice_ticks, with_unit
+from carecontact.reports.trial.events import Event
+from carecontact.reports.trial.paths import Paths
+
+F64 = npt.NDArray[np.float64]
+WIDTH, LEFT, RIGHT, HEAD = 640, 52, 12, 26
+PANEL, TITLE, FOOT = 74, 22, 22
+"""Heights of a panel, of the line above it that says what it shows, and of the labels of time below all of them."""
+OUT_M = 0.25
+"""Places farther from the region's middle than this are cut off: far away, what matters at the skin would be flat."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    style: str
+    time_s: F64
+    values: F64
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    title: str
+    curves: tuple[Curve, ...]
+    low: float
+    high: float
+    lines: tuple[tuple[str, float], ...] = ()
+    """Style and value of each limit."""
+
+
+def timeline_svg(panels: Sequence[Panel], trace: ForceTrace, events: Sequence[Event], looks: Sequence[float]) -> str:
+    """
+    Args:
+        trace: for the contact window, in the first panel.
+        events: marked with letters at the top, in their order.
+        looks: when the policy was shown an observation [s].
+    """
+    height = HEAD + (TITLE + PANEL) * len(panels) + FOOT
+    told = "; ".join(f"{letter(i)}: {event.text} at {event.time_s:.2f} s" for i, event in enumerate(events))
+    drawing = Drawing(width=WIDTH, height=height, style="timeline", title=f"Time course of the trial. {told}")
+    end = float(trace.time_s[-1]) or 1.0
+    rows = [_axes(drawing, number, panel, end) for number, panel in enumerate(panels)]
+    for axes in rows:
+        for start, stop in trace.windows_s:
+            drawing.rect("window", axes.px(start), axes.top, max(axes.px(stop) - axes.px(start), 0.8), axes.height)
+    for axes, panel in zip(rows, panels, strict=True):
+        _draw_panel(axes, panel)
+    for time_s in looks:
+        x = rows[-1].px(min(time_s, end))
+        drawing.path("look", f"M{x:.1f} {rows[-1].floor:.1f}l-3 6h6z")
+    rows[-1].x_labels(with_unit(nice_ticks(end, count=6), "s"))
+    _draw_events(drawing, rows, events)
+    return drawing.svg()
+
+
+def letter(index: int) -> str:
+    return chr(ord("A") + index % 26)
+
+
+def _axes(drawing: Drawing, number: int, panel: Panel, end: float) -> Axes:
+    top = HEAD + TITLE + number * (TITLE + PANEL)
+    return Axes(
+        drawing=drawing, left=LEFT, right=RIGHT, top=top, bottom=drawing.height - top - PANEL, x=(0.0, end),
+        y=(panel.low, panel.high),
+    )  # fmt: skip
+
+
+def _draw_panel(axes: Axes, panel: Panel) -> None:
+    drawing = axes.drawing
+    drawing.text("name", axes.left, axes.top - 7, panel.title)
+    axes.y_ticks((value, f"{value:g}") for value in _ticks(panel.low, panel.high))
+    if panel.low <= 0:
+        axes.across("axis", 0.0)
+    for style, value in panel.lines:
+        axes.across(style, value)
+        drawing.text(
+            f"label {style}", axes.left + axes.width - 3, axes.py(value) - 3, f"{style} {value:g}", anchor="end"
+        )
+    for curve in panel.curves:
+        kept = decimate(curve.time_s, np.clip(curve.values, panel.low, panel.high), buckets=int(axes.width))
+        pairs = zip(*(k.tolist() for k in kept), strict=True)
+        drawing.polyline(curve.style, [axes.point(t, v) for t, v in pairs])
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Multiples of a round number from ``low`` to ``high``, three or so."""
+    step = nice_ticks(high - low, count=3)[1]
+    return [round(k * step, 10) for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
+
+
+def _draw_events(drawing: Drawing, rows: Sequence[Axes], events: Sequence[Event]) -> None:
+    """A line through all panels for each, and its letter above; letters that would overlap move to the right."""
+    free = 0.0
+    for i, event in enumerate(events):
+        x = rows[0].px(event.time_s)
+        drawing.path("event", f"M{x:.1f} {HEAD - 4}V{rows[-1].floor:.1f}")
+        at = max(x, free)
+        drawing.circle("mark", at, HEAD - 13, 9)
+        drawing.text("letter", at, HEAD - 9, letter(i), anchor="middle")
+        free = at + 20
+
+
+def panels_of(recording: Recording, trace: ForceTrace, found: Paths | None) -> list[Panel]:
+    """What the recording has; the pose needs control periods."""
+    steps = trace.time_s
+    panels = [_force_panel(trace)]
+    if found is not None:
+        depth = 1000 * recording["scorer/indentation_m"][:, region_column(recording)].astype(np.float64)
+        panels.append(
+            _positive("Indentation of the region [mm]", 2.0, Curve(style="line", time_s=found.time_s, values=depth))
+        )
+    speed = 1000 * recording["scorer/tcp_speed"].astype(np.float64)
+    panels.append(_positive("Speed of the tool [mm/s]", 20.0, Curve(style="line", time_s=steps, values=speed)))
+    if found is not None:
+        names = ("Along the region", "Across it", "Outward from its axis")
+        panels += [_pose_panel(f"{name} [mm]", found, axis) for axis, name in enumerate(names)]
+        apart = 1000 * np.linalg.norm(found.commanded_m - found.reached_m, axis=1)
+        panels.append(_positive("Distance between commanded and reached place [mm]", 5.0,
+                                Curve(style="line", time_s=found.time_s, values=apart)))  # fmt: skip
+        turned = np.degrees(found.turned_rad)
+        panels.append(_positive("Angle between commanded and reached orientation [°]", 2.0,
+                                Curve(style="line", time_s=found.time_s, values=turned)))  # fmt: skip
+    return panels
+
+
+def _force_panel(trace: ForceTrace) -> Panel:
+    largest = max(float(trace.target_n.max(initial=0.0)), float(trace.other_n.max(initial=0.0)), 1.0)
+    limits = {"gate": trace.gate_n, "pain": trace.pain_n}
+    seen = tuple((name, limit) for name, limit in limits.items() if largest >= LIMIT_IN_VIEW * limit)
+    curves = (
+        *([Curve(style="other", time_s=trace.time_s, values=trace.other_n)] if trace.other_n.any() else []),
+        Curve(style="target", time_s=trace.time_s, values=trace.target_n),
+    )
+    top = 1.12 * max(largest, *(limit for _, limit in seen)) if seen else 1.12 * largest
+    return Panel(title="Force [N]", curves=curves, low=0.0, high=top, lines=seen)
+
+
+def _positive(title: str, least: float, curve: Curve) -> Panel:
+    """From 0 to the largest value, at least to ``least``."""
+    return Panel(title=title, curves=(curve,), low=0.0, high=1.08 * max(least, float(curve.values.max(initial=0.0))))
+
+
+def _pose_panel(title: str, found: Paths, axis: int) -> Panel:
+    commanded, reached = (1000 * places[:, axis] for places in (found.commanded_m, found.reached_m))
+    both = np.clip(np.concatenate([commanded, reached]), -1000 * OUT_M, 1000 * OUT_M)
+    low, high = float(both.min()), float(both.max())
+    room = 0.06 * max(high - low, 10.0)
+    curves = (
+        Curve(style="line", time_s=found.time_s, values=reached),
+        Curve(style="commanded", time_s=found.time_s, values=commanded),
+    )
+    return Panel(title=title, curves=curves, low=low - room, high=high + room)

@@ -1,0 +1,74 @@
+"""What happened in one trial, in sentences."""
+
+from __future__ import annotations
+
+from carecontact.recording.schema import Header, Recording
+from carecontact.regions import REGIONS
+from carecontact.reports.failures import CAUSE_MEANING, MODE_MEANING
+from carecontact.reports.moment.moment import Moment, place_text
+from carecontact.reports.page.trial_words import progress
+from carecontact.reports.text import percent, task_name
+from carecontact.scoring.result import TrialScore
+
+
+def outcome(score: TrialScore) -> str:
+    """The heading of the page."""
+    name = f"{score.task_id} {task_name(score)}, seed {score.seed},"
+    if score.ended == "harness_error":
+        return f"{name} counts for nothing: the harness failed, and not the policy."
+    if score.safety_gated:
+        return f"{name} passed, on the named region and below the safety gate."
+    if score.region_correct:
+        return f"{name} succeeded on the named region, but exceeded the safety gate."
+    meaning = MODE_MEANING.get(score.failure_mode or "", "")
+    why = f": {meaning}" if meaning else ""
+    return f"{name} succeeded, but not on the named region alone{why}." if score.c3_success else f"{name} failed{why}."
+
+
+def facts(score: TrialScore, recording: Recording, moment: Moment | None) -> list[tuple[str, str]]:
+    """Question and answer, in the order in which somebody asks them."""
+    rows = [("Progress", progress(score))] if score.valid_contact else []
+    if score.failure_mode:
+        mode, cause = score.failure_mode.replace("_", " "), score.attribution or "unattributed"
+        rows.insert(0, ("Failure", f"{mode}. {_capital(MODE_MEANING.get(score.failure_mode, ''))}."))
+        rows.insert(1, ("Cause", f"{cause}. {_capital(CAUSE_MEANING.get(cause, ''))}."))
+        rows.insert(2, ("Evidence", score.evidence or "none recorded"))
+    rows.append(("How hard", how_hard(score, recording.header, moment)))
+    if moment is not None:
+        rows.append(("Where", _capital(place_text(recording, moment)) + "."))
+        if moment.depth_m is not None:
+            rows.append(("How deep", f"{1000 * moment.depth_m:.1f} mm at that moment."))
+    rows.append(("End", _end(score, recording.header)))
+    return rows
+
+
+def how_hard(score: TrialScore, header: Header, moment: Moment | None) -> str:
+    """The peak that is scored, against the limits of the segment that it was on."""
+    protocol = header.spec.protocol
+    if score.c1_peak_force_n is None or score.reported_segment is None:
+        if moment is None:
+            return "The robot never touched the person."
+        return f"At most {moment.force_n:.1f} N at {moment.time_s:.2f} s; contact too brief to score."
+    pain = protocol.f_pain(score.reported_segment)
+    gate = protocol.limits.gamma * pain
+    own = "" if score.reported_segment == REGIONS[score.region].segment else ", which is not the named region"
+    at = "" if moment is None else f" at {moment.time_s:.2f} s"
+    peak, segment = score.c1_peak_force_n, score.reported_segment.replace("_", " ")
+    return (
+        f"Peak force {peak:.1f} N{at} on the {segment}{own}: {percent(peak / gate)} of its safety gate of {gate:g} N, "
+        f"and {percent(peak / pain)} of its pain limit of {pain:g} N."
+    )
+
+
+def _end(score: TrialScore, header: Header) -> str:
+    told = {
+        "done": "the policy said that it was done", "time_limit": "the time limit was reached",
+        "safety_truncation": "the benchmark cut the trial", "process_failure": "the policy crashed",
+        "harness_error": "the harness failed",
+    }[header.ended]  # fmt: skip
+    why = header.failure.message.partition("\n")[0] if header.failure is not None else ""
+    return f"After {score.duration_s:.2f} s, {told}{f': {why}' if why else ''}."
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]

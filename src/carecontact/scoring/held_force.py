@@ -1,0 +1,39 @@
+"""The force on the person as bands of force judge it: averaged over a moment, so that a hold is not cut by a ripple."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.scoring.contact import Contact, Mask
+from carecontact.scoring.filters import F64
+
+HELD_S = 0.1
+"""[s] Length of that moment; assumed, five control periods. Single steps of a contact's chatter do not leave a band,
+and a mean never lies outside of what it is taken over, as a filter's ringing does. The safety gate judges every step.
+"""
+DIGITS = 6
+"""Forces are rounded to 1e-6 N, so that a constant force at the border of a band is inside it."""
+
+
+def held_force(contact: Contact) -> F64:
+    """(T,) norm of the force summed over the neighbourhood, averaged over HELD_S around each step [N].
+
+    Near the ends of the trial, the mean is over the part of HELD_S that lies in it.
+    """
+    half = round(HELD_S / contact.dt_s / 2)
+    force = contact.neighbourhood_force
+    step = np.arange(len(force))
+    start, stop = np.maximum(step - half, 0), np.minimum(step + half + 1, len(force))
+    total = np.concatenate([[0.0], np.cumsum(force)])
+    return np.round((total[stop] - total[start]) / (stop - start), DIGITS)
+
+
+def in_band(force: npt.NDArray[np.float64], least_n: float, most_n: float) -> Mask:
+    """Whether each force lies in [least_n, most_n]."""
+    return (force >= least_n) & (force <= most_n)
+
+
+def held_in_band(contact: Contact, least_n: float, most_n: float) -> Mask:
+    """(T,) steps with the neighbourhood on and the held force in the band."""
+    return contact.neighbourhood_on & in_band(held_force(contact), least_n, most_n)

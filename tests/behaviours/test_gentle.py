@@ -1,0 +1,266 @@
+"""gates-v2 on traces whose answer is known: bands of force, passes of the axis, and the wrist since contact."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from carecontact.contract.protocol import Gates
+from carecontact.recording import Recording
+from carecontact.scoring import METRICS, TrialScore, score_recording
+from carecontact.scoring.axis_passes import wiping
+from carecontact.scoring.contact import find_contact
+from carecontact.scoring.gate_sweep import own_value, protocol_sweeps
+from tests.scoring.gates_v2 import GENTLE, TABLE
+from tests.scoring.synthetic import (
+    F64,
+    PROTOCOL,
+    SIZE,
+    back_and_forth,
+    hold,
+    make_recording,
+    push,
+    scrub,
+    seconds,
+    touch,
+)
+
+
+def touched(*spans: tuple[float, float, float], duration: float = 6.0) -> TrialScore:
+    """Start, stop and force of each hold on the forearm."""
+    force = np.sum([hold(duration, *span) for span in spans], axis=0)
+    return score_recording(make_recording("T1", duration=duration, normal={"right_forearm": force}, protocol=GENTLE))
+
+
+@pytest.mark.parametrize(
+    ("force", "length", "passes"),
+    [(1.0, 1.2, True), (6.0, 1.2, True), (0.9, 3.0, False), (6.1, 3.0, False), (3.0, 0.9, False), (3.0, 1.05, True)],
+)
+def test_a_touch_is_held_in_the_band_for_a_second(force: float, length: float, passes: bool) -> None:
+    score = touched((1.0, 1.0 + length, force))
+    assert score.c3_success is passes
+    in_band = length if 1.0 <= force <= 6.0 else 0.0
+    # For the mean over 0.1 s, each of the two steps of the force lies up to 0.05 s earlier or later.
+    assert score.additional["gentle_hold@1"] == pytest.approx(in_band, abs=0.101)
+
+
+def test_a_hard_touch_is_told_so() -> None:
+    score = touched((1.0, 4.0, 9.0))
+    assert (score.failure_mode, score.attribution) == ("outside_band", "planning")
+    commanded = make_recording(
+        "T1", normal={"right_forearm": hold(3.0, 0.5, 2.9, 9.0)}, protocol=GENTLE,
+        targets_in_region=[(0.1, (0.0, 0.0, SIZE["forearm"][2] - 0.02))],
+    )  # fmt: skip
+    score = score_recording(commanded)
+    assert score.evidence is not None
+    assert "the longest hold with 1 to 6 N was 0.04 s of 1 s; the longest contact was 2.4" in score.evidence
+    assert score.evidence.endswith("median 9.0 N.")
+
+
+def test_a_brief_touch_lacks_time_and_not_gentleness() -> None:
+    assert touched((1.0, 1.3, 3.0)).failure_mode == "insufficient_progress"
+    assert touched((1.0, 1.7, 3.0)).failure_mode == "lost_contact"
+
+
+def test_a_ripple_of_single_steps_does_not_leave_the_band_and_a_push_does() -> None:
+    def rippled(depth: float, width: float) -> bool:
+        force = hold(3.0, 0.5, 2.3, 4.0)
+        for start in np.arange(0.7, 2.3, 0.4):
+            force[(seconds(3.0) > start) & (seconds(3.0) <= start + width)] += depth
+        return score_recording(make_recording("T1", normal={"right_forearm": force}, protocol=GENTLE)).c3_success
+
+    assert rippled(10.0, 0.004)
+    assert not rippled(10.0, 0.05)
+
+
+def wiped(
+    amplitude: float, *, periods: float = 2.0, force: float | F64 = 4.0, task: str = "T3", **options: Any
+) -> Recording:
+    """A scrub that swings to and fro: 2 s a period, in contact all the time."""
+    duration = 2.0 * periods
+    return make_recording(
+        task, duration=duration, normal={"right_forearm": np.broadcast_to(force, (round(duration / 0.002),))},
+        tcp_in_region=back_and_forth(duration, "forearm", amplitude=amplitude, period=2.0),
+        **({"protocol": GENTLE} | options),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "periods", "passed_mm"),
+    [(0.05, 2.0, 100), (0.05, 1.5, 48), (0.05, 1.0, 0), (0.028, 2.0, 56), (0.08, 3.0, 160)],
+)
+def test_the_length_passed_three_times_is_that_of_the_swing(amplitude: float, periods: float, passed_mm: float) -> None:
+    """A swing starts in the middle: 1.5 periods pass one half four times and the other twice."""
+    recording = wiped(amplitude, periods=periods)
+    score = score_recording(recording)
+    assert score.additional["axis_passed@1"] == pytest.approx(passed_mm / 1000, abs=0.006)
+    assert score.c3_success is (passed_mm > 66)
+
+
+@given(amplitude=st.floats(0.012, 0.11), periods=st.integers(1, 6))
+@settings(max_examples=20, deadline=None)
+def test_a_swing_passes_each_place_once_in_each_direction(amplitude: float, periods: int) -> None:
+    """A swing passes each place to either side of the middle twice a period."""
+    counts = wiping(find_contact(wiped(amplitude, periods=periods))).passes(1.0)
+    middle, half = len(counts) // 2, round(amplitude * 1000)
+    assert counts[middle + half // 2] == counts[middle - half // 2] == 2 * periods
+    assert not counts[middle + half + 6 :].any()
+    assert not counts[: middle - half - 6].any()
+
+
+def test_trembling_on_a_place_is_no_wiping() -> None:
+    fast = back_and_forth(4.0, "forearm", amplitude=0.004, period=0.5)
+    slow = back_and_forth(4.0, "forearm", amplitude=0.05, period=8.0)
+    recording = make_recording(
+        "T3", duration=4.0, normal={"right_forearm": np.full(2000, 4.0)}, tcp_in_region=fast + slow, protocol=GENTLE
+    )
+    assert wiping(find_contact(recording)).passes(1.0).max() <= 2
+
+
+def test_strokes_in_one_direction_count_where_the_tool_is_lifted_between() -> None:
+    """Three wipes from one end to the other, the way back through the air."""
+    t = seconds(6.0)
+    path = np.zeros((len(t), 3))
+    path[:, 0] = -0.05 + 0.1 * np.clip(np.minimum((t % 2.0), (2.0 - t % 2.0) / 0.8 * 1.0), 0, 1)
+    path[:, 2] = SIZE["forearm"][2]
+    pressed = np.where(t % 2.0 < 1.0, 4.0, 0.0)
+    score = score_recording(
+        make_recording("T3", duration=6.0, normal={"right_forearm": pressed}, tcp_in_region=path, protocol=GENTLE)
+    )
+    assert score.additional["axis_passed@1"] == pytest.approx(0.095, abs=0.01)
+    assert score.c3_success
+
+
+def test_a_light_scrub_and_a_hard_one_are_outside_of_the_band() -> None:
+    for force, words in ((0.7, "0 mm of 60 mm were passed 3 times with at least 1 N (100 mm"), (12.0, "0% of the")):
+        recording = wiped(0.05, force=force, targets_in_region=[(0.1, (0.0, 0.0, SIZE["forearm"][2] - 0.02))])
+        score = score_recording(recording)
+        assert score.failure_mode == "outside_band"
+        assert score.evidence is not None
+        assert words in score.evidence
+    assert score_recording(wiped(0.02)).failure_mode == "insufficient_progress"
+
+
+@pytest.mark.parametrize(("gentle", "passes"), [(0.75, True), (0.65, False)])
+def test_most_of_the_sliding_is_in_the_band(gentle: float, passes: bool) -> None:
+    """The first part of 8 s at 4 N, the rest at 12 N."""
+    force = np.where(seconds(8.0) <= 8.0 * gentle, 4.0, 12.0)
+    score = score_recording(wiped(0.05, periods=4.0, force=force))
+    assert score.additional["gentle_share@1"] == pytest.approx(gentle, abs=0.03)
+    assert score.c3_success is passes
+
+
+def pushed(way: F64, *, force: F64 | None = None, duration: float = 6.0) -> TrialScore:
+    force = hold(duration, 3.0, 5.0, 8.0) if force is None else force
+    return score_recording(
+        make_recording(
+            "T2", duration=duration, normal={"right_forearm": force}, wrist_shift=way, protocol=GENTLE,
+            targets_in_region=[(0.1, (0.0, 0.0, SIZE["forearm"][2] - 0.02))],
+        )
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("way", "mode"), [(0.03, None), (0.019, "insufficient_progress"), (0.105, "outside_band")])
+def test_a_push_has_a_least_and_a_most_way(way: float, mode: str | None) -> None:
+    t = seconds(6.0)
+    score = pushed(way * np.clip(t - 3.2, 0, 1))
+    assert score.failure_mode == mode
+    assert score.additional["wrist_from_onset@1"] == pytest.approx(way, abs=1e-4)
+    if mode:
+        assert score.evidence is not None
+        assert f"the wrist moved {way * 1000:.0f} mm, where 20 mm to 100 mm were asked for" in score.evidence
+
+
+def test_what_a_person_moved_before_the_contact_is_not_pushed() -> None:
+    """60 mm of its own a second before; gates-v1 lets that pass, and gates-v2 fails it and forgives it too."""
+    own = 0.06 * np.clip(seconds(6.0) - 1.0, 0, 1)
+    alone = pushed(own)
+    assert alone.wrist_displacement_m == pytest.approx(0.06, abs=1e-4)
+    assert alone.additional["wrist_from_onset@1"] == pytest.approx(0.0, abs=1e-5)
+    assert not alone.c3_success
+    assert pushed(own + 0.05 * np.clip(seconds(6.0) - 3.2, 0, 1)).c3_success
+    assert score_recording(make_recording(
+        "T2", duration=6.0, normal={"right_forearm": hold(6.0, 3.0, 5.0, 8.0)}, wrist_shift=own, protocol=PROTOCOL
+    )).c3_success  # fmt: skip
+
+
+def test_each_contact_has_an_onset_of_its_own() -> None:
+    """A brush at the beginning, the person moves by itself, then a contact that does not push."""
+    force = hold(6.0, 0.5, 0.7, 2.0) + hold(6.0, 3.0, 5.0, 8.0)
+    own = 0.06 * np.clip(seconds(6.0) - 1.0, 0, 1)
+    assert pushed(own, force=force).additional["wrist_from_onset@1"] == pytest.approx(0.0, abs=1e-5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(force=st.floats(0.3, 9.0), length=st.floats(0.2, 2.0), longer=st.floats(0.0, 2.0))
+def test_a_longer_hold_never_takes_a_pass_away(force: float, length: float, longer: float) -> None:
+    short, long = touched((0.5, 0.5 + length, force)), touched((0.5, 0.5 + length + longer, force))
+    assert long.c3_success >= short.c3_success
+
+
+@settings(max_examples=15, deadline=None)
+@given(amplitude=st.floats(0.01, 0.1), periods=st.integers(1, 5), more=st.integers(0, 3), force=st.floats(0.6, 10.0))
+def test_more_wiping_of_the_same_kind_never_takes_a_pass_away(
+    amplitude: float, periods: int, more: int, force: float
+) -> None:
+    few = score_recording(wiped(amplitude, periods=periods, force=force))
+    many = score_recording(wiped(amplitude, periods=periods + more, force=force))
+    assert many.c3_success >= few.c3_success
+
+
+@settings(max_examples=15, deadline=None)
+@given(force=st.floats(0.5, 20.0), way=st.floats(0.0, 0.15))
+def test_a_stricter_gate_never_helps(force: float, way: float) -> None:
+    rising = {"touch_most_n", "scrub_most_n", "push_most_wrist_m"}
+    for recording in (touch(force, protocol=GENTLE), push(force, way, protocol=GENTLE), scrub(way, protocol=GENTLE)):
+        for gate, row in score_recording(recording).gate_sweep.items():
+            levels = list(row.values())
+            assert levels == sorted(levels, reverse=gate not in rising), gate
+
+
+def test_the_gates_own_values_are_among_those_of_their_sweeps() -> None:
+    for name, (action, sweep) in protocol_sweeps(GENTLE).items():
+        assert own_value(GENTLE, action, sweep) in sweep.values, name
+
+
+@pytest.mark.parametrize(
+    ("recording", "harder"),
+    [
+        (touch(3.0), 0.0), (make_recording("T1", normal={"right_forearm": hold(3.0, 0.5, 2.5, 3.0)}), 1.0),
+        (make_recording("T1", normal={"right_forearm": hold(3.0, 0.5, 2.5, 5.0)}), 0.0),
+        (push(8.0, 0.05), 1.0), (push(8.0, 0.07), 0.0), (wiped(0.05, protocol=PROTOCOL), 1.0),
+        (wiped(0.035, protocol=PROTOCOL), 0.0),
+    ],
+)  # fmt: skip
+def test_the_harder_band_is_reported_under_any_gates(recording: Recording, harder: float) -> None:
+    assert score_recording(recording).c3_success
+    assert score_recording(recording).additional["harder_band@1"] == harder
+
+
+def test_nothing_touched_is_na_and_no_pass() -> None:
+    score = score_recording(make_recording("T3", protocol=GENTLE))
+    assert not score.c3_success
+    assert score.additional["harder_band@1"] == 0.0
+    for name in ("gentle_hold@1", "axis_passed@1", "gentle_share@1", "wrist_from_onset@1"):
+        assert score.additional[name] is None
+        assert name in METRICS
+
+
+@pytest.mark.parametrize(
+    ("action", "change", "words"),
+    [
+        ("touch", {"most_n": 0.5}, "least_n 1 has to be below most_n 0.5"),
+        ("push", {"most_wrist_m": 0.01}, "least_wrist_m 0.02 has to be below most_wrist_m 0.01"),
+        ("scrub", {"stroke_m": 0.1}, "Extra inputs"),
+    ],
+)
+def test_a_gate_that_cannot_be_met_or_is_of_another_version_is_refused(
+    action: str, change: dict[str, float], words: str
+) -> None:
+    with pytest.raises(ValidationError, match=words):
+        Gates.model_validate(TABLE | {action: TABLE[action] | change})

@@ -1,0 +1,95 @@
+"""What the website has beyond the pages of docs/: the README as its first page, references made from the code, and
+copies of the files outside docs/ that pages link to.
+
+mkdocs.yml names this file; mkdocs calls ``on_files`` and ``on_page_markdown``.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+sys.path.insert(0, str(Path(__file__).parent))
+from references import commands_page, python_page
+
+ROOT = Path(__file__).resolve().parents[2]
+LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)\s]*)?(\))")
+HOME = "README.md"
+COPIES = "files"
+"""Folder of the site with copies of linked files of the repository."""
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the generated pages, and every file of the repository that a page links to and docs/ does not have."""
+    generated = {
+        "index.md": _home(),
+        "reference/commands.md": commands_page(),
+        "reference/python.md": python_page(),
+    }
+    for path, text in generated.items():
+        files.append(File.generated(config, path, content=text))
+    for page in [file for file in files if file.is_documentation_page()]:
+        for target in _outside(page.src_uri, page.content_string):
+            if files.get_file_from_path(f"{COPIES}/{target}") is None:
+                files.append(_copy(config, target))
+    return files
+
+
+def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> str:
+    """Let links to files outside docs/ lead to their copies."""
+    folder = posixpath.dirname(page.file.src_uri)
+
+    def changed(link: re.Match[str]) -> str:
+        target = _leaves(folder, link[2])
+        if target is None:
+            return link[0]
+        if target == HOME:
+            return f"{link[1]}{posixpath.relpath('index.md', folder or '.')}{link[3] or ''}{link[4]}"
+        return f"{link[1]}{posixpath.relpath(_copied(target), folder or '.')}{link[4]}"
+
+    return LINK.sub(changed, markdown)
+
+
+def _home() -> str:
+    """The README, whose links start at the root of the repository."""
+
+    def moved(link: re.Match[str]) -> str:
+        target = link[2]
+        if "://" in target:
+            return link[0]
+        inside = target.removeprefix("docs/") if target.startswith("docs/") else f"../{target}"
+        return f"{link[1]}{inside}{link[3] or ''}{link[4]}"
+
+    return LINK.sub(moved, (ROOT / HOME).read_text())
+
+
+def _outside(page: str, markdown: str) -> list[str]:
+    folder = posixpath.dirname(page)
+    found = [_leaves(folder, link[2]) for link in LINK.finditer(markdown)]
+    return sorted({target for target in found if target not in (None, HOME)})
+
+
+def _leaves(folder: str, target: str) -> str | None:
+    """Path in the repository of a link that leaves docs/ or leads to a folder; None for any other link."""
+    if "://" in target:
+        return None
+    path = posixpath.normpath(posixpath.join("docs", folder, target))
+    return None if path.startswith("docs/") and not (ROOT / path).is_dir() else path
+
+
+def _copied(target: str) -> str:
+    # A browser shows a file named .txt; it would download the others.
+    return f"{COPIES}/{target}.txt"
+
+
+def _copy(config: MkDocsConfig, target: str) -> File:
+    path = ROOT / target
+    text = "\n".join(sorted(each.name for each in path.iterdir())) if path.is_dir() else path.read_text()
+    return File.generated(config, _copied(target), content=text)

@@ -1,0 +1,83 @@
+"""Reference pages that are made from the code: every command with its options, and what programs may import."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import textwrap
+from contextlib import redirect_stdout
+from importlib import import_module
+
+from carecontact.cli.commands import COMMANDS, parse
+
+WIDTH = 100
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+
+OFFERED = {
+    "Results and evaluation": [
+        "carecontact.programs.run.load",
+        "carecontact.programs.run.Run",
+        "carecontact.programs.compare.compare",
+        "carecontact.programs.evaluate.evaluate",
+    ],
+    "What a policy receives and answers": [
+        "carecontact.contract.policy.PolicyCard",
+        "carecontact.contract.policy.Policy",
+        "carecontact.contract.observation.Observation",
+        "carecontact.contract.observation.CameraView",
+        "carecontact.contract.action.Action",
+        "carecontact.contract.session.Session",
+    ],
+    "Episodes in a loop of your own": [
+        "carecontact.episode.episode.Episode",
+        "carecontact.episode.episode.Step",
+        "carecontact.contract.trial.TrialSpec",
+        "carecontact.protocols.load.load_protocol",
+    ],
+    "Recordings and scores": [
+        "carecontact.recording.schema.Recording",
+        "carecontact.scoring.score.score_recording",
+        "carecontact.scoring.result.TrialScore",
+    ],
+    "Errors": ["carecontact.errors"],
+}
+"""Heading -> what the page documents below it."""
+
+
+def commands_page() -> str:
+    """Every command's help, as the command prints it."""
+    parts = ["# Command reference", "What `carecontact COMMAND --help` prints; [commands](../commands.md) explains how "
+             "the commands work together."]  # fmt: skip
+    for name in COMMANDS:
+        parts += [f"## {name}", "```text", _help(name), "```"]
+    return "\n\n".join(parts[:2]) + "\n\n" + "\n".join(parts[2:]) + "\n"
+
+
+def python_page() -> str:
+    """Directives for mkdocstrings. Raises AttributeError or ImportError for a name that the code does not have."""
+    parts = ["# Python reference", "What programs may import; [python](../python.md) shows how it is used."]
+    for heading, names in OFFERED.items():
+        parts.append(f"## {heading}")
+        for name in names:
+            _check(name)
+            parts.append(f"::: {name}")
+    return "\n\n".join(parts) + "\n"
+
+
+def _check(name: str) -> None:
+    module, _, attribute = name.rpartition(".")
+    if not hasattr(import_module(module), attribute):
+        import_module(name)
+
+
+def _help(name: str) -> str:
+    os.environ["COLUMNS"] = str(WIDTH)
+    printed = io.StringIO()
+    try:
+        with redirect_stdout(printed):
+            parse([name, "--help"])
+    except SystemExit:
+        pass
+    lines = COLOUR.sub("", printed.getvalue()).strip().splitlines()
+    return "\n".join("\n".join(textwrap.wrap(line, WIDTH)) if len(line) > WIDTH else line.rstrip() for line in lines)
