@@ -38,10 +38,10 @@ from carecontact.regions import STANDARD_REGIONS
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Simulation
+from carecontact.world.arm_kinematics import Arm, pointing_down
 from carecontact.world.human.appearance import SKIN_TONES, draw_appearance
 from carecontact.world.human.library import body_names
 from carecontact.world.scene import build_scene
-from panda_kinematics import Arm, pointing_down
 
 Row = dict[str, Any]
 

@@ -26,12 +26,12 @@ from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.protocol import Protocol
 from carecontact.protocols import load_protocol, overridden
 from carecontact.sim.simulation import Simulation
+from carecontact.world.arm_kinematics import Arm, follow, pointing_down
 from carecontact.world.human.library import body_names
 from carecontact.world.human.pose import RIGHT_SHOULDER_M
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.place import Place
 from carecontact.world.scene import build_scene
-from panda_kinematics import Arm, pointing_down
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -179,35 +179,6 @@ def clear_of_view(links: Array, base: Array, turn: Array, protocol: Protocol, ta
             gap = np.linalg.norm(shadow - a[:2] - t[..., None] * ab, axis=-1) - radius
             free &= (gap > 0.08).all(1)
     return free & (shadow[..., 1] - radius > 0.22).all(1)
-
-
-def follow(
-    arm: Arm, parked: Array, goal: Array, goal_yaw: Array, start_yaw: Array, turn: Array, *, steps: int = 25
-) -> tuple[Array, Array]:
-    """Straight tool paths with the posture held toward ``parked`` in the null space, as the impedance does it.
-
-    parked (B, 7), goal (B, 3) in base, yaws in world. Returns postures (steps, B, 7) and pose errors (B,) at the end.
-    """
-    start = arm.links(parked)[:, 8, :3, 3]
-    swing = (goal_yaw - start_yaw + np.pi) % (2 * np.pi) - np.pi
-    q, path = parked.copy(), []
-    error = np.zeros(len(q))
-    for k in range(1, steps + 1):
-        share = k / steps
-        position = start + share * (goal - start)
-        rotation = turn.T @ pointing_down(start_yaw + share * swing)
-        for _ in range(3):
-            links = arm.links(q)
-            jacobian = arm.jacobian(links)
-            pose_error = arm.pose_error(links, position, rotation)
-            inverse = np.linalg.solve(jacobian @ jacobian.swapaxes(1, 2) + 1e-6 * np.eye(6), jacobian).swapaxes(1, 2)
-            wish = 0.1 * (parked - q)
-            task = (jacobian @ wish[:, :, None])[:, :, 0]
-            q = q + (inverse @ (pose_error - task)[:, :, None])[:, :, 0] + wish
-            q = np.clip(q, arm.range[:, 0], arm.range[:, 1])
-        error = np.maximum(error, np.linalg.norm(arm.pose_error(arm.links(q), position, rotation), axis=1))
-        path.append(q)
-    return np.stack(path), error
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ import pytest
 
 from carecontact.cli import main
 from carecontact.contract.protocol import Protocol, Variation
-from carecontact.protocols import load_protocol, protocol_file, shipped_protocols
+from carecontact.protocols import load_levels, load_protocol, protocol_file, shipped_protocols
 from carecontact.runs import freeze
 from tests.protocols.held import ship_frozen
 from tests.runs.test_freeze import frozen_file
@@ -42,7 +42,9 @@ def test_list_and_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert "[physics]" in out
 
 
-@pytest.mark.parametrize("name", [name for name in shipped_protocols() if load_protocol(name).frozen])
+@pytest.mark.parametrize(
+    "name", [name for name in shipped_protocols() if all(rules.frozen for rules in load_levels(name).values())]
+)
 def test_what_is_shipped_is_here_what_was_frozen(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Compiled worlds included."""
     assert main(["protocol", "verify", name]) == 0

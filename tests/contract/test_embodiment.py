@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from carecontact.contract.embodiment import EMBODIMENTS, PANDA, Embodiment
-from carecontact.protocols import load_protocol, shipped_protocols
+from carecontact.protocols import load_levels, load_protocol, shipped_protocols
 from carecontact.world.robot import panda_asset
 
 
@@ -14,9 +14,10 @@ def test_its_limits_are_those_of_the_baked_arm() -> None:
 
 @pytest.mark.parametrize("name", shipped_protocols())
 def test_the_shipped_protocols_park_it_inside_them(name: str) -> None:
-    parked = load_protocol(name).scene.parked_joint_rad
-    assert (np.array(PANDA.joint_low_rad) < parked).all()
-    assert (np.array(PANDA.joint_high_rad) > parked).all()
+    for rules in load_levels(name).values():
+        parked = rules.scene.parked_joint_rad
+        assert (np.array(PANDA.joint_low_rad) < parked).all()
+        assert (np.array(PANDA.joint_high_rad) > parked).all()
 
 
 def test_the_draft_parks_it_at_its_own_posture() -> None:

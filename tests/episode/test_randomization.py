@@ -11,7 +11,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Alive
 from carecontact.contract.protocol.alive import Breathing
 from carecontact.contract.trial import TrialSpec
-from carecontact.episode import randomization
+from carecontact.episode import draws, randomization
 from carecontact.episode.episode import Episode
 from carecontact.episode.randomization import STREAMS, comfort_arm_deg, sensor_noise, streams
 from carecontact.protocols import load_protocol
@@ -76,7 +76,7 @@ def test_streams_are_the_documented_children_of_the_seed() -> None:
     made = streams(PROTOCOL, 3, "")
     assert tuple(made) == STREAMS == (
         "comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
-        "withdrawal", "calibration", "tissue",
+        "withdrawal", "calibration", "tissue", "body", "pose", "park", "camera", "bed_height",
     )  # fmt: skip
     for k, name in enumerate(STREAMS):
         child = np.random.SeedSequence([*words, 3], spawn_key=(k,))
@@ -103,7 +103,8 @@ def test_every_draw_of_a_salted_trial_uses_its_salt(monkeypatch: pytest.MonkeyPa
     variation = PROTOCOL.variation.model_copy(update=varied)
     protocol = PROTOCOL.model_copy(update={"person": person, "variation": variation})
     used: list[str] = []
-    monkeypatch.setattr(randomization, "streams", lambda *given: used.append(given[2]) or streams(*given))
+    for module in (randomization, draws):
+        monkeypatch.setattr(module, "streams", lambda *given: used.append(given[2]) or streams(*given))
     spec = TrialSpec(protocol=protocol, task_id="T1", seed=0, policy="zero-action", salt="5a" * 32)
     with Episode(spec, card=PolicyCard(name="blind", control_hz=20.0)) as episode:
         episode.reset()

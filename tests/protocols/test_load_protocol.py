@@ -8,7 +8,7 @@ import pytest
 
 from carecontact import protocols
 from carecontact.errors import ConfigError, UnknownNameError
-from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol, shipped_protocols
+from carecontact.protocols import DEFAULT_PROTOCOL, load_levels, load_protocol, shipped_protocols
 
 TEXT = (resources.files(protocols) / f"{DEFAULT_PROTOCOL}.toml").read_text(encoding="utf-8")
 
@@ -57,7 +57,7 @@ def test_a_file_without_base_and_most_fields_is_told_so_in_one_line(tmp_path: Pa
         load_protocol(written(tmp_path, HEAD + "frozen = false\n"))
     assert str(caught.value).endswith(
         'mine.toml: add base = "bathing-draft" (valid: bathing-draft, bathing-droid-draft, '
-        "bathing-moved-draft, FILE.toml), or give all fields; 11 "
+        "bathing-moved-draft, bathing-wide-draft, FILE.toml), or give all fields; 11 "
         "are missing: physics, phases, randomization, scene, cameras, impedance, person, tasks, contact, gates, limits"
     )
 
@@ -133,11 +133,11 @@ def test_hash_does_not_change_with_comments_spacing_or_spelling(tmp_path: Path, 
     noisy = "# ünïcode\n" + re.sub(r"(?m)^(\w+) = ", r"\1   =\t", plain.replace("\n[", "\n\n# a section\n["))
     respelled = re.sub(r"(?m)^(\w+) = (\d+\.\d+)$", lambda found: f"{found[1]} = {float(found[2]):.9e}", plain)
     assert respelled != plain
-    expected = load_protocol(name)
+    expected = load_levels(name)
     for other in (plain, noisy, respelled):
-        loaded = load_protocol(written(tmp_path, other))
+        loaded = load_levels(written(tmp_path, other))
         assert loaded == expected
-        assert loaded.sha256 == expected.sha256
+        assert [rules.sha256 for rules in loaded.values()] == [rules.sha256 for rules in expected.values()]
 
 
 def test_hash_changes_with_a_prompt(tmp_path: Path) -> None:

@@ -9,17 +9,19 @@ import pytest
 from carecontact.contract.policy import CAMERAS
 from carecontact.contract.protocol import SEGMENT_PARTS, Protocol, Variation
 from carecontact.errors import ConfigError
-from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol, shipped_protocols
+from carecontact.protocols import DEFAULT_PROTOCOL, load_levels, load_protocol, shipped_protocols
 from carecontact.protocols.files import SUCCESSORS
 from carecontact.protocols.lock import read_lock
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS, STANDARD_REGIONS
 from carecontact.world.human.library import body_names
 
+EVERY = [rules for name in shipped_protocols() for rules in load_levels(name).values()]
 
-@pytest.fixture(scope="module", params=shipped_protocols())
+
+@pytest.fixture(scope="module", params=EVERY, ids=[rules.name for rules in EVERY])
 def protocol(request: pytest.FixtureRequest) -> Protocol:
-    return load_protocol(request.param)
+    return request.param
 
 
 def test_the_default_is_shipped() -> None:
@@ -28,7 +30,7 @@ def test_the_default_is_shipped() -> None:
 
 def test_file_name_is_the_id_and_what_is_frozen_has_its_lock(protocol: Protocol) -> None:
     assert protocol.id in shipped_protocols()
-    lock = read_lock(protocol.id)
+    lock = read_lock(protocol.id, level=protocol.level)
     assert protocol.frozen is (lock is not None)
     assert lock is None or (lock.id, lock.protocol_sha256) == (protocol.id, protocol.sha256)
 

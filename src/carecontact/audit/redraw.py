@@ -20,6 +20,7 @@ from carecontact.audit.raw_log import IMAGES, SPEC, LoggedLook, WorldState, read
 from carecontact.audit.state import DRAWN, robot_addresses
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.drawn import drawn
 from carecontact.episode.randomization import calibration, dress, lay, sensor_noise
 from carecontact.observation.calibration import Calibration
 from carecontact.observation.sensor_noise import SensorNoise
@@ -73,8 +74,9 @@ class _World:
 
     def __init__(self, spec: TrialSpec) -> None:
         self._spec, self.images = spec, 0
-        self._cameras = {str(name): camera for name, camera in spec.protocol.cameras.items()}
-        self._cell = cell_model(spec.protocol)
+        self._drawn = drawn(spec)
+        self._cameras = {str(name): camera for name, camera in self._drawn.protocol.cameras.items()}
+        self._cell = cell_model(self._drawn.protocol)
 
     def differences(self, look: LoggedLook, noise: SensorNoise, known: Calibration) -> list[tuple[str, str]]:
         """(place, what differs) of all readings behind one message, to the last bit. ``known``: with which error the
@@ -128,14 +130,14 @@ class _World:
     @cached_property
     def _whole(self) -> Pictures:
         spec = self._spec
-        scene = build_scene(spec.protocol, target=spec.protocol.task(spec.task_id).region)
+        scene = build_scene(self._drawn.protocol, target=spec.protocol.task(spec.task_id).region)
         dress(scene, spec.seed, salt=spec.salt)
-        lay(scene, spec.seed, salt=spec.salt)
+        lay(scene, self._drawn.place)
         return Pictures(scene.model, self._cameras)
 
     @cached_property
     def _empty(self) -> Pictures:
-        return Pictures(cell_model(self._spec.protocol, like=self._whole.model), self._cameras)
+        return Pictures(cell_model(self._drawn.protocol, like=self._whole.model), self._cameras)
 
 
 def _at(model: mujoco.MjModel, angles: F64, known: Calibration) -> mujoco.MjData:

@@ -133,7 +133,7 @@ def cards_of(trials: Sequence[Watched], *, together: bool) -> list[PolicyCard]:
     for trial in trials:
         card = trial.card
         if card is not None:
-            wanted = (card.modalities, card.cameras if card.modalities else ())
+            wanted = (card.modalities, card.cameras)
             asked.setdefault(wanted, []).append(trial.policy)
     if together and asked:
         modalities = {m for wanted, _ in asked for m in wanted}

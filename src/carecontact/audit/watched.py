@@ -16,7 +16,9 @@ from carecontact.audit.raw_log import Meta, write_look, write_meta
 from carecontact.audit.state import StateReader
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.policy import PolicyCard
+from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.drawn import like
 from carecontact.episode.randomization import calibration
 from carecontact.errors import CarecontactError
 from carecontact.hosting.setup import PolicySetup
@@ -103,11 +105,13 @@ def watch(
     """
     watched = Watched(policy=policy, instruction=spec.protocol.task(spec.task_id).prompt)
     readers: list[StateReader] = []
+    drawn: list[Protocol] = []
     kept = 0
 
     def prepared(spec: TrialSpec) -> tuple[Simulation, Settled, str]:
         world = prepare(spec)
         readers.append(StateReader(world[0]))
+        drawn.append(world[0].protocol)
         return world
 
     def on_sent(message: bytes) -> None:
@@ -136,7 +140,8 @@ def watch(
     failure = recording.header.failure
     if recording.header.ended == "process_failure" and failure is not None:
         watched.error = failure.message
-    card, protocol = watched.card, spec.protocol
+    card = watched.card
+    protocol = like(spec.protocol, drawn[-1]) if drawn else spec.protocol
     if log is not None and watched.looks and card is not None:
         scene, known = protocol.scene, calibration(protocol, spec.seed, salt=spec.salt)
         write_meta(

@@ -58,7 +58,8 @@ class Check:
 
         setup = policy_setup(self.policy, self.given)
         # The world of another release cannot be trusted to be built, let alone to be that of a run.
-        check_frozen(self.rules.protocol, load_protocol(self.rules.protocol), unfrozen=False)
+        loaded = load_protocol(self.rules.protocol, level=self.rules.level)
+        check_frozen(self.rules.protocol, loaded, unfrozen=False)
         rules = with_vision(self.rules.load(), self.vision)
         check_protocol(rules)
         task = self.task or rules.tasks[0].id

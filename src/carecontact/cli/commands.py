@@ -34,6 +34,7 @@ CONFIG = (tyro.conf.DisallowNone,)
 COMMANDS = {
     "run": "run:Run",
     "merge": "merge:Merge",
+    "salt": "salt:Salt",
     "sweep": "sweep:Sweep",
     "check": "check:Check",
     "serve": "serve:Serve",

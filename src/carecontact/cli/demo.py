@@ -39,7 +39,9 @@ class Demo:
         began = time.monotonic()
         check_jobs(self.parallel.jobs)
         run = Run(policy=POLICY, out=self.out, seeds=str(SEED), parallel=EngineGroup(jobs=self.parallel.jobs))
-        trial_ids = [f"{task.id}-s{SEED:03d}" for task in load_protocol(run.rules.protocol).tasks]
+        trial_ids = [
+            f"{task.id}-s{SEED:03d}" for task in load_protocol(run.rules.protocol, level=run.rules.level).tasks
+        ]
         with alone(self.out, make=True):
             remove_earlier_demo(self.out, trial_ids=trial_ids)
             run.execute(purpose="demo")

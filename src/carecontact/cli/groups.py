@@ -33,6 +33,8 @@ class JsonGroup:
 class ProtocolGroup:
     protocol: str = "bathing-draft"
     """Id of a shipped protocol (see `carecontact list protocols`) or a .toml file."""
+    level: str | None = None
+    """Level of the protocol, where it has any: bathing-wide-draft has L0, L1, L2 and L3."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +52,7 @@ class ChangedProtocolGroup(ProtocolGroup):
         expected."""
         from carecontact.protocols import load_protocol
 
-        return self.changed(load_protocol(self.protocol))
+        return self.changed(load_protocol(self.protocol, level=self.level))
 
     def changed(self, protocol: Protocol, **options: Mapping[str, object]) -> Protocol:
         """``protocol`` with these changes and those of other options, by the option's name.
@@ -163,6 +165,26 @@ class EngineGroup:
     gpus: float = 0.0
     """Share of a GPU that a Ray cluster reserves for each trial, such as 0.25, for a policy that runs beside its
     trial."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SaltGroup:
+    salt_file: Path | None = None
+    """File with a secret from `carecontact salt make`, on which every draw of every trial then depends, so that nobody
+    knows beforehand which person a seed has. A run states the secret's sha256 before its first trial; its parts, if it
+    has any, need the same file."""
+
+    @property
+    def salt(self) -> str:
+        """Empty without a file. Raises ConfigError for a file that cannot be read or holds no salt."""
+        from carecontact.runs.salt import read_salt
+
+        return "" if self.salt_file is None else read_salt(self.salt_file)
+
+    @property
+    def closed(self) -> tuple[str, ...]:
+        """What an isolated policy must not read."""
+        return () if self.salt_file is None else (str(self.salt_file.resolve()),)
 
 
 @dataclass(frozen=True, kw_only=True)

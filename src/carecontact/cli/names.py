@@ -69,9 +69,10 @@ def _say(kinds: Sequence[str], *, protocol: str) -> None:
 
 
 def _tasks(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.protocols import load_protocol
+    from carecontact.protocols import load_levels
 
-    return [(task.id, f"{task.name}: {task.prompt!r}") for task in load_protocol(protocol).tasks]
+    rules = next(iter(load_levels(protocol).values()))
+    return [(task.id, f"{task.name}: {task.prompt!r}") for task in rules.tasks]
 
 
 def _actions(protocol: str) -> list[tuple[str, str]]:
@@ -136,13 +137,10 @@ def _arguments(target: str) -> str:
 
 
 def _protocols(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.protocols import load_protocol, shipped_protocols
+    from carecontact.protocols import load_levels, shipped_protocols
 
-    loaded = {name: load_protocol(name) for name in shipped_protocols()}
-    return [
-        (name, f"{'frozen' if p.frozen else 'draft'}: {p.description} sha256 {p.sha256[:12]}")
-        for name, p in loaded.items()
-    ]
+    loaded = [rules for name in shipped_protocols() for rules in load_levels(name).values()]
+    return [(p.name, f"{'frozen' if p.frozen else 'draft'}: {p.description} sha256 {p.sha256[:12]}") for p in loaded]
 
 
 def _bodies(protocol: str) -> list[tuple[str, str]]:

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
 from carecontact.cli.groups import FLAT, JsonGroup
 from carecontact.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from carecontact.contract.protocol import Protocol
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +26,8 @@ class Protocols:
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME|FILE.toml]")] = "bathing-draft"
     """Id of a shipped protocol, or a .toml file; `list` needs none."""
 
+    level: str | None = None
+    """Level of the protocol, where it has any; default: all of them."""
     output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
 
     after_interrupt: ClassVar[str] = ""
@@ -31,104 +38,120 @@ class Protocols:
 
             return List(what="protocols")()
         if self.output.json and self.what in ("list", "show"):
-            say_list() if self.what == "list" else say_fields(self.name)
+            say_list() if self.what == "list" else say_fields(self.name, self._levels())
             return 0
         if self.what == "show":
-            return show(self.name)
-        return {"verify": verify, "lock": lock}[self.what](self.name, json=self.output.json)
+            return show(self.name, self._levels())
+        each = {"verify": verify, "lock": lock}[self.what]
+        return max(each(self.name, rules, json=self.output.json) for rules in self._levels())
+
+    def _levels(self) -> list[Protocol]:
+        """The level that was named, or all of them; the protocol alone where it has none."""
+        from carecontact.protocols import load_levels, load_protocol
+
+        if self.level is not None:
+            return [load_protocol(self.name, level=self.level)]
+        return list(load_levels(self.name).values())
 
 
 def say_list() -> None:
     from carecontact.cli.answers.protocol import Listed, ProtocolListAnswer
     from carecontact.cli.json_lines import say
-    from carecontact.protocols import load_protocol, shipped_protocols
+    from carecontact.protocols import load_levels, shipped_protocols
 
-    loaded = map(load_protocol, shipped_protocols())
-    rows = [Listed(id=p.id, sha256=p.sha256, frozen=p.frozen, description=p.description) for p in loaded]
+    loaded = [rules for name in shipped_protocols() for rules in load_levels(name).values()]
+    rows = [Listed(id=p.name, sha256=p.sha256, frozen=p.frozen, description=p.description) for p in loaded]
     say(ProtocolListAnswer(protocols=rows))
 
 
-def say_fields(name: str) -> None:
+def say_fields(name: str, levels: Sequence[Protocol]) -> None:
+    """One answer for each level."""
     from carecontact.cli.answers.protocol import ProtocolShowAnswer
     from carecontact.cli.json_lines import say
-    from carecontact.protocols import load_protocol
     from carecontact.protocols.lock import lock_path, read_lock
 
-    protocol = load_protocol(name)
-    say(
-        ProtocolShowAnswer(
-            id=protocol.id,
-            sha256=protocol.sha256,
-            frozen=protocol.frozen,
-            lock=None if read_lock(name) is None else lock_path(name).name,
-            fields=protocol.model_dump(mode="json"),
+    for protocol in levels:
+        held = read_lock(name, level=protocol.level)
+        say(
+            ProtocolShowAnswer(
+                id=protocol.name,
+                sha256=protocol.sha256,
+                frozen=protocol.frozen,
+                lock=None if held is None else lock_path(name, level=protocol.level).name,
+                fields=protocol.model_dump(mode="json"),
+            )
         )
-    )
 
 
-def show(name: str) -> int:
-    """Print the file as it was written, with its comments, under a summary of its hash, lock and tissue; of a file with
-    a base, print the protocol that comes out."""
-    from carecontact.protocols import load_protocol, protocol_file
+def show(name: str, levels: Sequence[Protocol]) -> int:
+    """Print the file as it was written, with its comments, under a summary of its hashes, locks and tissue; of a file
+    with a base, print the protocol that comes out. Of a single level of several, print that level's own table."""
+    from carecontact.protocols import protocol_file
     from carecontact.protocols.inherit import ancestry
+    from carecontact.protocols.levels import split, tables
     from carecontact.protocols.load import merged_table
     from carecontact.protocols.lock import lock_path, read_lock
     from carecontact.protocols.toml_text import toml_text
 
-    protocol, lock = load_protocol(name), read_lock(name)
-    print(f"# {protocol.id}, sha256 {protocol.sha256}")
-    print(f"# {'frozen' if protocol.frozen else 'draft'}, {'no lock' if lock is None else lock_path(name).name}")
-    for region, row in protocol.person.tissue.items():
+    for protocol in levels:
+        held = read_lock(name, level=protocol.level)
+        locked = "no lock" if held is None else lock_path(name, level=protocol.level).name
+        print(f"# {protocol.name}, sha256 {protocol.sha256}")
+        print(f"# {'frozen' if protocol.frozen else 'draft'}, {locked}")
+    for region, row in levels[0].person.tissue.items():
         law = " + ".join(f"{v:g} x^{k}" for k, v in enumerate((row.a_n_m3, row.b_n_m4, row.c_n_m5), 1) if v)
-        print(f"# {protocol.person.tissue_set}, {region}: {law} [Pa], {row.damping_ns_m3:g} N s/m^3")
+        print(f"# {levels[0].person.tissue_set}, {region}: {law} [Pa], {row.damping_ns_m3:g} N s/m^3")
     print()
     bases = [place for place, _ in ancestry(name)][:-1]
-    if bases:
-        print(f"# {name} over its base {', over '.join(reversed(bases))}; comments are left out\n")
-        print(toml_text(merged_table(name)), end="")
+    one = levels[0].level if len(levels) == 1 else ""
+    if bases or one:
+        table, what = merged_table(name), f"level {one} of {name}" if one else name
+        if one:
+            table = tables(*split(name, table))[one]
+        over = f" over its base {', over '.join(reversed(bases))}" if bases else ""
+        print(f"# {what}{over}; comments are left out\n")
+        print(toml_text(table), end="")
         return 0
     print(protocol_file(name).read_text(encoding="utf-8"), end="")
     return 0
 
 
-def verify(name: str, *, json: bool = False) -> int:
+def verify(name: str, protocol: Protocol, *, json: bool = False) -> int:
     """Return 1 where anything differs from the lock, compiled worlds included, or where there is no lock."""
     from carecontact.cli.answers.protocol import ProtocolVerifyAnswer
     from carecontact.cli.json_lines import say
-    from carecontact.protocols import load_protocol
     from carecontact.protocols.lock import lock_path
     from carecontact.runs.freeze import drift, is_borrowed, lock_of, make_lock
 
-    protocol = load_protocol(name)
     lock = lock_of(name, protocol)
     differences = [] if lock is None else drift(lock, make_lock(protocol))
     if lock is None and protocol.frozen:
-        missing = lock_path(name).name
+        missing = lock_path(name, level=protocol.level).name
         print(
-            f"{protocol.id} has frozen = true but no lock: {missing} is missing; restore it, or write one with: "
+            f"{protocol.name} has frozen = true but no lock: {missing} is missing; restore it, or write one with: "
             "carecontact protocol lock FILE.toml"
         )
     elif lock is None:
-        print(f"{protocol.id} has no lock: a draft, which may change with every release")
+        print(f"{protocol.name} has no lock: a draft, which may change with every release")
     else:
         if is_borrowed(name, protocol):
             print(f"{name} has the id of a shipped protocol, so it must equal the lock of that protocol")
         for line in differences:
             print(line)
-        print(f"{protocol.id}: {'differs from its lock' if differences else 'equals its lock'}")
+        print(f"{protocol.name}: {'differs from its lock' if differences else 'equals its lock'}")
     equal = lock is not None and not differences
     if json:
-        say(ProtocolVerifyAnswer(id=protocol.id, equal=equal, differences=differences))
+        say(ProtocolVerifyAnswer(id=protocol.name, equal=equal, differences=differences))
     return 0 if equal else 1
 
 
-def lock(name: str, *, json: bool = False) -> int:
+def lock(name: str, protocol: Protocol, *, json: bool = False) -> int:
     """Write FILE.lock.json beside a protocol file of the user's."""
-    from carecontact.protocols import load_protocol, shipped_protocols
+    from carecontact.protocols import shipped_protocols
     from carecontact.protocols.lock import lock_path, write_lock
     from carecontact.runs.freeze import make_lock
 
-    protocol, path = load_protocol(name), lock_path(name)
+    path = lock_path(name, level=protocol.level)
     if name in shipped_protocols():
         raise ConfigError(f"{name} is a shipped protocol; copy its file, give it an id of its own and lock that")
     if not protocol.frozen:
@@ -146,5 +169,5 @@ def lock(name: str, *, json: bool = False) -> int:
         from carecontact.cli.answers.protocol import ProtocolLockAnswer
         from carecontact.cli.json_lines import say
 
-        say(ProtocolLockAnswer(id=protocol.id, lock=str(path)))
+        say(ProtocolLockAnswer(id=protocol.name, lock=str(path)))
     return 0

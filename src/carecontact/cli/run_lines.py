@@ -50,7 +50,7 @@ def say_run(spec: TrialSpec, folder: Path, summary: RunSummary, *, status: int) 
         RunAnswer(
             folder=str(folder),
             policy=spec.policy,
-            protocol=RunProtocol(id=protocol.id, sha256=protocol.sha256, overrides=protocol.overrides),
+            protocol=RunProtocol(id=protocol.name, sha256=protocol.sha256, overrides=protocol.overrides),
             ended=summary.ended,
             ran=list(summary.ran),
             kept=list(summary.kept),

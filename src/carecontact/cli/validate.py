@@ -49,7 +49,7 @@ class Validate:
         from carecontact.validation.run import CHECKS
         from carecontact.world.human.library import load_body
 
-        loaded = load_protocol(self.rules.protocol)
+        loaded = load_protocol(self.rules.protocol, level=self.rules.level)
         rules = self.rules.changed(loaded, **self.physics.changes(loaded))
         names = tuple(CHECKS) if self.checks == "all" else tuple(part.strip() for part in self.checks.split(","))
         if not all(names) or len(set(names)) != len(names):

@@ -32,6 +32,7 @@ from carecontact.contract.session import ActionBounds, Session
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.camera_poses import CameraPoses
 from carecontact.episode.cells import CellLog
+from carecontact.episode.drawn import like
 from carecontact.episode.drivers import Driver, driver_of
 from carecontact.episode.ended import Ended, ForceCut, cut_by_solver, cut_by_speed
 from carecontact.episode.header import header_of
@@ -99,6 +100,8 @@ class Episode:
             raise ConfigError(f"no task {spec.task_id!r} in {spec.protocol.id}; valid: {', '.join(ids)}")
         self.task = spec.protocol.task(spec.task_id)
         self.simulation, self._settled, self._model_sha256 = (prepare or _world)(spec)
+        # From here on with what was drawn: where robot and camera are in this trial.
+        self.protocol = like(spec.protocol, self.simulation.protocol)
         self._weights, self._digest = weights, digest or (lambda observation: bytes(32))
         self._wall_s = [started, time.monotonic()]
         self._open = ExitStack()

@@ -6,6 +6,7 @@ from typing import Any
 
 from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.drawn import drawn_facts
 from carecontact.episode.ended import Ended
 from carecontact.kernel.found import sha256 as kernel_sha256
 from carecontact.recording.schema import SEGMENTS, Header
@@ -52,4 +53,5 @@ def header_of(
             "kernel": kernel_sha256(),
         },
         solver_warnings=warnings,
+        drawn=drawn_facts(simulation.scene) if spec.protocol.variation.draws_models else {},
     )

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import astuple, fields
+from dataclasses import astuple, fields, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.control import Control
 from carecontact.contract.protocol import Protocol
-from carecontact.episode.randomization import comfort_arm_deg, dress, lay, soften, wake
+from carecontact.episode.drawn import draw
+from carecontact.episode.randomization import dress, lay, soften, wake
 from carecontact.kernel.region import Law
 from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Settled, Simulation
@@ -21,24 +22,26 @@ World = tuple[Simulation, Settled, str]
 
 
 def settled_world(protocol: Protocol, *, task_id: str, seed: int, salt: str = "") -> World:
-    """Build the task's world, dress it as the seed says, let the person settle, and give it the tissue and
-    the life that the protocol varies with the seed.
+    """Build the task's world as the seed draws it, dress it, let the person settle, and give it the tissue and the life
+    that the protocol varies with the seed. The simulation's protocol is the drawn one (``Drawn.protocol``).
 
     Args:
         salt: the trial's secret (``TrialSpec.salt``).
 
     Raises:
-        SceneError: the world cannot be built.
+        SceneError: the world cannot be built, or no person of the seed suits the robot.
         SettleError: the person does not come to rest.
     """
-    scene = build_scene(protocol, target=protocol.task(task_id).region)
+    region = protocol.task(task_id).region
+    drawn = draw(protocol, region=region, seed=seed, salt=salt)
+    scene = replace(build_scene(drawn.protocol, target=region), place=drawn.place)
     # Before anything is changed: looks and place are the seed's, settling writes the seed's rest angles, a policy its
     # stiffness.
     model_sha256 = scene.model_sha256
     dress(scene, seed, salt=salt)
-    lay(scene, seed, salt=salt)
+    lay(scene, drawn.place)
     simulation = Simulation(scene)
-    settled = settle(simulation, comfort_arm_deg(protocol, seed, salt=salt), model_sha256=model_sha256)
+    settled = settle(simulation, drawn.comfort_arm_deg, model_sha256=model_sha256)
     soften(simulation, seed, salt=salt)
     wake(simulation, seed, salt=salt)
     return simulation, settled, model_sha256

@@ -1,12 +1,9 @@
-"""What a seed decides. Named streams, so that adding one never changes another."""
+"""What a seed does to a world: looks, light, place, doings and noise. What it draws before is in ``drawn``."""
 
 from __future__ import annotations
 
-import hashlib
-
-import numpy as np
-
 from carecontact.contract.protocol import Alive, Protocol
+from carecontact.episode.draws import STREAMS, streams, words
 from carecontact.kernel.region import set_law
 from carecontact.observation.calibration import Calibration, draw_calibration
 from carecontact.observation.sensor_noise import SensorNoise
@@ -15,35 +12,14 @@ from carecontact.world.human.appearance import draw_appearance, wear
 from carecontact.world.human.spread import draw_tissue
 from carecontact.world.life import draw_doings
 from carecontact.world.light import draw_light, shine
-from carecontact.world.place import draw_place, move_person
+from carecontact.world.place import UNMOVED, Place, move_person
 from carecontact.world.scene import Scene
 
-STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
-           "withdrawal", "calibration", "tissue")  # fmt: skip
-"""In the order of the seed's children: a new one goes to the end."""
-
-
-def streams(protocol: Protocol, seed: int, salt: str) -> dict[str, np.random.Generator]:
-    """One generator a stream; they depend on protocol id, seed and salt only, so trials are paired over tasks and
-    methods.
-
-    Args:
-        salt: the trial's secret (``TrialSpec.salt``), without which nobody can tell from a published seed what it
-            draws; empty for a run on published seeds.
-    """
-    if salt:
-        # A hash for each stream, not a seed for all: whoever found out one stream from what it drew would know neither
-        # the salt nor another stream.
-        return {name: np.random.default_rng(_words(f"{salt} {protocol.id} {seed} {name}")) for name in STREAMS}
-    children = np.random.SeedSequence([*_words(protocol.id), seed]).spawn(len(STREAMS))
-    return {name: np.random.default_rng(child) for name, child in zip(STREAMS, children, strict=True)}
-
-
-def _words(text: str) -> list[int]:
-    return np.frombuffer(hashlib.sha256(text.encode()).digest(), "<u4").tolist()
+__all__ = ["STREAMS", "calibration", "comfort_arm_deg", "dress", "lay", "sensor_noise", "soften", "streams", "wake"]
 
 
 def comfort_arm_deg(protocol: Protocol, seed: int, *, salt: str = "") -> float:
+    """The angle of the seed's first draw of a person; a protocol that parks the robot may refuse it (``drawn``)."""
     low, high = protocol.randomization.comfort_arm_deg
     return float(streams(protocol, seed, salt)["comfort_arm"].uniform(low, high))
 
@@ -60,14 +36,13 @@ def dress(scene: Scene, seed: int, *, salt: str = "") -> None:
         shine(scene.model, draw_light(stream["light"]))
 
 
-def lay(scene: Scene, seed: int, *, salt: str = "") -> None:
-    """Put the person of a compiled scene where its protocol varies the place with the seed.
+def lay(scene: Scene, place: Place) -> None:
+    """Put the person of a compiled scene where the seed's draw says (``episode.drawn``).
 
     Once, and before the person settles.
     """
-    variation = scene.protocol.variation
-    if variation.place_along_m or variation.place_across_m or variation.place_yaw_deg:
-        move_person(scene.model, draw_place(streams(scene.protocol, seed, salt)["place"], variation))
+    if place != UNMOVED:
+        move_person(scene.model, place)
 
 
 def soften(simulation: Simulation, seed: int, *, salt: str = "") -> None:
@@ -105,5 +80,5 @@ def sensor_noise(protocol: Protocol, seed: int, *, salt: str = "", noise_salt: s
     key = streams(protocol, seed, salt)["sensor_noise"].integers(2**32, size=4).tolist()
     if noise_salt:
         # One way: not even the whole noise of a trial gives salt or seed back.
-        key = _words(f"{noise_salt} {key}")
+        key = words(f"{noise_salt} {key}")
     return SensorNoise(protocol.variation, key=key, dt_s=protocol.physics.dt_s)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.action import Action
+from carecontact.contract.action.spaces.cartesian_pose import clip_action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Task
@@ -56,9 +57,8 @@ class Oracle:
             except ContractError as error:
                 self._notes["ended_without_touching"] = str(error)
                 return Action(done=True)
-        pose = self._motion.target()
-        pose[:3] = np.clip(pose[:3], self._bounds.workspace_low_m, self._bounds.workspace_high_m)
-        return Action(pose_tcp_in_base=pose, done=self._motion.ended)
+        inside = clip_action(self._motion.act(), self._bounds)
+        return replace(inside, done=self._motion.ended)
 
     def take_notes(self) -> dict[str, object]:
         """Return how the hand is held, or why nothing was touched."""

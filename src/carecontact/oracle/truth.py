@@ -104,7 +104,7 @@ class Truth:
                 a, b = self._joint(f"{row.side} {first}"), self._joint(f"{row.side} {second}")
                 return a + free_from * (b - a), b
             case TrunkSight(joints=(lower, upper), middle=middle, length=share):
-                a, b = (sum(self._joint(f"{side} {j}") for side in ("left", "right")) / 2 for j in (lower, upper))
+                a, b = ((self._joint(f"left {j}") + self._joint(f"right {j}")) / 2 for j in (lower, upper))
                 return a + (middle - share / 2) * (b - a), a + (middle + share / 2) * (b - a)
         raise AssertionError(row.sight)
 

@@ -42,6 +42,10 @@ WORDS = {
 """Type of an error of pydantic's -> our words, with the names of its context."""
 
 
+WRITTEN = ("level", "overrides")
+"""Fields of a protocol that no file gives."""
+
+
 def words(found: Mapping[str, Any], model: type[BaseModel] | None, content: object = None) -> str:
     """What one error says, without its field.
 
@@ -86,7 +90,7 @@ def _place(loc: Sequence[int | str]) -> str:
 def _fields(model: type[BaseModel] | None, loc: Sequence[int | str], content: object) -> list[str]:
     """Names of the fields of the table at a place; none where the place is not a table of fixed fields."""
     if model is Protocol and not loc:
-        return ["base", *(name for name in Protocol.model_fields if name != "overrides")]
+        return ["base", *(name for name in Protocol.model_fields if name not in WRITTEN)]
     here: Any = model
     for part in loc:
         if isinstance(part, int) and isinstance(here, type) and issubclass(here, BaseModel):

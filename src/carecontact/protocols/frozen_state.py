@@ -17,19 +17,23 @@ def frozen_state(protocol: Protocol) -> str:
     """
     if DRIFTED in protocol.overrides:
         return f"not the frozen {protocol.id}: {protocol.overrides[DRIFTED]}"
-    lock = read_lock(protocol.id) if protocol.id in shipped_protocols() else None
+    lock = read_lock(protocol.id, level=protocol.level) if protocol.id in shipped_protocols() else None
     if lock is None:
         unverified = "not verified as frozen: it says frozen = true, but no lock is installed for it"
         return unverified if protocol.frozen else "draft"
-    own = without_overrides(protocol, load_protocol(protocol.id))
+    own = without_overrides(protocol, load_protocol(protocol.id, level=protocol.level or None))
     if own.sha256 != lock.protocol_sha256:
         return f"not the frozen {protocol.id}: sha256 {own.sha256[:12]}, locked {lock.protocol_sha256[:12]}"
     return "frozen"
 
 
 def drifted_sha256(protocol_id: str, sha256: str) -> str | None:
-    """What is wrong with a protocol without overrides of which only id and hash are known; None where nothing is."""
-    lock = read_lock(protocol_id) if protocol_id in shipped_protocols() else None
+    """What is wrong with a protocol without overrides of which only name and hash are known; None where nothing is.
+
+    ``protocol_id``: with the level, as results name it.
+    """
+    own_id, _, level = protocol_id.partition(" ")
+    lock = read_lock(own_id, level=level) if own_id in shipped_protocols() else None
     if lock is None or lock.protocol_sha256 == sha256:
         return None
     return f"not the frozen {protocol_id} (sha256 {sha256[:12]}, locked {lock.protocol_sha256[:12]})"

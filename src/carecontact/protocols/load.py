@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from carecontact.contract.protocol import Protocol, Tissue
 from carecontact.errors import ConfigError
+from carecontact.protocols import levels
 from carecontact.protocols.files import shipped_protocols
 from carecontact.protocols.inherit import Table, ancestry, inherit, merged
 from carecontact.protocols.tissue_sets import load_tissue_set
@@ -20,19 +21,44 @@ ROW = {name for name, field in Tissue.model_fields.items() if field.is_required(
 """Fields that a row of tissue must have."""
 
 
-def load_protocol(name_or_path: str = DEFAULT_PROTOCOL) -> Protocol:
+def load_protocol(name_or_path: str = DEFAULT_PROTOCOL, *, level: str | None = None) -> Protocol:
     """A shipped protocol by id, or a TOML file by path; docs/extending.md says how a file inherits.
+
+    Args:
+        level: one of the file's levels, where it has any (``protocols.levels``).
 
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """
+    found = load_levels(name_or_path)
+    if list(found) == [""]:
+        if level is not None:
+            raise ConfigError(f"{name_or_path} has no levels; leave --level {level} out")
+        return found[""]
+    return found[levels.chosen(name_or_path, found, level)]
+
+
+def load_levels(name_or_path: str) -> dict[str, Protocol]:
+    """Every level of a protocol by its name, or the protocol alone, named ``""``, where it has no levels. Raises as
+    ``load_protocol`` does."""
     (place, table), *heirs = ancestry(name_or_path)
-    protocol = _validated(place, table, bases=sorted(shipped_protocols(), key=lambda name: name != DEFAULT_PROTOCOL))
+    found = _of_table(place, table, bases=sorted(shipped_protocols(), key=lambda name: name != DEFAULT_PROTOCOL))
     for heir, own in heirs:
         place, table = heir, inherit(table, own)
-        protocol = _validated(place, table)
-    if protocol.overrides:
+        found = _of_table(place, table)
+    return found
+
+
+def _of_table(place: str, table: Table, *, bases: Sequence[str] = ()) -> dict[str, Protocol]:
+    """``bases``: see ``wrong_fields``."""
+    rest, own = levels.split(place, table)
+    if rest.get("overrides"):
         raise ConfigError(f"{place}: overrides are written by a command, never by a file; change the fields themselves")
-    return protocol
+    if rest.get("level"):
+        raise ConfigError(f"{place}: level: --level chooses one of the tables [levels.NAME]; a file has all of them")
+    if not own:
+        return {"": _validated(place, rest, bases=bases)}
+    whole = levels.tables(rest, own)
+    return levels.knowing_each_other({name: _validated(f"{place}, level {name}", t) for name, t in whole.items()})
 
 
 def merged_table(name_or_path: str) -> Table:

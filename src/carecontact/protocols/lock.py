@@ -32,15 +32,15 @@ class Lock(Section):
     """Target region -> sums over the compiled world. Sums and not a hash of it: another processor rounds otherwise."""
 
 
-def lock_path(name_or_path: str) -> Path:
-    """Beside the protocol's file. Raises what ``protocol_file`` raises."""
+def lock_path(name_or_path: str, *, level: str = "") -> Path:
+    """Beside the protocol's file, one for each of its levels. Raises what ``protocol_file`` raises."""
     path = protocol_file(name_or_path)
-    return path.with_name(path.name.removesuffix(".toml") + SUFFIX)
+    return path.with_name(path.name.removesuffix(".toml") + (f".{level}" if level else "") + SUFFIX)
 
 
-def read_lock(name_or_path: str) -> Lock | None:
+def read_lock(name_or_path: str, *, level: str = "") -> Lock | None:
     """None where the protocol has none. Raises ConfigError for a lock that cannot be read."""
-    path = lock_path(name_or_path)
+    path = lock_path(name_or_path, level=level)
     try:
         return Lock.model_validate_json(path.read_bytes())
     except FileNotFoundError:

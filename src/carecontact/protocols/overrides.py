@@ -14,11 +14,15 @@ from carecontact.errors import ConfigError, did_you_mean
 from carecontact.protocols.tissue_sets import load_tissue_set
 from carecontact.protocols.wrong_fields import faults
 
+BODIES = "variation.bodies"
+"""Where a body is chosen, none is drawn."""
 FAST_DT_S = 0.004
 """The fast mode's physics step; ``carecontact validate`` shows what it does to the scores."""
-FOLLOWS = {"person.tissue": "person.tissue_set", "vision.weights_sha256": "vision.segmenter"}
+FOLLOWS = {
+    "person.tissue": "person.tissue_set", "vision.weights_sha256": "vision.segmenter", BODIES: "person.body"
+}  # fmt: skip
 """Path -> another one with which it is replaced, recorded and taken back."""
-NOT_REPLACEABLE = ("id", "description", "frozen", "overrides")
+NOT_REPLACEABLE = ("id", "description", "frozen", "level", "levels", "overrides")
 """Who a protocol is; the id stays because the seeds' random numbers come from it, so that trials are paired over what
 is replaced."""
 
@@ -55,7 +59,7 @@ def overridden(protocol: Protocol, changes: Mapping[str, object]) -> Protocol:
         ) from None
     said = dict(protocol.overrides)
     for path in changed:
-        leader = FOLLOWS.get(path, path)
+        leader = path if path == BODIES and BODIES in changes else FOLLOWS.get(path, path)
         said = {old: value for old, value in said.items() if not old.startswith(f"{path}.")}
         said[leader] = _spelled(made, leader)
     return made.model_copy(update={"overrides": said})
@@ -77,7 +81,10 @@ def without_overrides(protocol: Protocol, original: Protocol) -> Protocol:
 
 
 def _with_rows(protocol: Protocol, changes: Mapping[str, object]) -> dict[str, object]:
-    """The changes with the rows of the tissue set that they name, one for each soft region of the protocol."""
+    """The changes with what follows from them: no body is drawn where one is chosen, and the rows of the tissue set
+    that they name, one for each soft region of the protocol."""
+    if "person.body" in changes and BODIES not in changes:
+        changes = {**changes, BODIES: []}
     name = changes.get("person.tissue_set")
     if name is None or "person.tissue" in changes:
         return dict(changes)

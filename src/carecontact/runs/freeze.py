@@ -34,7 +34,7 @@ SAME = 1e-6
 def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
     """``worlds``: compile one world per region and sum over it; some seconds."""
     return Lock(
-        id=protocol.id, protocol_sha256=protocol.sha256, fields=protocol.model_dump(mode="json"),
+        id=protocol.name, protocol_sha256=protocol.sha256, fields=protocol.model_dump(mode="json"),
         embodiment=EMBODIMENTS[protocol.scene.tool].id, metrics=sorted(METRICS),
         versions={name: version for name, version in package_versions().items() if name in PACKAGES},
         assets=asset_hashes(protocol),
@@ -43,11 +43,12 @@ def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
 
 
 def asset_hashes(protocol: Protocol) -> dict[str, str]:
-    """Of the protocol's body, its skin, the robot and the C sources of the tissue; files that are not there have no
+    """Of the protocol's bodies, their skin, the robot and the C sources of the tissue; files that are not there have no
     entry. Sources and not the binary, which differs between platforms."""
     folder = resources.files("carecontact") / "assets"
-    body = protocol.person.body
-    places = [("bodies", f"{body}.npz"), ("bodies", f"{body}.skin.png"), ("panda", "panda.npz")]
+    bodies = protocol.variation.bodies or (protocol.person.body,)
+    places = [("bodies", f"{body}.{kind}") for body in bodies for kind in ("npz", "skin.png")]
+    places.append(("panda", "panda.npz"))
     return {"kernel/c": binary.sources_sha256()} | {
         f"{place}/{name}": hashlib.sha256(file.read_bytes()).hexdigest()
         for place, name in places
@@ -116,7 +117,7 @@ def _short(value: object) -> str:
 
 def lock_of(name_or_path: str, protocol: Protocol) -> Lock | None:
     """The lock that holds for a protocol: its own, or the shipped one where a file has the id of a shipped protocol."""
-    return read_lock(protocol.id if is_borrowed(name_or_path, protocol) else name_or_path)
+    return read_lock(protocol.id if is_borrowed(name_or_path, protocol) else name_or_path, level=protocol.level)
 
 
 def is_borrowed(name_or_path: str, protocol: Protocol) -> bool:

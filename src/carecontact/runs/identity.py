@@ -67,11 +67,13 @@ def identity_of(
     ref = PolicyRef.parse(spec.policy)
     source = policy_source(ref, search_path=search_path)
     assets = resources.files("carecontact") / "assets"
-    body = spec.protocol.person.body
-    shipped = assets / "bodies" / f"{body}.npz"
+    drawn, body = spec.protocol.variation.bodies, spec.protocol.person.body
+    # A recording names the body of its own trial, and so not those that a seed may draw.
+    named = {f"body {name}": name for name in drawn} if drawn else {"body": body}
     archives = {
-        "body": smplx_path(body) if body.startswith(SMPLX_PREFIX) else shipped, "robot": assets / "panda" / "panda.npz"
-    }  # fmt: skip
+        what: smplx_path(name) if name.startswith(SMPLX_PREFIX) else assets / "bodies" / f"{name}.npz"
+        for what, name in named.items()
+    } | {"robot": assets / "panda" / "panda.npz"}
     return Identity(
         policy_sha256=None if source is None else hashlib.sha256(source.read_bytes()).hexdigest(),
         card=card.plain() if card is not None and ref.kind == "remote" else None,

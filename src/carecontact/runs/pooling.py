@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from carecontact.errors import ConfigError
-from carecontact.scoring.result import TrialScore
+from carecontact.scoring.result import DRAWN, TrialScore
+
+UNSALTED = "none"
+"""In place of the salt's hash, in a run on published seeds: other persons than those of a salted one."""
 
 
 def judged(scores: Iterable[TrialScore]) -> list[TrialScore]:
@@ -42,20 +45,28 @@ def _check_one_world(scores: Sequence[TrialScore]) -> None:
         what, first, other = found
         raise ConfigError(
             f"{first.trial_id}.h5 and {other.trial_id}.h5 were simulated in different worlds and must not be pooled: "
-            f"{what} {first.world[what][:12]} and {other.world[what][:12]}"
+            f"{what} {world_part(first, what)} and {world_part(other, what)}"
         )
+
+
+def world_part(score: TrialScore, what: str) -> str:
+    """The start of a part of a score's world, as messages name it."""
+    return score.world.get(what, UNSALTED)[:12]
 
 
 def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, TrialScore] | None:
     """The first part of the world in which two scores differ, and the two; None in one world.
 
-    The compiled model has the fine skin on the task's region, so that models are compared region by region.
+    The compiled model has the fine skin on the task's region, so that models are compared region by region, and those
+    that a seed draws seed by seed.
     """
-    first: dict[tuple[str, ...], TrialScore] = {}
+    first: dict[tuple[object, ...], TrialScore] = {}
     for score in scores:
-        for what, value in score.world.items():
-            place = (what, score.region) if what == "model" else (what,)
+        for what, value in {"salt": UNSALTED, **score.world}.items():
+            place: tuple[object, ...] = (what, score.region) if what.endswith("model") else (what,)
+            if what.startswith(DRAWN):
+                place = (*place, score.seed)
             other = first.setdefault(place, score)
-            if other.world[what] != value:
+            if other.world.get(what, UNSALTED) != value:
                 return what, other, score
     return None

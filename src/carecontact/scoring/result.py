@@ -31,6 +31,9 @@ MEASURED = (
 )  # fmt: skip
 """Fields of ``TrialScore`` that metrics fill."""
 
+DRAWN = "drawn "
+"""Before the name of a part of the world that the seed draws (``TrialScore.world``)."""
+
 
 class TrialScore(BaseModel):
     """None means NA. Produced by ``scoring.score_recording`` alone; SI units."""
@@ -45,6 +48,8 @@ class TrialScore(BaseModel):
     policy: str
     policy_arguments: dict[str, str] = {}
     """What --policy-arg gave the policy."""
+    privileged: bool = False
+    """Whether the policy was given the simulation: its rates are a ceiling and rank no method."""
     policy_name: str | None = None
     """The name on the card of a policy behind an address, which says nothing of itself; None for any other."""
     language_backend: str
@@ -57,6 +62,7 @@ class TrialScore(BaseModel):
     language_sent: str | None = None
     """Sampling parameters that they accepted."""
     protocol_id: str
+    """With the level, where there is one: ``my-protocol L2``."""
     protocol_sha256: str
     overrides: dict[str, str] = {}
     """Field of the protocol -> what a command replaced it with."""
@@ -64,7 +70,9 @@ class TrialScore(BaseModel):
     """Canonical hash of the recording that was scored."""
     world: dict[str, str]
     """What was simulated: hashes of ``model``, ``body`` and ``robot``, the version of ``mujoco``, as far as recorded.
-    ``model`` is left out where the policy changed its stiffness, because the recorded hash then holds that choice."""
+    ``model`` is left out where the policy changed its stiffness, because the recorded hash then holds that choice.
+    Where the protocol draws bodies or bases, ``model`` and ``body`` are called ``drawn model`` and ``drawn body``: they
+    are the seed's."""
     ended: str
     duration_s: float
     failure_message: str | None
@@ -135,8 +143,10 @@ class TrialScore(BaseModel):
 
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out a name and gates that there are not, as results from before there were any do."""
+        """Leave out a name, a privilege and gates that there are not, as results from before there were any do."""
         content = handler(self)
+        if not self.privileged:
+            del content["privileged"]
         for name in ("policy_name", "joints_beyond", "joints_consumed"):
             if content[name] is None:
                 del content[name]

@@ -16,7 +16,7 @@ from carecontact.scoring.metrics.c3_success import judge, measure
 from carecontact.scoring.metrics.impulse import total_impulse
 from carecontact.scoring.metrics.indentation import beyond_calibrated, deepest_indentation
 from carecontact.scoring.metrics.metric import METRICS, Metric, checked_metrics
-from carecontact.scoring.result import TrialScore
+from carecontact.scoring.result import DRAWN, TrialScore
 from carecontact.scoring.validity.streams import check_streams
 from carecontact.scoring.verdict import reach_verdict
 
@@ -86,13 +86,14 @@ def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
         "seed": header.spec.seed,
         "policy": header.spec.policy,
         "policy_arguments": header.spec.policy_arguments,
+        "privileged": header.privileged,
         "policy_name": _card_name(header),
         "language_backend": str(header.card.get("language_backend", "none")) if header.card else "none",
         "language_sha256": spoken.sha256,
         "language_endpoint": spoken.endpoint,
         "language_served": spoken.served,
         "language_sent": spoken.sent,
-        "protocol_id": protocol.id,
+        "protocol_id": protocol.name,
         "protocol_sha256": header.protocol_sha256,
         "overrides": protocol.overrides,
         "recording_sha256": sha256,
@@ -117,8 +118,12 @@ def _clipped_actions(contact: Contact) -> int:
 def _world(contact: Contact) -> dict[str, str]:
     header = contact.recording.header
     world = {name: header.sha256[name] for name in ("body", "robot", "model", "kernel") if name in header.sha256}
+    if header.spec.protocol.variation.draws_models:
+        world = {f"{DRAWN}{name}" if name in ("body", "model") else name: value for name, value in world.items()}
     if "mujoco" in header.versions:
         world["mujoco"] = header.versions["mujoco"]
+    if header.spec.salt_sha256:
+        world["salt"] = header.spec.salt_sha256
     return world
 
 

@@ -165,7 +165,7 @@ class Simulation:
 
     def _rest_joints_at(self, comfort_arm_deg: float) -> F64:
         """Set the passive joints' rest angles, which live in the model; returns the lying pose (J,) [rad]."""
-        pose = lying_pose_deg(self.scene.body, comfort_arm_deg)
+        pose = lying_pose_deg(self.scene.body, comfort_arm_deg, self.scene.turn)
         angles = np.radians([pose.get(hinge.name, hinge.bind_deg) for hinge in self.scene.hinges])
         self.model.qpos_spring[self._human_qpos] = np.radians(rest_deg(self.scene.hinges, pose))
         return angles

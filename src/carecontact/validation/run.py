@@ -93,7 +93,7 @@ def validate(
     # Before anything runs: settling writes the rest angles into a model.
     model_sha256 = scene.model_sha256
     validation = Validation(
-        body=scene.body.name, body_sha256=scene.body.sha256, protocol=protocol.id, protocol_sha256=protocol.sha256,
+        body=scene.body.name, body_sha256=scene.body.sha256, protocol=protocol.name, protocol_sha256=protocol.sha256,
         tissue_set=protocol.person.tissue_set, dt_s=protocol.physics.dt_s,
         model_sha256=model_sha256, quick=quick, asked=tuple(checks), results=(),
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import radians
 
@@ -12,6 +13,9 @@ from carecontact.contract.protocol import Variation
 from carecontact.world.furniture import SUPPORT
 from carecontact.world.human.pose import RIGHT_SHOULDER_M
 from carecontact.world.human.skeleton import ROOT_JOINT
+
+SHOULDER = np.array([*RIGHT_SHOULDER_M, 0.0])
+"""(3,) on the floor under the right shoulder of a person in the protocol's own place."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,13 +32,34 @@ class Place:
     yaw_deg: float = 0.0
     """Turn, counter-clockwise when seen from above."""
 
+    @property
+    def shift(self) -> np.ndarray:
+        """(3,) in the world [m]"""
+        return np.array([self.along_m, self.across_m, 0.0])
+
+    def moved(self, points: np.ndarray) -> np.ndarray:
+        """(..., 3) points of the person in the protocol's own place -> where they are in this one."""
+        cos, sin = np.cos(radians(self.yaw_deg)), np.sin(radians(self.yaw_deg))
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return SHOULDER + self.shift + (points - SHOULDER) @ turn.T
+
+
+UNMOVED = Place()
+
 
 def draw_place(rng: np.random.Generator, variation: Variation) -> Place:
     """Draw each value uniformly between plus and minus the protocol's. The draws are shares of these, so that a
     narrower range keeps the order of the seeds, and each value always uses its own draw."""
-    along, across, yaw = (float(share) for share in rng.uniform(-1.0, 1.0, 3))
+    return place_of(rng.uniform(-1.0, 1.0, 3).tolist(), variation)
+
+
+def place_of(shares: Sequence[float], variation: Variation) -> Place:
+    """The place of three shares in -1 to 1: along, across and yaw."""
+    along, across, yaw = shares
+    up = variation.place_toward_head_m
+    farthest = variation.place_along_m if up is None or along < 0 else min(up, variation.place_along_m)
     return Place(
-        along_m=along * variation.place_along_m,
+        along_m=along * farthest,
         across_m=across * variation.place_across_m,
         yaw_deg=yaw * variation.place_yaw_deg,
     )
@@ -45,9 +70,8 @@ def move_person(model: mujoco.MjModel, place: Place) -> None:
 
     Call it once, before the person settles: it changes where a reset puts the person.
     """
-    turn, at = np.zeros(4), np.array([*RIGHT_SHOULDER_M, 0.0])
+    turn, at, shift = np.zeros(4), SHOULDER, place.shift
     mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0.0, 1.0]), radians(place.yaw_deg))
-    shift = np.array([place.along_m, place.across_m, 0.0])
 
     def moved(position: np.ndarray, quat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         offset, turned = np.zeros(3), np.zeros(4)

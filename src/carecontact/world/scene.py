@@ -23,7 +23,7 @@ from carecontact.world.human.clearance import free_middle
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.library import load_body
 from carecontact.world.human.muscles import add_muscles
-from carecontact.world.human.pose import root_position, trunk_rotation
+from carecontact.world.human.pose import NOT_TURNED, ArmTurn, root_position, trunk_rotation
 from carecontact.world.human.refine import refined
 from carecontact.world.human.region_frame import RegionFrame, rigid_frame, soft_frame, upward_in_bind
 from carecontact.world.human.shell import Shell, kept_shell, limb_shell, trunk_shell
@@ -31,6 +31,7 @@ from carecontact.world.human.skeleton import add_skeleton, body_name
 from carecontact.world.human.skin import add_skin
 from carecontact.world.human.tissue import SoftRegion, add_tissue
 from carecontact.world.joint_impedance import replace_impedance
+from carecontact.world.place import UNMOVED, Place
 from carecontact.world.robot import add_robot
 from carecontact.world.sensors import add_sensors
 
@@ -49,6 +50,13 @@ class Scene:
     """What ``model`` was compiled from."""
     control: Control = CONTROLS[CARTESIAN_IMPEDANCE]
     """What moves the robot."""
+    place: Place = UNMOVED
+    """Where the person was moved to after the compilation (``world.place``)."""
+
+    @property
+    def turn(self) -> ArmTurn:
+        """How the right arm is laid."""
+        return arm_turn(self.protocol)
 
     @property
     def region_size_m(self) -> Array:
@@ -83,7 +91,7 @@ def build_spec(
     root = root_position(body, protocol.scene.mattress_top_m)
     hinges, regions = _add_person(spec, body, protocol, root)
     frames = {
-        name: soft_frame(regions[name].shell) if name in regions else rigid_frame(body, name)
+        name: soft_frame(regions[name].shell) if name in regions else rigid_frame(body, name, arm_turn(protocol))
         for name in protocol.regions
     }
     for name, frame in frames.items():
@@ -120,8 +128,8 @@ def _add_person(
         add_muscles(spec)
     regions: dict[str, SoftRegion] = {}
     for region in protocol.soft_regions:
-        tissue = tissue_of(body, region, protocol.person.tissue[region])
-        shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue))
+        tissue, turn = tissue_of(body, region, protocol.person.tissue[region]), arm_turn(protocol)
+        shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue, turn), turn=turn)
         on = carrier(REGIONS[region].segment, breathes=breathes)
         regions[region] = add_tissue(spec, body, region, shell, tissue, on=on)
     return hinges, regions
@@ -172,13 +180,19 @@ def set_physics(spec: mujoco.MjSpec, *, dt_s: float) -> None:
     spec.option.impratio = 10.0
 
 
-def region_shell(body: Body, region: str, tissue: Tissue) -> Shell:
+def arm_turn(protocol: Protocol) -> ArmTurn:
+    """How the right arm of the protocol's person is laid."""
+    person = protocol.person
+    return ArmTurn(shoulder_rotation_deg=person.shoulder_rotation_deg, palm_deg=person.palm_deg)
+
+
+def region_shell(body: Body, region: str, tissue: Tissue, turn: ArmTurn = NOT_TURNED) -> Shell:
     """The region's shell on this body, in the mesh frame of the bind pose. Raises SceneError for a rigid region."""
     segment, shape = REGIONS[region].segment, REGIONS[region].shape
     match shape:
         case Tube():
             middle = free_middle(body, segment) if shape.beside_trunk else 0.5
-            return limb_shell(body, segment, shape, upward_in_bind(body, segment), tissue, middle=middle)
+            return limb_shell(body, segment, shape, upward_in_bind(body, segment, turn), tissue, middle=middle)
         case Belly():
             return trunk_shell(body, np.array([0.0, -1.0, 0.0]), tissue)
         case None:

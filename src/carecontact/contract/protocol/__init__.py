@@ -4,7 +4,9 @@ from carecontact.contract.protocol.alive import Alive, Breathing, Repositioning,
 from carecontact.contract.protocol.contact import ContactDefinition
 from carecontact.contract.protocol.gates import BEHAVIOURS, Gates
 from carecontact.contract.protocol.impedance import Impedance
+from carecontact.contract.protocol.level import Level
 from carecontact.contract.protocol.limits import SEGMENT_PARTS, ForceLimits, sideless
+from carecontact.contract.protocol.parking import Parking
 from carecontact.contract.protocol.person import Person, Tissue
 from carecontact.contract.protocol.physics import Phases, Physics
 from carecontact.contract.protocol.protocol import Protocol
@@ -28,6 +30,8 @@ __all__ = [
     "Gates",
     "Impedance",
     "Length",
+    "Level",
+    "Parking",
     "Person",
     "Phases",
     "Physics",

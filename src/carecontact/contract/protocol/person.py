@@ -97,11 +97,18 @@ class Person(Section):
     tissue: dict[RegionName, Tissue]
     """One row for each soft region of the protocol, and no other (``Protocol.soft_regions``)."""
     alive: Alive = Alive()
+    shoulder_rotation_deg: Annotated[float, Field(ge=-80, le=0)] = 0.0
+    """How far the right upper arm is turned outward in the lying pose (below zero), which bends the elbow along the
+    arm board."""
+    palm_deg: Annotated[float, Field(ge=-90, le=60)] = 0.0
+    """How far the right forearm is turned from palm up: above zero farther in supination, below zero toward the
+    thumb up."""
 
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out what protocols did not always have, at its default: they keep their hash."""
         content = handler(self)
-        if self.alive == Alive():
-            del content["alive"]
+        for name in ("alive", "shoulder_rotation_deg", "palm_deg"):
+            if getattr(self, name) == type(self).model_fields[name].default:
+                del content[name]
         return content

@@ -12,6 +12,7 @@ from carecontact.contract.protocol import consistency
 from carecontact.contract.protocol.contact import ContactDefinition
 from carecontact.contract.protocol.gates import Gates
 from carecontact.contract.protocol.impedance import Impedance
+from carecontact.contract.protocol.level import Level
 from carecontact.contract.protocol.limits import ForceLimits, sideless
 from carecontact.contract.protocol.person import Person
 from carecontact.contract.protocol.physics import Phases, Physics
@@ -40,6 +41,10 @@ class Protocol(Section):
     contact: ContactDefinition
     gates: Gates
     limits: ForceLimits
+    level: str = ""
+    """Which level of its file this is; empty for a file without levels (``protocols.levels``)."""
+    levels: dict[str, Level] = Field(default_factory=dict[str, Level])
+    """All levels of the file, in its order: a seed's person must suit each of them. Written by the loader."""
     overrides: dict[str, str] = Field(default_factory=dict[str, str])
     """Fields that a command replaced for this run: dotted path -> new value (``protocols.overrides``)."""
 
@@ -52,12 +57,20 @@ class Protocol(Section):
             del content["variation"]
         if self.vision == Vision():
             del content["vision"]
+        for name in ("level", "levels"):
+            if not content[name]:
+                del content[name]
         return content
+
+    @property
+    def name(self) -> str:
+        """The id, and the level where there is one: what results call this protocol, such as ``my-protocol L2``."""
+        return f"{self.id} {self.level}" if self.level else self.id
 
     @property
     def title(self) -> str:
         """See ``protocol_title``."""
-        return protocol_title(self.id, self.overrides)
+        return protocol_title(self.name, self.overrides)
 
     @property
     def regions(self) -> tuple[str, ...]:

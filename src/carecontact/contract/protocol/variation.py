@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer
 
+from carecontact.contract.protocol.parking import Parking
 from carecontact.contract.protocol.section import Section
 
-LATER = ("calibration_m", "calibration_deg", "tissue")
+DRAWN = ("bodies", "shoulder_rotation_deg", "palm_deg", "place_toward_head_m", "overhead_shift_m", "overhead_turn_deg",
+         "parking")  # fmt: skip
+"""Fields that change the compiled model with the seed."""
+LATER = ("calibration_m", "calibration_deg", "tissue", *DRAWN)
 """Fields that protocols did not always have."""
+Angles = tuple[float, float]
+
+
+def _ordered(pair: Angles) -> Angles:
+    if not -180 <= pair[0] <= pair[1] <= 180:
+        raise ValueError(f"expected [low, high] degrees, low at most high, got [{pair[0]:g}, {pair[1]:g}]")
+    return pair
 
 
 class Randomization(Section):
@@ -42,6 +53,21 @@ class Variation(Section):
     tissue: Literal["declared", "published-v1"] = "declared"
     """How stiff the soft regions are: as ``person.tissue`` says, or that times a factor that is drawn from published
     differences between people (``world.human.spread``)."""
+    place_toward_head_m: Annotated[float | None, Field(ge=0, le=0.1)] = None
+    """Farthest toward the head, where that is less than ``place_along_m``: patients slide down in bed, not up."""
+    bodies: tuple[str, ...] = ()
+    """The person is one of these: a block of as many seeds has each of them once, in an order of its own. Without any
+    it is ``person.body``."""
+    shoulder_rotation_deg: Annotated[Angles, AfterValidator(_ordered)] = (0.0, 0.0)
+    """Added to ``person.shoulder_rotation_deg``; uniform over this range."""
+    palm_deg: Annotated[Angles, AfterValidator(_ordered)] = (0.0, 0.0)
+    """Added to ``person.palm_deg``; uniform over this range."""
+    overhead_shift_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    """The overhead camera is mounted elsewhere: uniform up to so far either way along each axis of the world."""
+    overhead_turn_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """The same, turned about each axis of the camera."""
+    parking: Parking | None = None
+    """Where the robot stands; without it at ``scene.robot_base_m``."""
 
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -56,3 +82,8 @@ class Variation(Section):
     def sensor_noise(self) -> bool:
         """Whether the protocol adds noise to what the policy's sensors read."""
         return self.depth_noise != "none" or self.encoder_noise_rad > 0
+
+    @property
+    def draws_models(self) -> bool:
+        """Whether trials of one region and several seeds have several compiled models."""
+        return any(getattr(self, name) != type(self).model_fields[name].default for name in DRAWN)

@@ -36,6 +36,16 @@ class PlannedPolicy(_Table):
     """Most trials of this policy at once, such as the connections that its server takes; default: no limit."""
 
 
+class PlannedFactors(_Table):
+    """Two levels, and in between each factor switched on alone and off alone (``runs.sweep.factors``)."""
+
+    low: str
+    """The easy protocol, as the axis ``protocol`` names one."""
+    high: str
+    groups: dict[str, Values] = {}
+    """Factor -> the dotted fields that belong together; every other field in which the two differ is its own factor."""
+
+
 class Plan(_Table):
     """Every policy runs the same tasks and seeds for every combination of the axes' values."""
 
@@ -45,13 +55,20 @@ class Plan(_Table):
     """What the order of the policies is read from: the share of such trials."""
     policies: Annotated[list[PlannedPolicy], Field(min_length=1)]
     axes: dict[str, Values] = {}
-    """Axis -> its values: ``protocol``, one of AXES, or the dotted name of any field of the protocol."""
+    """Axis -> its values: ``protocol``, ``level``, one of AXES, or the dotted name of any field of the protocol."""
+    factors: PlannedFactors | None = None
+    """In place of the axes ``protocol`` and ``level``."""
     set: dict[str, Value] = {}
     """Field of the protocol -> value in place of its own, in every combination."""
 
     @property
     def protocols(self) -> list[str]:
         return [str(name) for name in self.axes.get("protocol", [DEFAULT_PROTOCOL])]
+
+    @property
+    def levels(self) -> list[str | None]:
+        """Of every protocol; a plan of protocols without levels names none."""
+        return [str(name) for name in self.axes["level"]] if "level" in self.axes else [None]
 
 
 AXES = {
@@ -76,6 +93,8 @@ def read_plan(path: Path) -> Plan:
         plan = Plan.model_validate(content)
     except ValidationError as error:
         raise ConfigError(wrong_fields(f"plan {path}", error, model=Plan, content=content)) from None
+    if plan.factors is not None and "protocol" in plan.axes:
+        raise ConfigError(f"plan {path}: factors: they stand in place of axes.protocol; give only one")
     for axis, values in plan.axes.items():
         if twice := [value for k, value in enumerate(values) if value in values[:k]]:
             raise ConfigError(f"plan {path}: axes.{axis}: {twice[0]!r} is there twice; name each value once")

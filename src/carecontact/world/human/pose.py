@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -39,18 +40,47 @@ LIES_DEG = {
 pose, except the flexion of shoulder, elbow and hip, which follows from the body's own thickness."""
 
 
+PALM_PER_ROTATION = 0.9
+"""Turn of the forearm against the upper arm's that keeps the palm up: the elbow is a little bent, so that it is not
+quite one turn about one axis."""
+PALM_DEG = (-60.0, 66.0)
+"""Ends of the forearm's turn in a lying pose: 4 degrees and more inside the joint's range."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmTurn:
+    """How the right arm lies besides its abduction: ``Person.shoulder_rotation_deg`` and ``Person.palm_deg``."""
+
+    shoulder_rotation_deg: float = 0.0
+    palm_deg: float = 0.0
+
+    def angles(self) -> dict[str, float]:
+        """Hinge -> angle [deg], in place of those of LIES_DEG."""
+        rotation, palm = "right_upper_arm_rotation", "right_forearm_supination"
+        if not (self.shoulder_rotation_deg or self.palm_deg):
+            return {}
+        turned = PALM_PER_ROTATION * self.shoulder_rotation_deg + self.palm_deg
+        return {
+            rotation: LIES_DEG[rotation] + self.shoulder_rotation_deg,
+            palm: float(np.clip(LIES_DEG[palm] + turned, *PALM_DEG)),
+        }
+
+
+NOT_TURNED = ArmTurn()
+
 LEAST_ELBOW_DEG = 7.0
 """Least distance of the elbow from the end of its range."""
 
 
-def lying_pose_deg(body: Body, comfort_arm_deg: float) -> dict[str, float]:
+def lying_pose_deg(body: Body, comfort_arm_deg: float, turn: ArmTurn = NOT_TURNED) -> dict[str, float]:
     """Hinge -> anatomical angle [deg]; hinges that are not named keep the bind pose.
 
     The trunk rests on buttocks and shoulder blades. From there shoulder, elbow and hip are flexed until elbow, wrist
     and heel (or calf) just touch what is under them: the board under the right arm, else the mattress.
     """
     rows, at = hinges(body), {proxy.name: proxy for proxy in bed_proxies(body)}
-    pose = {**LIES_DEG, "right_upper_arm_abduction": comfort_arm_deg}
+    laid = {**LIES_DEG, **turn.angles()}
+    pose = {**laid, "right_upper_arm_abduction": comfort_arm_deg}
     trunk = trunk_rotation(body)
     mattress = _height(body, rows, pose, trunk, at["right_buttock"])
 
@@ -73,9 +103,9 @@ def lying_pose_deg(body: Body, comfort_arm_deg: float) -> dict[str, float]:
             pose[elbow] = least
             turned, palm = f"{side}_upper_arm_rotation", f"{side}_forearm_supination"
             for _ in range(4):  # turning lifts the elbow a little
-                flex(turned, (f"{side}_wrist",), board, -80.0, LIES_DEG[turned])
+                flex(turned, (f"{side}_wrist",), board, -80.0, laid[turned])
                 flex(shoulder, (f"{side}_elbow",), board, -45.0, 30.0)
-            pose[palm] = LIES_DEG[palm] + pose[turned] - LIES_DEG[turned]
+            pose[palm] = laid[palm] + pose[turned] - laid[turned]
         flex(f"{side}_thigh_flexion", (f"{side}_heel", f"{side}_calf"), 0.0, -14.0, 30.0)
     return pose
 

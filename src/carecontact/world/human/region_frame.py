@@ -9,7 +9,14 @@ import numpy as np
 from carecontact.regions import REGIONS
 from carecontact.world.human.body import CHILD_ALONG, Array, Body
 from carecontact.world.human.joints import hinges
-from carecontact.world.human.pose import MIDDLE_ARM_DEG, lying_pose_deg, segment_pose, trunk_rotation
+from carecontact.world.human.pose import (
+    MIDDLE_ARM_DEG,
+    NOT_TURNED,
+    ArmTurn,
+    lying_pose_deg,
+    segment_pose,
+    trunk_rotation,
+)
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import rigid_points
 
@@ -39,14 +46,14 @@ def soft_frame(shell: Shell) -> RegionFrame:
     )  # fmt: skip
 
 
-def rigid_frame(body: Body, region: str) -> RegionFrame:
+def rigid_frame(body: Body, region: str, turn: ArmTurn = NOT_TURNED) -> RegionFrame:
     """Of a region without a shell: the whole segment, measured on its rigid surface.
 
     Raises SceneError for a segment that has none.
     """
     segment = REGIONS[region].segment
     x = _axis(body, segment)
-    outward = upward_in_bind(body, segment)
+    outward = upward_in_bind(body, segment, turn)
     z = outward - (outward @ x) * x
     z /= np.linalg.norm(z)
     y = np.cross(z, x)
@@ -63,9 +70,9 @@ def rigid_frame(body: Body, region: str) -> RegionFrame:
     )  # fmt: skip
 
 
-def upward_in_bind(body: Body, segment: str) -> Array:
+def upward_in_bind(body: Body, segment: str, turn: ArmTurn = NOT_TURNED) -> Array:
     """(3,) direction in the segment's bind frame that faces up in the nominal lying pose (middle comfort angle)."""
-    rows, pose = hinges(body), lying_pose_deg(body, MIDDLE_ARM_DEG)
+    rows, pose = hinges(body), lying_pose_deg(body, MIDDLE_ARM_DEG, turn)
     rotation, _ = segment_pose(body, rows, pose, trunk_rotation(body), segment)
     return rotation.T @ np.array([0.0, 0.0, 1.0])
 

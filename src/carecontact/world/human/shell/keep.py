@@ -15,15 +15,19 @@ import numpy as np
 from carecontact.contract.protocol import Tissue
 from carecontact.regions import REGIONS
 from carecontact.world.human.body import Body
+from carecontact.world.human.pose import NOT_TURNED, ArmTurn
 from carecontact.world.human.shell.shell import Shell
 from carecontact.world.kept import Arrays, kept
 
 
-def kept_shell(body: Body, region: str, tissue: Tissue, compute: Callable[[], Shell]) -> Shell:
-    """Load the shell that ``compute`` returned before for the same body, region, tissue and release, or call it."""
+def kept_shell(
+    body: Body, region: str, tissue: Tissue, compute: Callable[[], Shell], *, turn: ArmTurn = NOT_TURNED
+) -> Shell:
+    """Load the shell that ``compute`` returned before for the same body, region, tissue, turn of the arm and release,
+    or call it."""
     facts = {
         "body": [body.name, body.sha256], "region": [region, repr(REGIONS[region])],
-        "tissue": tissue.model_dump(mode="json"), "source": _source_sha256(),
+        "tissue": tissue.model_dump(mode="json"), "turn": repr(turn), "source": _source_sha256(),
         "numpy": np.__version__, "scipy": version("scipy"),
     }  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Kinematics and inertia of the baked arm for many postures at once; what the reachability study computes with."""
+"""Kinematics and inertia of the baked arm for many postures at once: what decides where the robot can stand."""
 
 from __future__ import annotations
 
@@ -106,3 +106,39 @@ def pointing_down(yaw: Array) -> Array:
     c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
     columns = [np.stack([c, s, zero], -1), np.stack([s, -c, zero], -1), np.stack([zero, zero, zero - 1], -1)]
     return np.stack(columns, -1)
+
+
+def follow(
+    arm: Arm, parked: Array, goal: Array, goal_yaw: Array, start_yaw: Array, turn: Array, *, steps: int = 25
+) -> tuple[Array, Array]:
+    """Straight tool paths with the posture held toward ``parked`` in the null space, as the impedance does it.
+
+    Args:
+        parked: (B, 7) postures from which the paths begin.
+        goal: (B, 3) where they end, in base.
+        goal_yaw, start_yaw: (B,) of the tool in world [rad], which points down.
+        turn: (3, 3) base -> world.
+
+    Returns:
+        Postures (steps, B, 7), and the largest pose error on each path (B,), metres and radians in one norm.
+    """
+    start = arm.links(parked)[:, 8, :3, 3]
+    swing = (goal_yaw - start_yaw + np.pi) % (2 * np.pi) - np.pi
+    q, path = parked.copy(), []
+    error = np.zeros(len(q))
+    for k in range(1, steps + 1):
+        share = k / steps
+        position = start + share * (goal - start)
+        rotation = turn.T @ pointing_down(start_yaw + share * swing)
+        for _ in range(3):
+            links = arm.links(q)
+            jacobian = arm.jacobian(links)
+            pose_error = arm.pose_error(links, position, rotation)
+            inverse = np.linalg.solve(jacobian @ jacobian.swapaxes(1, 2) + 1e-6 * np.eye(6), jacobian).swapaxes(1, 2)
+            wish = 0.1 * (parked - q)
+            task = (jacobian @ wish[:, :, None])[:, :, 0]
+            q = q + (inverse @ (pose_error - task)[:, :, None])[:, :, 0] + wish
+            q = np.clip(q, arm.range[:, 0], arm.range[:, 1])
+        error = np.maximum(error, np.linalg.norm(arm.pose_error(arm.links(q), position, rotation), axis=1))
+        path.append(q)
+    return np.stack(path), error

@@ -1,0 +1,80 @@
+"""What a trial's seed draws before its world is built, as a protocol in which nothing of it is left to draw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from carecontact.contract.protocol import Protocol
+from carecontact.contract.trial import TrialSpec
+from carecontact.episode.draws import body_of, overhead_of, posture_of
+from carecontact.episode.parking import parked
+from carecontact.episode.parking.persons import posed
+from carecontact.world.place import Place, place_of
+from carecontact.world.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawn:
+    """Of one trial."""
+
+    protocol: Protocol
+    """The trial's, with its body, the turn of its arm, the robot's base and the overhead camera: what the world is
+    built from. Its id, level and everything that is judged are the trial's."""
+    comfort_arm_deg: float
+    place: Place
+
+
+def drawn_facts(scene: Scene) -> dict[str, Any]:
+    """What was drawn of a trial's world, for the recording and never for a policy."""
+    person, furniture, overhead = scene.protocol.person, scene.protocol.scene, scene.protocol.cameras["overhead"]
+    place = scene.place
+    return {
+        "body": person.body,
+        "shoulder_rotation_deg": person.shoulder_rotation_deg, "palm_deg": person.palm_deg,
+        "place": {"along_m": place.along_m, "across_m": place.across_m, "yaw_deg": place.yaw_deg},
+        "robot_base_m": list(furniture.robot_base_m), "robot_yaw_deg": furniture.robot_yaw_deg,
+        "overhead": overhead.model_dump(mode="json", include={"position_m", "look_at_m", "up"}),
+    }  # fmt: skip
+
+
+def drawn(spec: TrialSpec) -> Drawn:
+    """What the seed of a trial draws of body, posture, place, base and overhead camera.
+
+    Raises SceneError where no person of the seed suits the robot (``episode.parking``).
+    """
+    return draw(spec.protocol, region=spec.protocol.task(spec.task_id).region, seed=spec.seed, salt=spec.salt)
+
+
+def draw(protocol: Protocol, *, region: str, seed: int, salt: str = "") -> Drawn:
+    """As ``drawn``, for a task on a region."""
+    if protocol.variation.parking is None:
+        # Nobody has to be refused: the first draw is taken.
+        posture = posture_of(protocol, seed, salt, 0)
+        laid = posed(protocol, body_of(protocol, seed, salt), posture)
+        return Drawn(
+            protocol=_concrete(protocol, laid, seed, salt), comfort_arm_deg=posture.comfort_arm_deg,
+            place=place_of(posture.place, protocol.variation),
+        )  # fmt: skip
+    found = parked(protocol, seed, salt=salt)
+    base = found.bases[region]
+    scene = protocol.scene.model_copy(update={"robot_base_m": base.position_m, "robot_yaw_deg": base.yaw_deg})
+    laid = posed(protocol.model_copy(update={"scene": scene}), found.body, found.posture)
+    return Drawn(
+        protocol=_concrete(protocol, laid, seed, salt), comfort_arm_deg=found.posture.comfort_arm_deg,
+        place=place_of(found.posture.place, protocol.variation),
+    )  # fmt: skip
+
+
+def like(protocol: Protocol, other: Protocol) -> Protocol:
+    """A protocol with what was drawn in another: body and arm, base and cameras."""
+    person = other.person
+    update = {name: getattr(person, name) for name in ("body", "shoulder_rotation_deg", "palm_deg")}
+    return protocol.model_copy(update={
+        "person": protocol.person.model_copy(update=update), "scene": other.scene, "cameras": other.cameras
+    })  # fmt: skip
+
+
+def _concrete(protocol: Protocol, laid: Protocol, seed: int, salt: str) -> Protocol:
+    cameras = {**protocol.cameras, "overhead": overhead_of(protocol, seed, salt)}
+    return laid if cameras == protocol.cameras else laid.model_copy(update={"cameras": cameras})

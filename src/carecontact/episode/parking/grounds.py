@@ -1,0 +1,182 @@
+"""Whether the robot may stand at a place: the checks on one base beside one person, from the cheapest on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Literal, get_args
+
+import numpy as np
+
+from carecontact.contract.protocol import Camera, Protocol, Vec3
+from carecontact.episode.parking.laid import Array, Laid
+from carecontact.regions import REGIONS, Tube
+from carecontact.world.arm_kinematics import Arm, follow
+from carecontact.world.human.pose import BOARD_HEIGHT_M
+
+Refusal = Literal["bed", "board", "limb", "reach", "workspace", "parked tool", "shadow", "path", "joints", "posture"]
+REFUSALS: tuple[Refusal, ...] = get_args(Refusal)
+"""Why a base does not serve, in the order of the checks: the pedestal would stand in the bed, in the arm board or too
+close to the arm; the wrist would be too near to the robot's shoulder or too far from it; a target lies outside the
+workspace; the parked tool is too close to the person; the parked arm hides the limb from the overhead camera; the arm
+cannot follow the straight way to a target; a joint comes to the end of its range; the posture is nearly singular."""
+
+HOVER_M, PRESS_M = 0.07, -0.02
+"""Heights over the skin that the tool must reach: above every hover of the shipped policies, and as deep as a press."""
+WRIST_M, MOVED_WRIST_M = (0.30, 0.695), (0.26, 0.712)
+"""Of the wrist from the robot's shoulder. The second is the state machine's comfortable range, and holds once the
+person has moved the arm. What a policy sees is off by some millimetres, so that less is allowed at first."""
+SHOULDER_HEIGHT_M, WRIST_OFFSET_M, WRIST_TO_TCP_M = 0.333, 0.088, 0.107 + 0.117
+"""Of the Panda (data sheet), with this tool: ``policies.state_machine.fixed_values``."""
+INSIDE_M = 0.02
+"""Of the workspace: no target is nearer to its sides."""
+BED_HALF_WIDTH_M, BED_GAP_M = 0.45, 0.10
+BOARD_GAP_M, LIMB_GAP_M, MOVED_LIMB_GAP_M = 0.09, 0.22, 0.17
+"""From the pedestal's axis, to the middle of the limb, and to that of a limb that the person has moved. The pedestal
+has a radius of 0.09 m, and its plate 0.125 m."""
+TOOL_GAP_M = 0.10
+"""From the parked tool to the person's skin, also of a moved arm, and in the picture to the middle of the limb."""
+LINK_SHADOW_M, BODY_SHADOW_M = 0.14, 0.27
+"""In the overhead image, at the height of the limb: from the line of a link to the line of the limb (half a link, half
+a limb and 20 mm), and to the middle of the pelvis, so that the trunk is seen."""
+LIMB_OVER_BED_M = 0.08
+PUSH_OVER_BOARD_M = 0.018
+"""Height of a tool that pushes a limb aside."""
+PATH_STEPS, PATH_ERROR = 16, 3e-3
+"""Steps of the straight way, and the largest error in it: [m] and [rad] in one norm."""
+LEAST_MARGIN, LEAST_MANIPULABILITY = 0.05, 0.025
+"""Share of half a joint's range; sqrt(det(J J^T)), of which the worst target of the fixed base has 0.05."""
+ARM = Arm()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Base:
+    """World."""
+
+    position_m: Vec3
+    yaw_deg: float
+
+    @property
+    def turn(self) -> Array:
+        """(3, 3) base -> world."""
+        cos, sin = np.cos(np.radians(self.yaw_deg)), np.sin(np.radians(self.yaw_deg))
+        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """One person in one place."""
+
+    protocol: Protocol
+    laid: Laid
+    moved: tuple[Laid, ...]
+    """The same person after the arm has been moved as far as any level moves it, either way."""
+    overhead: Camera
+    board_turn: Array
+    """(3, 3) of the arm board in the world."""
+    board_middle: Array
+    """(3,)"""
+
+    @cached_property
+    def _limb(self) -> Array:
+        """(n, 3) points along the limb."""
+        return _points_along(self.laid.limb)
+
+    @cached_property
+    def _moved_limb(self) -> Array:
+        return np.concatenate([_points_along(laid.limb) for laid in self.moved] or [np.zeros((0, 3))])
+
+    @cached_property
+    def _cloud(self) -> Array:
+        return np.concatenate([self.laid.cloud, *(laid.cloud[laid.on_arm] for laid in self.moved)])
+
+    @cached_property
+    def _parked(self) -> Array:
+        """(9, 4, 4) links of the parked arm in base."""
+        return ARM.links(np.array([self.protocol.scene.parked_joint_rad]))[0]
+
+    def targets(self, region: str, laid: Laid) -> Array:
+        """(n, 3) where the tool centre point must be able to be."""
+        skin = laid.skin[self.protocol.regions.index(region)]
+        levels = [skin + [0.0, 0.0, HOVER_M], skin + [0.0, 0.0, PRESS_M]]
+        shape = REGIONS[region].shape
+        if isinstance(shape, Tube) and shape.pushed_from_side:
+            top = self.protocol.scene.mattress_top_m + BOARD_HEIGHT_M + PUSH_OVER_BOARD_M
+            levels.append(np.column_stack([skin[:, :2], np.full(len(skin), top)]))
+        return np.concatenate(levels)
+
+    def refusal(self, base: Base, region: str) -> Refusal | None:
+        """Why the robot may not stand there for a task on a region; None where it may."""
+        at, turn = np.array(base.position_m), base.turn
+        targets = self.targets(region, self.laid)
+        found = self._in_the_way(at) or self._out_of_reach((targets - at) @ turn, WRIST_M)
+        if found is None and self.moved:
+            moved = np.concatenate([self.targets(region, laid) for laid in self.moved])
+            found = self._out_of_reach((moved - at) @ turn, MOVED_WRIST_M)
+            targets = np.unique(np.concatenate([targets, moved]), axis=0)
+        return found or self._over_the_person(at, turn) or self._awkward(base, targets)
+
+    def _in_the_way(self, at: Array) -> Refusal | None:
+        if at[1] < BED_HALF_WIDTH_M + BED_GAP_M:
+            return "bed"
+        scene = self.protocol.scene
+        half = (np.array(scene.board_high_m) - np.array(scene.board_low_m)) / 2
+        beside = ((at - self.board_middle) @ self.board_turn)[:2]
+        if np.linalg.norm(np.maximum(np.abs(beside) - half, 0.0)) < BOARD_GAP_M:
+            return "board"
+        for limb, gap in ((self._limb, LIMB_GAP_M), (self._moved_limb, MOVED_LIMB_GAP_M)):
+            if np.linalg.norm((limb - at)[:, :2], axis=1).min(initial=np.inf) < gap:
+                return "limb"
+        return None
+
+    def _out_of_reach(self, local: Array, wrist_m: tuple[float, float]) -> Refusal | None:
+        """``local``: targets in base, for a tool that points down and away from the base."""
+        level = np.hypot(local[:, 0], local[:, 1]) - WRIST_OFFSET_M
+        distance = np.hypot(level, local[:, 2] + WRIST_TO_TCP_M - SHOULDER_HEIGHT_M)
+        if distance.min() < wrist_m[0] or distance.max() > wrist_m[1]:
+            return "reach"
+        low, high = (np.array(side) for side in (
+            self.protocol.impedance.workspace_low_m, self.protocol.impedance.workspace_high_m
+        ))  # fmt: skip
+        outside = (local < low + INSIDE_M) | (local > high - INSIDE_M)
+        return "workspace" if outside.any() else None
+
+    def _over_the_person(self, at: Array, turn: Array) -> Refusal | None:
+        origins = self._parked[:, :3, 3] @ turn.T + at
+        tool = origins[-1]
+        if (
+            np.linalg.norm(self._cloud - tool, axis=1).min() < TOOL_GAP_M
+            or np.linalg.norm((self._limb - tool)[:, :2], axis=1).min() < TOOL_GAP_M
+        ):
+            return "parked tool"
+        line = np.concatenate([origins[:-1] + share * (origins[1:] - origins[:-1]) for share in (0.0, 0.5, 1.0)])
+        eye, level = np.array(self.overhead.position_m), self.protocol.scene.mattress_top_m + LIMB_OVER_BED_M
+        grown = ((eye[2] - level) / (eye[2] - line[:, 2]))[:, None]
+        shadow = eye[:2] + (line[:, :2] - eye[:2]) * grown
+        gap = np.linalg.norm(shadow[:, None] - self._limb[None, :, :2], axis=2).min()
+        hides = gap < LINK_SHADOW_M or shadow[:, 1].min() - self.laid.pelvis[1] < BODY_SHADOW_M
+        return "shadow" if hides else None
+
+    def _awkward(self, base: Base, targets: Array) -> Refusal | None:
+        """The straight ways from parked to the targets, as the impedance would take them."""
+        start = base.turn @ self._parked[8, :3, :3]
+        yaw = np.arctan2(start[1, 0], start[0, 0])
+        out = targets - np.array(base.position_m)
+        count, way = len(targets), np.arctan2(out[:, 1], out[:, 0])
+        path, error = follow(
+            ARM, np.tile(self.protocol.scene.parked_joint_rad, (count, 1)), out @ base.turn, way,
+            np.full(count, yaw), base.turn, steps=PATH_STEPS,
+        )  # fmt: skip
+        if error.max() > PATH_ERROR:
+            return "path"
+        if ARM.margin(path.reshape(-1, path.shape[-1])).min() < LEAST_MARGIN:
+            return "joints"
+        manipulability, _ = ARM.measures(path[-1])
+        return "posture" if manipulability.min() < LEAST_MANIPULABILITY else None
+
+
+def _points_along(line: Array) -> Array:
+    """(n, 3) points on a line through (k, 3) corners."""
+    share = np.linspace(0.0, 1.0, 6)[:, None]
+    return np.concatenate([a + share * (b - a) for a, b in pairwise(line)])
