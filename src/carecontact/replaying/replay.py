@@ -94,6 +94,11 @@ class Replay:
         self.step_count = len(recording["scorer/time_s"])
         if not len(self.stored) or not self.step_count:
             raise RecordingError(f"{self.title}: the trial ended before t = 0, so there is nothing to show")
+        if header.spec.salt_sha256:
+            raise RecordingError(
+                f"{self.title}: its person was drawn with a secret of which the recording holds the hash only, so that "
+                "its world cannot be built again"
+            )
         self.simulation = _world(header)
         self.scene, self.model = self.simulation.scene, self.simulation.model
         size = mujoco.mj_stateSize(self.model, STATE)
