@@ -44,6 +44,8 @@ COMMANDS = {
     "compare": "compare:Compare",
     "paper": "paper:Paper",
     "export": "export:Export",
+    "video": "video:Video",
+    "view": "view:View",
     "validate": "validate:Validate",
     "calibrate": "calibrate:Calibrate",
     "look": "look:Look",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from carecontact.cli.groups import FLAT, RulesGroup, SaltGroup, VisionGroup
+from carecontact.contract.embodiment import ToolName
 
 if TYPE_CHECKING:
     pass
@@ -21,6 +22,9 @@ class Look:
     seed: int = 0
     """Seed of the protocol."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
+    tool: ToolName | None = None
+    """What the robot's hand wears in place of the protocol's: rigid caps over the fingertips, or a soft wash mitt. The
+    sheet names this change."""
     vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
     salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
     out: Path | None = None
@@ -35,10 +39,14 @@ class Look:
         from carecontact.contract.observation import MODALITIES
         from carecontact.contract.policy import CAMERAS, PolicyCard
         from carecontact.episode.first_look import first_look
+        from carecontact.protocols import load_protocol
         from carecontact.reports.pictures.sheet import check_sheet_path, save_sheet
         from carecontact.runs.preflight import check_protocol
 
-        rules = with_vision(self.rules.load(), self.vision)
+        rules = self.rules.changed(
+            load_protocol(self.rules.protocol), tool={} if self.tool is None else {"scene.tool": self.tool}
+        )
+        rules = with_vision(rules, self.vision)
         check_trial(rules, task=self.task, seed=self.seed)
         trial = f"{self.task}-s{self.seed:03d}"
         path = check_sheet_path(self.out or Path(f"look-{trial}.png"))

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, EngineGroup, PolicyGroup, SaltGroup, Switch
+from carecontact.cli.groups import FLAT, EngineGroup, JsonGroup, PolicyGroup, SaltGroup, Switch
 from carecontact.errors import ConfigError, DependencyError
 
 if TYPE_CHECKING:
     from carecontact.cli.sweep_progress import SweepProgress
+    from carecontact.reports.sweep.table import SweepTable
     from carecontact.runs.run_scores import RunScores
     from carecontact.runs.sweep.cells import Cell
     from carecontact.runs.sweep.plan import Plan, PlannedPolicy
@@ -45,6 +46,7 @@ class Sweep:
     """Run again the trials in which the policy crashed or the harness failed."""
     dry_run: Switch = False
     """Print the cells, and run nothing."""
+    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
 
     after_interrupt: ClassVar[str] = "; finished trials are kept; give the same command again to continue"
 
@@ -135,6 +137,7 @@ class Sweep:
 
     def _finish(self, plan: Plan, cells: Sequence[Cell], progress: SweepProgress) -> int:
         from carecontact.reports.sweep.page import write_sweep
+        from carecontact.reports.sweep.roles import role_of
         from carecontact.reports.sweep.table import CellScores, sweep_table
         from carecontact.reports.sweep.texts import sentences
 
@@ -143,7 +146,8 @@ class Sweep:
             self.plan.stem,
             [
                 CellScores(
-                    label=cell.label, values=cell.place.values, folder=f"{CELLS}/{cell.name}",
+                    label=cell.label, role=role_of(cell.specs[0].policy), values=cell.place.values,
+                    folder=f"{CELLS}/{cell.name}",
                     planned=len(cell.specs), scores=_of_plan(cell, run),
                 )
                 for cell, run in found
@@ -154,12 +158,34 @@ class Sweep:
             print(f"table: {path}")
         for sentence in sentences(table):
             print(sentence)
+        if self.output.json:
+            _say(table)
         skipped = [
             f"{self._folder(cell)}: {name}: {why}" for cell, run in found if run for name, why in run.skipped.items()
         ]
         for line in skipped:
             print(f"skipped {line}")
         return 1 if skipped else progress.status()
+
+
+def _say(table: SweepTable) -> None:
+    from carecontact.cli.answers.sweep import SweepAnswer
+    from carecontact.cli.json_lines import say
+
+    say(
+        SweepAnswer(
+            title=table.title,
+            axes=table.axes,
+            policies=table.policies,
+            rank_by=table.rank_by,
+            trials=sum(len(row.cell.scores) for row in table.rows),
+            planned=sum(row.cell.planned for row in table.rows),
+            stability=table.stability,
+            ladder=table.ladder,
+            factors=table.factors,
+            gate_orders=table.gate_orders,
+        )
+    )
 
 
 def _options(planned: PlannedPolicy) -> PolicyGroup:

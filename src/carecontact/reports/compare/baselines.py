@@ -48,6 +48,8 @@ class Baselines:
     baselines: tuple[Passed, ...]
     floor: dict[str, BlindRate] = field(default_factory=dict[str, BlindRate])
     """``all`` and each task -> the safety-gated rate of the blind baseline that passes most there."""
+    kept: tuple[str, ...] = ()
+    """Those of ``baselines`` whose scores are kept with the package; methods that see may be among them."""
 
     @property
     def tasks(self) -> tuple[str, ...]:
