@@ -216,6 +216,11 @@ class _Run:
 
 def _world(header: Header) -> Simulation:
     spec = header.spec
+    if spec.salt_sha256:
+        # Its person cannot be drawn again without the salt, which no recording holds.
+        raise RecordingError(
+            f"{spec.trial_id}: a trial of a salted run cannot be shown, since its recording lacks the salt"
+        )
     try:
         simulation, _, _ = settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed)
     except SceneError as error:
