@@ -12,6 +12,7 @@ from PIL import Image
 
 from carecontact.errors import DependencyError
 from carecontact.replaying.film.video import comment_of, write_gif, write_mp4
+from tests.reports.browser import Browser, found
 
 
 def pictures(count: int) -> list[np.ndarray]:
@@ -65,3 +66,29 @@ def test_an_animation_has_every_picture(tmp_path: Path) -> None:
         animation.seek(5)
         bright = np.asarray(animation.convert("L"))[24] > 128
     assert np.flatnonzero(bright).tolist() == list(range(30, 38))
+
+
+def test_a_browser_plays_the_video(tmp_path: Path) -> None:
+    program = found()
+    if program is None:
+        pytest.skip("no Chromium on this machine")
+    write_mp4(tmp_path / "a.mp4", pictures(8), fps=12.5, comment="")
+    (tmp_path / "page.html").write_text('<video src="a.mp4" preload="auto" muted></video>')
+    played = """
+    new Promise(resolve => {
+      const video = document.querySelector("video");
+      if (!video.canPlayType('video/mp4; codecs="avc1.640020"')) resolve("no H.264");
+      video.onerror = () => resolve("error " + video.error.code);
+      const tell = () => resolve(`${video.videoWidth}x${video.videoHeight} ${video.duration.toFixed(2)}`);
+      if (video.readyState >= 2) tell(); else video.onloadeddata = tell;
+      video.load();
+    })
+    """
+    with Browser(program, tmp_path / "profile") as browser:
+        answer = browser.open(tmp_path / "page.html").call(
+            "Runtime.evaluate", expression=played, returnByValue=True, awaitPromise=True
+        )
+    told = answer["result"]["value"]
+    if told == "no H.264":
+        pytest.skip("this Chromium was built without H.264")
+    assert told == "64x48 0.64"
