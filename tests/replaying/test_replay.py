@@ -88,6 +88,12 @@ def test_states_of_another_size_are_refused(pressed: Recording) -> None:
         Replay(changed(pressed, state__integration=pressed["state/integration"][:, :-4]))
 
 
+def test_a_trial_with_a_secret_draw_is_refused(pressed: Recording) -> None:
+    spec = pressed.header.spec.model_copy(update={"salt_sha256": "ab" * 32})
+    with pytest.raises(RecordingError, match=r"T1-s000: its person was drawn with a secret"):
+        Replay(replace(pressed, header=pressed.header.model_copy(update={"spec": spec})))
+
+
 def test_the_worst_stretch_decides_what_is_said() -> None:
     found, nothing = Found(), np.zeros(0, np.int64)
     assert str(found) == "stepped again from the recording, bit for bit"

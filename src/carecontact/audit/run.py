@@ -53,8 +53,8 @@ def audit(
     policies: Sequence[PolicySetup],
     *,
     quick: bool,
-    privileged: Sequence[str] = (),
     salt: str = "",
+    privileged: Sequence[str] = (),
     on_event: Callable[[str], None] = lambda said: None,
 ) -> Audit:
     """Run every part on every policy.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,8 @@ from carecontact.contract.geometry import pose_matrix
 from carecontact.contract.policy import CAMERAS
 from carecontact.contract.trial import commitment
 from carecontact.episode.camera_poses import BELIEVED, TRUE
-from carecontact.episode.randomization import calibration, comfort_arm_deg, streams
+from carecontact.episode.drawn import drawn, drawn_facts
+from carecontact.episode.randomization import calibration, streams
 from carecontact.errors import ConfigError
 from carecontact.observation.calibration import Calibration
 from carecontact.recording import Recording, read_recording
@@ -30,7 +32,7 @@ class Verified:
     sha256: str
     recordings: int
     draws: int
-    """What recordings hold of their draws and was drawn again: angles of the arm, calibrations, changes of posture."""
+    """What recordings hold of their draws and was drawn again: persons, calibrations, changes of posture."""
     faults: tuple[str, ...]
 
 
@@ -65,9 +67,12 @@ def drawn_again(recording: Recording, salt: str) -> Iterator[tuple[str, bool]]:
     """What a recording holds of its draws, and whether the salt gives the same."""
     header, arrays = recording.header, recording.arrays
     protocol, seed = header.spec.protocol, header.spec.seed
+    made = drawn(header.spec.model_copy(update={"salt": salt}))
     if header.comfort_arm_deg is not None:
-        away = abs(header.comfort_arm_deg - comfort_arm_deg(protocol, seed, salt=salt))
-        yield "the angle of the arm", away < ARM_DEG
+        yield "the angle of the arm", abs(header.comfort_arm_deg - made.comfort_arm_deg) < ARM_DEG
+    if header.drawn:
+        facts = json.loads(json.dumps(drawn_facts(made.protocol, made.place)))
+        yield "body, posture, place, robot's base or camera", header.drawn == facts
     if BELIEVED in arrays:
         yield "the error of the calibration", _same_errors(recording, calibration(protocol, seed, salt=salt))
     wanted = protocol.person.alive.repositioning

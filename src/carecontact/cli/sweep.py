@@ -136,8 +136,8 @@ class Sweep:
                 each.result()
 
     def _finish(self, plan: Plan, cells: Sequence[Cell], progress: SweepProgress) -> int:
+        from carecontact.policies.registry import role_of
         from carecontact.reports.sweep.page import write_sweep
-        from carecontact.reports.sweep.roles import role_of
         from carecontact.reports.sweep.table import CellScores, sweep_table
         from carecontact.reports.sweep.texts import sentences
 

@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.episode.perception import SEGMENT_AT, middle_share
+from carecontact.episode.perception import SEGMENT_AT
 from carecontact.errors import ContractError
 from carecontact.regions import REGIONS, LimbSight, TrunkSight
 from carecontact.sight import RegionGeometry
-from carecontact.sight.region import MIN_REGION_M
+from carecontact.sight.region import free_from
 from carecontact.sim.simulation import Simulation
 from carecontact.sim.true_skin import skin_in_world
 from carecontact.world.human.skeleton import body_name
@@ -101,12 +101,9 @@ class Truth:
         """(3,) and (3,) ends of the region's line, nearer the trunk (abdomen: the feet) first."""
         row = REGIONS[self.region]
         match row.sight:
-            case LimbSight(joints=(first, second), free_from=free_from):
+            case LimbSight(joints=(first, second)) as sight:
                 a, b = self._joint(f"{row.side} {first}"), self._joint(f"{row.side} {second}")
-                # Where a chest crowds the arm, the region of this body begins nearer the next joint.
-                begins = min(2 * middle_share(self.simulation.model, self.region) - 1,
-                             1 - MIN_REGION_M / float(np.linalg.norm(b - a)))  # fmt: skip
-                return a + max(free_from, begins) * (b - a), b
+                return a + free_from(sight, self.skin(), a, b) * (b - a), b
             case TrunkSight(joints=(lower, upper), middle=middle, length=share):
                 a, b = ((self._joint(f"left {j}") + self._joint(f"right {j}")) / 2 for j in (lower, upper))
                 return a + (middle - share / 2) * (b - a), a + (middle + share / 2) * (b - a)

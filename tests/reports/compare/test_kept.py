@@ -22,6 +22,8 @@ def test_kept_scores_of_the_protocol_stand_beside_a_run(tmp_path: Path) -> None:
     assert beside is not None
     assert [row.policy for row in beside.baselines] == list(beside.kept) == ["replay", "state-machine"]
     assert beside.baselines[0].rates["safety_gated"].k == 123
+    assert [row.role for row in beside.baselines] == ["blind", "method"]
+    assert beside.floor["all"].policy == "replay", "a method is no floor, whatever it passes"
     assert why == ""
 
 

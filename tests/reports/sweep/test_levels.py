@@ -7,13 +7,11 @@ from typing import Any
 
 import pytest
 
-from carecontact.policies.registry import POLICIES
+from carecontact.policies.registry import Role
 from carecontact.reports.sweep.curve import curve_svg
 from carecontact.reports.sweep.factors import factors
 from carecontact.reports.sweep.ladder import Ladder, ladder
 from carecontact.reports.sweep.level_texts import factor_rows, gate_rows, level_rows
-from carecontact.reports.sweep.persons import Role
-from carecontact.reports.sweep.roles import role_of
 from carecontact.reports.sweep.table import CellScores, sweep_table
 from carecontact.reports.sweep.texts import as_markdown, sentences
 from carecontact.runs.sweep.factors import ALL, AXIS, NONE, alone, without
@@ -162,10 +160,10 @@ def test_an_order_that_another_gate_turns_is_named_with_its_place() -> None:
     assert ["push_force_n", "1.00", "1.00", "-1.00 (push_force_n 1)"] in gate_rows(table.gate_orders)
 
 
-@pytest.mark.parametrize(
-    ("policy", "role"),
-    [("zero-action", "blind"), ("replay", "blind"), ("state-machine", "method"), ("my:Own", "method")],
-)
-def test_roles_are_those_of_the_rows(policy: str, role: str) -> None:
-    assert role_of(policy) == role
-    assert (policy in POLICIES) is (":" not in policy)
+def test_levels_of_one_protocol_are_the_ladder() -> None:
+    cells = [
+        CellScores(label="a", values={"protocol": "wide", "level": level}, folder="a", planned=1,
+                   scores=[make_score("T1", 0, policy="a")])
+        for level in ("L0", "L1")
+    ]  # fmt: skip
+    assert [rung.value for rung in climbed(cells).rungs] == ["wide L0", "wide L1"]

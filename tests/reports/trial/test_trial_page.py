@@ -86,6 +86,14 @@ def test_paths_are_in_the_frame_of_the_region() -> None:
     assert noted == pytest.approx(base + [0.35, -0.42, 0.22] - MIDDLE, abs=1e-3)
 
 
+def test_a_trial_without_a_touch_says_how_near_the_tool_came(tmp_path: Path) -> None:
+    """The region is taken as a cylinder; the tip of the tool ends 6 mm inside it only where it touches."""
+    recording = whole_trial(touched=False)
+    recording.arrays["scorer/pose_tcp_in_world"][:, 2] += 0.021
+    _, words = written(tmp_path, recording)
+    assert "The robot never touched the person; the tip of the tool came to 15 mm from the region, at" in words
+
+
 def test_a_trial_without_steps_has_a_page(tmp_path: Path) -> None:
     failure = Failure(kind="died", message=f"it died\nTraceback (most recent call last):\nValueError: {HOSTILE}")
     recording = make_recording("T7", 0, {}, duration_s=0, ended="process_failure", failure=failure)
@@ -128,6 +136,7 @@ def test_video_recording_log_and_report_are_linked_where_they_are(tmp_path: Path
     text, _ = written(tmp_path, whole_trial())
     assert '<video controls preload="metadata" src="T1-s000.mp4">' in text
     links = re.findall(r'href="([^"#]*)[#"]', text)
+    assert "media-src 'self' file:;" in text
     assert [link for link in links if link and not link.startswith("data:")] == [
         "../report.html", "../T1-s000.h5", "../T1-s000.log", "T1-s000.mp4",
     ]  # fmt: skip

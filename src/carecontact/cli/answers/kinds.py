@@ -8,6 +8,7 @@ from carecontact.cli.answers.doctor import DoctorAnswer
 from carecontact.cli.answers.error import ErrorAnswer
 from carecontact.cli.answers.names import ListAnswer
 from carecontact.cli.answers.protocol import (
+    ProtocolFeasibleAnswer,
     ProtocolListAnswer,
     ProtocolLockAnswer,
     ProtocolShowAnswer,
@@ -29,6 +30,7 @@ ANSWERS: tuple[type[Answer], ...] = (
     ProtocolListAnswer,
     ProtocolShowAnswer,
     ProtocolVerifyAnswer,
+    ProtocolFeasibleAnswer,
     ProtocolLockAnswer,
     ValidateAnswer,
     ErrorAnswer,

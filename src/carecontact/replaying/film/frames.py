@@ -64,7 +64,7 @@ class Film:
         region = spec.protocol.task(spec.task_id).region
         scene = film_scene(self.replay.scene, region)
         dress(scene, spec.seed)
-        lay(scene, spec.seed)
+        lay(scene, scene.place)
         self._model, self._data = scene.model, mujoco.MjData(scene.model)
         self.story: Story | None = story_of(recording) if panel else None
         self._size = size or PICTURE

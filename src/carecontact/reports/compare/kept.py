@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from carecontact.errors import CarecontactError
@@ -41,13 +40,12 @@ def beside_kept(
             scores = read_scores(file)
             title = scores.scores[0].policy_title
             if title not in taken:
-                beside_baselines(run, [*named, *kept, scores])
+                beside_baselines(run, named, kept=[*kept, scores])
                 kept.append(scores)
         except CarecontactError as error:
             why = why or f"The kept scores of {file.name.partition('.')[0]} cannot stand beside this run: {error}."
     if kept:
-        both = beside_baselines(run, [*named, *kept])
-        return replace(both, kept=tuple(scores.scores[0].policy_title for scores in kept)), ""
+        return beside_baselines(run, named, kept=kept), ""
     return found, why or _none_kept(run.scores[0].protocol_id)
 
 

@@ -52,7 +52,7 @@ def factors(cells: Sequence[CellScores], outcome: str) -> Factors | None:
     policies = list(dict.fromkeys(cell.label for cell in cells))
     found = {
         (name, value): trials_of(
-            (c for c in cells if c.label == name and c.values[AXIS] == value), outcome, without=AXIS
+            (c for c in cells if c.label == name and c.values[AXIS] == value), outcome, without=(AXIS,)
         )
         for name in policies
         for value in dict.fromkeys(cell.values[AXIS] for cell in cells)

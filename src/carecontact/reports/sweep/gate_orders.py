@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from carecontact.reports.compare.rankings import REFERENCE, rank
-from carecontact.reports.sweep.ladder import AXIS
+from carecontact.reports.sweep.ladder import level_of, levels_of
 from carecontact.reports.sweep.persons import trials_of
 from carecontact.scoring.result import TrialScore
 
@@ -33,8 +33,8 @@ def gate_orders(cells: Sequence[CellScores], policies: Sequence[str]) -> tuple[G
     """Empty with fewer than two policies. A trial counts where every policy has it."""
     if len(policies) < 2:
         return ()
-    values = list(dict.fromkeys(cell.values[AXIS] for cell in cells if AXIS in cell.values))
-    places = {value: [c for c in cells if c.values[AXIS] == value] for value in values if len(values) > 1}
+    values = levels_of(cells)
+    places = {value: [c for c in cells if level_of(c) == value] for value in values if len(values) > 1}
     found: list[GateOrder] = []
     for place, of_place in ({EVERYWHERE: list(cells)} | places).items():
         methods = _common(of_place, policies)
@@ -50,7 +50,7 @@ def gate_orders(cells: Sequence[CellScores], policies: Sequence[str]) -> tuple[G
 def _common(cells: Sequence[CellScores], policies: Sequence[str]) -> Mapping[str, Sequence[TrialScore]]:
     """Policy -> its trials, of those that every policy has."""
     of_policy = {
-        name: trials_of((c for c in cells if c.label == name), "safety_gated", without="").scores for name in policies
+        name: trials_of((c for c in cells if c.label == name), "safety_gated", without=()).scores for name in policies
     }
     keys = set.intersection(*(set(scores) for scores in of_policy.values()))
     return {name: [scores[key] for key in sorted(keys, key=str)] for name, scores in of_policy.items()}

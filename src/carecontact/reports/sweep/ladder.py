@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
 
-from carecontact.reports.sweep.persons import Role, Trials, best, of_role, trials_of
+from carecontact.policies.registry import Role
+from carecontact.reports.sweep.persons import Trials, best, of_role, trials_of
 from carecontact.stats import PersonDifference, PersonRate, WorstShare, holm
 
 if TYPE_CHECKING:
     from carecontact.reports.sweep.table import CellScores
 
-AXIS = "protocol"
+AXES = ("protocol", "level")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,13 +68,13 @@ def ladder(cells: Sequence[CellScores], outcome: str) -> Ladder | None:
     Args:
         outcome: field of a score that says whether a trial passed.
     """
-    values = list(dict.fromkeys(cell.values[AXIS] for cell in cells if AXIS in cell.values))
+    values = levels_of(cells)
     if len(values) < 2 or not any(cell.scores for cell in cells):
         return None
     policies = list(dict.fromkeys(cell.label for cell in cells))
     found = {
         value: {
-            name: trials_of((c for c in cells if c.label == name and c.values[AXIS] == value), outcome, without=AXIS)
+            name: trials_of((c for c in cells if c.label == name and level_of(c) == value), outcome, without=AXES)
             for name in policies
         }
         for value in values
@@ -94,6 +95,16 @@ def ladder(cells: Sequence[CellScores], outcome: str) -> Ladder | None:
     ]
     tasks = {task for rung in rungs for climb in rung.climbs for task in climb.by_task}
     return Ladder(rungs=tuple(rungs), policies=tuple(policies), tasks=tuple(sorted(tasks)))
+
+
+def level_of(cell: CellScores) -> str:
+    """As titles name it: the protocol, and its level where it has levels."""
+    return " ".join(cell.values[axis] for axis in AXES if axis in cell.values)
+
+
+def levels_of(cells: Sequence[CellScores]) -> list[str]:
+    """In the order of the plan."""
+    return list(dict.fromkeys(map(level_of, cells)))
 
 
 def _rung(value: str, trials: Mapping[str, Trials], roles: Mapping[str, Role], contrasts: tuple[Contrast, ...]) -> Rung:

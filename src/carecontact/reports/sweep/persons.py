@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
+from carecontact.policies.registry import Role
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import PersonDifference, PersonRate, WorstShare, person_difference, person_rate, worst_share
@@ -13,8 +14,6 @@ from carecontact.stats import PersonDifference, PersonRate, WorstShare, person_d
 if TYPE_CHECKING:
     from carecontact.reports.sweep.table import CellScores
 
-Role = Literal["method", "blind", "probe", "privileged"]
-"""What a policy is for. Methods alone are ranked; the best blind one is the floor, a privileged one the ceiling."""
 Key = tuple[Hashable, str, int]
 """Place without the values that are compared, task and seed."""
 
@@ -69,11 +68,11 @@ class Trials:
         return (sum(value > 0 for value in known), len(known)) if known else None
 
 
-def trials_of(cells: Iterable[CellScores], outcome: str, *, without: str) -> Trials:
-    """``without``: the axis that the cells differ in and that is compared; it is left out of the keys."""
+def trials_of(cells: Iterable[CellScores], outcome: str, *, without: Sequence[str]) -> Trials:
+    """``without``: the axes that the cells differ in and that are compared; they are left out of the keys."""
     found: dict[Key, TrialScore] = {}
     for cell in cells:
-        place = tuple((axis, value) for axis, value in cell.values.items() if axis != without)
+        place = tuple((axis, value) for axis, value in cell.values.items() if axis not in without)
         for score in judged(cell.scores):
             found[place, score.task_id, score.seed] = score
     return Trials(scores=found, outcome=outcome)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from carecontact.policies.registry import Role
 from carecontact.reports.sweep.factors import Factors, factors
 from carecontact.reports.sweep.gate_orders import GateOrder, gate_orders
 from carecontact.reports.sweep.ladder import Ladder, ladder
-from carecontact.reports.sweep.persons import Role, of_role
+from carecontact.reports.sweep.persons import of_role
 from carecontact.reports.sweep.stability import Group, Stability, stability
 from carecontact.reports.table import SummaryRow, summary_rows
 from carecontact.scoring.result import TrialScore

@@ -93,8 +93,8 @@ def read_plan(path: Path) -> Plan:
         plan = Plan.model_validate(content)
     except ValidationError as error:
         raise ConfigError(wrong_fields(f"plan {path}", error, model=Plan, content=content)) from None
-    if plan.factors is not None and "protocol" in plan.axes:
-        raise ConfigError(f"plan {path}: factors: they stand in place of axes.protocol; give only one")
+    if plan.factors is not None and (axis := next((name for name in ("protocol", "level") if name in plan.axes), None)):
+        raise ConfigError(f"plan {path}: factors: they stand in place of axes.{axis}; give only one")
     for axis, values in plan.axes.items():
         if twice := [value for k, value in enumerate(values) if value in values[:k]]:
             raise ConfigError(f"plan {path}: axes.{axis}: {twice[0]!r} is there twice; name each value once")
