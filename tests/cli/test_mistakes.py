@@ -74,7 +74,7 @@ MISTAKES = {
     "a body that there is not, of another command": (["validate", "--body", "woman"], "--body: no body named 'woman'"),
     "a misspelt word of protocol": (
         ["protocol", "sho"],
-        "error: no choice named 'sho' (did you mean 'show'?); valid: list, show, verify, lock; For full helptext",
+        "error: no choice named 'sho' (did you mean 'show'?); valid: list, show, verify, lock, feasible; For full helptext",
     ),
     "a misspelt word of list": (
         ["list", "policy"],

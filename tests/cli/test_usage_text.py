@@ -17,7 +17,7 @@ TOLD = {
         "PATH; For full helptext, run: carecontact run --help\n"
     ),
     ("protocol", "sho"): (
-        "error: no choice named 'sho' (did you mean 'show'?); valid: list, show, verify, lock; For full helptext, run "
+        "error: no choice named 'sho' (did you mean 'show'?); valid: list, show, verify, lock, feasible; For full helptext, run "
         "carecontact protocol --help\n"
     ),
     (
