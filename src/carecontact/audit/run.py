@@ -53,13 +53,15 @@ def audit(
     policies: Sequence[PolicySetup],
     *,
     quick: bool,
+    salt: str = "",
     privileged: Sequence[str] = (),
     on_event: Callable[[str], None] = lambda said: None,
 ) -> Audit:
     """Run every part on every policy.
 
     The quick form presses one region, with one card that requests all that the policies request. The full form presses
-    every region of the protocol with each card, and lets the policies' own trials run to their end.
+    every region of the protocol with each card, and lets the policies' own trials run to their end. ``salt``: the
+    secret of a salted run, on whose person the audit then runs.
 
     ``privileged``: policies that are left out, as the result names them.
 
@@ -72,8 +74,8 @@ def audit(
     with tempfile.TemporaryDirectory(prefix="carecontact-audit-") as folder:
         for number, task_id in enumerate(tasks[:1] if quick else tasks):
             region = RegionAudit(
-                spec=TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy=""), number=number,
-                keyframe=Keyframe(protocol, task_id=task_id, seed=seed), folder=Path(folder), quick=quick,
+                spec=TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy="", salt=salt), number=number,
+                keyframe=Keyframe(protocol, task_id=task_id, seed=seed, salt=salt), folder=Path(folder), quick=quick,
                 on_event=on_event, add=lambda part: found[part.name].append(part),
             )  # fmt: skip
             with region.logs():

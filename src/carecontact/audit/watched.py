@@ -18,6 +18,7 @@ from carecontact.contract.embodiment import PANDA
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.drawn import like
 from carecontact.episode.randomization import calibration
 from carecontact.errors import CarecontactError
 from carecontact.hosting.setup import PolicySetup
@@ -139,9 +140,10 @@ def watch(
     failure = recording.header.failure
     if recording.header.ended == "process_failure" and failure is not None:
         watched.error = failure.message
-    card, protocol = watched.card, drawn[-1]
+    card = watched.card
+    protocol = like(spec.protocol, drawn[-1]) if drawn else spec.protocol
     if log is not None and watched.looks and card is not None:
-        scene, known = protocol.scene, calibration(protocol, spec.seed, salt=spec.salt)
+        scene, known = protocol.scene, calibration(spec.protocol, spec.seed, salt=spec.salt)
         write_meta(
             log,
             Meta(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, ArgumentsGroup, PolicyGroup, RulesGroup, Switch
+from carecontact.cli.groups import FLAT, ArgumentsGroup, PolicyGroup, RulesGroup, SaltGroup, Switch
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ class Audit:
     """Examine nothing but the recordings of this run: does the wall time between two acts tell contact? Only a run with
     --pace fails if it does. A run in which no trial has acts both with and without contact has nothing to examine."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
+    salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/audit")
     """Folder for audit.json."""
 
@@ -84,6 +85,7 @@ class Audit:
             setups,
             privileged=privileged,
             quick=self.quick,
+            salt=self.salted.salt,
             on_event=lambda event: print(f"  {event}", flush=True),
         )
         _print(result.parts)

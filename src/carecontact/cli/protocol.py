@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
@@ -18,16 +19,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Protocols:
-    """List protocols, show one, verify that one still equals its lock (the file with its hashes), or write the lock of
-    your own protocol file."""
+    """List protocols, show one, verify that one still equals its lock (the file with its hashes), write the lock of
+    your own protocol file, or check that the robot can serve every person that a protocol draws."""
 
-    what: Annotated[Literal["list", "show", "verify", "lock"], tyro.conf.Positional]
-    """What to do: list all protocols, show one, verify it against its lock, or write its lock."""
+    what: Annotated[Literal["list", "show", "verify", "lock", "feasible"], tyro.conf.Positional]
+    """What to do: list all protocols, show one, verify it against its lock, write its lock, or check that the robot can
+    serve every seed of it."""
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME|FILE.toml]")] = "bathing-draft"
     """Id of a shipped protocol, or a .toml file; `list` needs none."""
 
     level: str | None = None
     """Level of the protocol, where it has any; default: all of them."""
+    seeds: str = "all"
+    """For feasible: seeds to check, one (3), a list (0,4,7), a range (0-19), or all."""
+    salts: int = 0
+    """For feasible: how many salted seeds to check besides, each with a fresh salt."""
+    picture: Path = Path("feasible.png")
+    """For feasible: .png or .svg file for the map of the bed from above, with every place where the robot stands."""
     output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
 
     after_interrupt: ClassVar[str] = ""
@@ -42,6 +50,12 @@ class Protocols:
             return 0
         if self.what == "show":
             return show(self.name, self._levels())
+        if self.what == "feasible":
+            from carecontact.cli.feasible import feasible
+
+            return feasible(
+                self._levels(), seeds=self.seeds, salts=self.salts, picture=self.picture, json=self.output.json
+            )
         each = {"verify": verify, "lock": lock}[self.what]
         return max(each(self.name, rules, json=self.output.json) for rules in self._levels())
 

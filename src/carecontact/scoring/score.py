@@ -122,6 +122,8 @@ def _world(contact: Contact) -> dict[str, str]:
         world = {f"{DRAWN}{name}" if name in ("body", "model") else name: value for name, value in world.items()}
     if "mujoco" in header.versions:
         world["mujoco"] = header.versions["mujoco"]
+    if header.spec.salt_sha256:
+        world["salt"] = header.spec.salt_sha256
     return world
 
 

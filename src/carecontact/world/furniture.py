@@ -10,6 +10,8 @@ from carecontact.world.human.pose import BOARD_HEIGHT_M
 
 BED_TOUCH = {"contype": 0, "conaffinity": 3}
 LOOK_ONLY = {"contype": 0, "conaffinity": 0}
+BED_HALF_M = (1.0, 0.45)
+"""Half length and half width of the mattress."""
 PILLOW_HEIGHT_M = 0.045
 SUPPORT = "bed_support"
 """A body that rests on the bed and holds what moves with the person: pillow and arm board."""
@@ -43,7 +45,7 @@ def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float, head_y: f
     add("floor", mujoco.mjtGeom.mjGEOM_PLANE, [6, 6, 0.1], [0, 0, 0], [0.66, 0.63, 0.58, 1])
     add("wall", BOX, [0.05, 3.5, 1.4], [2.2, 0, 1.4], [0.86, 0.86, 0.82, 1])
     # One contact plane under everything keeps the count of bed contacts, and so the cost, low.
-    add("bed_mattress", BOX, [1.0, 0.45, 0.08], [0, 0, top - 0.08], linen, **soft, **BED_TOUCH)
+    add("bed_mattress", BOX, [*BED_HALF_M, 0.08], [0, 0, top - 0.08], linen, **soft, **BED_TOUCH)
     add("bed_frame", BOX, [1.03, 0.47, 0.03], [0, 0, top - 0.19], steel)
     add("bed_head", BOX, [0.02, 0.47, 0.30], [1.05, 0, top + 0.02], wood)
     add("bed_foot", BOX, [0.02, 0.47, 0.16], [-1.05, 0, top - 0.08], wood)

@@ -8,6 +8,7 @@ from carecontact.cli.answers.doctor import DoctorAnswer
 from carecontact.cli.answers.error import ErrorAnswer
 from carecontact.cli.answers.names import ListAnswer
 from carecontact.cli.answers.protocol import (
+    ProtocolFeasibleAnswer,
     ProtocolListAnswer,
     ProtocolLockAnswer,
     ProtocolShowAnswer,
@@ -15,6 +16,7 @@ from carecontact.cli.answers.protocol import (
 )
 from carecontact.cli.answers.run import RunAnswer, TrialAnswer
 from carecontact.cli.answers.score import ScoreAnswer
+from carecontact.cli.answers.sweep import SweepAnswer
 from carecontact.cli.answers.validate import ValidateAnswer
 
 ANSWERS: tuple[type[Answer], ...] = (
@@ -24,9 +26,11 @@ ANSWERS: tuple[type[Answer], ...] = (
     RunAnswer,
     ScoreAnswer,
     CompareAnswer,
+    SweepAnswer,
     ProtocolListAnswer,
     ProtocolShowAnswer,
     ProtocolVerifyAnswer,
+    ProtocolFeasibleAnswer,
     ProtocolLockAnswer,
     ValidateAnswer,
     ErrorAnswer,

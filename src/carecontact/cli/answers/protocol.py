@@ -46,3 +46,39 @@ class ProtocolLockAnswer(Answer):
     id: str
     lock: str
     """Path of the lock that was written."""
+
+
+class RejectedPerson(Part):
+    """Who was drawn and not taken, because the robot cannot serve one region on one of the levels."""
+
+    comfort_arm_deg: float
+    shoulder_rotation_deg: float
+    palm_deg: float
+    region: str
+    """Empty: the person did not come to rest."""
+    refused: dict[str, int]
+    """Reason -> draws of a base."""
+
+
+class FeasibleSeed(Part):
+    seed: int
+    salted: bool
+    feasible: bool
+    body: str | None
+    draws: dict[str, int]
+    """Region -> draws of a base, with the one that serves."""
+    refused: dict[str, int]
+    """Reason -> draws of a base beside the person who was taken."""
+    rejected: list[RejectedPerson]
+    """The persons before."""
+
+
+class ProtocolFeasibleAnswer(Answer):
+    kind: Annotated[Literal["carecontact-protocol-feasible-1"], Field(alias="schema")] = (
+        "carecontact-protocol-feasible-1"
+    )
+    id: str
+    """With the level."""
+    feasible: bool
+    """Whether every seed is."""
+    seeds: list[FeasibleSeed]

@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from carecontact.contract.protocol import Parking
-from carecontact.episode.parking.grounds import Base, Ground, Refusal, counted
+from carecontact.episode.parking.grounds import Base, Ground, Refusal
 
 NEAREST_STEP = 0.005
 """``nearest``: the share of the spread by which the draws reach farther with each of them."""
@@ -20,8 +19,8 @@ NEAREST_STEP = 0.005
 class Search:
     base: Base | None
     """None: no draw served."""
-    refused: npt.NDArray[np.int64]
-    """(REFUSALS,) how many draws before it were refused, by reason."""
+    refused: tuple[Refusal, ...]
+    """Why each draw before it was refused."""
 
 
 def search(
@@ -32,9 +31,9 @@ def search(
     for base in draws(parking, region, place=place, height=height):
         reason = ground.refusal(base, region)
         if reason is None:
-            return Search(base=base, refused=counted(refused))
+            return Search(base=base, refused=tuple(refused))
         refused.append(reason)
-    return Search(base=None, refused=counted(refused))
+    return Search(base=None, refused=tuple(refused))
 
 
 def draws(parking: Parking, region: str, *, place: np.random.Generator, height: np.random.Generator) -> Iterator[Base]:

@@ -8,7 +8,6 @@ from itertools import pairwise
 from typing import Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from carecontact.contract.protocol import Camera, Protocol, Vec3
 from carecontact.episode.parking.laid import Array, Laid
@@ -181,8 +180,3 @@ def _points_along(line: Array) -> Array:
     """(n, 3) points on a line through (k, 3) corners."""
     share = np.linspace(0.0, 1.0, 6)[:, None]
     return np.concatenate([a + share * (b - a) for a, b in pairwise(line)])
-
-
-def counted(refusals: list[Refusal]) -> npt.NDArray[np.int64]:
-    """(len(REFUSALS),) how often each reason was given."""
-    return np.array([refusals.count(reason) for reason in REFUSALS], np.int64)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from carecontact.contract.protocol import Alive, Protocol, Variation
 from carecontact.episode.draws import Posture, body_of, overhead_of, posture_of, streams
 from carecontact.episode.parking.bases import Search, search
-from carecontact.episode.parking.grounds import REFUSALS, Base, Ground
+from carecontact.episode.parking.grounds import REFUSALS, Base, Ground, Refusal
 from carecontact.episode.parking.laid import Laid, lay_down
 from carecontact.errors import SceneError, SettleError
 from carecontact.kernel.found import sha256 as kernel_sha256
@@ -37,8 +37,8 @@ class Rejected:
     posture: Posture
     region: str
     """Without a base on one of the levels; empty where the person did not come to rest."""
-    refused: npt.NDArray[np.int64]
-    """(REFUSALS,) of the draws for that region."""
+    refused: tuple[Refusal, ...]
+    """Why each draw of a base for that region was refused."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,9 +49,11 @@ class Parked:
     posture: Posture
     rejected: tuple[Rejected, ...]
     """The persons before this one."""
+    laid: Laid
+    """The person in the protocol's own place, settled with the robot away."""
     bases: dict[str, Base]
-    refused: dict[str, npt.NDArray[np.int64]]
-    """(REFUSALS,) draws of a base that were refused before the one that serves, by region."""
+    refused: dict[str, tuple[Refusal, ...]]
+    """Why each draw of a base before the one that serves was refused, by region."""
 
 
 def parked(protocol: Protocol, seed: int, *, salt: str = "") -> Parked:
@@ -72,7 +74,7 @@ def parked(protocol: Protocol, seed: int, *, salt: str = "") -> Parked:
     body, taken = body_of(protocol, seed, salt), int(found["taken"])
     level = variations.index(_decisive_part(protocol.variation))
     rejected = tuple(
-        Rejected(posture=posture_of(protocol, seed, salt, number), region=str(region), refused=refused)
+        Rejected(posture=posture_of(protocol, seed, salt, number), region=str(region), refused=_reasons(refused))
         for number, (region, refused) in enumerate(
             zip(found["rejected_region"], found["rejected_refused"], strict=True)
         )
@@ -88,7 +90,8 @@ def parked(protocol: Protocol, seed: int, *, salt: str = "") -> Parked:
     }
     return Parked(
         body=body, posture=posture_of(protocol, seed, salt, taken), rejected=rejected, bases=bases,
-        refused=dict(zip(regions, found["refused"][level], strict=True)),
+        laid=Laid(**{field.name: found[f"laid_{field.name}"] for field in fields(Laid)}),
+        refused={name: _reasons(row) for name, row in zip(regions, found["refused"][level], strict=True)},
     )  # fmt: skip
 
 
@@ -107,17 +110,17 @@ def grounds_of(protocol: Protocol, seed: int, salt: str, laid: Laid, posture: Po
 
 
 def _search(protocol: Protocol, variations: Sequence[Variation], seed: int, salt: str) -> Arrays:
-    """``taken``, the number of the person or -1; ``bases`` (V, R, 4) and ``refused`` (V, R, REFUSALS); of persons who
-    were drawn before: ``rejected_region`` (k,), ``rejected_refused`` (k, REFUSALS)."""
-    shape = len(variations), len(protocol.regions)
-    rejected: list[tuple[str, npt.NDArray[np.int64]]] = []
-    taken, rows = -1, [[_NOWHERE] * shape[1]] * shape[0]
+    """``taken``, the number of the person or -1; of that person ``bases`` (V, R, 4), ``refused`` (V, R, n) and the
+    fields of ``Laid``; of the persons who were drawn before, ``rejected_region`` (k,) and ``rejected_refused`` (k, n).
+    Reasons are numbers in REFUSALS, then -1."""
+    lost: list[tuple[str, Search]] = []
+    body = body_of(protocol, seed, salt)
     for number in range(MOST_PERSONS):
         posture = posture_of(protocol, seed, salt, number)
         try:
-            laid = lay_down(_still(posed(protocol, body_of(protocol, seed, salt), posture)), posture.comfort_arm_deg)
+            laid = lay_down(_still(posed(protocol, body, posture)), posture.comfort_arm_deg)
         except SettleError:
-            rejected.append(("", np.zeros(len(REFUSALS), np.int64)))
+            lost.append(("", Search(base=None, refused=())))
             continue
         rows = [
             _bases(protocol.model_copy(update={"variation": varied}), seed, salt, laid, posture)
@@ -125,23 +128,35 @@ def _search(protocol: Protocol, variations: Sequence[Variation], seed: int, salt
         ]  # fmt: skip
         lacking = [(name, s) for row in rows for name, s in zip(protocol.regions, row, strict=False) if s.base is None]
         if not lacking:
-            taken = number
-            break
-        rejected.append((lacking[0][0], lacking[0][1].refused))
+            bases = [[(*s.base.position_m, s.base.yaw_deg) for s in row if s.base is not None] for row in rows]
+            refused = [[s.refused for s in row] for row in rows]
+            return {
+                "taken": np.array(number), "bases": np.array(bases), "refused": _numbers(refused),
+                **{f"laid_{name}": values for name, values in laid.arrays().items()}, **_lost(lost),
+            }  # fmt: skip
+        lost.append(lacking[0])
+    return {"taken": np.array(-1), **_lost(lost)}
+
+
+def _lost(persons: Sequence[tuple[str, Search]]) -> Arrays:
     return {
-        "taken": np.array(taken),
-        "bases": np.array([[_row(s.base) for s in row] for row in rows]).reshape(*shape, 4)
-        if taken >= 0
-        else np.zeros((*shape, 4)),
-        "refused": np.array([[s.refused for s in row] for row in rows])
-        if taken >= 0
-        else np.zeros((*shape, len(REFUSALS))),
-        "rejected_region": np.array([region for region, _ in rejected], dtype="U64"),
-        "rejected_refused": np.array([refused for _, refused in rejected]).reshape(len(rejected), len(REFUSALS)),
+        "rejected_region": np.array([region for region, _ in persons], dtype="U64"),
+        "rejected_refused": _numbers([[search.refused for _, search in persons]])[0],
     }
 
 
-_NOWHERE = Search(base=None, refused=np.zeros(len(REFUSALS), np.int64))
+def _numbers(refused: Sequence[Sequence[Sequence[Refusal]]]) -> npt.NDArray[np.int8]:
+    """(V, R, n)"""
+    longest = max((len(reasons) for row in refused for reasons in row), default=0)
+    out = np.full((len(refused), max(len(row) for row in refused), longest), -1, np.int8)
+    for v, row in enumerate(refused):
+        for r, reasons in enumerate(row):
+            out[v, r, : len(reasons)] = [REFUSALS.index(reason) for reason in reasons]
+    return out
+
+
+def _reasons(numbers: npt.NDArray[np.int8]) -> tuple[Refusal, ...]:
+    return tuple(REFUSALS[number] for number in numbers.tolist() if number >= 0)
 
 
 def _bases(protocol: Protocol, seed: int, salt: str, laid: Laid, posture: Posture) -> list[Search]:
@@ -167,10 +182,6 @@ def posed(protocol: Protocol, body: str, posture: Posture) -> Protocol:
 
 def _still(protocol: Protocol) -> Protocol:
     return protocol.model_copy(update={"person": protocol.person.model_copy(update={"alive": Alive()})})
-
-
-def _row(base: Base | None) -> tuple[float, ...]:
-    return (np.nan,) * 4 if base is None else (*base.position_m, base.yaw_deg)
 
 
 def _variations(protocol: Protocol) -> list[Variation]:

@@ -48,14 +48,19 @@ class Baselines:
     baselines: tuple[Passed, ...]
     floor: dict[str, BlindRate] = field(default_factory=dict[str, BlindRate])
     """``all`` and each task -> the safety-gated rate of the blind baseline that passes most there."""
+    kept: tuple[str, ...] = ()
+    """Those of ``baselines`` whose scores are kept with the package; methods that see may be among them."""
 
     @property
     def tasks(self) -> tuple[str, ...]:
         return tuple(self.method.per_task)
 
 
-def beside_baselines(method: RunScores, baselines: Sequence[RunScores]) -> Baselines:
+def beside_baselines(method: RunScores, baselines: Sequence[RunScores], *, kept: Sequence[RunScores] = ()) -> Baselines:
     """Set blind baselines beside a method, over the tasks that the method ran.
+
+    A run that is named as a baseline counts as blind unless it is a probe or privileged; ``kept`` are scores that are
+    kept with the package, of which a method stays a method.
 
     Differences are Newcombe's (method 10, of pairs or of independent trials), rates Wilson's. Raises ConfigError,
     naming what differs, for another protocol, overrides, definitions or world, a baseline that is the method itself or
@@ -63,7 +68,7 @@ def beside_baselines(method: RunScores, baselines: Sequence[RunScores]) -> Basel
     """
     seen = {method.scores[0].policy_title} if method.scores else set[str]()
     found: list[Passed] = []
-    for baseline in baselines:
+    for baseline in (*baselines, *kept):
         check_comparable({"the method": method.scores, "the baseline": baseline.scores})
         policy = baseline.scores[0].policy_title
         if policy in seen:
@@ -73,7 +78,17 @@ def beside_baselines(method: RunScores, baselines: Sequence[RunScores]) -> Basel
             )
         seen.add(policy)
         found.append(_passed(baseline.scores, method.scores))
-    return Baselines(method=_passed(method.scores, None), baselines=tuple(found), floor=_floor(found))
+    of_kept = found[len(baselines) :]
+    rows = [
+        *found[: len(baselines)],
+        *(replace(row, role=role_in(k.scores)) for row, k in zip(of_kept, kept, strict=True)),
+    ]
+    return Baselines(
+        method=_passed(method.scores, None),
+        baselines=tuple(rows),
+        floor=_floor(rows),
+        kept=tuple(row.policy for row in of_kept),
+    )
 
 
 def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -> Passed:
