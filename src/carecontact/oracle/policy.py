@@ -29,6 +29,9 @@ from carecontact.sim.simulation import Simulation
 
 F64 = npt.NDArray[np.float64]
 
+AGAIN = 0.6
+"""Share of a trial's time in which a motion that lost the person is planned once more where the person lies then."""
+
 
 class Oracle:
     """Knows where skin, limbs and board are, and the contact force; chooses a motion once and follows the person.
@@ -47,6 +50,7 @@ class Oracle:
         """
         self._simulation, self._task, self._bounds = simulation, task, bounds
         self._motion: Press | Push | None = None
+        self._again_until_s = AGAIN * simulation.protocol.phases.time_limit_s
         self._notes: dict[str, object] = {}
 
     def act(self, observation: Observation) -> Action:
@@ -57,8 +61,11 @@ class Oracle:
             except ContractError as error:
                 self._notes["ended_without_touching"] = str(error)
                 return Action(done=True)
-        inside = clip_action(self._motion.act(), self._bounds)
-        return replace(inside, done=self._motion.ended)
+        inside, motion = clip_action(self._motion.act(), self._bounds), self._motion
+        if motion.ended and not motion.succeeded and observation.sim_time_s < self._again_until_s:
+            self._motion = None
+            return inside
+        return replace(inside, done=motion.ended)
 
     def take_notes(self) -> dict[str, object]:
         """Return how the hand is held, or why nothing was touched."""

@@ -63,6 +63,11 @@ class Press:
         self._at, self._depth_m, self._waited = 0, 0.0, 0
 
     @property
+    def succeeded(self) -> bool:
+        """Whether the skin was always there to press on within its patience."""
+        return self._waited < PATIENCE_S * CONTROL_HZ
+
+    @property
     def ended(self) -> bool:
         return self._at >= len(self._plan)
 

@@ -49,6 +49,11 @@ class Push:
         self._on_m, self._held, self._wrist = 0.0, 0, None
 
     @property
+    def succeeded(self) -> bool:
+        """Whether the push was held; otherwise the limb went where the tool did not follow."""
+        return self._held >= HOLD_S * CONTROL_HZ
+
+    @property
     def ended(self) -> bool:
         return not self._ahead and not self._after
 
@@ -64,7 +69,7 @@ class Push:
         if self._from is None:
             # From here on the limb moves because it is pushed: the target no longer follows it.
             self._from = self._follower.follow(self._low)
-        if self._held < HOLD_S * CONTROL_HZ and self._on_m < FARTHEST_M:
+        if not self.succeeded and self._on_m < FARTHEST_M:
             self._push()
             return np.concatenate([self._from + self._on_m * self._way, self._quat])
         pose = self._after.pop(0)
