@@ -104,7 +104,7 @@ def _tau(least: float | None, setting: str) -> str:
 
 def level_name(value: str) -> str:
     """A protocol as tables name it: a file by its stem."""
-    return value.rsplit("/", 1)[-1].removesuffix(".toml")
+    return value.rsplit("/", 1)[-1].replace(".toml", "")
 
 
 def rate(found: PersonRate) -> str:
