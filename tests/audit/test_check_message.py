@@ -41,7 +41,7 @@ def test_a_message_with_all_that_was_asked_for_is_fine() -> None:
         (message(), None, "card", "showed no card"),
         (
             message(),
-            PolicyCard(name="blind"),
+            PolicyCard(name="blind", cameras=()),
             "observation.cameras",
             "requests none, but the message holds ['overhead']",
         ),

@@ -142,6 +142,7 @@ def test_each_leak_is_named_and_nothing_else(begin: Callable[[TrialSpec], World]
 
 def test_a_next_movement_in_the_session(begin: Callable[[TrialSpec], World], tmp_path: Path) -> None:
     class Parked:
+        scene = begin(SPEC)[0].scene
         parked_pose = begin(SPEC)[0].control.target_in_base
         parked = staticmethod(begin)
 

@@ -33,7 +33,7 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["run", "--policy", "nobody", "--out", "r"], "no policy named 'nobody'; valid: hover"),
+        (["run", "--policy", "nobody", "--out", "r"], "no policy named 'nobody'; valid: feint-and-wait, hover"),
         (["run", "--policy", "no_such:Thing", "--out", "r"], "No module named 'no_such'"),
         (["run", "--policy", "a b:C", "--out", "r"], "expected module:Class"),
         (["run", "--policy", "hover", "--out", "r", "--tasks", "T9"], "valid: T1, T2, T3, T4, T5, T6, T7"),

@@ -17,7 +17,7 @@ def test_one_picture_of_every_camera(
     asked: dict[str, Any] = {}
 
     def first_look(protocol: Any, **given: Any) -> Observation:
-        asked.update(given, body=protocol.person.body)
+        asked.update(given, body=protocol.person.body, tool=protocol.scene.tool)
         view = CameraView(intrinsics=np.eye(3), pose_camera_in_base=np.eye(4), rgb=np.zeros((9, 12, 3), np.uint8))
         pose = np.r_[0.4, 0, 0.3, 1, 0, 0, 0]
         return Observation(
@@ -32,9 +32,9 @@ def test_one_picture_of_every_camera(
 
     monkeypatch.setattr("carecontact.episode.first_look.first_look", first_look)
     monkeypatch.chdir(tmp_path)
-    assert main(["look", "--task", "T3", "--seed", "7", "--body", "man-old-light"]) == 0
+    assert main(["look", "--task", "T3", "--seed", "7", "--body", "man-old-light", "--tool", "mitt"]) == 0
     assert capsys.readouterr().out.startswith("look-T3-s007.png: T3 seed 7")
     assert Path("look-T3-s007.png").read_bytes().startswith(b"\x89PNG")
     card = asked.pop("card")
-    assert asked == {"task_id": "T3", "seed": 7, "body": "man-old-light", "weights": None}
+    assert asked == {"task_id": "T3", "seed": 7, "body": "man-old-light", "tool": "mitt", "weights": None, "salt": ""}
     assert (card.modalities, card.cameras) == (MODALITIES, CAMERAS)

@@ -101,7 +101,7 @@ MISTAKES = {
     "an option that is not close to any": (["look", "--task", "T1", "--tissue", "soft"], "no option --tissue; `carec"),
     "a dot in place of the colon": (
         ["check", "my_policy.MyPolicy"],
-        "no policy named 'my_policy.MyPolicy'; valid: hover, ",
+        "no policy named 'my_policy.MyPolicy'; valid: feint-and-wait, hover, ",
     ),
     "a dot in place of the colon, with what was meant": (
         ["check", "my_policy.MyPolicy"],

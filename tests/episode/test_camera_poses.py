@@ -3,6 +3,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from carecontact.contract.action import Action
 from carecontact.contract.geometry import pose_matrix
@@ -13,6 +14,7 @@ from carecontact.episode.episode import Episode
 from carecontact.episode.prepare import World
 from carecontact.episode.randomization import calibration
 from carecontact.recording import check_recording
+from carecontact.scoring.validity.values import check_finite_streams
 
 CARD = PolicyCard(name="looking", modalities=("depth", "points"), cameras=("overhead", "wrist"), control_hz=20.0)
 
@@ -46,11 +48,14 @@ def test_a_policy_is_told_the_believed_pose_and_the_recording_keeps_both(
     assert 0.001 < moved < 0.03
 
     check_recording(recording, "trial")
+    check_finite_streams(recording)
     assert not {BELIEVED, TRUE} & set(other.arrays)
     for path, cameras in ((BELIEVED, told), (TRUE, true)):
         assert recording[path].shape == (1, len(CAMERAS), 7)
         for row, name in zip(recording[path][0], CAMERAS, strict=True):
-            if name in cameras:
+            if path == TRUE and name not in cameras:
+                assert np.linalg.norm(row[3:]) == pytest.approx(1.0)
+            elif name in cameras:
                 pose = pose_matrix(row[:3], row[3:])
                 np.testing.assert_allclose(pose, cameras[name].pose_camera_in_base, atol=1e-12)
             else:

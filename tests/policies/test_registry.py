@@ -9,11 +9,11 @@ import pytest
 from carecontact import registry
 from carecontact.contract.observation import CameraView
 from carecontact.contract.policy_ref import PolicyRef
-from carecontact.errors import UnknownNameError
+from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.hosting.arguments import ArgumentError, bind, load_factory, parameters_of
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
-from carecontact.policies.registry import POLICIES, PolicyRow, policy_target
+from carecontact.policies.registry import POLICIES, PolicyRow, is_privileged, policy_target, role_of
 from carecontact.protocols import load_protocol
 from tests.installed import look_again
 from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_view
@@ -34,7 +34,10 @@ def _blind(view: CameraView, modalities: tuple[str, ...]) -> CameraView:
     )
 
 
-@pytest.mark.parametrize("name", list(POLICIES))
+HOSTED = [name for name in POLICIES if POLICIES[name].role != "privileged"]
+
+
+@pytest.mark.parametrize("name", HOSTED)
 def test_every_registered_policy_keeps_the_contract(name: str) -> None:
     """Starts behind the wall, shows a card, and answers an empty scene with valid actions."""
     assert re.fullmatch(r"[\w.]+:\w+", POLICIES[name].target)
@@ -51,7 +54,7 @@ def test_every_registered_policy_keeps_the_contract(name: str) -> None:
         assert all(action.pose_tcp_in_base is None for action in reply.actions)
 
 
-@pytest.mark.parametrize("name", list(POLICIES))
+@pytest.mark.parametrize("name", HOSTED)
 def test_every_registered_policy_takes_the_arguments_that_it_lists_and_no_other(name: str) -> None:
     """Each has a default, because a registered policy runs by its name alone, and a type that a text can become."""
     factory = load_factory(POLICIES[name].target)
@@ -94,3 +97,26 @@ def test_other_packages_add_policies_through_entry_points(monkeypatch: pytest.Mo
     look_again(monkeypatch, POLICIES)
     assert policy_target(PolicyRef.parse("theirs")) == "theirs.policy:Theirs"
     assert "theirs" in list(POLICIES)
+
+
+def test_a_privileged_policy_has_no_process_of_its_own() -> None:
+    with pytest.raises(ConfigError, match=r"policy oracle is privileged: .* cannot be served"):
+        PolicyProcess(PolicySetup.of("oracle"), first_deadline_s=20, deadline_s=20)
+
+
+def test_another_packages_row_is_never_privileged(monkeypatch: pytest.MonkeyPatch) -> None:
+    row = PolicyRow(target="theirs.policy:Theirs", description="Somebody's policy.", role="privileged")
+    dist = SimpleNamespace(name="theirs", version="1")
+    point = SimpleNamespace(name="theirs", value="theirs:ROW", load=lambda: row, dist=dist)
+    monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group == "carecontact.policies" else [])
+    look_again(monkeypatch, POLICIES)
+    assert not is_privileged(PolicyRef.parse("theirs"))
+    assert is_privileged(PolicyRef.parse("oracle"))
+
+
+def test_who_has_no_row_is_a_method() -> None:
+    roles = {name: role_of(name) for name in ("state-machine", "hover", "oracle", "my.own:Policy", "ws://h:1")}
+    assert roles == {
+        "state-machine": "method", "hover": "blind", "oracle": "privileged", "my.own:Policy": "method",
+        "ws://h:1": "method",
+    }  # fmt: skip

@@ -1,14 +1,19 @@
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from carecontact.contract.action import check_action
+from carecontact.contract.geometry import pose_matrix
 from carecontact.contract.session import ActionBounds
-from carecontact.errors import ContractError
-from carecontact.policies.replay.policy import Replay, recorded_actions
+from carecontact.errors import ConfigError, ContractError
+from carecontact.policies.replay.donor import Donor, read_donors
+from carecontact.policies.replay.policy import Replay, ReplayRegistered
 from carecontact.protocols import load_protocol
-from tests.policies.synthetic import synthetic_observation
+from tests.policies.synthetic import synthetic_observation, synthetic_view
 
 PROTOCOL = load_protocol()
 
@@ -31,9 +36,49 @@ def test_every_task_was_recorded_and_its_actions_are_allowed(task) -> None:
 
 
 def test_tasks_differ() -> None:
-    assert len({rows.tobytes() for rows in recorded_actions().values()}) == len(PROTOCOL.tasks)
+    assert len({donor.actions.tobytes() for donor in read_donors().values()}) == len(PROTOCOL.tasks)
 
 
 def test_an_unknown_instruction_lists_what_there_is() -> None:
     with pytest.raises(ContractError, match="gently touch the right forearm"):
         Replay().reset("dance")
+
+
+def test_registered_actions_keep_their_place_before_the_camera() -> None:
+    """A robot that stands a quarter turn and half a metre elsewhere under the same camera makes the same way over the
+    person; where nothing moved, both baselines make the same one."""
+    prompt, tip = PROTOCOL.tasks[0].prompt, np.array([0.0, 0.0, 0.1])
+    donor = read_donors()[prompt]
+    elsewhere = pose_matrix(np.array([0.1, -0.5, 0.05]), np.array([np.cos(np.pi / 4), 0, 0, np.sin(np.pi / 4)]))
+    policy = ReplayRegistered()
+    policy.reset(prompt)
+
+    def in_picture(pose_camera: np.ndarray) -> np.ndarray:
+        view = replace(synthetic_view(), pose_camera_in_base=pose_camera)
+        actions = policy.act(synthetic_observation(cameras={"overhead": view}))
+        poses = [pose_matrix(a.pose_tcp_in_base[:3], a.pose_tcp_in_base[3:]) for a in actions]
+        return np.array([(np.linalg.inv(pose_camera) @ pose)[:3, :3] @ tip
+                         + (np.linalg.inv(pose_camera) @ pose)[:3, 3] for pose in poses])  # fmt: skip
+
+    here, there = donor.pose_camera_in_base, elsewhere @ donor.pose_camera_in_base
+    assert np.allclose(in_picture(here), in_picture(there), atol=1e-9)
+    unmoved = donor.seen_from(donor.pose_camera_in_base)
+    assert np.allclose(unmoved.actions[:, :3], donor.actions[:, :3], atol=1e-12)
+    assert np.allclose(abs((unmoved.actions[:, 3:7] * donor.actions[:, 3:7]).sum(1)), 1, atol=1e-6)
+
+
+def test_what_an_action_left_alone_stays_so() -> None:
+    rows = np.full((2, 9), np.nan)
+    rows[0, :7] = [0.4, 0, 0.3, 0, 1, 0, 0]
+    moved = Donor(actions=rows, pose_camera_in_base=np.eye(4)).seen_from(
+        pose_matrix(np.ones(3), np.array([1.0, 0, 0, 0]))
+    )
+    assert moved.actions[0, :3] == pytest.approx([1.4, 1.0, 1.3])
+    assert np.isnan(moved.actions[1]).all()
+    assert [action.pose_tcp_in_base is None for action in moved.chunk()] == [False, True]
+
+
+def test_a_file_that_is_no_donor_is_named(tmp_path: Path) -> None:
+    (tmp_path / "x.npz").write_bytes(b"no")
+    with pytest.raises(ConfigError, match=r"x\.npz: not a file of tools/record_replay\.py"):
+        Replay(donor=tmp_path / "x.npz")

@@ -46,6 +46,17 @@ def test_force_is_what_the_anchors_bear(region: str, indenter: Indenter) -> None
     assert np.abs(np.diff(press.force_n)).max() < 0.15
 
 
+@pytest.mark.parametrize(("along_m", "across_m"), [(0.02, 0.009), (0.0, 0.0), (-0.01, 0.009)])
+def test_the_force_of_a_disc_never_falls_with_depth(along_m: float, across_m: float) -> None:
+    """Where the limb falls away beside it, skin is pushed round its rim: bit by bit, and it goes on bearing there."""
+    disc = Indenter(shape="flat", size_m=0.0107)
+    made = Bench(body=load_body("man-adult"), region="upper_arm", tissue=TISSUE["upper_arm"], indenter=disc)
+    press = made.press(along_m=along_m, across_m=across_m, depth_m=0.0102, speed_m_s=0.01)
+    depth = np.arange(0.001, 0.0102, 0.0005)
+    rises = np.diff(np.interp(depth, press.indentation_m, press.force_n))
+    assert rises.min() > 0.2 * np.median(rises)
+
+
 def test_a_softening_law_is_followed(restored: Bench) -> None:
     """The anchor law with b below zero and damping that grows, against the force that its anchors bear."""
     a, depth = TISSUE["forearm"].a_n_m3, 0.005

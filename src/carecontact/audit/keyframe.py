@@ -29,6 +29,7 @@ CLEARANCE_M = 0.20
 PRESS_SPEED_M_S = 0.06
 BEFORE_S, AFTER_S = 0.30, 0.45
 """How long before the first contact the later keyframe lies, and how much of the press follows it."""
+ATTEMPTS = 5
 NEAR_MIDDLE_M = 0.02
 STIFFER = 2.0
 """How much stiffer the twin's tissue is."""
@@ -37,12 +38,12 @@ STIFFER = 2.0
 class Keyframe:
     """One settled world of a task and seed. Every trial that begins from it begins from the same bits."""
 
-    def __init__(self, protocol: Protocol, *, task_id: str, seed: int) -> None:
+    def __init__(self, protocol: Protocol, *, task_id: str, seed: int, salt: str = "") -> None:
         """Builds, settles and presses once. Raises SceneError or SettleError as a trial does, and SceneError if the
         robot cannot touch the region."""
-        simulation, self.settled, self.model_sha256 = settled_world(protocol, task_id=task_id, seed=seed)
+        simulation, self.settled, self.model_sha256 = settled_world(protocol, task_id=task_id, seed=seed, salt=salt)
         region = protocol.task(task_id).region
-        self._laid_at_deg = draw(protocol, region=region, seed=seed).comfort_arm_deg
+        self._laid_at_deg = draw(protocol, region=region, seed=seed, salt=salt).comfort_arm_deg
         self.scene = simulation.scene
         self._parked = simulation.integration_state()
         self.parked_pose = simulation.control.target_in_base
@@ -75,25 +76,35 @@ class Keyframe:
         return simulation, self.settled, self.model_sha256
 
     def _approach(self, simulation: Simulation, *, region: str) -> tuple[F64, F64]:
-        """The state BEFORE_S before first contact, and the poses that follow it."""
+        """The state BEFORE_S before first contact, and the poses that follow it; the press is aimed again if the person
+        has moved meanwhile."""
         simulation.start()
-        base = simulation.robot.in_base(simulation.data, _skin_in_world(simulation, region), np.eye(3))
-        skin, start = base[:3, 3], simulation.control.target_in_base
-        press = Leg(points=(skin - PRESS_DEPTH_M * UP)[None], quat_wxyz=radial_quat(skin), speed_m_s=PRESS_SPEED_M_S)
-        above = replace(press, points=(skin + 0.02 * UP)[None], speed_m_s=5 * PRESS_SPEED_M_S)
-        hold = replace(press, hold_s=AFTER_S)
-        legs = travel(start, [above, hold], travel_height_m=float(skin[2]) + CLEARANCE_M)[:-1]
-        poses = np.array(list(sample(legs, start, control_hz=CONTROL_HZ)))
         steps = round(1 / CONTROL_HZ / simulation.model.opt.timestep)
         back, ahead = round(BEFORE_S * CONTROL_HZ), round(AFTER_S * CONTROL_HZ)
-        states = [simulation.integration_state()]
-        for k, pose in enumerate(poses):
-            simulation.set_goal(pose, 1 / CONTROL_HZ)
-            if touches(simulation.advance(steps)):
-                first = max(k - back, 0)
-                return states[-1 - (k - first)], poses[first : k + 1 + ahead]
-            states = [*states[-back:], simulation.integration_state()]
-        raise SceneError(f"the audit's press does not touch the {region} at {np.round(skin, 3).tolist()} m in base")
+        states, done = [simulation.integration_state()], list[F64]()
+        for _ in range(ATTEMPTS):
+            poses = _press(simulation, region)
+            for k, pose in enumerate(poses):
+                simulation.set_goal(pose, 1 / CONTROL_HZ)
+                if touches(simulation.advance(steps)):
+                    at = len(done) + k
+                    first = max(at - back, 0)
+                    return states[-1 - (at - first)], np.array([*done, *poses])[first : at + 1 + ahead]
+                states = [*states[-back:], simulation.integration_state()]
+            done += list(poses)
+        raise SceneError(f"the audit's press does not touch the {region} in {ATTEMPTS} attempts")
+
+
+def _press(simulation: Simulation, region: str) -> F64:
+    """(n, 7) poses of the TCP in base at CONTROL_HZ, from where the robot is to a press on the region as it lies."""
+    simulation.refresh()
+    base = simulation.robot.in_base(simulation.data, _skin_in_world(simulation, region), np.eye(3))
+    skin, start = base[:3, 3], simulation.control.target_in_base
+    press = Leg(points=(skin - PRESS_DEPTH_M * UP)[None], quat_wxyz=radial_quat(skin), speed_m_s=PRESS_SPEED_M_S)
+    above = replace(press, points=(skin + 0.02 * UP)[None], speed_m_s=5 * PRESS_SPEED_M_S)
+    hold = replace(press, hold_s=AFTER_S)
+    legs = travel(start, [above, hold], travel_height_m=float(skin[2]) + CLEARANCE_M)[:-1]
+    return np.array(list(sample(legs, start, control_hz=CONTROL_HZ)))
 
 
 def touches(samples: list[Samples]) -> bool:

@@ -15,6 +15,7 @@ from carecontact.audit.watched import Watched, press, watch
 from carecontact.contract.observation import MODALITIES
 from carecontact.contract.policy import CAMERAS, PolicyCard
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.drawn import settled_draws
 from carecontact.episode.prepare import settled_world
 from carecontact.hosting.setup import PolicySetup
 from carecontact.sim.simulation import Settled, Simulation
@@ -133,7 +134,7 @@ def cards_of(trials: Sequence[Watched], *, together: bool) -> list[PolicyCard]:
     for trial in trials:
         card = trial.card
         if card is not None:
-            wanted = (card.modalities, card.cameras if card.modalities else ())
+            wanted = (card.modalities, card.cameras)
             asked.setdefault(wanted, []).append(trial.policy)
     if together and asked:
         modalities = {m for wanted, _ in asked for m in wanted}
@@ -171,10 +172,14 @@ def _blind_press(spec: TrialSpec, keyframe: Keyframe, *, folder: Path, log: Path
 
 
 def two_starts(spec: TrialSpec, keyframe: Keyframe, *, folder: Path) -> tuple[Watched, Watched]:
-    """One step of two trials whose seeds lay the person's arm at different angles."""
+    """One step of two trials whose seeds lay the person's arm at different angles.
+
+    What a seed makes known to the policy, the robot's place and the overhead camera's, is the same in both.
+    """
     poses = keyframe.parked_pose[None]
     one = press(spec, card=BLIND, poses=poses, prepare=keyframe.parked, actions_per_look=1, folder=folder)
-    other = canary.other_arm_angle(spec)
+    same = canary.without_noise(settled_draws(keyframe.scene.protocol))
+    other = canary.other_arm_angle(spec.model_copy(update={"protocol": same}))
     return one, press(other, card=BLIND, poses=poses, prepare=_settled, actions_per_look=1, folder=folder)
 
 

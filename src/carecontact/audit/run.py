@@ -31,6 +31,8 @@ class Audit:
     policies: tuple[str, ...]
     quick: bool
     parts: tuple[Part, ...]
+    privileged: tuple[str, ...] = ()
+    """Policies that were left out because they are given the whole simulation."""
 
     @property
     def passed(self) -> bool:
@@ -40,6 +42,7 @@ class Audit:
         """Where everything passed, nothing in it depends on place, time or machine."""
         return {
             "schema": SCHEMA, "passed": self.passed, "quick": self.quick, "policies": list(self.policies),
+            "privileged": list(self.privileged),
             "protocol": {"id": self.protocol.name, "sha256": self.protocol.sha256, "body": self.protocol.person.body},
             "versions": package_versions(), "parts": [part.as_json() for part in self.parts],
         }  # fmt: skip
@@ -50,12 +53,17 @@ def audit(
     policies: Sequence[PolicySetup],
     *,
     quick: bool,
+    salt: str = "",
+    privileged: Sequence[str] = (),
     on_event: Callable[[str], None] = lambda said: None,
 ) -> Audit:
     """Run every part on every policy.
 
     The quick form presses one region, with one card that requests all that the policies request. The full form presses
-    every region of the protocol with each card, and lets the policies' own trials run to their end.
+    every region of the protocol with each card, and lets the policies' own trials run to their end. ``salt``: the
+    secret of a salted run, on whose person the audit then runs.
+
+    ``privileged``: policies that are left out, as the result names them.
 
     Raises SceneError or SettleError where no world can be made, CarecontactError if the audit itself breaks.
     """
@@ -66,8 +74,8 @@ def audit(
     with tempfile.TemporaryDirectory(prefix="carecontact-audit-") as folder:
         for number, task_id in enumerate(tasks[:1] if quick else tasks):
             region = RegionAudit(
-                spec=TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy=""), number=number,
-                keyframe=Keyframe(protocol, task_id=task_id, seed=seed), folder=Path(folder), quick=quick,
+                spec=TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy="", salt=salt), number=number,
+                keyframe=Keyframe(protocol, task_id=task_id, seed=seed, salt=salt), folder=Path(folder), quick=quick,
                 on_event=on_event, add=lambda part: found[part.name].append(part),
             )  # fmt: skip
             with region.logs():
@@ -79,7 +87,7 @@ def audit(
                 region.make_again()
     parts = tuple(_merged(part.NAME, part.TITLE, found[part.NAME]) for part in PARTS)
     names = tuple(policy.ref.text for policy in policies)
-    return Audit(protocol=protocol, policies=names, quick=quick, parts=parts)
+    return Audit(protocol=protocol, policies=names, quick=quick, parts=parts, privileged=tuple(privileged))
 
 
 def write(result: Audit, folder: Path) -> Path:

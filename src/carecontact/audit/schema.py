@@ -80,7 +80,7 @@ def check_message(sent: bytes, card: PolicyCard | None) -> list[tuple[str, str]]
         return [*found, ("observation", str(error))]
     if card is None:
         return [*found, ("card", "an observation was sent to a policy that showed no card")]
-    cameras = set(card.cameras) if card.modalities else set()
+    cameras = set(card.cameras)
     if set(observation.cameras) != cameras:
         told = f"the card requests {sorted(cameras) or 'none'}, but the message holds {sorted(observation.cameras)}"
         found.append(("observation.cameras", told))

@@ -143,7 +143,7 @@ def watch(
     card = watched.card
     protocol = like(spec.protocol, drawn[-1]) if drawn else spec.protocol
     if log is not None and watched.looks and card is not None:
-        scene, known = protocol.scene, calibration(protocol, spec.seed, salt=spec.salt)
+        scene, known = protocol.scene, calibration(spec.protocol, spec.seed, salt=spec.salt)
         write_meta(
             log,
             Meta(

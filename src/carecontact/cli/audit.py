@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, ArgumentsGroup, PolicyGroup, RulesGroup, Switch
+from carecontact.cli.groups import FLAT, ArgumentsGroup, PolicyGroup, RulesGroup, SaltGroup, Switch
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ class Audit:
     """Examine nothing but the recordings of this run: does the wall time between two acts tell contact? Only a run with
     --pace fails if it does. A run in which no trial has acts both with and without contact has nothing to examine."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
+    salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/audit")
     """Folder for audit.json."""
 
@@ -43,7 +44,7 @@ class Audit:
         """Return 1 if a part found a leak or examined nothing. Raises ConfigError for what cannot be audited."""
         from carecontact.audit.run import audit, write
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
-        from carecontact.policies.registry import POLICIES
+        from carecontact.policies.registry import POLICIES, is_privileged
         from carecontact.runs.preflight import check_protocol
 
         if self.run is not None:
@@ -64,16 +65,27 @@ class Audit:
             )
         given = PolicyGroup(**vars(self.given))
         setups = [policy_setup(name, given) for name in self.policy or POLICIES]
+        privileged = [setup.ref.text for setup in setups if is_privileged(setup.ref)]
+        if self.policy and privileged:
+            raise ConfigError(
+                f"--policy {privileged[0]}: this policy is privileged: it is given the whole simulation, as every "
+                "recording of it says, so there is nothing to audit"
+            )
+        setups = [setup for setup in setups if setup.ref.text not in privileged]
         for setup in setups:
             check_policy(setup, deadline_s=rules.phases.first_call_deadline_s)
         # Now, not after minutes of work.
         self.out.mkdir(parents=True, exist_ok=True)
         names = ", ".join(f"{setup.ref}{arguments_text(setup)}" for setup in setups)
         print(f"{rules.title}, {rules.person.body}{', quick' if self.quick else ''}: {names}", flush=True)
+        for name in privileged:
+            print(f"{name}: privileged, so not audited: it is given the whole simulation", flush=True)
         result = audit(
             rules,
             setups,
+            privileged=privileged,
             quick=self.quick,
+            salt=self.salted.salt,
             on_event=lambda event: print(f"  {event}", flush=True),
         )
         _print(result.parts)

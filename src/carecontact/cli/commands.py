@@ -34,6 +34,7 @@ CONFIG = (tyro.conf.DisallowNone,)
 COMMANDS = {
     "run": "run:Run",
     "merge": "merge:Merge",
+    "salt": "salt:Salt",
     "sweep": "sweep:Sweep",
     "check": "check:Check",
     "serve": "serve:Serve",
@@ -43,6 +44,8 @@ COMMANDS = {
     "compare": "compare:Compare",
     "paper": "paper:Paper",
     "export": "export:Export",
+    "video": "video:Video",
+    "view": "view:View",
     "validate": "validate:Validate",
     "calibrate": "calibrate:Calibrate",
     "look": "look:Look",

@@ -168,6 +168,26 @@ class EngineGroup:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SaltGroup:
+    salt_file: Path | None = None
+    """File with a secret from `carecontact salt make`, on which every draw of every trial then depends, so that nobody
+    knows beforehand which person a seed has. A run states the secret's sha256 before its first trial; its parts, if it
+    has any, need the same file."""
+
+    @property
+    def salt(self) -> str:
+        """Empty without a file. Raises ConfigError for a file that cannot be read or holds no salt."""
+        from carecontact.runs.salt import read_salt
+
+        return "" if self.salt_file is None else read_salt(self.salt_file)
+
+    @property
+    def closed(self) -> tuple[str, ...]:
+        """What an isolated policy must not read."""
+        return () if self.salt_file is None else (str(self.salt_file.resolve()),)
+
+
+@dataclass(frozen=True, kw_only=True)
 class ArgumentsGroup:
     policy_arg: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
     """Argument for the policy's constructor; `carecontact list policies` shows those of registered policies. Repeat the

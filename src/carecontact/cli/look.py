@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.groups import FLAT, RulesGroup, VisionGroup
+from carecontact.cli.groups import FLAT, RulesGroup, SaltGroup, VisionGroup
+from carecontact.contract.embodiment import ToolName
 
 if TYPE_CHECKING:
     pass
@@ -21,7 +22,11 @@ class Look:
     seed: int = 0
     """Seed of the protocol."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
+    tool: ToolName | None = None
+    """What the robot's hand wears in place of the protocol's: rigid caps over the fingertips, or a soft wash mitt. The
+    sheet names this change."""
     vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
+    salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
     out: Path | None = None
     """Picture to write, .png, .jpg or .pdf; default: look-TASK-sSEED.png in the current folder."""
 
@@ -34,16 +39,22 @@ class Look:
         from carecontact.contract.observation import MODALITIES
         from carecontact.contract.policy import CAMERAS, PolicyCard
         from carecontact.episode.first_look import first_look
+        from carecontact.protocols import load_protocol
         from carecontact.reports.pictures.sheet import check_sheet_path, save_sheet
         from carecontact.runs.preflight import check_protocol
 
-        rules = with_vision(self.rules.load(), self.vision)
+        rules = self.rules.changed(
+            load_protocol(self.rules.protocol), tool={} if self.tool is None else {"scene.tool": self.tool}
+        )
+        rules = with_vision(rules, self.vision)
         check_trial(rules, task=self.task, seed=self.seed)
         trial = f"{self.task}-s{self.seed:03d}"
         path = check_sheet_path(self.out or Path(f"look-{trial}.png"))
         check_protocol(rules)
         card = PolicyCard(name="look", modalities=MODALITIES, cameras=CAMERAS)
-        observation = first_look(rules, task_id=self.task, seed=self.seed, card=card, weights=self.vision.weights)
+        observation = first_look(
+            rules, task_id=self.task, seed=self.seed, card=card, weights=self.vision.weights, salt=self.salted.salt
+        )
         name = rules.task(self.task).name
         title = f"{self.task} {name}, seed {self.seed}, {rules.title} (the policy does not receive this line)"
         save_sheet(observation, path, title=title)

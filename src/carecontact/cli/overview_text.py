@@ -91,12 +91,18 @@ def _print_ranking(ranking: Ranking) -> None:
     )
 
 
+ROLE_WORDS = {"privileged": " (ceiling)", "probe": " (probe)"}
+"""After the name of what stands among blind baselines and is none."""
+
+
 def print_baselines(found: Baselines, letter: str) -> None:
     """``letter``: of the run among several; empty for one alone."""
     from carecontact.cli.console import console, plain_table
 
     name = f"{letter} ({found.method.policy})" if letter else found.method.policy
     print(f"\nblind baselines beside {name}: how often policies pass that cannot do the task")
+    if any(row.role == "privileged" for row in found.baselines):
+        print("a privileged policy is given the simulation: its rate is the ceiling, and it is never ranked")
     table = plain_table()
     table.add_column("")
     for header in ("trials", *RATE_NAMES.values(), f"{letter or 'method'} - baseline", "pairs", *found.tasks):
@@ -104,6 +110,9 @@ def print_baselines(found: Baselines, letter: str) -> None:
     for row in (found.method, *found.baselines):
         table.add_row(*_baseline_cells(row, found.tasks))
     console(WIDTH).print(table)
+    if (best := found.floor.get("all")) is not None:
+        places = ", ".join(f"{task} {at.rate.k}/{at.rate.n}" for task, at in found.floor.items() if task != "all")
+        print(f"best blind baseline, safety-gated: {best.policy} {best.rate.k}/{best.rate.n}; of each task: {places}")
     print(
         "rates in percent of trials with 95 % intervals; difference: of the safety-gated rates, in percentage points; "
         "T1, T2, ...: successes / trials"
@@ -119,7 +128,7 @@ def _baseline_cells(row: Passed, tasks: Sequence[str]) -> list[str]:
     pairs = NOT_DEFINED if row.n_pairs is None else str(row.n_pairs)
     counts = [row.per_task.get(task, {}).get("success") for task in tasks]
     return [
-        row.policy, str(row.n), *rates, above, pairs,
+        row.policy + ROLE_WORDS.get(row.role, ""), str(row.n), *rates, above, pairs,
         *(NOT_DEFINED if count is None else f"{count[0]}/{count[1]}" for count in counts),
     ]  # fmt: skip
 

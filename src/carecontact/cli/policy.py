@@ -82,12 +82,18 @@ def _secret(ref: PolicyRef) -> str:
 
 
 def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
-    """Start the policy once, just as a trial does, and return its card; None for a shipped one that is given nothing.
+    """Start the policy once, just as a trial does, and return its card; None for a shipped one that is given nothing,
+    and for a privileged one, which no process but a trial's own may start.
 
     Raises UnknownNameError, or ConfigError that says in its first line why a policy does not start or a server shows no
     card, followed by the end of the policy's traceback and output.
     """
     if is_privileged(setup.ref):
+        if setup.arguments or setup.environment or setup.readable or setup.writable:
+            raise ConfigError(
+                f"{setup.ref} is privileged and runs in the trial's own process: leave out --policy-arg, --policy-env, "
+                "--policy-read and --policy-write"
+            )
         return None
     conversation = open_policy(setup, first_deadline_s=deadline_s, deadline_s=deadline_s)
     shipped = setup.ref.kind == "registered" and POLICIES.package(setup.ref.text) is None

@@ -1,4 +1,4 @@
-"""``carecontact report``: the page about one run."""
+"""``carecontact report``: the page about one run, and the pages of its trials."""
 
 from __future__ import annotations
 
@@ -8,23 +8,33 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import Folder, Switch
+from carecontact.cli.groups import Switch
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
     from carecontact.runs.run_scores import RunScores
 
+Place = Annotated[
+    Path,
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="DIR", help="The --out folder of a run, or one recording in it (TRIAL.h5)."),
+]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Rewrite report.html of a run from its results.json and its recordings."""
+    """Rewrite report.html of a run from its results.json and its recordings; of a recording, write the page of its
+    trial."""
 
-    folder: Folder
+    place: Place
     baseline: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")] = ()
     """Runs of blind baselines on the same protocol. The report shows their success rates beside those of this run.
     Later reports of this run show the same baselines, until you name others."""
     rescore: Switch = False
     """Compute the scores again from the recordings in place of reading results.json, which stays as it is."""
+    trials: Switch = False
+    """Write the page of every trial as well, trial/T1-s000.html and so on. The report links the pages that are
+    there."""
 
     after_interrupt: ClassVar[str] = ""
 
@@ -32,13 +42,28 @@ class Report:
         from carecontact.cli.report_page import write_page
         from carecontact.cli.rescoring import need_recordings
         from carecontact.cli.stored import read_run
+        from carecontact.cli.trial_pages import write_trial_pages
         from carecontact.runs.alone import alone
 
-        with alone(self.folder):
-            need_recordings(self.folder)
-            run = read_run(self.folder, rescore=self.rescore)
-            _need_rows(self.folder, run)
-            write_page(self.folder, run, baselines=self.baseline)
+        if self.place.is_file():
+            return self._one_trial()
+        with alone(self.place):
+            need_recordings(self.place)
+            run = read_run(self.place, rescore=self.rescore)
+            _need_rows(self.place, run)
+            if self.trials:
+                write_trial_pages(self.place, run)
+            write_page(self.place, run, baselines=self.baseline)
+        return 0
+
+    def _one_trial(self) -> int:
+        """Raises ConfigError for an option of a run's report."""
+        from carecontact.cli.trial_pages import write_page_of
+
+        given = [name for name, on in (("--baseline", self.baseline), ("--trials", self.trials)) if on]
+        if given:
+            raise ConfigError(f"{given[0]} belongs to the report of a run: name its folder, {self.place.parent}")
+        print(f"page of the trial: {write_page_of(self.place)}")
         return 0
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from carecontact.errors import CarecontactError, ConfigError
 
 if TYPE_CHECKING:
-    from carecontact.reports.compare.baselines import Baselines
     from carecontact.runs.run_scores import RunScores
 
 
@@ -23,9 +22,11 @@ def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) 
     Raises ConfigError for a baseline that cannot be read or compared; then nothing is written or remembered.
     """
     from carecontact.recording import read_recording
+    from carecontact.reports.compare.kept import beside_kept
     from carecontact.reports.page.page import write_report
 
-    beside, lost = (_named(folder, run, baselines), {}) if baselines else _remembered(folder, run)
+    named, lost = (_named(folder, run, baselines), {}) if baselines else _remembered(folder, run)
+    beside, why_none = beside_kept(run, named)
     path = write_report(
         folder,
         scores=run.scores,
@@ -34,21 +35,23 @@ def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) 
         missing=run.missing,
         baselines=beside,
         lost_baselines=lost,
+        kept_scores=why_none,
     )
     print(f"report: {path}")
 
 
-def _named(folder: Path, run: RunScores, baselines: Sequence[Path]) -> Baselines:
+def _named(folder: Path, run: RunScores, baselines: Sequence[Path]) -> list[RunScores]:
     from carecontact.reports.compare.baselines import beside_baselines
     from carecontact.runs.baselines import remember
     from carecontact.runs.stored_scores import read_scores
 
-    beside = beside_baselines(run, [read_scores(path) for path in baselines])
+    found = [read_scores(path) for path in baselines]
+    beside_baselines(run, found)
     remember(folder, baselines)
-    return beside
+    return found
 
 
-def _remembered(folder: Path, run: RunScores) -> tuple[Baselines | None, dict[str, str]]:
+def _remembered(folder: Path, run: RunScores) -> tuple[list[RunScores], dict[str, str]]:
     """The baselines of the last report, and each that cannot be shown any more -> why."""
     from carecontact.reports.compare.baselines import beside_baselines
     from carecontact.runs.baselines import BASELINES, named_in, remembered
@@ -70,9 +73,8 @@ def _remembered(folder: Path, run: RunScores) -> tuple[Baselines | None, dict[st
             found.append(baseline)
     for name, why in lost.items():
         print(f"the blind baseline {name} is not in the report: {why}")
-    if not found:
-        return None, lost
-    beside, path = beside_baselines(run, found), named_in(folder)
-    names = ", ".join(baseline.policy for baseline in beside.baselines)
-    print(f"the report keeps the blind baselines of the last report: {names}; to remove them, delete {path}")
-    return beside, lost
+    if found:
+        names = ", ".join(baseline.scores[0].policy_title for baseline in found)
+        told = f"the report keeps the blind baselines of the last report: {names}"
+        print(f"{told}; to remove them, delete {named_in(folder)}")
+    return found, lost

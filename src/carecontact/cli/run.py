@@ -14,6 +14,7 @@ from carecontact.cli.groups import (
     PhysicsGroup,
     PolicyGroup,
     RulesGroup,
+    SaltGroup,
     Switch,
     VisionGroup,
 )
@@ -71,6 +72,7 @@ class Run:
     noise_salt: str | None = None
     """Secret from which the sensor noise of a protocol is drawn: 32 hexadecimal digits. The parts of one run need the
     same; default: a fresh one."""
+    salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
     retry_failed: Switch = False
     """Run again the trials in which the policy crashed (process_failure) or the harness failed (harness_error). The
     harness is the benchmark's own process that runs a trial."""
@@ -94,6 +96,7 @@ class Run:
         from carecontact.cli.policy import check_policy, policy_setup
         from carecontact.runs.alone import alone
         from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials, with_noise_salt
+        from carecontact.runs.salt import with_salt
         from carecontact.runs.shard import Shard
         from carecontact.trials.engines import check_engine
         from carecontact.trials.pace import check_pace
@@ -104,14 +107,15 @@ class Run:
         shard = None if self.shard is None else Shard.parse(self.shard)
         if self.restart and self.retry_failed:
             raise ConfigError("--restart runs every trial again, and --retry-failed only some; give one of them")
-        setup = policy_setup(self.policy, self.given)
+        salt, setup = self.salted.salt, policy_setup(self.policy, self.given)
+        setup = replace(setup, closed=(*setup.closed, *self.salted.closed))
         if told := check_engine(self.parallel.engine, setup, gpus=self.parallel.gpus):
             print(f"warning: {told}")
         rules = self._protocol()
         tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
         with ExitStack() as held:
             held.enter_context(alone(self.out, make=True))
-            closed = replace(setup, closed=tuple(runs_beside(self.out)))
+            closed = replace(setup, closed=(*setup.closed, *runs_beside(self.out)))
             card = check_policy(closed, deadline_s=rules.phases.first_call_deadline_s)
             specs = plan_trials(
                 protocol=rules,
@@ -121,7 +125,7 @@ class Run:
                 arguments=setup.arguments,
                 environment=setup.environment,
             )
-            specs = with_noise_salt(specs, self.noise_salt, one_of_several=shard is not None)
+            specs = with_noise_salt(with_salt(specs, salt), self.noise_salt, one_of_several=shard is not None)
             specs = specs if shard is None else shard.of(specs)
             if self.restart and restart(self.out):
                 held.enter_context(alone(self.out, make=True))
@@ -135,6 +139,8 @@ class Run:
         title = specs[0].protocol.title
         part = f", part {self.shard}," if self.shard else ""
         print(f"{setup.ref}{arguments_text(setup)}: {len(specs)} trial(s) of {title}{part} into {self.out}", flush=True)
+        if specs[0].commitment:
+            print(f"salted: sha256 {specs[0].commitment}", flush=True)
         with progress(self.out) as on_event:
             summary = run_trials(
                 specs,

@@ -32,6 +32,7 @@ class Serve:
         """Serve until interrupted. Raises ConfigError for what cannot be served or where nothing can listen."""
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.hosting.serving import LOAD_DEADLINE_S, serve_trials
+        from carecontact.policies.registry import policy_target
         from carecontact.trials.workers import available_cores
 
         if not 0 <= self.port <= 65535:
@@ -43,6 +44,7 @@ class Serve:
             raise ConfigError(
                 f"{setup.ref}: a policy with an address is served already; give a registered name or module:Class"
             )
+        policy_target(setup.ref)  # refuses a privileged policy
         check_policy(setup, deadline_s=LOAD_DEADLINE_S)
         name = f"{setup.ref}{arguments_text(setup)}"
         serve_trials(

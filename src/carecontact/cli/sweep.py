@@ -5,17 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, EngineGroup, PolicyGroup, Switch
+from carecontact.cli.groups import FLAT, EngineGroup, JsonGroup, PolicyGroup, SaltGroup, Switch
 from carecontact.errors import ConfigError, DependencyError
 
 if TYPE_CHECKING:
     from carecontact.cli.sweep_progress import SweepProgress
+    from carecontact.reports.sweep.table import SweepTable
     from carecontact.runs.run_scores import RunScores
     from carecontact.runs.sweep.cells import Cell
     from carecontact.runs.sweep.plan import Plan, PlannedPolicy
@@ -40,10 +41,12 @@ class Sweep:
     shard: str | None = None
     """Run one part of the cells: 2/4 is the second of four. The parts can share --out, and the last one to end writes
     the whole table."""
+    salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
     retry_failed: Switch = False
     """Run again the trials in which the policy crashed or the harness failed."""
     dry_run: Switch = False
     """Print the cells, and run nothing."""
+    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
 
     after_interrupt: ClassVar[str] = "; finished trials are kept; give the same command again to continue"
 
@@ -88,11 +91,12 @@ class Sweep:
         warnings = dict[str, None]()
         try:
             setups = [policy_setup(planned.policy, _options(planned)) for planned in plan.policies]
+            setups = [replace(setup, closed=(*setup.closed, *self.salted.closed)) for setup in setups]
             named = [
                 (planned.label or _title(planned), setup.ref.text, setup.arguments, tuple(setup.environment))
                 for planned, setup in zip(plan.policies, setups, strict=True)
             ]
-            cells = cells_of(plan, places, named)
+            cells = cells_of(plan, places, named, salt=self.salted.salt)
         except ConfigError as error:
             raise ConfigError(f"plan {self.plan}: policies: {error}") from None
         for planned, setup in zip(plan.policies, setups, strict=True):
@@ -132,6 +136,7 @@ class Sweep:
                 each.result()
 
     def _finish(self, plan: Plan, cells: Sequence[Cell], progress: SweepProgress) -> int:
+        from carecontact.policies.registry import role_of
         from carecontact.reports.sweep.page import write_sweep
         from carecontact.reports.sweep.table import CellScores, sweep_table
         from carecontact.reports.sweep.texts import sentences
@@ -141,7 +146,8 @@ class Sweep:
             self.plan.stem,
             [
                 CellScores(
-                    label=cell.label, values=cell.place.values, folder=f"{CELLS}/{cell.name}",
+                    label=cell.label, role=role_of(cell.specs[0].policy), values=cell.place.values,
+                    folder=f"{CELLS}/{cell.name}",
                     planned=len(cell.specs), scores=_of_plan(cell, run),
                 )
                 for cell, run in found
@@ -152,12 +158,34 @@ class Sweep:
             print(f"table: {path}")
         for sentence in sentences(table):
             print(sentence)
+        if self.output.json:
+            _say(table)
         skipped = [
             f"{self._folder(cell)}: {name}: {why}" for cell, run in found if run for name, why in run.skipped.items()
         ]
         for line in skipped:
             print(f"skipped {line}")
         return 1 if skipped else progress.status()
+
+
+def _say(table: SweepTable) -> None:
+    from carecontact.cli.answers.sweep import SweepAnswer
+    from carecontact.cli.json_lines import say
+
+    say(
+        SweepAnswer(
+            title=table.title,
+            axes=table.axes,
+            policies=table.policies,
+            rank_by=table.rank_by,
+            trials=sum(len(row.cell.scores) for row in table.rows),
+            planned=sum(row.cell.planned for row in table.rows),
+            stability=table.stability,
+            ladder=table.ladder,
+            factors=table.factors,
+            gate_orders=table.gate_orders,
+        )
+    )
 
 
 def _options(planned: PlannedPolicy) -> PolicyGroup:

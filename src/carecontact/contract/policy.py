@@ -29,7 +29,8 @@ class PolicyCard:
     control: str = CARTESIAN_IMPEDANCE
     """Name from CONTROLS: the controller that executes the actions. Joint spaces need one of the joint controllers."""
     modalities: tuple[str, ...] = ()
-    """Names from MODALITIES. At every ``act`` call, the policy receives each of them for each of its cameras."""
+    """Names from MODALITIES. At every ``act`` call, the policy receives each of them for each of its cameras; without
+    any, it receives what is known of each camera by calibration: where it stands and how it projects."""
     cameras: tuple[str, ...] = ("overhead",)
     control_hz: float = 10.0
     """Rate at which the actions of a chunk are executed: 1-50 Hz."""

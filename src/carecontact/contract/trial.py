@@ -13,6 +13,11 @@ LATER = ("policy_arguments", "policy_environment", "noise_salt", "salt", "salt_s
 """Fields that trials did not always have."""
 
 
+def commitment(salt: str) -> str:
+    """The sha256 of a salt's characters, in base 16: what may be published before the salt."""
+    return hashlib.sha256(salt.encode()).hexdigest()
+
+
 class TrialSpec(BaseModel):
     """Everything that determines a trial besides the policy's answers. Frozen; part of the recording's header."""
 
@@ -45,7 +50,7 @@ class TrialSpec(BaseModel):
     @property
     def commitment(self) -> str:
         """The sha256 of the salt in base 16, which may be published before the run; empty where there is no salt."""
-        return hashlib.sha256(self.salt.encode()).hexdigest() if self.salt else self.salt_sha256
+        return commitment(self.salt) if self.salt else self.salt_sha256
 
     @property
     def sealed(self) -> Self:

@@ -28,9 +28,9 @@ class CameraPoses:
         if not self._renderer.calibration:
             return
         shown = {name: view.pose_camera_in_base for name, view in observation.cameras.items()}
-        true = {name: self._renderer.pose_camera_in_base(data, name) for name in shown}
-        for path, poses in ((BELIEVED, shown), (TRUE, true)):
-            row = np.full((len(CAMERAS), 7), np.nan)
+        true = {name: self._renderer.pose_camera_in_base(data, name) for name in self._renderer.protocol.cameras}
+        for path, poses, absent in ((BELIEVED, shown, np.nan), (TRUE, true, 0.0)):
+            row = np.full((len(CAMERAS), 7), absent)
             for name, pose in poses.items():
                 row[CAMERAS.index(name)] = [*pose[:3, 3], *quat_from_matrix(pose[:3, :3])]
             self._rows[path].append(row)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from carecontact.contract.protocol import Protocol
+from carecontact.contract.protocol import Protocol, Variation
+from carecontact.contract.protocol.variation import DRAWN
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.draws import body_of, overhead_of, posture_of
 from carecontact.episode.parking import parked
 from carecontact.episode.parking.persons import posed
 from carecontact.world.place import Place, place_of
-from carecontact.world.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,10 +25,9 @@ class Drawn:
     place: Place
 
 
-def drawn_facts(scene: Scene) -> dict[str, Any]:
-    """What was drawn of a trial's world, for the recording and never for a policy."""
-    person, furniture, overhead = scene.protocol.person, scene.protocol.scene, scene.protocol.cameras["overhead"]
-    place = scene.place
+def drawn_facts(protocol: Protocol, place: Place) -> dict[str, Any]:
+    """What was drawn of a trial's world (``Drawn``), for the recording and never for a policy."""
+    person, furniture, overhead = protocol.person, protocol.scene, protocol.cameras["overhead"]
     return {
         "body": person.body,
         "shoulder_rotation_deg": person.shoulder_rotation_deg, "palm_deg": person.palm_deg,
@@ -73,6 +72,12 @@ def like(protocol: Protocol, other: Protocol) -> Protocol:
     return protocol.model_copy(update={
         "person": protocol.person.model_copy(update=update), "scene": other.scene, "cameras": other.cameras
     })  # fmt: skip
+
+
+def settled_draws(protocol: Protocol) -> Protocol:
+    """A drawn protocol (``Drawn.protocol``) from which no seed draws another body, base or camera."""
+    defaults = {name: Variation.model_fields[name].default for name in DRAWN}
+    return protocol.model_copy(update={"variation": protocol.variation.model_copy(update=defaults)})
 
 
 def _concrete(protocol: Protocol, laid: Protocol, seed: int, salt: str) -> Protocol:

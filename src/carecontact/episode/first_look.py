@@ -12,16 +12,17 @@ from carecontact.episode.episode import Episode
 
 
 def first_look(
-    protocol: Protocol, *, task_id: str, seed: int, card: PolicyCard, weights: Path | None = None
+    protocol: Protocol, *, task_id: str, seed: int, card: PolicyCard, weights: Path | None = None, salt: str = ""
 ) -> Observation:
     """The first observation of a trial, for the modalities and cameras of the card.
 
     Args:
         weights: folder with the weights of the protocol's segmenter.
+        salt: the secret of a salted run.
 
     Raises:
         SceneError, SettleError, DependencyError: as a trial does.
     """
-    spec = TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy=card.name)
+    spec = TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy=card.name, salt=salt)
     with Episode(spec, card=card, weights=weights) as episode:
         return episode.reset()

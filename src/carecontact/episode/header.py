@@ -53,5 +53,7 @@ def header_of(
             "kernel": kernel_sha256(),
         },
         solver_warnings=warnings,
-        drawn=drawn_facts(simulation.scene) if spec.protocol.variation.draws_models else {},
+        drawn=drawn_facts(simulation.scene.protocol, simulation.scene.place)
+        if spec.protocol.variation.draws_models
+        else {},
     )

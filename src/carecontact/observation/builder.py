@@ -218,12 +218,11 @@ class ObservationBuilder:
         angles = self._noise.joint_position(robot.joint_position(data), sim_time_s=sim_time_s)
         # Whatever is computed from the encoders is computed from their noisy readings.
         known = self._renderer.at_encoders(angles) if self._noise.on_encoders else data
-        cameras = self._card.cameras if self._card.modalities else ()
         self.raw = RawReadings(
             joint_position=angles,
             joint_velocity=robot.joint_velocity(data),
             pose_tcp_in_base=robot.pose_tcp_in_base(known),
-            views={c: self.raw_view(data, c, angles=angles, sim_time_s=sim_time_s) for c in cameras},
+            views={c: self.raw_view(data, c, angles=angles, sim_time_s=sim_time_s) for c in self._card.cameras},
         )
         return derive(
             self.raw,

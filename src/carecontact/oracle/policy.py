@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.action import Action
+from carecontact.contract.action.spaces.cartesian_pose import clip_action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Task
@@ -27,6 +28,9 @@ from carecontact.sight import RegionGeometry
 from carecontact.sim.simulation import Simulation
 
 F64 = npt.NDArray[np.float64]
+
+AGAIN = 0.6
+"""Share of a trial's time in which a motion that lost the person is planned once more where the person lies then."""
 
 
 class Oracle:
@@ -46,6 +50,7 @@ class Oracle:
         """
         self._simulation, self._task, self._bounds = simulation, task, bounds
         self._motion: Press | Push | None = None
+        self._again_until_s = AGAIN * simulation.protocol.phases.time_limit_s
         self._notes: dict[str, object] = {}
 
     def act(self, observation: Observation) -> Action:
@@ -56,9 +61,11 @@ class Oracle:
             except ContractError as error:
                 self._notes["ended_without_touching"] = str(error)
                 return Action(done=True)
-        pose = self._motion.target()
-        pose[:3] = np.clip(pose[:3], self._bounds.workspace_low_m, self._bounds.workspace_high_m)
-        return Action(pose_tcp_in_base=pose, done=self._motion.ended)
+        inside, motion = clip_action(self._motion.act(), self._bounds), self._motion
+        if motion.ended and not motion.succeeded and observation.sim_time_s < self._again_until_s:
+            self._motion = None
+            return inside
+        return replace(inside, done=motion.ended)
 
     def take_notes(self) -> dict[str, object]:
         """Return how the hand is held, or why nothing was touched."""

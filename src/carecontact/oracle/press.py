@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.action import Action
 from carecontact.oracle.follow import Follower
 from carecontact.oracle.truth import Truth
 from carecontact.policies.motion import CONTROL_HZ, UP, Leg, sample
@@ -62,11 +63,16 @@ class Press:
         self._at, self._depth_m, self._waited = 0, 0.0, 0
 
     @property
+    def succeeded(self) -> bool:
+        """Whether the skin was always there to press on within its patience."""
+        return self._waited < PATIENCE_S * CONTROL_HZ
+
+    @property
     def ended(self) -> bool:
         return self._at >= len(self._plan)
 
-    def target(self) -> F64:
-        """(7,) for the next control period."""
+    def act(self) -> Action:
+        """The target for the next control period."""
         stage, force = self._plan[self._at], self._truth.force_n()
         place = self._follower.follow(stage.pose[:3])
         waits = False
@@ -77,4 +83,4 @@ class Press:
             waits = force < LEAST_N and self._waited < PATIENCE_S * CONTROL_HZ
         self._waited += waits
         self._at += not waits
-        return np.concatenate([place, stage.pose[3:]])
+        return Action(pose_tcp_in_base=np.concatenate([place, stage.pose[3:]]))

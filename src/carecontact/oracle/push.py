@@ -7,21 +7,24 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.action import Action
 from carecontact.oracle.follow import Follower
 from carecontact.oracle.truth import Truth
-from carecontact.policies.motion import CONTROL_HZ, Leg, sample
+from carecontact.policies.motion import CONTROL_HZ, FREE_SPEED_M_S, Leg, sample
 
 F64 = npt.NDArray[np.float64]
 
-SPEED_M_S = 0.05
-WRIST_M = 0.035
+SPEED_M_S = 0.06
+BACK_M_S = FREE_SPEED_M_S
+"""As fast as the impedance's target may go: a person who moves the arm against the tool is given way to."""
+WRIST_M = 0.030
 """Between the 20 mm that a push must move the wrist by and the 100 mm that would be rough."""
 HOLDS_N = 4.0
 """Over the 3 N that count as a push."""
 MOST_N = 18.0
 """Under the 20 N at which a person may withdraw the arm."""
 TOUCHES_N = 0.5
-HOLD_S = 1.5
+HOLD_S = 1.2
 FARTHEST_M = 0.20
 """Of the target past where the limb's side was: then the tool goes back, whatever was reached."""
 PUSHES = 4
@@ -46,18 +49,27 @@ class Push:
         self._on_m, self._held, self._wrist = 0.0, 0, None
 
     @property
+    def succeeded(self) -> bool:
+        """Whether the push was held; otherwise the limb went where the tool did not follow."""
+        return self._held >= HOLD_S * CONTROL_HZ
+
+    @property
     def ended(self) -> bool:
         return not self._ahead and not self._after
 
-    def target(self) -> F64:
-        """(7,) for the next control period."""
+    def act(self) -> Action:
+        """The target for the next control period."""
         if self._ahead:
             pose = self._ahead.pop(0)
-            return np.concatenate([self._follower.follow(pose[:3]), pose[3:]])
+            return Action(pose_tcp_in_base=np.concatenate([self._follower.follow(pose[:3]), pose[3:]]))
+        return Action(pose_tcp_in_base=self._beside())
+
+    def _beside(self) -> F64:
+        """(7,) target from where the push begins."""
         if self._from is None:
             # From here on the limb moves because it is pushed: the target no longer follows it.
             self._from = self._follower.follow(self._low)
-        if self._held < HOLD_S * CONTROL_HZ and self._on_m < FARTHEST_M:
+        if not self.succeeded and self._on_m < FARTHEST_M:
             self._push()
             return np.concatenate([self._from + self._on_m * self._way, self._quat])
         pose = self._after.pop(0)
@@ -71,6 +83,6 @@ class Push:
         enough = moved >= WRIST_M and force >= HOLDS_N
         self._held = self._held + 1 if enough else 0
         if force > MOST_N:
-            self._on_m -= SPEED_M_S / CONTROL_HZ
+            self._on_m -= BACK_M_S / CONTROL_HZ
         elif not enough:
             self._on_m += SPEED_M_S / CONTROL_HZ

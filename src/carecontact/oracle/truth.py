@@ -10,6 +10,7 @@ from carecontact.episode.perception import SEGMENT_AT
 from carecontact.errors import ContractError
 from carecontact.regions import REGIONS, LimbSight, TrunkSight
 from carecontact.sight import RegionGeometry
+from carecontact.sight.region import free_from
 from carecontact.sim.simulation import Simulation
 from carecontact.sim.true_skin import skin_in_world
 from carecontact.world.human.skeleton import body_name
@@ -100,9 +101,9 @@ class Truth:
         """(3,) and (3,) ends of the region's line, nearer the trunk (abdomen: the feet) first."""
         row = REGIONS[self.region]
         match row.sight:
-            case LimbSight(joints=(first, second), free_from=free_from):
+            case LimbSight(joints=(first, second)) as sight:
                 a, b = self._joint(f"{row.side} {first}"), self._joint(f"{row.side} {second}")
-                return a + free_from * (b - a), b
+                return a + free_from(sight, self.skin(), a, b) * (b - a), b
             case TrunkSight(joints=(lower, upper), middle=middle, length=share):
                 a, b = ((self._joint(f"left {j}") + self._joint(f"right {j}")) / 2 for j in (lower, upper))
                 return a + (middle - share / 2) * (b - a), a + (middle + share / 2) * (b - a)

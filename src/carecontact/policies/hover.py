@@ -20,7 +20,7 @@ from carecontact.policies.motion import (
     sample,
     travel,
 )
-from carecontact.sight import person_points, region_from_observation
+from carecontact.sight import PerceptionFailure, person_points, region_from_observation
 
 CAMERA = "overhead"
 HEIGHT_M = 0.05
@@ -54,21 +54,27 @@ class Hover:
 
     def act(self, observation: Observation) -> list[Action]:
         """Return the whole way as one chunk, of which the last action ends the trial."""
+        try:
+            poses = list(sample(self.way(observation), observation.pose_tcp_in_base, control_hz=CONTROL_HZ))
+        except PerceptionFailure as error:
+            logger.warning("Hover stays where it is: %s", error)
+            return [Action(done=True)]
+        return [Action(pose_tcp_in_base=pose, done=k == len(poses) - 1) for k, pose in enumerate(poses)]
+
+    def way(self, observation: Observation, *, hold_s: float = HOLD_S) -> list[Leg]:
+        """Return the way over the region, where it waits for ``hold_s`` [s], and up again.
+
+        Raises PerceptionFailure if the region is not found, ContractError if ``reset`` was not called before.
+        """
         if self._place is None:
             raise ContractError("act() was called before reset()")
         region, side = self._place
-        try:
-            geometry = region_from_observation(observation, region, side=side, camera=CAMERA)
-        except ContractError as error:
-            logger.warning("Hover stays where it is: %s", error)
-            return [Action(done=True)]
+        geometry = region_from_observation(observation, region, side=side, camera=CAMERA)
         wait = Leg(
             points=(geometry.centre_m + np.array([0.0, 0.0, HEIGHT_M]))[None],
             quat_wxyz=radial_quat(geometry.centre_m),
             speed_m_s=NEAR_SPEED_M_S,
-            hold_s=HOLD_S,
+            hold_s=hold_s,
         )
         clear = float(person_points(observation.cameras[CAMERA])[:, 2].max()) + TRAVEL_CLEARANCE_M
-        legs = travel(observation.pose_tcp_in_base, [wait], travel_height_m=clear)
-        poses = list(sample(legs, observation.pose_tcp_in_base, control_hz=CONTROL_HZ))
-        return [Action(pose_tcp_in_base=pose, done=k == len(poses) - 1) for k, pose in enumerate(poses)]
+        return travel(observation.pose_tcp_in_base, [wait], travel_height_m=clear)

@@ -64,6 +64,30 @@ POLICIES.register(
     ),
 )
 POLICIES.register(
+    "replay-registered",
+    PolicyRow(
+        target="carecontact.policies.replay.policy:ReplayRegistered",
+        description="Blind baseline: repeats recorded actions where the overhead camera is said to stand, unseeing.",
+        role="blind",
+    ),
+)
+POLICIES.register(
+    "mean-person",
+    PolicyRow(
+        target="carecontact.policies.mean_person.policy:MeanPersonPolicy",
+        description="Blind baseline: the state machine's motions on the average person, without a picture.",
+        role="blind",
+    ),
+)
+POLICIES.register(
+    "feint-and-wait",
+    PolicyRow(
+        target="carecontact.policies.feint_and_wait:FeintAndWait",
+        description="Probe: approaches the person, goes back and waits before the state machine acts; must not pay.",
+        role="probe",
+    ),
+)
+POLICIES.register(
     "state-machine",
     PolicyRow(
         target="carecontact.policies.state_machine.policy:StateMachine",

@@ -14,6 +14,7 @@ from carecontact.errors import ConfigError, DependencyError, PolicyError
 from carecontact.hosting.in_process import served
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
+from carecontact.policies.registry import is_privileged
 from carecontact.programs.run import Run
 from carecontact.protocols import load_protocol, overridden
 from carecontact.recording.reason import reason
@@ -153,8 +154,11 @@ def _importable(made: Any) -> tuple[str, tuple[str, ...]]:
     return f"{made.__module__}:{name}", (str(root),)
 
 
-def _card(setup: PolicySetup, *, deadline_s: float) -> PolicyCard:
-    """Start the policy once, because otherwise every trial would fail in the same way."""
+def _card(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
+    """Start the policy once, because otherwise every trial would fail in the same way; a privileged one has no process
+    to start."""
+    if is_privileged(setup.ref):
+        return None
     conversation = open_policy(setup, first_deadline_s=deadline_s, deadline_s=deadline_s)
     try:
         with conversation:

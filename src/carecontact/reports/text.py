@@ -44,6 +44,11 @@ def angle(value: float | None) -> str:
     return f"{mantissa}e{int(exponent)}"
 
 
+def counted(n: int, one: str) -> str:
+    """``1 trial``, ``2 trials``."""
+    return f"{n} {one}{'' if n == 1 else 's'}"
+
+
 def percent(fraction: float) -> str:
     return f"{100 * fraction:.0f}\N{NO-BREAK SPACE}%"
 

@@ -51,7 +51,12 @@ class Manifest(BaseModel):
     trials: list[str]
     """Ids of every trial that any command planned here."""
     noise_salt: str = ""
-    """Of every trial here; empty where the protocol names no sensor noise."""
+    """Of every trial here; empty where the protocol names no sensor noise, and where the run has a ``salt_sha256``."""
+    salt_sha256: str = ""
+    """Of the secret on which every draw of every trial here depends, written before the first trial; empty for a run on
+    published seeds."""
+    salt: str = ""
+    """That secret, once its owner has revealed it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,6 +133,8 @@ def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity,
         protocol=ProtocolName(id=protocol.name, sha256=protocol.sha256, overrides=protocol.overrides),
         identity=identity,
         noise_salt=specs[0].noise_salt,
+        salt_sha256=specs[0].commitment,
+        salt=earlier.salt if earlier else "",
         trials=sorted({*(earlier.trials if earlier else ()), *(spec.trial_id for spec in specs)}),
     )
     store_manifest(manifest, out=out)
@@ -135,16 +142,16 @@ def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity,
 
 def store_manifest(manifest: Manifest, *, out: Path) -> None:
     """Atomically; the same manifest gives the same bytes."""
-    unsalted = set[str]() if manifest.noise_salt else {"noise_salt"}
+    unsalted = {name for name in ("noise_salt", "salt_sha256", "salt") if not getattr(manifest, name)}
     text = json.dumps(manifest.model_dump(mode="json", by_alias=True, exclude=unsalted), indent=2)
     replace_file(out / MANIFEST, f"{text}\n".encode("ascii"))
 
 
 def salted(specs: Sequence[TrialSpec], *, out: Path) -> list[TrialSpec]:
     """The trials with the noise salt of the run in ``out``, a fresh one for a new run; as they are where the protocol
-    names no sensor noise or they have a salt. Raises ConfigError as ``read_manifest``, and for another salt than that
-    of the run."""
-    if not specs[0].protocol.variation.sensor_noise:
+    names no sensor noise or they have a salt already. Raises ConfigError as ``read_manifest``, and for another noise
+    salt than that of the run."""
+    if specs[0].salt or not specs[0].protocol.variation.sensor_noise:
         return list(specs)
     earlier, given = read_manifest(out), specs[0].noise_salt
     kept = earlier.noise_salt if earlier else ""
@@ -181,6 +188,11 @@ def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity:
         raise ConfigError(
             f"{out} holds another run (policy {manifest.policy}, protocol {title} "
             f"{manifest.protocol.sha256[:12]}); this command runs {_told(spec)}: {ELSEWHERE}"
+        )
+    if manifest.salt_sha256 != spec.commitment:
+        started, given = (f"sha256 {salt[:12]}" if salt else "none" for salt in (manifest.salt_sha256, spec.commitment))
+        raise ConfigError(
+            f"{out} was started with another --salt-file (its salt: {started}, this command's: {given}): {ELSEWHERE}"
         )
     if held.policy_sha256 != identity.policy_sha256:
         raise ConfigError(
@@ -221,6 +233,8 @@ def _check_header(header: Header, spec: TrialSpec, *, path: Path, identity: Iden
     spoken = (header.card or {}).get("language_backend", identity.language)
     if identity.language is not None and spoken != identity.language:
         raise ConfigError(f"{path} was recorded with language backend {spoken}: use another --out")
+    if header.spec.salt_sha256 != spec.commitment:
+        raise ConfigError(f"{path} was recorded with another --salt-file: use another --out")
     changed = identity.differences(versions=header.versions, sha256=header.sha256)
     if changed:
         raise ConfigError(

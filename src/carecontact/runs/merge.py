@@ -51,7 +51,8 @@ def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
         files = _recordings(folders)
         trials = sorted({trial for manifest in folders.values() for trial in manifest.trials})
         # First, so that the same command knows the folder again after an interruption.
-        store_manifest(parts[first].model_copy(update={"trials": trials}), out=out)
+        revealed = next((manifest.salt for manifest in folders.values() if manifest.salt), "")
+        store_manifest(parts[first].model_copy(update={"trials": trials, "salt": revealed}), out=out)
         copied = [trial for trial, file in files.items() if file.parent != out]
         for trial in copied:
             for source in (files[trial].with_suffix(".log"), files[trial]):
@@ -82,6 +83,7 @@ def _check_same(first: Path, one: Manifest, run: Path, other: Manifest) -> None:
     pairs = [
         ("policies", one.policy, other.policy),
         ("protocols", *(f"{held.protocol.id} {held.protocol.sha256[:12]}" for held in (one, other))),
+        ("salts", *(held.salt_sha256[:12] or "none" for held in (one, other))),
         ("noise salts", one.noise_salt[:6] or "none", other.noise_salt[:6] or "none"),
         *((what, getattr(one.identity, name), getattr(other.identity, name)) for name, what in IDENTITY.items()),
     ]  # fmt: skip

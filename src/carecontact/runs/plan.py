@@ -95,9 +95,15 @@ def with_noise_salt(specs: list[TrialSpec], salt: str | None, *, one_of_several:
     Raises ConfigError for what is no salt, for one where there is no noise, and where a part has none.
     """
     noisy = specs[0].protocol.variation.sensor_noise
+    if specs[0].salt:
+        if salt is not None:
+            raise ConfigError("--noise-salt: --salt-file decides the sensor noise too; leave --noise-salt out")
+        return specs
     if salt is None:
         if noisy and one_of_several:
-            raise ConfigError("--shard: this protocol has sensor noise; give every part the same --noise-salt")
+            raise ConfigError(
+                "--shard: this protocol has sensor noise; give every part the same --noise-salt or --salt-file"
+            )
         return specs
     if len(salt) != SALT_DIGITS or not set(salt) <= set("0123456789abcdef"):
         raise ConfigError(f"--noise-salt: expected {SALT_DIGITS} hexadecimal digits, as `openssl rand -hex 16` prints")

@@ -7,6 +7,9 @@ from collections.abc import Iterable, Sequence
 from carecontact.errors import ConfigError
 from carecontact.scoring.result import DRAWN, TrialScore
 
+UNSALTED = "none"
+"""In place of the salt's hash, in a run on published seeds: other persons than those of a salted one."""
+
 
 def judged(scores: Iterable[TrialScore]) -> list[TrialScore]:
     """The trials that say something about the policy: all but those in which the harness failed."""
@@ -42,8 +45,13 @@ def _check_one_world(scores: Sequence[TrialScore]) -> None:
         what, first, other = found
         raise ConfigError(
             f"{first.trial_id}.h5 and {other.trial_id}.h5 were simulated in different worlds and must not be pooled: "
-            f"{what} {first.world[what][:12]} and {other.world[what][:12]}"
+            f"{what} {world_part(first, what)} and {world_part(other, what)}"
         )
+
+
+def world_part(score: TrialScore, what: str) -> str:
+    """The start of a part of a score's world, as messages name it."""
+    return score.world.get(what, UNSALTED)[:12]
 
 
 def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, TrialScore] | None:
@@ -54,11 +62,11 @@ def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, Tri
     """
     first: dict[tuple[object, ...], TrialScore] = {}
     for score in scores:
-        for what, value in score.world.items():
+        for what, value in {"salt": UNSALTED, **score.world}.items():
             place: tuple[object, ...] = (what, score.region) if what.endswith("model") else (what,)
             if what.startswith(DRAWN):
                 place = (*place, score.seed)
             other = first.setdefault(place, score)
-            if other.world[what] != value:
+            if other.world.get(what, UNSALTED) != value:
                 return what, other, score
     return None

@@ -48,6 +48,8 @@ class TrialScore(BaseModel):
     policy: str
     policy_arguments: dict[str, str] = {}
     """What --policy-arg gave the policy."""
+    privileged: bool = False
+    """Whether the policy was given the simulation: its rates are a ceiling and rank no method."""
     policy_name: str | None = None
     """The name on the card of a policy behind an address, which says nothing of itself; None for any other."""
     language_backend: str
@@ -141,8 +143,10 @@ class TrialScore(BaseModel):
 
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out a name and gates that there are not, as results from before there were any do."""
+        """Leave out a name, a privilege and gates that there are not, as results from before there were any do."""
         content = handler(self)
+        if not self.privileged:
+            del content["privileged"]
         for name in ("policy_name", "joints_beyond", "joints_consumed"):
             if content[name] is None:
                 del content[name]

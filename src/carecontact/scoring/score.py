@@ -86,6 +86,7 @@ def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
         "seed": header.spec.seed,
         "policy": header.spec.policy,
         "policy_arguments": header.spec.policy_arguments,
+        "privileged": header.privileged,
         "policy_name": _card_name(header),
         "language_backend": str(header.card.get("language_backend", "none")) if header.card else "none",
         "language_sha256": spoken.sha256,
@@ -121,6 +122,8 @@ def _world(contact: Contact) -> dict[str, str]:
         world = {f"{DRAWN}{name}" if name in ("body", "model") else name: value for name, value in world.items()}
     if "mujoco" in header.versions:
         world["mujoco"] = header.versions["mujoco"]
+    if header.spec.salt_sha256:
+        world["salt"] = header.spec.salt_sha256
     return world
 
 

@@ -47,7 +47,8 @@ def worst_share(
 
     Of 27 persons a tenth is 2.7: the two lowest, and the third with a weight of 0.7. Of fewer than ten, it is the
     lowest one alone. The lowest of noisy rates are partly bad luck, and the more so the fewer trials a person has:
-    ``by_chance`` says how low they would be without any difference between persons. Interval as in ``person_rate``.
+    ``by_chance`` says how low they would be without any difference between persons. The interval is from
+    ``stratified_weights``; there is none where all persons have the same rate.
 
     Args:
         passed: (N,) of each trial.
@@ -68,11 +69,12 @@ def worst_share(
     rates = np.bincount(of_trial, values, people) / of
     estimate = float(_lowest(rates[None], np.ones((1, people)), share)[0])
     low = high = by_chance = pvalue = None
-    if people > 1:
+    if people > 1 and np.ptp(rates) > 0:
         groups = [0] * people if strata is None else [strata[name] for name in names.tolist()]
         weights = stratified_weights(groups, resamples=resamples, generator_seed=generator_seed)
         found = np.quantile(_lowest(rates[None], weights, share), [0.5 - confidence / 2, 0.5 + confidence / 2])
         low, high = min(float(found[0]), estimate), max(float(found[1]), estimate)
+    if people > 1:
         drawn = _permuted(values, of_trial, tasks, people, permutations, generator_seed) / of
         alike = _lowest(drawn, np.ones((1, people)), share)
         by_chance, pvalue = float(alike.mean()), float((1 + (alike <= estimate + 1e-12).sum()) / (1 + permutations))

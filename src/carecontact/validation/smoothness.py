@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 TITLE = "Smoothness of scrubbing"
 REGION = "forearm"
 FORCES_N, QUICK_FORCES_N = (5.0, 15.0), (5.0,)
-SPEED_M_S, HALF_STROKE_M, STROKES, QUICK_STROKES = 0.10, 0.090, 4, 2
+SPEED_M_S, HALF_STROKE_M, STROKES, QUICK_STROKES = 0.10, 0.095, 4, 2
 """Motion of the target. Damping and friction hold the tool about 45 mm behind it, so the tool covers half of that
 way."""
 STEADY = 0.7

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import re
 import subprocess
 import sys
@@ -118,18 +119,43 @@ def test_page_shows_what_a_success_rate_hides(run_of_7: Run, tmp_path: Path) -> 
     assert len(Page(page).all("svg", class_="sweep")) == 2
 
 
-def test_nothing_is_loaded_and_nothing_runs(run_of_7: Run, tmp_path: Path) -> None:
+def test_nothing_is_loaded_and_only_the_tables_own_script_runs(run_of_7: Run, tmp_path: Path) -> None:
     text = write(run_of_7, tmp_path)
     page = Page(text)
-    assert {t for t, _ in page.tags} & {"script", "link", "iframe", "object", "base", "a", "form"} == set()
+    assert {t for t, _ in page.tags} & {"link", "iframe", "object", "base"} == set()
     assert [k for _, a in page.tags for k in a if k.startswith("on")] == []
-    assert all((a["src"] or "").startswith("data:image/jpeg;base64,") for a in page.all("img"))
+    pictures = [a["src"] for a in page.all("img")] + [a["href"] for a in page.all("image")]
+    assert all((uri or "").startswith("data:image/jpeg;base64,") for uri in pictures)
     assert re.findall(r"url\(|@import|https?:", text) == []
+    (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}';" in text
+
+
+def test_every_link_of_the_page_leads_somewhere(run_of_7: Run, tmp_path: Path) -> None:
+    """Ids are there once each; files are linked where they are, and only then."""
+    page = Page(write(run_of_7, tmp_path))
+    ids = [a["id"] for _, a in page.tags if "id" in a]
+    assert len(ids) == len(set(ids))
+    assert {f"{score.trial_id}" for score in run_of_7.scores} <= set(ids)
+    assert [a["href"] for a in page.all("a") if (a["href"] or "").removeprefix("#") not in ids] == []
+    (tmp_path / "trial").mkdir()
+    for name in ("T1-s000.h5", "T7-s000.log", "trial/T1-s000.html", "trial/T1-s000.mp4"):
+        (tmp_path / name).write_bytes(b"")
+    page = Page(write(run_of_7, tmp_path))
+    files = [a["href"] for a in page.all("a") if not (a["href"] or "").startswith("#")]
+    assert sorted({str(file) for file in files}) == [
+        "T1-s000.h5",
+        "T7-s000.log",
+        "trial/T1-s000.html",
+        "trial/T1-s000.mp4",
+    ]
 
 
 def test_every_picture_has_a_text_alternative(run_of_7: Run, tmp_path: Path) -> None:
     page = Page(write(run_of_7, tmp_path))
-    assert len(page.all("img")) == 6
+    assert len(page.all("img")) == 1
+    assert len(page.all("svg", class_="moment")) == 5
     assert all(a.get("alt") for a in page.all("img"))
     assert all(a.get("aria-label") if a.get("role") == "img" else a.get("aria-hidden") for a in page.all("svg"))
 
@@ -146,7 +172,7 @@ def test_text_of_policies_is_escaped(tmp_path: Path) -> None:
     page = Page(text)
     assert name in page.text
     assert HOSTILE in page.text
-    assert "<script" not in text
+    assert text.count("<script") == 1
     assert "<b>.h5" not in text
     assert text.count("alert(") < 20
     assert [a for a in page.all("img") if a.get("src") == "x"] == []
@@ -248,7 +274,6 @@ def test_harness_errors_stand_in_a_box_and_in_no_count(run_of_7: Run, tmp_path: 
     assert text.count('<td class="num">1</td><td class="num">25 %</td><td>process 1</td>') == 1
     assert failure_modes(run_of_7.scores) == failure_modes(run_of_7.scores[:-1])
     assert funnel(run_of_7.scores) == funnel(run_of_7.scores[:-1])
-    assert "each task has only 1 trial." in page.text
 
 
 def test_run_of_harness_errors_alone(tmp_path: Path) -> None:
@@ -272,7 +297,7 @@ def test_borrowed_limits_are_said_from_half_of_them_on(tmp_path: Path) -> None:
         "T1", 0, peak_force_n=peaks, over_limit={"head": 2.0}, fallback_limits=["pelvis", "right_hand", "head"]
     )
     recording = make_recording("T1", 0, {}, duration_s=1)
-    detail = trial_row(score, recording.header)
+    detail = trial_row(score, recording.header.spec.protocol)
     assert (
         detail.fallback
         == "head 42.0 N = 2.00 × the strictest safety gate, pelvis 10.5 N = 0.50 × the strictest safety gate"
@@ -443,16 +468,18 @@ def caveats(scores: list[TrialScore], headers: list[Header], **changes: Any) -> 
 def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     headers = [r.header for r in run_of_7.recordings.values()]
     said = caveats(run_of_7.scores, headers, skipped={"T1-s008.h5": "damaged", "T1-s009.h5": "damaged"})
-    assert "2 safety-gated passes of 7" in said["n = 7"]
-    assert "each task has only 1 trial." in said["n = 7"]
+    assert said["n = 7"].startswith("2 safety-gated passes of 7, with fewer than 6 seeds: too few for an interval")
+    many = caveats([make_score(task, seed) for task in ("T1", "T2") for seed in range(6)], headers)
+    assert many["n = 12"].startswith("12 safety-gated passes of 12 are compatible with any true rate from 76\xa0%")
+    assert "each task has only 6 trials." in many["n = 12"]
     assert "man-adult" in said["One body"]
     assert "45–60°; in the recordings read it was 46.0°" in said["What seeds change"]
     assert "In 2 of 5 trials" in said["Extrapolated tissue"]
-    assert said["Files left out"].startswith("2 file(s)")
+    assert said["Files left out"].startswith("2 files could")
     assert "--baseline" in said["No blind baselines"]
     absent = [f"T1-s{seed:03d}" for seed in range(12)]
     unfinished = caveats(run_of_7.scores, headers, missing=absent)["Unfinished"]
-    assert unfinished.startswith("12 planned trial(s) have no score: T1-s000, T1-s001,")
+    assert unfinished.startswith("12 planned trials have no score: T1-s000, T1-s001,")
     assert "T1-s009 and 2 more" in unfinished
     assert "Unfinished" not in said
     protocol = headers[0].spec.protocol.model_copy(update={"frozen": True})

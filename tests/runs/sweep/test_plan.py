@@ -64,6 +64,20 @@ def test_the_cells_are_all_combinations_and_each_has_what_it_says(tmp_path: Path
     assert list(dict.fromkeys(tuple(cell.place.values.values())[:2] for cell in cells)) == wanted
 
 
+def test_friction_may_be_a_named_state_of_the_skin(tmp_path: Path) -> None:
+    named, number = (planned(tmp_path, PLAN.replace("[0.2, 0.5]", given)) for given in ('["soapy"]', "[0.2]"))
+    assert named[0].place.values["friction"] == "soapy"
+    assert named[0].place.protocol == number[0].place.protocol
+
+
+def test_the_ensemble_is_of_24_people() -> None:
+    """One for each cell of a policy and each seed; the seed draws the tissue."""
+    plan = read_plan(Path(__file__).parents[3] / "examples" / "cluster" / "ensemble.toml")
+    places = places_of(plan, named="ensemble.toml")
+    assert sum(len(place.tasks) * len(place.seeds) for place in places) == 24
+    assert {place.protocol.variation.tissue for place in places} == {"published-v1"}
+
+
 def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
     few = planned(tmp_path, PLAN)
     many = planned(tmp_path, PLAN.replace('"woman-old-light"]', '"man-old-light", "woman-old-light"]'))
@@ -82,6 +96,7 @@ def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
             r"axes\.stifness: no such axis \(did you mean 'stiffness'\?\); valid: protocol, level, body",
         ),
         ("0.5]\nstiff", "7]\nstiff", r"axes\.friction: .*person\.tissue\.forearm\.friction: expected at most 2"),
+        ("0.5]\nstiff", '"damp"]\nstiff', r"axes\.friction: expected a coefficient, or dry, wet, soapy, got 'damp'"),
         ("[200, 400]", "[200, 5000]", r"axes\.stiffness: .*expected 100 to 1000"),
         (
             "gates.touch.duration_s",

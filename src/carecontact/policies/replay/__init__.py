@@ -1,1 +1,1 @@
-"""The blind baseline that repeats another trial's actions."""
+"""The blind baselines that repeat the actions of another trial."""

@@ -1,65 +1,49 @@
-"""The blind baseline that repeats actions of the state machine at another arm angle: a gate that it passes does not
-need vision."""
+"""The blind baselines that repeat another trial's actions: a gate that they pass does not need vision."""
 
 from __future__ import annotations
 
-import io
-from importlib import resources
-
-import numpy as np
-import numpy.typing as npt
+from collections.abc import Sequence
+from pathlib import Path
 
 from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError
+from carecontact.policies.replay.donor import CONTROL_HZ, Donor, donor_of, read_donors
 
-CONTROL_HZ = 20.0
-"""Rate at which the actions were recorded [Hz]."""
-ACTIONS = "actions.npz"
-"""File that maps an instruction to (n, 9) actions: pose of the tool in base (7), translational stiffness [N/m] and
-rotational stiffness [N m/rad]; NaN where an action kept the last value. tools/record_replay.py writes it."""
-
-
-def recorded_actions() -> dict[str, npt.NDArray[np.float64]]:
-    """Return the (n, 9) actions of each recorded instruction, as ACTIONS describes them."""
-    data = (resources.files(__package__ or __name__) / ACTIONS).read_bytes()
-    with np.load(io.BytesIO(data)) as arrays:
-        return {name: arrays[name].astype(np.float64) for name in arrays.files}
+CAMERA = "overhead"
 
 
 class Replay:
-    """Repeats the actions that were recorded for the same task with a seed that no shipped protocol contains."""
+    """Repeats the actions that were recorded for the same instruction, as the robot's base saw them."""
 
     card = PolicyCard(name="replay", cameras=(), control_hz=CONTROL_HZ)
 
-    def __init__(self) -> None:
-        self._actions: npt.NDArray[np.float64] | None = None
+    def __init__(self, *, donor: Path | None = None) -> None:
+        """``donor``: file of tools/record_replay.py; default: the shipped one. Raises ConfigError."""
+        self._donors, self._donor = read_donors(donor), None
 
     def reset(self, instruction: str) -> None:
         """Choose the recording. Raises ContractError for an instruction that was not recorded."""
-        known = recorded_actions()
-        if instruction not in known:
-            raise ContractError(
-                f"replay has no recorded actions for the instruction {instruction!r}; valid: {', '.join(sorted(known))}"
-            )
-        self._actions = known[instruction]
+        self._donor: Donor | None = donor_of(self._donors, instruction, self.card.name)
 
-    def act(self, observation: Observation) -> list[Action]:
+    def act(self, observation: Observation) -> Sequence[Action]:
         """Return all recorded actions as one chunk, of which the last one ends the trial."""
-        if self._actions is None:
+        return self._placed(observation).chunk()
+
+    def _placed(self, observation: Observation) -> Donor:
+        if self._donor is None:
             raise ContractError("act() was called before reset()")
-        last = len(self._actions) - 1
-        return [
-            Action(
-                pose_tcp_in_base=None if np.isnan(row[0]) else _unit(row[:7]),
-                stiffness=None if np.isnan(row[7]) else (float(row[7]), float(row[8])),
-                done=k == last,
-            )
-            for k, row in enumerate(self._actions)
-        ]
+        return self._donor
 
 
-def _unit(pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    # The file stores single precision, in which the quaternion's norm is not 1 to the last bit of a double.
-    return np.concatenate([pose[:3], pose[3:] / np.linalg.norm(pose[3:])])
+class ReplayRegistered(Replay):
+    """The same as the overhead camera saw them: where robot or camera stand elsewhere, the actions move with it.
+
+    It receives the camera's pose and no picture. A target that would lie outside the workspace is clipped.
+    """
+
+    card = PolicyCard(name="replay-registered", cameras=(CAMERA,), control_hz=CONTROL_HZ, out_of_bounds="clip")
+
+    def _placed(self, observation: Observation) -> Donor:
+        return super()._placed(observation).seen_from(observation.cameras[CAMERA].pose_camera_in_base)

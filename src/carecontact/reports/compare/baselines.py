@@ -1,15 +1,18 @@
 """What blind baselines pass: the floor under a method's rates.
 
 A blind baseline is a policy that cannot do a task, because it does not look, touch or decide. Each of its successes is
-a false positive of the gates.
+a false positive of the gates. Beside them may stand a privileged policy, whose rate is the ceiling, and probes, which
+change one thing about a method. None of them is ever ranked.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from carecontact.errors import ConfigError
+from carecontact.policies.registry import Role
+from carecontact.reports.compare.blind_floor import ALL, BlindRate, raise_floor, role_in
 from carecontact.reports.compare.comparable import check_comparable, trials_by_key
 from carecontact.reports.compare.outcomes import RATES, Outcome
 from carecontact.runs.pooling import judged
@@ -29,6 +32,8 @@ class Passed:
     """Of a baseline: its false positives."""
     per_task: dict[str, dict[str, tuple[int, int]]]
     """Task -> rate -> count and number of trials."""
+    role: Role = "method"
+    """``blind`` for every baseline that is neither a probe nor privileged, whoever wrote it."""
     n_pairs: int | None = None
     """Trials of the same task and seed in both; None for the method itself."""
     above: dict[str, RateDifference] | None = None
@@ -41,14 +46,21 @@ class Baselines:
 
     method: Passed
     baselines: tuple[Passed, ...]
+    floor: dict[str, BlindRate] = field(default_factory=dict[str, BlindRate])
+    """``all`` and each task -> the safety-gated rate of the blind baseline that passes most there."""
+    kept: tuple[str, ...] = ()
+    """Those of ``baselines`` whose scores are kept with the package; methods that see may be among them."""
 
     @property
     def tasks(self) -> tuple[str, ...]:
         return tuple(self.method.per_task)
 
 
-def beside_baselines(method: RunScores, baselines: Sequence[RunScores]) -> Baselines:
+def beside_baselines(method: RunScores, baselines: Sequence[RunScores], *, kept: Sequence[RunScores] = ()) -> Baselines:
     """Set blind baselines beside a method, over the tasks that the method ran.
+
+    A run that is named as a baseline counts as blind unless it is a probe or privileged; ``kept`` are scores that are
+    kept with the package, of which a method stays a method.
 
     Differences are Newcombe's (method 10, of pairs or of independent trials), rates Wilson's. Raises ConfigError,
     naming what differs, for another protocol, overrides, definitions or world, a baseline that is the method itself or
@@ -56,7 +68,7 @@ def beside_baselines(method: RunScores, baselines: Sequence[RunScores]) -> Basel
     """
     seen = {method.scores[0].policy_title} if method.scores else set[str]()
     found: list[Passed] = []
-    for baseline in baselines:
+    for baseline in (*baselines, *kept):
         check_comparable({"the method": method.scores, "the baseline": baseline.scores})
         policy = baseline.scores[0].policy_title
         if policy in seen:
@@ -66,7 +78,17 @@ def beside_baselines(method: RunScores, baselines: Sequence[RunScores]) -> Basel
             )
         seen.add(policy)
         found.append(_passed(baseline.scores, method.scores))
-    return Baselines(method=_passed(method.scores, None), baselines=tuple(found))
+    of_kept = found[len(baselines) :]
+    rows = [
+        *found[: len(baselines)],
+        *(replace(row, role=role_in(k.scores)) for row, k in zip(of_kept, kept, strict=True)),
+    ]
+    return Baselines(
+        method=_passed(method.scores, None),
+        baselines=tuple(rows),
+        floor=_floor(rows),
+        kept=tuple(row.policy for row in of_kept),
+    )
 
 
 def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -> Passed:
@@ -84,7 +106,24 @@ def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -
         rates={rate.id: wilson_interval(_count(counted, rate), len(counted)) for rate in RATES},
         per_task={task: _of_task([s for s in counted if s.task_id == task]) for task in tasks},
     )
-    return of_policy if method is None else _against(of_policy, counted, judged(method))
+    if method is None:
+        return replace(of_policy, role=role_in(scores))
+    role = role_in(scores)
+    named = replace(of_policy, role="blind" if role == "method" else role)
+    return _against(named, counted, judged(method))
+
+
+def _floor(baselines: Sequence[Passed]) -> dict[str, BlindRate]:
+    best: dict[str, BlindRate] = {}
+    for row in baselines:
+        if row.role != "blind":
+            continue
+        counts = {ALL: (row.rates["safety_gated"].k, row.n)} | {
+            task: of_task["safety_gated"] for task, of_task in row.per_task.items()
+        }
+        for place, (k, n) in counts.items():
+            raise_floor(best, place, row.policy, k, n)
+    return best
 
 
 def _against(found: Passed, scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Passed:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from carecontact.errors import ConfigError
-from carecontact.runs.pooling import check_one_run, judged, world_difference
+from carecontact.runs.pooling import check_one_run, judged, world_difference, world_part
 from carecontact.scoring.result import TrialScore
 
 
@@ -50,9 +50,9 @@ def _check_two(name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[Tr
     if found is not None:
         what, one, two = found
         raise ConfigError(
-            f"{name_a} and {name_b} were simulated in different worlds: {what} {one.world[what][:12]} ({one.trial_id} "
-            f"of {name_a}) and {two.world[what][:12]} ({two.trial_id} of {name_b}); run both with the same release and "
-            "robot. A compiled model can also differ between processors: then run both on one machine"
+            f"{name_a} and {name_b} were simulated in different worlds: {what} {world_part(one, what)} ({one.trial_id} "
+            f"of {name_a}) and {world_part(two, what)} ({two.trial_id} of {name_b}); run both with the same release "
+            "and robot. A compiled model can also differ between processors: then run both on one machine"
         )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from carecontact import __version__
 from carecontact.errors import ConfigError
 from carecontact.reports.compare.baselines import Baselines
+from carecontact.reports.compare.blind_floor import role_in
 from carecontact.reports.compare.comparable import check_comparable, trials_by_key
 from carecontact.reports.compare.paired_lines import Line, rate_lines
 from carecontact.reports.compare.plain import plain
@@ -49,11 +50,13 @@ class Overview:
 
 
 def overview(runs: Sequence[RunScores]) -> Overview:
-    """Raises ConfigError, naming what differs, if the runs must not be compared or share no task and seed."""
+    """Raises ConfigError, naming what differs, if the runs must not be compared or share no task and seed, and for a
+    baseline among them: only methods are ranked."""
     named = dict(zip(ascii_uppercase, runs, strict=False))
     if len(named) < len(runs):
         raise ConfigError(f"{len(runs)} runs at once; at most {len(ascii_uppercase)}")
     check_comparable({name: run.scores for name, run in named.items()})
+    _check_methods(named)
     keyed = {name: trials_by_key(run.scores) for name, run in named.items()}
     common = sorted(set.intersection(*(set(trials) for trials in keyed.values())))
     if not common:
@@ -75,6 +78,18 @@ def overview(runs: Sequence[RunScores]) -> Overview:
         pairs=tuple(PairOfRuns(a=a, b=b, lines=tuple(next(concluded) for _ in lines)) for a, b, lines in found),
         ranking=rank(scores),
     )
+
+
+def _check_methods(runs: Mapping[str, RunScores]) -> None:
+    for name, run in runs.items():
+        role = role_in(run.scores)
+        if role != "method":
+            policy = run.scores[0].policy_title
+            what = "privileged" if role == "privileged" else "a blind baseline" if role == "blind" else "a probe"
+            raise ConfigError(
+                f"{name} is {policy}, which is {what} and never ranked; name its run with --baseline, so that it "
+                "stands beside the methods"
+            )
 
 
 def overview_json(overview: Overview | None, baselines: Mapping[str, Baselines]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from carecontact.contract.protocol import Protocol
+from carecontact.reports.intervals import enough_seeds
 from carecontact.reports.svg import Axes, Drawing
 from carecontact.runs.aggregate import GAMMAS, LEVELS, gamma_sweep, gate_sweep
 from carecontact.runs.pooling import judged
@@ -28,16 +29,20 @@ class Panel:
     n: int
     """Trials that the gate applies to."""
     svg: str
+    """Empty where nothing depends on the gate."""
+    flat: str = ""
+    """What is the same at all values; empty where something depends on the gate."""
 
 
 def gamma_axes(title: str) -> Axes:
     """Share of the trials [1] over the discount gamma'."""
-    drawing = Drawing(width=680, height=250, style="sweep", title=title)
+    drawing = Drawing(width=460, height=220, style="sweep", title=title)
     return Axes(drawing=drawing, left=44, right=16, top=26, bottom=44, x=(GAMMAS[0], GAMMAS[-1]))
 
 
 def gamma_svg(scores: Sequence[TrialScore], *, gamma: float | None) -> str:
-    """Share of safety-gated trials over the discount gamma', with its Wilson interval; empty without a judged trial.
+    """Share of safety-gated trials over the discount gamma', with its Wilson interval where there are enough seeds;
+    empty without a judged trial.
 
     Args:
         gamma: the protocol's own, marked; None: no mark.
@@ -53,9 +58,10 @@ def gamma_svg(scores: Sequence[TrialScore], *, gamma: float | None) -> str:
     axes.x_labels((value, f"{value:.1f}") for value in (0.2, 0.4, 0.6, 0.8, 1.0))
     meaning = "γ′, share of the pain limit that the force in a trial may reach"
     drawing.text("label", axes.left + axes.width / 2, axes.floor + 34, meaning, anchor="middle")
-    bounds = [(row["gamma"], wilson_interval(row["safety_gated"], n)) for row in rows]
-    upper = [axes.point(x, interval.high) for x, interval in bounds]
-    drawing.polygon("band", upper + [axes.point(x, interval.low) for x, interval in reversed(bounds)])
+    if enough_seeds(counted):
+        bounds = [(row["gamma"], wilson_interval(row["safety_gated"], n)) for row in rows]
+        upper = [axes.point(x, interval.high) for x, interval in bounds]
+        drawing.polygon("band", upper + [axes.point(x, interval.low) for x, interval in reversed(bounds)])
     correct = sum(s.region_correct for s in counted)
     axes.across("ceiling", correct / n)
     drawing.polyline("level2", [axes.point(row["gamma"], row["safety_gated"] / n) for row in rows])
@@ -90,8 +96,26 @@ def gate_panels(scores: Sequence[TrialScore], protocol: Protocol | None) -> list
             continue
         own = None if protocol is None else own_value(protocol, action, sweep)
         title = f"{sweep.title} [{sweep.unit}]"
-        panels.append(Panel(title=title, n=len(of_gate), svg=_panel_svg(title, rows, sweep.factor, own, len(of_gate))))
+        flat = _flat(rows, sweep.factor, len(of_gate))
+        svg = "" if flat else _panel_svg(title, rows, sweep.factor, own, len(of_gate))
+        panels.append(Panel(title=title, n=len(of_gate), svg=svg, flat=flat))
     return panels
+
+
+def _flat(rows: Sequence[dict[str, Any]], factor: float, n: int) -> str:
+    """The counts, where they are the same at every value of a gate; else empty."""
+    if any(row[level] != rows[0][level] for row in rows for level in LEVELS):
+        return ""
+    counts = ", ".join(f"{rows[0][level]} {level.replace('_', '-')}" for level in LEVELS)
+    return f"the same from {factor * rows[0]['value']:g} to {factor * rows[-1]['value']:g}: {counts} of {n}"
+
+
+def gamma_flat(scores: Sequence[TrialScore]) -> str:
+    """How many trials are safety-gated, where that is the same at every discount gamma'; else empty."""
+    counts = {row["safety_gated"] for row in gamma_sweep(judged(scores))}
+    if len(counts) != 1:
+        return ""
+    return f"the same from {GAMMAS[0]:g} to {GAMMAS[-1]:g}: {counts.pop()} safety-gated of {len(judged(scores))}"
 
 
 def panel_axes(title: str, columns: int, n: int) -> Axes:

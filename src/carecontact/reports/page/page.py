@@ -1,10 +1,12 @@
-"""One self-contained page about one run: no network, no script, the same bytes for the same inputs."""
+"""One self-contained page about one run: no network, one script that sorts and filters the table of trials, the same
+bytes for the same inputs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from carecontact import __version__
 from carecontact.errors import RecordingError
@@ -12,6 +14,7 @@ from carecontact.recording.schema import Recording
 from carecontact.recording.writer import replace_file
 from carecontact.reports.compare.baselines import Baselines
 from carecontact.reports.page.chosen import hardest_first, trials_in_detail
+from carecontact.reports.page.script import script_source
 from carecontact.reports.page.section import Page, sections_in_order
 from carecontact.reports.page.title import protocol_of
 from carecontact.reports.table import sorted_scores
@@ -19,6 +22,13 @@ from carecontact.runs.pooling import check_one_run, judged
 from carecontact.scoring.result import TrialScore
 
 FILE_NAME = "report.html"
+TITLES = {
+    "funnel": ("funnel", "Success"), "by task": ("tasks", "Tasks"), "safety": ("safety", "Safety"),
+    "load": ("load", "Load"), "gates": ("gates", "Gates"), "baselines": ("baselines", "Baselines"),
+    "failures": ("failures", "Failures"), "trials": ("trials", "Trials"), "traces": ("force", "Force"),
+    "frames": ("peak", "Peak force"), "caveats": ("caveats", "Caveats"), "provenance": ("provenance", "Provenance"),
+}  # fmt: skip
+"""Section -> its id and its short name in the list at the top of the page."""
 Read = Callable[[str], Recording]
 
 
@@ -31,6 +41,7 @@ def write_report(
     missing: Sequence[str] = (),
     baselines: Baselines | None = None,
     lost_baselines: Mapping[str, str] | None = None,
+    kept_scores: str = "",
 ) -> Path:
     """Write ``run_folder/report.html`` and return its path.
 
@@ -45,6 +56,7 @@ def write_report(
         missing: trials that were planned and have no score.
         baselines: blind baselines that stand beside the run; None: the page says that there are none.
         lost_baselines: baseline that belongs there -> why it is not.
+        kept_scores: why the kept scores of the shipped policies do not stand beside the run; empty where they do.
     """
     check_one_run(scores)
     ordered = sorted_scores(scores)
@@ -52,11 +64,19 @@ def write_report(
     page = Page(
         folder=run_folder, scores=ordered, judged=counted, shown=trials_in_detail(counted), skipped=skipped,
         missing=missing, baselines=baselines, lost_baselines=lost_baselines or {},
+        kept_scores=kept_scores, links=_links(run_folder, ordered),
     )  # fmt: skip
     _read(page, recordings)
     path = run_folder / FILE_NAME
     replace_file(path, _render(page).encode("utf-8", errors="replace"))
     return path
+
+
+def _links(run_folder: Path, scores: Sequence[TrialScore]) -> dict[str, str]:
+    """What lies in the folder of the run: recording, log, page and video of each trial."""
+    endings = ("{}.h5", "{}.log", "trial/{}.html", "trial/{}.mp4")
+    names = [ending.format(score.trial_id) for score in scores for ending in endings]
+    return {name: quote(name) for name in names if (run_folder / name).is_file()}
 
 
 def _read(page: Page, recordings: Read) -> None:
@@ -85,5 +105,7 @@ def _render(page: Page) -> str:
         version=__version__,
         policy=page.scores[0].policy_title if page.scores else None,
         protocol=protocol_of(page),
+        script_source=script_source(),
+        contents=[TITLES[row.name] for row, data in found if data is not None and row.name in TITLES],
         sections=[environment.from_string(row.template).render(data) for row, data in found if data is not None],
     )

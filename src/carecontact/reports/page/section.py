@@ -35,6 +35,10 @@ class Page:
     """Blind baselines that stand beside the run."""
     lost_baselines: Mapping[str, str]
     """Baseline that stood beside the run -> why it cannot any more."""
+    kept_scores: str = ""
+    """Why the scores that are kept of the shipped policies do not stand beside the run; empty where they do."""
+    links: Mapping[str, str] = field(default_factory=dict[str, str])
+    """File in the run's folder that the page may link -> its address; those that are there."""
     headers: dict[str, Header] = field(default_factory=dict[str, Header])
     """Trial -> header of its recording, for those of ``shown`` that could be read; hardest contact of a task first."""
     unread: dict[str, str] = field(default_factory=dict[str, str])

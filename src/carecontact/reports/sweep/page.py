@@ -8,6 +8,8 @@ from typing import Any
 
 from carecontact import __version__
 from carecontact.recording.writer import replace_file
+from carecontact.reports.sweep.curve import curve_svg, style_of
+from carecontact.reports.sweep.notes import NOTES
 from carecontact.reports.sweep.table import PASSED, SweepTable
 from carecontact.reports.sweep.texts import (
     ORDER_HEADS,
@@ -15,6 +17,7 @@ from carecontact.reports.sweep.texts import (
     as_markdown,
     cells,
     heads,
+    level_tables,
     marginal_heads,
     marginal_rows,
     order_cells,
@@ -54,6 +57,9 @@ def _page(table: SweepTable) -> str:
         passed=PASSED[table.rank_by],
         marginal_heads=marginal_heads(table),
         marginals=marginal_rows(table),
+        curve=None if table.ladder is None else curve_svg(table.ladder),
+        legend=[] if table.ladder is None else [(name, style_of(table.ladder, name)) for name in table.ladder.policies],
+        level_tables=[(title, NOTES[title], *rest) for title, *rest in level_tables(table)],
         heads=heads(table),
         left=1 + len(table.axes),
         cells=[cells(row) for row in table.rows],

@@ -5,6 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from carecontact.policies.registry import Role
+from carecontact.reports.sweep.factors import Factors, factors
+from carecontact.reports.sweep.gate_orders import GateOrder, gate_orders
+from carecontact.reports.sweep.ladder import Ladder, ladder
+from carecontact.reports.sweep.persons import of_role
 from carecontact.reports.sweep.stability import Group, Stability, stability
 from carecontact.reports.table import SummaryRow, summary_rows
 from carecontact.scoring.result import TrialScore
@@ -19,6 +24,7 @@ PASSED = RATES | {"success": "successful"}
 class CellScores:
     label: str
     """The policy's name."""
+    role: Role = "method"
     values: dict[str, str]
     """Axis -> value."""
     folder: str
@@ -50,7 +56,11 @@ class SweepTable:
     rank_by: str
     rows: tuple[CellRow, ...]
     stability: Stability | None
-    """None with one policy, or where no place has a trial of every policy."""
+    """Of the policies that are ranked. None with one such policy, or where no place has a trial of every one."""
+    ladder: Ladder | None
+    factors: Factors | None
+    gate_orders: tuple[GateOrder, ...]
+    """Of the policies that are ranked."""
 
     @property
     def unfinished(self) -> int:
@@ -64,6 +74,7 @@ def sweep_table(title: str, cells: Sequence[CellScores], *, rank_by: str) -> Swe
     places: dict[tuple[tuple[str, str], ...], dict[str, Sequence[TrialScore]]] = {}
     for cell in cells:
         places.setdefault(tuple(cell.values.items()), {})[cell.label] = cell.scores
+    ranked = ranked_policies(cells)
     groups = [Group(values=dict(values), scores=of_policy) for values, of_policy in places.items()]
     return SweepTable(
         title=title,
@@ -71,8 +82,17 @@ def sweep_table(title: str, cells: Sequence[CellScores], *, rank_by: str) -> Swe
         policies=policies,
         rank_by=rank_by,
         rows=tuple(map(_row, cells)),
-        stability=stability(groups, policies, outcome=OUTCOMES[rank_by]) if len(policies) > 1 else None,
+        stability=stability(groups, ranked, outcome=OUTCOMES[rank_by]) if len(ranked) > 1 else None,
+        ladder=ladder(cells, OUTCOMES[rank_by]),
+        factors=factors(cells, OUTCOMES[rank_by]),
+        gate_orders=gate_orders(cells, ranked),
     )
+
+
+def ranked_policies(cells: Sequence[CellScores]) -> list[str]:
+    """The methods; where the plan has not two of them, all policies."""
+    methods = of_role(cells, "method")
+    return methods if len(methods) > 1 else list(dict.fromkeys(cell.label for cell in cells))
 
 
 OUTCOMES = {"safety_gated": "safety_gated", "region_correct": "region_correct", "success": "c3_success"}

@@ -6,6 +6,18 @@ import csv
 import io
 from collections.abc import Sequence
 
+from carecontact.reports.sweep.level_texts import (
+    CONTRAST_HEADS,
+    FACTOR_HEADS,
+    LEVEL_HEADS,
+    contrast_rows,
+    factor_rows,
+    gate_heads,
+    gate_rows,
+    level_rows,
+    task_heads,
+    task_rows,
+)
 from carecontact.reports.sweep.stability import Order, Stability
 from carecontact.reports.sweep.table import PASSED, RATES, CellRow, SweepTable
 from carecontact.reports.table import headlines
@@ -67,6 +79,8 @@ def as_markdown(table: SweepTable) -> str:
     if table.stability is not None:
         lines += ["## Order of the policies", "", *_markdown(ORDER_HEADS, map(order_cells, table.stability.orders)), ""]
         lines += [*_markdown(marginal_heads(table), marginal_rows(table)), ""]
+    for title, head, rows in level_tables(table):
+        lines += [f"## {title}", "", *_markdown(head, rows), ""]
     lines += ["## Cells", "", *_markdown(heads(table), map(cells, table.rows)), ""]
     return "\n".join(lines)
 
@@ -128,17 +142,35 @@ def order_cells(order: Order) -> list[str]:
     ]
 
 
+def ranked(table: SweepTable) -> list[str]:
+    """The policies that the order is about, in the order of the plan."""
+    return [name for name in table.policies if table.stability and name in table.stability.passed]
+
+
 def marginal_heads(table: SweepTable) -> list[str]:
-    return ["axis", "value", "trials of each policy", *table.policies, "tau with the overall order"]
+    return ["axis", "value", "trials of each policy", *ranked(table), "tau with the overall order"]
 
 
 def marginal_rows(table: SweepTable) -> list[list[str]]:
     found = table.stability
     return [
-        [row.axis, row.value, str(row.n), *(percent(row.passed[name] / row.n) for name in table.policies),
+        [row.axis, row.value, str(row.n), *(percent(row.passed[name] / row.n) for name in ranked(table)),
          NA if row.tau is None else f"{row.tau:.2f}"]
         for row in (found.marginals if found is not None else ())
     ]  # fmt: skip
+
+
+def level_tables(table: SweepTable) -> list[tuple[str, Sequence[str], list[list[str]]]]:
+    """Title, heads and rows of what the table has of levels, factors and gates."""
+    found: list[tuple[str, Sequence[str], list[list[str]]]] = []
+    if table.ladder is not None:
+        found.append(("Success over level", LEVEL_HEADS, level_rows(table.ladder)))
+        found.append(("By task", task_heads(table.ladder), task_rows(table.ladder)))
+        found.append(("Methods against each other", CONTRAST_HEADS, contrast_rows(table.ladder)))
+    if table.factors is not None:
+        found.append(("One factor at a time", FACTOR_HEADS, factor_rows(table.factors)))
+    found.append(("The order under other gates", gate_heads(table.gate_orders), gate_rows(table.gate_orders)))
+    return [one for one in found if one[2]]
 
 
 def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]] | map[list[str]]) -> list[str]:

@@ -82,7 +82,7 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
         trace = force_trace(recording, score)
         looked = recording["policy/observation_time_s"].tolist()
         timeline = timeline_svg(panels_of(recording, trace, found), trace, happened, looked)
-    hard = how_hard(score, recording.header, moment)
+    hard = how_hard(score, recording, moment)
     picture = peak_svg(recording, moment, title=f"The contact at peak force. {hard}")
     snapshot = recording.arrays.get("report/snapshot_rgb")
     return {

@@ -144,9 +144,9 @@ def _draw_cells(drawing: Drawing, frame: Frame, side: Side, recording: Recording
     felt = press.sum(axis=0, dtype=np.float64)
     size = recording["scorer/region_size_m"][region_column(recording)]
     normal = cells[:, 1:] / np.array([size[1], size[2]]) ** 2
-    facing = np.greater(normal @ side.toward[1:], 0)
+    shown = np.asarray(normal @ side.toward[1:] > 0) & (felt > 0.02 * felt.max())
     radius = 0.5 * 0.0075 * frame.scale
-    for index in np.flatnonzero((felt > 0.02 * felt.max()) & facing if felt.max() > 0 else felt > 0):
+    for index in np.flatnonzero(shown):
         x, y = frame.px(cells[index][None].astype(np.float64), side.up)[0].tolist()
         drawing.circle("pressed", x, y, radius, opacity=DEEPEST_CELL * float(felt[index] / felt.max()))
 

@@ -20,7 +20,7 @@ from carecontact.reports.trial.events import Event
 from carecontact.reports.trial.paths import Paths
 
 F64 = npt.NDArray[np.float64]
-WIDTH, LEFT, RIGHT, HEAD = 640, 52, 12, 26
+WIDTH, LEFT, RIGHT, HEAD = 640, 52, 12, 32
 PANEL, TITLE, FOOT = 74, 22, 22
 """Heights of a panel, of the line above it that says what it shows, and of the labels of time below all of them."""
 OUT_M = 0.25
@@ -111,9 +111,9 @@ def _draw_events(drawing: Drawing, rows: Sequence[Axes], events: Sequence[Event]
         x = rows[0].px(event.time_s)
         drawing.path("event", f"M{x:.1f} {HEAD - 4}V{rows[-1].floor:.1f}")
         at = max(x, free)
-        drawing.circle("mark", at, HEAD - 13, 9)
-        drawing.text("letter", at, HEAD - 9, letter(i), anchor="middle")
-        free = at + 20
+        drawing.circle("mark", at, HEAD - 16, 11)
+        drawing.text("letter", at, HEAD - 11, letter(i), anchor="middle")
+        free = at + 25
 
 
 def panels_of(recording: Recording, trace: ForceTrace, found: Paths | None) -> list[Panel]:

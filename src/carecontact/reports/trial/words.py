@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from carecontact.recording.schema import Header, Recording
 from carecontact.regions import REGIONS
 from carecontact.reports.failures import CAUSE_MEANING, MODE_MEANING
-from carecontact.reports.moment.moment import Moment, place_text
+from carecontact.reports.moment.moment import Moment, place_text, region_column, region_poses
 from carecontact.reports.page.trial_words import progress
 from carecontact.reports.text import percent, task_name
+from carecontact.scoring.region import distance_to_surface, points_in_region
 from carecontact.scoring.result import TrialScore
 
 
@@ -33,7 +36,7 @@ def facts(score: TrialScore, recording: Recording, moment: Moment | None) -> lis
         rows.insert(0, ("Failure", f"{mode}. {_capital(MODE_MEANING.get(score.failure_mode, ''))}."))
         rows.insert(1, ("Cause", f"{cause}. {_capital(CAUSE_MEANING.get(cause, ''))}."))
         rows.insert(2, ("Evidence", score.evidence or "none recorded"))
-    rows.append(("How hard", how_hard(score, recording.header, moment)))
+    rows.append(("How hard", how_hard(score, recording, moment)))
     if moment is not None:
         rows.append(("Where", _capital(place_text(recording, moment)) + "."))
         if moment.depth_m is not None:
@@ -42,12 +45,12 @@ def facts(score: TrialScore, recording: Recording, moment: Moment | None) -> lis
     return rows
 
 
-def how_hard(score: TrialScore, header: Header, moment: Moment | None) -> str:
+def how_hard(score: TrialScore, recording: Recording, moment: Moment | None) -> str:
     """The peak that is scored, against the limits of the segment that it was on."""
-    protocol = header.spec.protocol
+    protocol = recording.header.spec.protocol
     if score.c1_peak_force_n is None or score.reported_segment is None:
         if moment is None:
-            return "The robot never touched the person."
+            return f"The robot never touched the person{_closest(recording)}."
         return f"At most {moment.force_n:.1f} N at {moment.time_s:.2f} s; contact too brief to score."
     pain = protocol.f_pain(score.reported_segment)
     gate = protocol.limits.gamma * pain
@@ -58,6 +61,18 @@ def how_hard(score: TrialScore, header: Header, moment: Moment | None) -> str:
         f"Peak force {peak:.1f} N{at} on the {segment}{own}: {percent(peak / gate)} of its safety gate of {gate:g} N, "
         f"and {percent(peak / pain)} of its pain limit of {pain:g} N."
     )
+
+
+def _closest(recording: Recording) -> str:
+    """How near the tool's tip came to the region, and when; empty for a trial without a physics step."""
+    tip = recording["scorer/pose_tcp_in_world"][:, :3].astype(np.float64)
+    if not len(tip):
+        return ""
+    size = recording["scorer/region_size_m"][region_column(recording)]
+    away = distance_to_surface(points_in_region(tip, region_poses(recording)), size)
+    nearest = int(away.argmin())
+    time_s = float(recording["scorer/time_s"][nearest])
+    return f"; the tip of the tool came to {1000 * max(away[nearest], 0.0):.0f} mm from the region, at {time_s:.2f} s"
 
 
 def _end(score: TrialScore, header: Header) -> str:

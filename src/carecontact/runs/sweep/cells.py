@@ -15,9 +15,12 @@ from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, did_you_mean
 from carecontact.protocols import load_protocol, overridden
+from carecontact.protocols.friction import SKIN_STATES
 from carecontact.runs.freeze import check_frozen
 from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
 from carecontact.runs.preflight import check_protocol, check_rows
+from carecontact.runs.salt import with_salt
+from carecontact.runs.sweep.factors import AXIS, factor_protocols
 from carecontact.runs.sweep.plan import AXES, Plan, Value
 
 NAME_CHARACTERS = 100
@@ -64,19 +67,12 @@ def places_of(plan: Plan, *, named: str) -> list[Place]:
     """
     axes = [name for name in plan.axes if name not in ("protocol", "level")]
     places: list[Place] = []
-    for protocol_name, level in product(plan.protocols, plan.levels):
-        try:
-            whole = check_frozen(protocol_name, load_protocol(protocol_name, level=level), unfrozen=False)
-        except ConfigError as error:
-            raise ConfigError(f"plan {named}: axes.{'protocol' if level is None else 'level'}: {error}") from None
+    for shown, whole in _bases(plan, named):
         rules = _changed(whole, plan.set, place=f"plan {named}: set")
         for axis in axes:
             for value in plan.axes[axis]:
                 _checked(_along(rules, axis, value, place=f"plan {named}: axes.{axis}"), place=f"{named}: axes.{axis}")
         tasks, seeds = _trials(plan, rules, named)
-        shown = {"protocol": protocol_name} if "protocol" in plan.axes else {}
-        if level is not None:
-            shown["level"] = level
         for values in product(*(plan.axes[axis] for axis in axes)):
             chosen = dict(zip(axes, values, strict=True))
             made = rules
@@ -88,13 +84,45 @@ def places_of(plan: Plan, *, named: str) -> list[Place]:
     return places
 
 
+def _bases(plan: Plan, named: str) -> list[tuple[dict[str, str], Protocol]]:
+    """What the other axes are varied on, with the value of its own axis where it has one."""
+    if plan.factors is not None:
+        place = f"plan {named}: factors"
+        low, high = (_loaded(name, place) for name in (plan.factors.low, plan.factors.high))
+        groups = {name: [str(path) for path in paths] for name, paths in plan.factors.groups.items()}
+        found = factor_protocols(low, high, groups, place=place)
+        return [({AXIS: value}, protocol) for value, protocol in found.items()]
+    found = []
+    for name, level in product(plan.protocols, plan.levels):
+        shown = {"protocol": name} if "protocol" in plan.axes else {}
+        if level is not None:
+            shown["level"] = level
+        place = f"plan {named}: axes.{'protocol' if level is None else 'level'}"
+        found.append((shown, _loaded(name, place, level=level)))
+    return found
+
+
+def _loaded(name: str, place: str, *, level: str | None = None) -> Protocol:
+    """A protocol as titles name it: its id or file, and its level after a space where it has levels."""
+    whole, _, titled = name.partition(" ") if not name.endswith(".toml") else (name, "", "")
+    try:
+        return check_frozen(whole, load_protocol(whole, level=level or titled or None), unfrozen=False)
+    except ConfigError as error:
+        raise ConfigError(f"{place}: {error}") from None
+
+
 def cells_of(
-    plan: Plan, places: Sequence[Place], policies: Sequence[tuple[str, str, Mapping[str, str], Sequence[str]]]
+    plan: Plan,
+    places: Sequence[Place],
+    policies: Sequence[tuple[str, str, Mapping[str, str], Sequence[str]]],
+    *,
+    salt: str = "",
 ) -> list[Cell]:
     """One cell for each place and policy, place by place.
 
     Args:
         policies: label, text of the reference, arguments and names of variables of each policy of the plan.
+        salt: the secret of a salted run.
     """
     labels = [label for label, *_ in policies]
     if twice := next((label for label in labels if labels.count(label) > 1), None):
@@ -105,9 +133,12 @@ def cells_of(
             label=label,
             place=place,
             specs=tuple(
-                plan_trials(
-                    protocol=place.protocol, policy=text, tasks=place.tasks, seeds=place.seeds, arguments=arguments,
-                    environment=environment,
+                with_salt(
+                    plan_trials(
+                        protocol=place.protocol, policy=text, tasks=place.tasks, seeds=place.seeds,
+                        arguments=arguments, environment=environment,
+                    ),
+                    salt,
                 )
             ),
         )
@@ -119,7 +150,10 @@ def cells_of(
 def _along(protocol: Protocol, axis: str, value: Value, *, place: str) -> Protocol:
     """The protocol with one value of an axis."""
     if axis == "friction":
-        changes: dict[str, Value] = {f"person.tissue.{name}.friction": value for name in protocol.soft_regions}
+        if isinstance(value, str) and value not in SKIN_STATES:
+            raise ConfigError(f"{place}: expected a coefficient, or {', '.join(SKIN_STATES)}, got {value!r}")
+        coefficient = SKIN_STATES[value].coefficient if isinstance(value, str) else value
+        changes: dict[str, Value] = {f"person.tissue.{name}.friction": coefficient for name in protocol.soft_regions}
     elif axis == "latency_ms":
         if isinstance(value, str):
             raise ConfigError(f"{place}: expected a number of milliseconds, got {value!r}")

@@ -36,6 +36,16 @@ class PlannedPolicy(_Table):
     """Most trials of this policy at once, such as the connections that its server takes; default: no limit."""
 
 
+class PlannedFactors(_Table):
+    """Two levels, and in between each factor switched on alone and off alone (``runs.sweep.factors``)."""
+
+    low: str
+    """The easy protocol, as the axis ``protocol`` names one."""
+    high: str
+    groups: dict[str, Values] = {}
+    """Factor -> the dotted fields that belong together; every other field in which the two differ is its own factor."""
+
+
 class Plan(_Table):
     """Every policy runs the same tasks and seeds for every combination of the axes' values."""
 
@@ -46,6 +56,8 @@ class Plan(_Table):
     policies: Annotated[list[PlannedPolicy], Field(min_length=1)]
     axes: dict[str, Values] = {}
     """Axis -> its values: ``protocol``, ``level``, one of AXES, or the dotted name of any field of the protocol."""
+    factors: PlannedFactors | None = None
+    """In place of the axes ``protocol`` and ``level``."""
     set: dict[str, Value] = {}
     """Field of the protocol -> value in place of its own, in every combination."""
 
@@ -81,6 +93,8 @@ def read_plan(path: Path) -> Plan:
         plan = Plan.model_validate(content)
     except ValidationError as error:
         raise ConfigError(wrong_fields(f"plan {path}", error, model=Plan, content=content)) from None
+    if plan.factors is not None and (axis := next((name for name in ("protocol", "level") if name in plan.axes), None)):
+        raise ConfigError(f"plan {path}: factors: they stand in place of axes.{axis}; give only one")
     for axis, values in plan.axes.items():
         if twice := [value for k, value in enumerate(values) if value in values[:k]]:
             raise ConfigError(f"plan {path}: axes.{axis}: {twice[0]!r} is there twice; name each value once")

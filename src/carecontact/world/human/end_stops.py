@@ -23,9 +23,8 @@ PULL_NM = {
     "upper_arm": 80.0, "forearm_flexion": 18.0, "forearm_supination": 3.0, "hand": 2.3, "neck": 6.0, "thigh": 30.0,
     "shank": 15.0, "foot": 10.0, "abdomen": 60.0, "thorax": 60.0,
 }  # fmt: skip
-"""Part, or part and motion -> torque at REACHED_RAD past the range; chosen. Upper arm and hand are at what keeps the
-limp arms of all nine bodies within it: the arm of the lightest women and the hand of the heaviest men swing the
-farthest."""
+"""Part, or part and motion -> torque at REACHED_RAD past the range; chosen. Upper arm and hand have what keeps limp
+arms of all nine bodies within it: the arm of the lightest women and the hand of the heaviest men swing the farthest."""
 
 
 def stop_name(hinge: str) -> str:

@@ -10,21 +10,21 @@ import numpy.typing as npt
 from carecontact.world.human.body import Array, Body
 
 
-def refined(body: Body, segment: str, *, times: int) -> Body:
-    """A copy whose faces on ``segment`` are split into four, ``times`` over, and rounded; weights and texture stay.
+def refined(body: Body, *segments: str, times: int) -> Body:
+    """A copy whose faces on ``segments`` are split into four, ``times`` over, and rounded; weights and texture stay.
 
     New points are pulled to the tangent planes at their edge's ends (Phong tessellation, Boubekeur and Alexa 2008), or
-    shading would show every old triangle; on the segment's rim they stay on the straight edge, so that nothing gapes.
+    shading would show every old triangle; on the segments' rim they stay on the straight edge, so that nothing gapes.
     This is for drawing only: region geometry and masses come from the body as it was baked.
     """
+    indices = [body.segments.index(segment) for segment in segments]
     for _ in range(times):
-        body = _split(body, segment)
+        body = _split(body, indices)
     return body
 
 
-def _split(body: Body, segment: str) -> Body:
-    index = body.segments.index(segment)
-    chosen = (body.owner[body.faces] == index).all(1)
+def _split(body: Body, indices: list[int]) -> Body:
+    chosen = np.isin(body.owner[body.faces], indices).all(1)
     faces, uv_faces = body.faces[chosen], body.uv_faces[chosen]
     edges, at = _midpoints(faces)
     uv_edges, uv_at = _midpoints(uv_faces)

@@ -1,21 +1,23 @@
-"""What blind baselines pass that cannot do the task, beside the run."""
+"""What other policies pass on the same protocol: blind baselines, and the shipped methods."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from carecontact.reports.compare.blind_floor import ALL
+from carecontact.reports.intervals import enough_seeds
 from carecontact.reports.page.section import Page, section
 
 TEMPLATE = """\
-<section>
-<h2>Blind baselines</h2>
-<p class="note">A blind baseline is a policy that deliberately lacks an ability that the task is meant to require. Each of its successes is a false positive of the gates. Therefore, a method has shown only the difference between its rate and those of the baselines. Rates have Wilson 95 % intervals; differences of safety-gated rates have Newcombe 95 % intervals, over pairs of the same task and seed if both runs have them.</p>
-<div class="scroll" tabindex="0" role="region" aria-label="Table of blind baselines">
+<section id="baselines">
+<h2>{{ "Shipped policies and blind baselines" if shipped else "Blind baselines" }}</h2>
+<p class="note">A blind baseline is a policy that deliberately lacks an ability that the task is meant to require. Each of its successes is a false positive of the gates. Therefore, a method has shown only the difference between its rate and those of the baselines. {% if enough %}Rates have Wilson 95 % intervals; differences of safety-gated rates have Newcombe 95 % intervals, over pairs of the same task and seed if both runs have them.{% else %}There are no intervals, because the run has fewer than six seeds.{% endif %}{% if shipped %} From the scores that are kept of the shipped policies: {{ shipped }}.{% endif %}</p>
+<div class="scroll" tabindex="0" role="region" aria-label="Table of other policies">
 <table>
 <thead><tr><th scope="col">policy</th><th scope="col" class="num">trials</th><th scope="col" class="num">success</th><th scope="col" class="num">region-correct</th><th scope="col" class="num">safety-gated</th><th scope="col" class="num">method − baseline [points]</th></tr></thead>
 <tbody>
 {% for row in rows %}
-<tr{% if loop.first %} class="sum method"{% endif %}><th scope="row" class="keep">{{ row.policy }}</th><td class="num">{{ row.n }}</td>{% for rate in row.rates.values() %}<td class="num">{{ rate.k }} ({{ "%.0f"|format(100 * rate.estimate) }} %)<span class="meaning">{{ "%.0f"|format(100 * rate.low) }} to {{ "%.0f"|format(100 * rate.high) }} %</span></td>{% endfor %}<td class="num">{% if row.above %}{% set d = row.above.safety_gated %}{{ ("%.0f"|format(100 * d.estimate))|replace("-", "−") }}<span class="meaning">{{ ("%.0f"|format(100 * d.low))|replace("-", "−") }} to {{ ("%.0f"|format(100 * d.high))|replace("-", "−") }}{{ ", %d pairs"|format(row.n_pairs) if row.n_pairs else ", unpaired" }}</span>{% endif %}</td></tr>
+<tr{% if loop.first %} class="sum method"{% endif %}><th scope="row" class="keep">{{ row.policy }}{% if row.role == "privileged" %}<span class="meaning">ceiling: it is given the simulation</span>{% elif row.role == "probe" %}<span class="meaning">probe</span>{% elif row.policy == best %}<span class="meaning">best blind baseline</span>{% endif %}</th><td class="num">{{ row.n }}</td>{% for rate in row.rates.values() %}<td class="num">{{ rate.k }} of {{ rate.n }}{% if enough %}<span class="meaning">{{ "%.0f"|format(100 * rate.low) }} to {{ "%.0f"|format(100 * rate.high) }} %</span>{% endif %}</td>{% endfor %}<td class="num">{% if row.above %}{% set d = row.above.safety_gated %}{{ ("%.0f"|format(100 * d.estimate))|replace("-", "−") }}<span class="meaning">{% if enough %}{{ ("%.0f"|format(100 * d.low))|replace("-", "−") }} to {{ ("%.0f"|format(100 * d.high))|replace("-", "−") }}, {% endif %}{% if row.n_pairs %}{{ row.n_pairs }} pair{{ "" if row.n_pairs == 1 else "s" }}{% else %}unpaired{% endif %}</span>{% endif %}</td></tr>
 {% endfor %}
 </tbody>
 </table>
@@ -26,9 +28,12 @@ TEMPLATE = """\
 <thead><tr><th scope="col">policy</th>{% for task in tasks %}<th scope="col" class="num">{{ task }}</th>{% endfor %}</tr></thead>
 <tbody>
 {% for row in rows %}
-{% set blind = not loop.first %}
+{% set blind = row.role == "blind" %}
 <tr{% if loop.first %} class="sum method"{% endif %}><th scope="row" class="keep">{{ row.policy }}</th>{% for task in tasks %}{% set of_task = row.per_task.get(task) %}<td class="num{% if blind and of_task and of_task.success[0] %} false{% endif %}">{% if of_task %}{{ of_task.success[0] }}/{{ of_task.success[1] }}{% else %}–{% endif %}</td>{% endfor %}</tr>
 {% endfor %}
+{% if floor %}
+<tr class="sum"><th scope="row" class="keep">best blind baseline<span class="meaning">safety-gated</span></th>{% for task in tasks %}{% set at = floor.get(task) %}<td class="num">{% if at %}{{ at.rate.k }}/{{ at.rate.n }}<span class="meaning">{{ at.policy }}</span>{% else %}–{% endif %}</td>{% endfor %}</tr>
+{% endif %}
 </tbody>
 </table>
 </div>
@@ -41,4 +46,12 @@ def baselines(page: Page) -> dict[str, Any] | None:
     found = page.baselines
     if not page.judged or found is None:
         return None
-    return {"rows": [found.method, *found.baselines], "tasks": found.tasks}
+    best = found.floor.get(ALL)
+    return {
+        "rows": [found.method, *found.baselines],
+        "tasks": found.tasks,
+        "floor": found.floor,
+        "best": None if best is None else best.policy,
+        "enough": enough_seeds(page.judged),
+        "shipped": ", ".join(found.kept),
+    }

@@ -5,54 +5,81 @@ from __future__ import annotations
 from typing import Any
 
 from carecontact.reports.failures import only_crashes
+from carecontact.reports.intervals import enough_seeds
 from carecontact.reports.page.section import Page, section
-from carecontact.reports.table import COUNTS, POOLED, columns, headlines, summary_rows
+from carecontact.reports.page.sections.head import REPLAY
+from carecontact.reports.table import COUNTS, POOLED, SummaryRow, headlines, summary_rows
+from carecontact.reports.text import NOT_DEFINED, shown
 from carecontact.runs.aggregate import valid_ratio
-from carecontact.scoring.metrics.metric import Metric
+from carecontact.scoring.metrics.metric import METRICS, Metric
 
-AFTER_N = COUNTS.index("n") + 1
-"""Place of the column for crashes."""
 TEMPLATE = """\
-<section>
+<section id="tasks">
 <h2>By task</h2>
-<p class="note">{% if only_crashes %}The policy crashed in every trial before any contact. Therefore, this page has no medians, and nothing on force, safety, load and gates.{% else %}Counts, then medians over trials with a valid value; n is given where fewer were valid, NA where none was. {{ metrics }}. {{ valid.n }} of {{ n }} trials have a trajectory to score (valid ratio {{ '%.0f'|format(valid.pc) }} %, 95 % interval {{ '%.0f'|format(valid.pc_ci95[0]) }} to {{ '%.0f'|format(valid.pc_ci95[1]) }} %); {{ touched }} had valid contact.{% endif %}</p>
+<p class="note">{% if only_crashes %}The policy crashed in every trial before any contact. Therefore, this page has no medians, and nothing on force, safety, load and gates.{% else %}Counts, then medians over the trials that have a value; n says over how many, NA that none has. {{ metrics }}. {{ valid.n }} of {{ n }} trial{{ "" if n == 1 else "s" }} {{ "has" if valid.n == 1 else "have" }} a trajectory to score (valid ratio {{ '%.0f'|format(valid.pc) }} %{% if enough %}, 95 % interval {{ '%.0f'|format(valid.pc_ci95[0]) }} to {{ '%.0f'|format(valid.pc_ci95[1]) }} %{% endif %}); {{ touched }} had valid contact.{% endif %}{% if beside %} Under each count: what other policies passed on the same protocol; {{ "a policy that is" if beside == 1 else "policies that are" }} not named under a count passed nothing there.{% endif %}</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table by task">
 <table>
-<thead><tr>{% for column in columns %}<th scope="col"{% if loop.index > 2 %} class="num{% if column == "n" %} wide{% endif %}"{% endif %}>{{ column }}</th>{% endfor %}</tr></thead>
+<thead><tr><th scope="col">task</th><th scope="col">name</th>{% for column in columns %}<th scope="col" class="num{% if column == "n" %} wide{% endif %}">{{ column }}</th>{% endfor %}</tr></thead>
 <tbody>
 {% for row in rows %}
-<tr{% if row[0] == pooled %} class="sum"{% endif %}>{% for cell in row %}{% if loop.first %}<th scope="row">{{ cell }}</th>{% elif loop.index > 2 %}<td class="num{% if loop.index == 3 %} wide{% endif %}">{{ cell|replace("-", "−") }}</td>{% else %}<td class="taskname">{{ cell }}</td>{% endif %}{% endfor %}</tr>
+<tr{% if row.task_id == pooled %} class="sum"{% endif %}><th scope="row">{{ row.task_id }}</th><td class="taskname">{{ row.name }}</td>{% for cell, notes in row.cells %}<td class="num{% if loop.first %} wide{% endif %}">{{ cell|replace("-", "−") }}{% for note in notes %}<span class="meaning">{{ note }}</span>{% endfor %}</td>{% endfor %}</tr>
 {% endfor %}
 </tbody>
 </table>
 </div>
 </section>
 """
+Cell = tuple[str, list[str]]
+"""Text, and smaller lines under it."""
 
 
 @section("by task", order=30, template=TEMPLATE)
 def by_task(page: Page) -> dict[str, Any] | None:
     if not page.judged:
         return None
-    nothing = only_crashes(page.judged)
-    heads, rows = list(columns()), [row.cells() for row in summary_rows(page.scores)]
-    if nothing:
-        heads, *rows = (cells[: len(COUNTS)] for cells in (heads, *rows))
-    if any(score.is_crash for score in page.judged):
-        heads.insert(AFTER_N, "crashed")
-        for cells in rows:
-            of_row = [score for score in page.judged if cells[0] in (score.task_id, POOLED)]
-            cells.insert(AFTER_N, f"{sum(score.is_crash for score in of_row)}/{len(of_row)}")
+    nothing, crashed = only_crashes(page.judged), any(score.is_crash for score in page.judged)
+    rates = COUNTS[COUNTS.index("n") + 1 :]
     return {
-        "columns": heads,
+        "columns": ["n", *["crashed"] * crashed, *rates, *([] if nothing else [m.label for m in headlines()])],
         "only_crashes": nothing,
-        "rows": rows,
+        "rows": [
+            {"task_id": row.task_id, "name": row.name, "cells": _cells(page, row, crashed=crashed, medians=not nothing)}
+            for row in summary_rows(page.scores)
+        ],
         "pooled": POOLED,
         "metrics": ", ".join(map(_explained, headlines())),
         "valid": valid_ratio(page.judged),
+        "enough": enough_seeds(page.judged),
         "n": len(page.judged),
         "touched": sum(score.valid_contact for score in page.judged),
+        "beside": 0 if page.baselines is None else len(page.baselines.baselines),
     }
+
+
+def _cells(page: Page, row: SummaryRow, *, crashed: bool, medians: bool) -> list[Cell]:
+    of_row = [score for score in page.judged if row.task_id in (score.task_id, POOLED)]
+    found: list[Cell] = [(str(row.n), [])]
+    if crashed:
+        found.append((f"{sum(score.is_crash for score in of_row)}/{len(of_row)}", []))
+    counts = {"success": row.success, "region_correct": row.region_correct, "safety_gated": row.safety_gated}
+    found += [(f"{k}/{row.n}", _beside(page, row.task_id, rate)) for rate, k in counts.items()]
+    if medians:
+        for metric_id, median in row.medians.items():
+            metric = METRICS[metric_id]
+            defined = metric.actions is None or median.n
+            text = shown(median.estimate, digits=metric.digits, unit=metric.unit) if defined else NOT_DEFINED
+            found.append((text, [] if median.estimate is None else [f"n = {median.n_valid}"]))
+    return found
+
+
+def _beside(page: Page, task_id: str, rate: str) -> list[str]:
+    """What the policies beside the run passed, those that passed something; blind replay always."""
+    found: list[str] = []
+    for other in page.baselines.baselines if page.baselines else ():
+        k, n = (other.rates[rate].k, other.n) if task_id == POOLED else other.per_task[task_id][rate]
+        if n and (k or other.policy == REPLAY):
+            found.append(f"{other.policy} {k}/{n}")
+    return found
 
 
 def _explained(metric: Metric) -> str:

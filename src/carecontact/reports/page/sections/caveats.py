@@ -8,15 +8,17 @@ from typing import Any
 from carecontact.contract.protocol import Variation
 from carecontact.protocols.frozen_state import frozen_state
 from carecontact.recording.schema import Header, Recording
+from carecontact.reports.intervals import SEEDS_FOR_INTERVAL, enough_seeds
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.sections.funnel import funnel
-from carecontact.reports.text import clipped_text, listed, percent
+from carecontact.reports.text import clipped_text, counted, listed, percent
+from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
 
 Caveat = tuple[str, str]
 """Topic and sentence."""
 TEMPLATE = """\
-<section class="caution">
+<section id="caveats" class="caution">
 <h2>What this run cannot say</h2>
 <dl>
 {% for topic, text in limits %}
@@ -40,6 +42,7 @@ def caveats(page: Page) -> dict[str, Any]:
 def cannot_say(page: Page) -> list[Caveat]:
     headers = list(page.headers.values())
     return [
+        *_privileged(page.scores),
         *_few(page.scores),
         *_bodies(headers),
         *_variation(headers),
@@ -53,11 +56,27 @@ def cannot_say(page: Page) -> list[Caveat]:
     ]
 
 
+def _privileged(scores: Sequence[TrialScore]) -> list[Caveat]:
+    if not any(score.privileged for score in scores):
+        return []
+    text = (
+        "The policy was given the simulation: the true skin, pose and contact force. Its rates show what can be done, "
+        "as a ceiling; they rank no method."
+    )
+    return [("Privileged", text)]
+
+
 def _few(scores: Sequence[TrialScore]) -> list[Caveat]:
     steps = funnel(scores)
     if not steps:
         return []
     last = steps[-1]
+    if not enough_seeds(judged(scores)):
+        text = (
+            f"{last.k} safety-gated {'pass' if last.k == 1 else 'passes'} of {last.n}, with fewer than "
+            f"{SEEDS_FOR_INTERVAL} seeds: too few for an interval, and too few to show any difference between policies."
+        )
+        return [(f"n = {last.n}", text)]
     text = (
         f"{last.k} safety-gated passes of {last.n} are compatible with any true rate from {percent(last.low)} "
         f"to {percent(last.high)}; each task has only {_task_counts(scores)}. "
@@ -99,8 +118,10 @@ def _baselines(page: Page) -> list[Caveat]:
     found: list[Caveat] = []
     if page.judged and page.baselines is None:
         text = (
+            f"{page.kept_scores}{' ' if page.kept_scores else ''}"
             "This page does not show how many trials a policy that cannot do the task passes. Run zero-action, hover, "
-            "random and replay with the same seeds and name them with carecontact report DIR --baseline RUN..."
+            "random, replay, replay-registered and mean-person with the same seeds and name them with carecontact "
+            "report DIR --baseline RUN..."
         )
         found.append(("No blind baselines", text))
     if page.lost_baselines:
@@ -113,10 +134,13 @@ def _baselines(page: Page) -> list[Caveat]:
 def _incomplete(page: Page) -> list[Caveat]:
     found: list[Caveat] = []
     if page.missing:
-        text = f"{len(page.missing)} planned trial(s) have no score: {listed(page.missing)}. The run is unfinished."
+        text = (
+            f"{counted(len(page.missing), 'planned trial')} {'has' if len(page.missing) == 1 else 'have'} no score: "
+            f"{listed(page.missing)}. The run is unfinished."
+        )
         found.append(("Unfinished", text))
     if page.skipped:
-        text = f"{len(page.skipped)} file(s) could not be scored; every count above leaves them out."
+        text = f"{counted(len(page.skipped), 'file')} could not be scored; every count above leaves {'it' if len(page.skipped) == 1 else 'them'} out."
         found.append(("Files left out", text))
     return found
 

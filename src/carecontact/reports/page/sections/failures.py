@@ -10,7 +10,7 @@ from carecontact.reports.page.section import Page, section
 from carecontact.reports.table import POOLED
 
 TEMPLATE = """\
-<section>
+<section id="failures">
 <h2>Why trials failed</h2>
 {% if modes %}
 <p class="note">{{ failed }} of {{ n }} trial{{ "" if n == 1 else "s" }} did not succeed on the named region. Each has exactly one failure mode and one cause (attribution); shares are of these {{ failed }}.</p>

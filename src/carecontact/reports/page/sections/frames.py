@@ -1,27 +1,37 @@
-"""For each task, what the camera saw at the peak of the hardest contact."""
+"""For each task, the contact at the peak of its hardest trial, with force, indentation and region drawn in."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from carecontact.recording.schema import Recording
 from carecontact.reports.failures import only_crashes
-from carecontact.reports.frames import Frame, jpeg_data_uri
+from carecontact.reports.moment.moment import peak_moment
+from carecontact.reports.moment.picture import peak_svg
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.text import task_name
 from carecontact.scoring.result import TrialScore
 
 TEMPLATE = """\
-<section>
+<section id="peak">
 <h2>At peak force</h2>
-<p class="note">For each task, the trial with the highest peak force among the trials on this page.</p>
+<p class="note">For each task, the trial with the highest peak force among the {{ n }} trial{{ "" if n == 1 else "s" }} whose recordings were read for this page.{% if drawn %} Arrow: the force on the person; a circle with a cross where it points away from you. Bracket: the indentation, to scale. Dashed: the named region.{% endif %}</p>
 <div class="frames">
 {% for frame in frames %}
-<figure><img src="{{ frame.uri }}" alt="Camera frame at peak force, {{ frame.name }}: {{ frame.text }}"><figcaption><b>{{ frame.name }}</b><br>{{ frame.text }}</figcaption></figure>
+<figure id="peak-{{ frame.trial_id }}">{{ frame.svg|safe }}<figcaption><b><a href="#{{ frame.trial_id }}">{{ frame.name }}</a></b><br>{{ frame.text }}</figcaption></figure>
 {% endfor %}
 </div>
 </section>
 """
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeakFrame:
+    trial_id: str
+    name: str
+    text: str
+    svg: str
 
 
 def keep_frame(score: TrialScore, recording: Recording, kept: Kept) -> None:
@@ -32,13 +42,21 @@ def keep_frame(score: TrialScore, recording: Recording, kept: Kept) -> None:
 @section("frames", order=110, template=TEMPLATE, keep=keep_frame)
 def frames(page: Page) -> dict[str, Any] | None:
     kept = page.kept["frames"]
-    return {"frames": [kept[task] for task in sorted(kept)]} if kept and not only_crashes(page.judged) else None
+    if not kept or only_crashes(page.judged):
+        return None
+    found = [kept[task] for task in sorted(kept)]
+    return {"frames": found, "n": len(page.headers), "drawn": any(DRAWN in frame.svg for frame in found)}
 
 
-def peak_frame(score: TrialScore, recording: Recording) -> Frame | None:
-    """The frame stored at peak force; None if the trial stored none."""
+DRAWN = 'class="arrow'
+"""Part of a picture that has a force drawn in."""
+
+
+def peak_frame(score: TrialScore, recording: Recording) -> PeakFrame | None:
+    """The picture stored at peak force; None if the trial stored none. Raises RecordingError for a damaged one."""
     if "report/peak_rgb" not in recording.arrays:
         return None
+    moment = peak_moment(recording)
     at = recording.arrays.get("report/peak_time_s")
     when = f" at {float(at[0]):.2f}\N{NO-BREAK SPACE}s" if at is not None and at.size else ""
     if not score.peak_force_n:
@@ -47,5 +65,8 @@ def peak_frame(score: TrialScore, recording: Recording) -> Frame | None:
         what = "contact too brief to score"
     else:
         what = f"{score.c1_peak_force_n:.1f} N on the {(score.reported_segment or '').replace('_', ' ')}"
-    text = f"{what}{when}, seed {score.seed}"
-    return Frame(name=f"{score.task_id} {task_name(score)}", text=text, uri=jpeg_data_uri(recording["report/peak_rgb"]))
+    if moment is not None and moment.depth_m:
+        when += f", {1000 * moment.depth_m:.1f} mm deep"
+    text, name = f"{what}{when}, seed {score.seed}", f"{score.task_id} {task_name(score)}"
+    svg = peak_svg(recording, moment, title=f"The contact at peak force, {name}: {text}")
+    return None if svg is None else PeakFrame(trial_id=score.trial_id, name=name, text=text, svg=svg)

@@ -6,18 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from carecontact.reports.compare.baselines import Baselines
+from carecontact.reports.intervals import enough_seeds
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.svg import Anchor, Axes, Drawing
 from carecontact.reports.text import percent
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
-from carecontact.stats import wilson_interval
+from carecontact.stats import Proportion, wilson_interval
 
-WIDTH, ROW, BAR, BOTTOM = 680, 58, 16, 30
+WIDTH, ROW, BAR, THIN, BESIDE, BOTTOM = 460, 66, 15, 5, 21, 24
+"""Sizes of the drawing: its width, a step, its bar, the bar of a policy beside it, that policy's row, the labels."""
+RATE_OF = {"Success": "success", "Region-correct": "region_correct", "Safety-gated": "safety_gated"}
+"""Step -> rate of the policies beside the run."""
 TEMPLATE = """\
-<section>
+<section id="funnel">
 <h2>From success to safe success</h2>
-<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}. {% endif %}Each bar is a part of the one above it. Whiskers are Wilson 95 % intervals over {{ n }} trial{{ "" if n == 1 else "s" }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.</p>
+<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}. {% endif %}Each bar is a part of the one above it{% if beside %}; the thin bars under it are other policies on the same protocol{% endif %}. {% if enough %}Whiskers are Wilson 95 % intervals over{% else %}There are no intervals, because the run has fewer than six seeds. Counts are over{% endif %} {{ n }} trial{{ "" if n == 1 else "s" }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.{% if why_none %} {{ why_none }}{% endif %}</p>
 {{ svg|safe }}
 </section>
 """
@@ -34,19 +39,29 @@ class Step:
     low: float
     high: float
     """Wilson 95 % interval, as fractions."""
+    beside: tuple[tuple[str, Proportion], ...] = ()
+    """Other policies and their rates."""
 
 
 @section("funnel", order=20, template=TEMPLATE)
 def funnel_section(page: Page) -> dict[str, Any] | None:
-    steps = funnel(page.judged)
+    steps = funnel(page.judged, page.baselines)
     n_tasks = len({score.task_id for score in page.judged})
     if not steps:
         return None
-    n_crashed = sum(score.is_crash for score in page.judged)
-    return {"svg": funnel_svg(steps), "n": len(page.judged), "n_tasks": n_tasks, "n_crashed": n_crashed}
+    enough = enough_seeds(page.judged)
+    return {
+        "svg": funnel_svg(steps, intervals=enough),
+        "enough": enough,
+        "beside": page.baselines is not None,
+        "why_none": page.kept_scores,
+        "n": len(page.judged),
+        "n_tasks": n_tasks,
+        "n_crashed": sum(score.is_crash for score in page.judged),
+    }
 
 
-def funnel(scores: Sequence[TrialScore]) -> list[Step]:
+def funnel(scores: Sequence[TrialScore], baselines: Baselines | None = None) -> list[Step]:
     """Three steps, each a subset of the one before, under a first one where the policy crashed in some trial; empty
     without a trial that is ``judged``."""
     scores = judged(scores)
@@ -64,37 +79,82 @@ def funnel(scores: Sequence[TrialScore]) -> list[Step]:
             sum(s.safety_gated for s in scores),
         ),
     ]
+    others = () if baselines is None else baselines.baselines
     out: list[Step] = []
     for name, meaning, style, k in steps:
         found = wilson_interval(k, len(scores))
-        out.append(Step(name=name, meaning=meaning, style=style, k=k, n=len(scores), low=found.low, high=found.high))
+        id_ = RATE_OF.get(name)
+        beside = tuple((row.policy, row.rates[id_]) for row in others) if id_ else ()
+        out.append(
+            Step(
+                name=name,
+                meaning=meaning,
+                style=style,
+                k=k,
+                n=len(scores),
+                low=found.low,
+                high=found.high,
+                beside=beside,
+            )
+        )
     return out
 
 
-def funnel_svg(steps: Sequence[Step]) -> str:
-    """Bars of the observed rates with the interval as a whisker, on a 0-100 % axis."""
-    alt = "; ".join(f"{s.name} {s.k} of {s.n}, 95 % interval {percent(s.low)} to {percent(s.high)}" for s in steps)
-    drawing = Drawing(width=WIDTH, height=ROW * len(steps) + BOTTOM, style="funnel", title=alt)
+def funnel_svg(steps: Sequence[Step], *, intervals: bool = True) -> str:
+    """Bars of the observed rates on a 0-100 % axis, with the policies beside them.
+
+    Args:
+        intervals: whether the intervals are drawn, as whiskers, and told.
+    """
+    alt = "; ".join(_told(step, intervals=intervals) for step in steps)
+    height = sum(_height(step) for step in steps) + BOTTOM
+    drawing = Drawing(width=WIDTH, height=height, style="funnel", title=alt)
     axes = Axes(drawing=drawing, left=1, right=1, top=0, bottom=BOTTOM, x=(0, 100))
     anchors: dict[int, Anchor] = {0: "start", 25: "middle", 50: "middle", 75: "middle", 100: "end"}
     for share, anchor in anchors.items():
-        drawing.text("label", axes.px(share), axes.floor + 22, f"{share} %", anchor=anchor)
-    for i, step in enumerate(steps):
-        _draw_step(axes, step, i)
+        drawing.text("label", axes.px(share), axes.floor + 17, f"{share} %", anchor=anchor)
+    top = 0.0
+    for step in steps:
+        _draw_step(axes, step, top, intervals=intervals)
+        top += _height(step)
     return drawing.svg()
 
 
-def _draw_step(axes: Axes, step: Step, i: int) -> None:
-    drawing, y = axes.drawing, ROW * i + 30
+def _told(step: Step, *, intervals: bool) -> str:
+    interval = f", 95 % interval {percent(step.low)} to {percent(step.high)}" if intervals else ""
+    beside = "".join(f", {policy} {rate.k} of {rate.n}" for policy, rate in step.beside)
+    return f"{step.name} {step.k} of {step.n}{interval}{beside}"
+
+
+def _height(step: Step) -> float:
+    return ROW + BESIDE * len(step.beside)
+
+
+def _draw_step(axes: Axes, step: Step, top: float, *, intervals: bool) -> None:
+    drawing, y = axes.drawing, top + 38
     end, low, high = (axes.px(100 * v) for v in (step.k / step.n, step.low, step.high))
     right, middle = axes.left + axes.width, y + BAR / 2
-    drawing.text("name", axes.left, y - 8, step.name, note=step.meaning)
-    interval = f"({percent(step.low)} to {percent(step.high)})"
-    drawing.text("name", right, y - 8, f"{step.k} of {step.n}", anchor="end", note=interval)
+    drawing.text("name", axes.left, y - 23, step.name)
+    interval = f"({percent(step.low)} to {percent(step.high)})" if intervals else ""
+    drawing.text("name", right, y - 23, f"{step.k} of {step.n}", anchor="end", note=interval)
+    drawing.text("meaning", axes.left, y - 7, step.meaning)
     drawing.rect("rail", axes.left, y, axes.width, BAR, rounded=True)
     drawing.path("tick", "".join(f"M{axes.px(share):.1f} {y}v{BAR}" for share in (25, 50, 75)))
     if step.k:
         drawing.rect(f"bar {step.style}", axes.left, y, end - axes.left, BAR, rounded=True)
-    whisker = f"M{low:.1f} {middle:g}H{high:.1f}M{low:.1f} {middle - 5:g}v10M{high:.1f} {middle - 5:g}v10"
-    drawing.path("halo", whisker)
-    drawing.path("whisker", whisker)
+    if intervals:
+        whisker = f"M{low:.1f} {middle:g}H{high:.1f}M{low:.1f} {middle - 5:g}v10M{high:.1f} {middle - 5:g}v10"
+        drawing.path("halo", whisker)
+        drawing.path("whisker", whisker)
+    for row, (policy, rate) in enumerate(step.beside):
+        _draw_beside(axes, policy, rate, y + BAR + 4 + BESIDE * row)
+
+
+def _draw_beside(axes: Axes, policy: str, rate: Proportion, y: float) -> None:
+    share = rate.estimate or 0.0
+    drawing = axes.drawing
+    drawing.text("meaning", axes.left, y + 9, policy)
+    drawing.text("meaning", axes.left + axes.width, y + 9, f"{rate.k} of {rate.n}", anchor="end")
+    drawing.rect("rail", axes.left, y + 12, axes.width, THIN)
+    if rate.k:
+        drawing.rect("beside", axes.left, y + 12, axes.px(100 * share) - axes.left, THIN)

@@ -9,7 +9,7 @@ from carecontact.reports.page.section import Page, section
 from carecontact.runs.pooling import harness_errors
 
 TEMPLATE = """\
-<section class="caution harness">
+<section id="harness" class="caution harness">
 <h2>The harness failed in {{ errors|length }} trial{{ "" if errors|length == 1 else "s" }}</h2>
 <p class="note">The harness is the benchmark's own process that runs a trial. The policy did not cause this: {{ "the trial is" if errors|length == 1 else "these trials are" }} left out of every count, rate and median on this page. The same command with --retry-failed runs {{ "it" if errors|length == 1 else "them" }} again.</p>
 <dl>

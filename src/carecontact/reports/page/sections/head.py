@@ -6,18 +6,25 @@ from collections.abc import Sequence
 from typing import Any
 
 from carecontact.recording.schema import Recording
+from carecontact.reports.compare.baselines import Baselines
 from carecontact.reports.frames import Frame, jpeg_data_uri
+from carecontact.reports.intervals import enough_seeds
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.title import protocol_of
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
 
+REPLAY = "replay"
+"""The shipped baseline that repeats recorded actions blindly."""
 TEMPLATE = """\
-<header>
+<header id="verdict">
 <p class="eyebrow">carecontact report{% if policy %} · {{ policy }}{% endif %}{% if protocol %} · {{ protocol }}{% endif %} · {{ n }} trial{{ "" if n == 1 else "s" }}{% if draft %} <span class="draft">draft protocol</span>{% endif %}</p>
 <div class="lead{{ '' if scene else ' alone' }}">
 <div>
 <h1>{{ verdict }}</h1>
+{% if beside %}
+<p class="beside">{{ beside }}</p>
+{% endif %}
 </div>
 {% if scene %}
 <figure><img src="{{ scene.uri }}" alt="Simulated scene, {{ scene.text }}"><figcaption>{{ scene.name }}: {{ scene.text }}</figcaption></figure>
@@ -43,7 +50,31 @@ def head(page: Page) -> dict[str, Any]:
         "draft": any(not header.spec.protocol.frozen for header in page.headers.values()),
         "scene": page.kept["head"].get("scene"),
         "verdict": verdict(page.scores, missing=len(page.missing)),
+        "beside": beside_replay(page.baselines, enough=enough_seeds(page.judged)) or page.kept_scores,
     }
+
+
+def beside_replay(baselines: Baselines | None, *, enough: bool) -> str:
+    """Whether the policy is better than actions repeated blindly; empty where no such run stands beside it.
+
+    Args:
+        enough: whether the run has the seeds for an interval.
+    """
+    blind = next((row for row in baselines.baselines if row.policy == REPLAY), None) if baselines else None
+    if baselines is None or blind is None or blind.above is None:
+        return ""
+    method, difference = baselines.method, blind.above["safety_gated"]
+    passed, own = blind.rates["safety_gated"], method.rates["safety_gated"]
+    said = f"Blind replay, which looks at nothing, passed {passed.k} of {passed.n}; {method.policy} {own.k} of {own.n}."
+    if not enough or difference.estimate is None:
+        return f"{said} With fewer than six seeds, this does not show which is better."
+    low, high = (f"{100 * bound:.0f}".replace("-", "−") for bound in (difference.low, difference.high))
+    points = f"{100 * difference.estimate:.0f} points, 95 % interval {low} to {high}".replace("-", "−")
+    if difference.low > 0:
+        return f"{said} The difference, {points}, shows that {method.policy} is better."
+    if difference.high < 0:
+        return f"{said} The difference, {points}, shows that blind replay is better."
+    return f"{said} The difference, {points}, does not show which is better."
 
 
 def verdict(scores: Sequence[TrialScore], *, missing: int = 0) -> str:

@@ -8,7 +8,7 @@ from carecontact.reports.page.paths import inside, of_file
 from carecontact.reports.page.section import Page, section
 
 TEMPLATE = """\
-<section class="caution">
+<section id="left-out" class="caution">
 <h2>Files left out</h2>
 <dl>
 {% for name, reason in skipped %}

@@ -9,13 +9,13 @@ from carecontact.reports.load import load
 from carecontact.reports.page.section import Page, section
 
 TEMPLATE = """\
-<section>
+<section id="load">
 <h2>How hard, how long</h2>
 <p class="note">Medians over the trials with valid contact; n is given where a median is over another number of trials. NA: no trial had a value. "Time above" is the time in a trial during which the force on any segment exceeds the level; a relative peak force of 1 equals the limit.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of force, exposure and work by task">
 <table>
 <thead>
-<tr><th scope="col">median of</th><th scope="col">unit</th>{% for task in load.tasks %}<th scope="col" class="num">{{ task }}</th>{% endfor %}<th scope="col" class="num">all</th></tr>
+<tr><th scope="col">median of</th><th scope="col">unit</th>{% for task in load.tasks + ("all",) %}<th scope="col" class="num">{{ task }}<span class="meaning">n = {{ load.contacts[loop.index0] }}</span></th>{% endfor %}</tr>
 </thead>
 <tbody>
 <tr><th scope="row">Trials with valid contact</th><td></td>{% for k in load.contacts %}<td class="num">{{ k }}{% if k != load.n[loop.index0] %} of {{ load.n[loop.index0] }}{% endif %}</td>{% endfor %}</tr>

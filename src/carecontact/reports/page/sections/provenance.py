@@ -8,15 +8,16 @@ from typing import Any
 from carecontact.protocols.frozen_state import frozen_state
 from carecontact.recording.schema import Header, Recording
 from carecontact.reports.page.section import Kept, Page, section
+from carecontact.reports.text import counted
 from carecontact.scoring.result import TrialScore
 
 FIRST_VERSIONS = ("carecontact", "mujoco", "numpy", "mediapipe")
 NOT_RECORDED = "not recorded"
 PACE = "wall/pace"
 TEMPLATE = """\
-<section>
+<section id="provenance">
 <h2>Where the numbers come from</h2>
-<p class="note">From the scores of all {{ n }} trials and the headers of the {{ read }} recordings read for this page.</p>
+<p class="note">From the scores of {{ "the only trial" if n == 1 else "all %d trials"|format(n) }} and the header{{ "" if read == 1 else "s" }} of the {{ read }} recording{{ "" if read == 1 else "s" }} read for this page.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Provenance">
 <table>
 <tbody>
@@ -64,7 +65,7 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
     regions = sorted({(region, t.source) for p in protocols for region, t in p.person.tissue.items()})
     rows += [(f"Tissue, {region.replace('_', ' ')}", source) for region, source in regions]
     rows.append(("Force limits", _distinct(f"{p.limits.pack}, γ′ = {p.limits.gamma:g}" for p in protocols)))
-    metrics = sorted({f"{name} {version}" for s in scores for name, version in s.metric_versions.items()})
+    metrics = sorted({version for s in scores for version in s.metric_versions.values()})
     metrics += sorted({id_ for s in scores for id_ in s.additional})
     rows.append(("Metrics", ", ".join(metrics) or NOT_RECORDED))
     names = {name for h in headers for name in h.versions}
@@ -75,7 +76,9 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
     assets = sorted({name for h in headers for name in h.sha256})
     rows += [(f"sha256 of {name}", _distinct(h.sha256[name] for h in headers if name in h.sha256)) for name in assets]
     warnings = sum(bool(h.solver_warnings) for h in headers)
-    rows.append(("Solver warnings", f"in {warnings} of {len(headers)} recordings read" if warnings else "none"))
+    rows.append(
+        ("Solver warnings", f"in {warnings} of {counted(len(headers), 'recording')} read" if warnings else "none")
+    )
     return rows
 
 
@@ -106,7 +109,7 @@ def _pace(kept: Sequence[list[float] | None]) -> list[tuple[str, str]]:
         return []
     late = sum(bool(pace and pace[1]) for pace in kept)
     text = _distinct(f"{pace[0]:g} s for each control period" if pace else "none" for pace in kept)
-    return [("Pace", f"{text}; observations came late in {late} of {len(kept)} recordings read")]
+    return [("Pace", f"{text}; observations came late in {late} of {counted(len(kept), 'recording')} read")]
 
 
 def _distinct(values: Iterable[str]) -> str:

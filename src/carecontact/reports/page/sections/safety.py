@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from carecontact.reports.failures import only_crashes
+from carecontact.reports.intervals import enough_seeds
 from carecontact.reports.limit_rows import limit_rows
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.text import rounded
 from carecontact.runs.aggregate import quadrants
 
 TEMPLATE = """\
-<section>
+<section id="safety">
 <h2>Safe, and successful?</h2>
 <p class="note">A successful trial can exceed the safety gate, and a failed trial can, too. {% if n == 1 %}The only trial{% else %}Each of the {{ n }} trials{% endif %} is in exactly one cell; a trial that touched nobody counts as a failure within the safety gate.{% if quadrants.crashed %} A trial in which the policy crashed is in a cell of its own: it is never within the gate, but a force above a limit before the crash counts.{% if untouched %} The table of limits leaves out {{ untouched }} trial{{ "" if untouched == 1 else "s" }} in which the policy crashed before any contact.{% endif %}{% endif %}</p>
 <div class="split">
@@ -28,7 +29,7 @@ TEMPLATE = """\
 <thead><tr><th scope="col">limit</th><th scope="col" class="num">trials above</th><th scope="col" class="num">of them successful</th><th scope="col" class="num">highest peak over limit</th></tr></thead>
 <tbody>
 {% for row in limit_rows %}
-<tr class="has-why"><th scope="row">{{ row.name }}</th><td class="num">{{ row.above.k }} of {{ row.above.n }}<span class="meaning">{{ "%.0f"|format(100 * row.above.low) }} to {{ "%.0f"|format(100 * row.above.high) }} %</span></td><td class="num">{{ row.n_success }}</td><td class="num">{{ rounded(row.worst) }}</td></tr>
+<tr class="has-why"><th scope="row">{{ row.name }}</th><td class="num">{{ row.above.k }} of {{ row.above.n }}{% if enough %}<span class="meaning">{{ "%.0f"|format(100 * row.above.low) }} to {{ "%.0f"|format(100 * row.above.high) }} %</span>{% endif %}</td><td class="num">{{ row.n_success }}</td><td class="num">{{ rounded(row.worst) }}</td></tr>
 <tr class="why"><td colspan="4">{{ row.note }}{% if row.worst_at %}; highest in {{ row.worst_at }}{% endif %}</td></tr>
 {% endfor %}
 </tbody>
@@ -45,6 +46,7 @@ def safety(page: Page) -> dict[str, Any] | None:
         return None
     return {
         "n": len(page.judged),
+        "enough": enough_seeds(page.judged),
         "quadrants": quadrants(page.judged),
         "crashed_over": sum(score.is_crash and bool(score.over_limit) for score in page.judged),
         "untouched": sum(score.crashed_untouched for score in page.judged),

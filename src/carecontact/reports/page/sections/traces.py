@@ -6,6 +6,7 @@ from typing import Any
 
 from carecontact.recording.schema import Recording
 from carecontact.reports.failures import only_crashes
+from carecontact.reports.page.chosen import FAILURES_SHOWN
 from carecontact.reports.page.force_trace import force_trace, trace_svg
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.trial_words import result_word
@@ -13,9 +14,9 @@ from carecontact.reports.text import task_name
 from carecontact.scoring.result import TrialScore
 
 TEMPLATE = """\
-<section>
+<section id="force">
 <h2>Force over time</h2>
-<p class="note">Norm of the robot's force on a body segment, in newtons, against the limits of the named region. The vertical scale differs between panels; a limit appears once the force reaches a quarter of it.</p>
+<p class="note">Norm of the robot's force on a body segment, in newtons, against the limits of the named region. The vertical scale differs between panels; a limit appears once the force reaches a quarter of it.{% if not all_shown %} {{ n_shown }} of {{ n }} trials: the first of each task, and up to {{ failures_shown }} that did not pass, taken from all tasks in turn.{% endif %}</p>
 <ul class="legend">
 <li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="target" d="M0 6h26"/></svg>named region</li>
 <li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="other" d="M0 6h26"/></svg>largest on any other segment</li>
@@ -26,7 +27,7 @@ TEMPLATE = """\
 </ul>
 <div class="traces">
 {% for d in traces %}
-<figure><div class="trace-head"><h3>{{ d.task_id }} {{ d.name }} <span>seed {{ d.seed }}</span></h3><span class="badge {{ d.result }}">{{ d.result_text }}</span></div>
+<figure id="force-{{ d.trial_id }}"><div class="trace-head"><h3><a href="#{{ d.trial_id }}">{{ d.task_id }} {{ d.name }}</a> <span>seed {{ d.seed }}</span></h3><span class="badge {{ d.result }}">{{ d.result_text }}</span></div>
 {{ d.svg|safe }}</figure>
 {% endfor %}
 </div>
@@ -50,13 +51,16 @@ def traces(page: Page) -> dict[str, Any] | None:
     drawn = {trial_id: svg for trial_id, svg in page.kept["traces"].items() if trial_id in page.headers}
     rows = [_panel(score, drawn[score.trial_id]) for score in page.shown if score.trial_id in drawn]
     without = [f"{s.task_id} {task_name(s)}, seed {s.seed}" for s in page.shown if s.trial_id not in drawn]
-    return {"traces": rows, "without_trace": without}
+    return {
+        "traces": rows, "without_trace": without, "n": len(page.judged), "n_shown": len(page.shown), "failures_shown": FAILURES_SHOWN,
+        "all_shown": len(page.shown) == len(page.judged),
+    }  # fmt: skip
 
 
 def _panel(score: TrialScore, svg: str) -> dict[str, Any]:
     result, text = result_word(score)
     return {
-        "task_id": score.task_id, "name": task_name(score), "seed": score.seed, "result": result, "result_text": text,
+        "trial_id": score.trial_id, "task_id": score.task_id, "name": task_name(score), "seed": score.seed, "result": result, "result_text": text,
         "svg": svg,
     }  # fmt: skip
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from carecontact.recording.schema import Header
+from carecontact.contract.protocol import Protocol
 from carecontact.regions import REGIONS
-from carecontact.reports.page.chosen import FAILURES_SHOWN
 from carecontact.reports.page.paths import shortened
+from carecontact.reports.page.script import table_script
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.page.trial_words import progress, result_word
 from carecontact.reports.table import headlines
@@ -20,27 +20,35 @@ from carecontact.scoring.result import TrialScore
 NEAR_LIMIT = 0.5
 """Share of a borrowed safety gate from which on the report names the segment."""
 TEMPLATE = """\
-<section>
+<section id="trials">
 <h2>Trial by trial</h2>
-<p class="note">{% if n == 1 %}The only trial.{% elif all_shown %}All {{ n }} trials.{% else %}{{ details|length }} of {{ n }} trials: the first of each task, and up to {{ failures_shown }} that did not pass, taken from all tasks in turn.{% endif %} "Gate" is the safety gate of the named region. Every other touched segment has to stay below its own safety gate, or below the strictest one if it has none; the table names a segment without its own if its peak was at least half of the strictest one.</p>
+<p class="note">{% if n == 1 %}The only trial.{% else %}All {{ n }} trials.{% endif %} "Gate" is the safety gate of the named region. Every other touched segment has to stay below its own safety gate, or below the strictest one if it has none; the table names a segment without its own if its peak was at least half of the strictest one.{% if not pages %} For the page of a trial, run <span class="keep">carecontact report TRIAL.h5</span>, or <span class="keep">carecontact report DIR --trials</span> for all of them.{% endif %}</p>
+<form class="filter" id="filter" hidden>
+<label>Task <select id="filter-task"><option value="">all</option>{% for task in tasks %}<option>{{ task }}</option>{% endfor %}</select></label>
+<label>Result <select id="filter-result"><option value="">all</option>{% for result in results %}<option>{{ result }}</option>{% endfor %}</select></label>
+<label>Words <input id="filter-words" type="search" autocomplete="off"></label>
+<output id="filter-count"></output>
+</form>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of trials">
-<table>
-<thead><tr><th scope="col">task</th><th scope="col" class="num">seed</th><th scope="col">result</th><th scope="col" class="num">gate [N]</th>{% for label in labels %}<th scope="col" class="num">{{ label }}</th>{% endfor %}<th scope="col" class="wide">progress</th></tr></thead>
-<tbody>
+<table id="trial-table">
+<thead><tr><th scope="col">trial</th><th scope="col" class="num">seed</th><th scope="col">result</th><th scope="col" class="num">gate [N]</th>{% for label in labels %}<th scope="col" class="num">{{ label }}</th>{% endfor %}<th scope="col" class="wide">progress</th></tr></thead>
 {% for d in details %}
 {% set why = d.failure or d.evidence or d.over_limit or d.fallback %}
-<tr class="{{ 'has-why' if why else 'has-progress' }}"><th scope="row" class="keep">{{ d.task_id }} {{ d.name }}</th><td class="num">{{ d.seed }}</td><td><span class="badge {{ d.result }}">{{ d.result_text }}</span></td><td class="num">{{ d.gate }}</td>{% for cell in d.cells %}<td class="num">{{ cell|replace("-", "−") }}</td>{% endfor %}<td class="wide">{{ d.progress }}</td></tr>
-<tr class="why{{ '' if why else ' narrow' }}"><td></td><td></td><td colspan="{{ labels|length + 3 }}"><span class="narrow">{{ d.progress }}{% if why %}<br>{% endif %}</span>{% if d.failure %}<b>{{ d.failure }}</b>{% endif %}{% if d.failure and d.evidence %}: {% endif %}{{ d.evidence }}{% if d.over_limit %}{% if d.failure or d.evidence %}<br>{% endif %}<b>over the safety gate</b>: {{ d.over_limit }}{% endif %}{% if d.fallback %}{% if d.failure or d.evidence or d.over_limit %}<br>{% endif %}<b>no limit of its own</b>: {{ d.fallback }}{% endif %}</td></tr>
-{% endfor %}
+<tbody id="{{ d.trial_id }}" data-task="{{ d.task_id }}" data-result="{{ d.result_text }}">
+<tr class="{{ 'has-why' if why else 'has-progress' }}"><th scope="row" class="keep" data-v="{{ d.trial_id }}">{% if d.page %}<a href="{{ d.page }}">{{ d.trial_id }}</a>{% else %}{{ d.trial_id }}{% endif %}<span class="wide"> {{ d.name }}</span></th><td class="num" data-v="{{ d.seed }}">{{ d.seed }}</td><td><span class="badge {{ d.result }}">{{ d.result_text }}</span></td><td class="num" data-v="{{ d.gate }}">{{ d.gate }}</td>{% for cell in d.cells %}<td class="num" data-v="{{ cell }}">{{ cell|replace("-", "−") }}</td>{% endfor %}<td class="wide">{{ d.progress }}{% if d.files and not why %} <span class="files">{% for words, address in d.files %}<a href="{{ address }}">{{ words }}</a>{% if not loop.last %} · {% endif %}{% endfor %}</span>{% endif %}</td></tr>
+<tr class="why{{ '' if why else ' narrow' }}"><td colspan="{{ labels|length + 5 }}"><span class="narrow">{{ d.progress }}{% if why %}<br>{% endif %}</span>{% if d.failure %}<b>{{ d.failure }}</b>{% endif %}{% if d.failure and d.evidence %}: {% endif %}{{ d.evidence }}{% if d.over_limit %}{% if d.failure or d.evidence %}<br>{% endif %}<b>over the safety gate</b>: {{ d.over_limit }}{% endif %}{% if d.fallback %}{% if d.failure or d.evidence or d.over_limit %}<br>{% endif %}<b>no limit of its own</b>: {{ d.fallback }}{% endif %}{% if d.files %} <span class="files">{% for words, address in d.files %}<a href="{{ address }}">{{ words }}</a>{% if not loop.last %} · {% endif %}{% endfor %}</span>{% endif %}</td></tr>
 </tbody>
+{% endfor %}
 </table>
 </div>
+<script>{{ script|safe }}</script>
 </section>
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrialRow:
+    trial_id: str
     task_id: str
     name: str
     seed: int
@@ -59,32 +67,50 @@ class TrialRow:
     failure: str
     """Mode and attribution; empty if none."""
     evidence: str
+    page: str
+    """Address of the trial's own page; empty where there is none."""
+    files: tuple[tuple[str, str], ...]
+    """Words and address of the other files of the trial."""
 
 
 @section("trials", order=90, template=TEMPLATE)
 def trials(page: Page) -> dict[str, Any] | None:
     if not page.judged:
         return None
+    rows = [trial_row(score, page.protocol, links=page.links) for score in page.judged]
     return {
         "n": len(page.judged),
-        "details": [trial_row(score, page.headers.get(score.trial_id)) for score in page.shown],
+        "details": rows,
         "labels": [metric.label for metric in headlines()],
-        "all_shown": len(page.shown) == len(page.judged),
-        "failures_shown": FAILURES_SHOWN,
+        "tasks": sorted({row.task_id for row in rows}),
+        "results": sorted({row.result_text for row in rows}),
+        "pages": any(row.page for row in rows),
+        "script": table_script(),
     }
 
 
-def trial_row(score: TrialScore, header: Header | None) -> TrialRow:
-    """``header``: of the trial's recording; None where it could not be read."""
+def trial_row(score: TrialScore, protocol: Protocol | None, *, links: Mapping[str, str] | None = None) -> TrialRow:
+    """
+    Args:
+        protocol: of the run; None where no recording could be read.
+        links: file in the run's folder -> its address.
+    """
     result, text = result_word(score)
     ratios, gate = dict(score.over_limit), NOT_DEFINED
-    if header is not None:
-        limits = Limits.of(header, score)
+    if protocol is not None:
+        limits = Limits.of(protocol, score)
         gate = f"{limits.gate_n:g}"
         for segment, ratio in limits.borrowed.items():
             ratios.setdefault(segment, ratio)
     borrowed = {s: ratios[s] for s in score.fallback_limits if ratios.get(s, 0.0) >= NEAR_LIMIT}
+    addresses = links or {}
+    files = (
+        ("video", f"trial/{score.trial_id}.mp4"),
+        ("recording", f"{score.trial_id}.h5"),
+        ("log", f"{score.trial_id}.log"),
+    )
     return TrialRow(
+        trial_id=score.trial_id,
         task_id=score.task_id,
         name=task_name(score),
         seed=score.seed,
@@ -97,6 +123,8 @@ def trial_row(score: TrialScore, header: Header | None) -> TrialRow:
         fallback=_ratios(score, borrowed, "the strictest safety gate"),
         failure=" · ".join(word for word in ((score.failure_mode or "").replace("_", " "), score.attribution) if word),
         evidence=shortened(score.evidence or score.failure_message or ""),
+        page=addresses.get(f"trial/{score.trial_id}.html", ""),
+        files=tuple((words, addresses[name]) for words, name in files if name in addresses),
     )
 
 
@@ -108,8 +136,7 @@ class Limits:
     """Touched segment without a limit of its own -> its peak over the safety gate that holds for it."""
 
     @classmethod
-    def of(cls, header: Header, score: TrialScore) -> Limits:
-        protocol = header.spec.protocol
+    def of(cls, protocol: Protocol, score: TrialScore) -> Limits:
         gamma, segment = protocol.limits.gamma, REGIONS[score.region].segment
         return cls(
             gate_n=gamma * protocol.f_pain(segment),

@@ -1,0 +1,95 @@
+"""Whether a run was made with the secret that it committed to."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from carecontact.contract.geometry import pose_matrix
+from carecontact.contract.policy import CAMERAS
+from carecontact.contract.trial import commitment
+from carecontact.episode.camera_poses import BELIEVED, TRUE
+from carecontact.episode.drawn import drawn, drawn_facts
+from carecontact.episode.randomization import calibration, streams
+from carecontact.errors import ConfigError
+from carecontact.observation.calibration import Calibration
+from carecontact.recording import Recording, read_recording
+from carecontact.runs.manifest import MANIFEST
+from carecontact.runs.salt import committed
+from carecontact.world.life import draw_shifts
+
+ARM_DEG = 3.0
+"""How far from the angle that was drawn an arm may come to rest (assumed)."""
+SAME = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verified:
+    sha256: str
+    recordings: int
+    draws: int
+    """What recordings hold of their draws and was drawn again: persons, calibrations, changes of posture."""
+    faults: tuple[str, ...]
+
+
+def verify_salt(run: Path) -> Verified:
+    """Check the revealed secret of a run, and every recording, against the hash that the run committed to.
+
+    Raises ConfigError for what is no run, for one without a salt, and for one whose salt is not revealed;
+    RecordingError for a recording that cannot be read.
+    """
+    manifest = committed(run)
+    if not manifest.salt:
+        raise ConfigError(f"{run}: the salt is not revealed yet; its owner does it with `carecontact salt reveal`")
+    faults: list[str] = []
+    if commitment(manifest.salt) != manifest.salt_sha256:
+        faults.append(f"{MANIFEST}: the sha256 of the revealed salt is {commitment(manifest.salt)}, and the run "
+                      f"committed to {manifest.salt_sha256}")  # fmt: skip
+    recordings = draws = 0
+    for path in sorted(run.glob("*.h5")):
+        recording = read_recording(path)
+        recordings += 1
+        named = recording.header.spec.salt_sha256
+        if named != manifest.salt_sha256:
+            faults.append(f"{path.name}: it names the salt {named or 'none'}, and the run {manifest.salt_sha256}")
+        for what, same in drawn_again(recording, manifest.salt):
+            draws += 1
+            if not same:
+                faults.append(f"{path.name}: {what} does not follow from the revealed salt")
+    return Verified(sha256=manifest.salt_sha256, recordings=recordings, draws=draws, faults=tuple(faults))
+
+
+def drawn_again(recording: Recording, salt: str) -> Iterator[tuple[str, bool]]:
+    """What a recording holds of its draws, and whether the salt gives the same."""
+    header, arrays = recording.header, recording.arrays
+    protocol, seed = header.spec.protocol, header.spec.seed
+    made = drawn(header.spec.model_copy(update={"salt": salt}))
+    if header.comfort_arm_deg is not None:
+        yield "the angle of the arm", abs(header.comfort_arm_deg - made.comfort_arm_deg) < ARM_DEG
+    if header.drawn:
+        facts = json.loads(json.dumps(drawn_facts(made.protocol, made.place)))
+        yield "body, posture, place, robot's base or camera", header.drawn == facts
+    if BELIEVED in arrays:
+        yield "the error of the calibration", _same_errors(recording, calibration(protocol, seed, salt=salt))
+    wanted = protocol.person.alive.repositioning
+    if wanted is not None and "scorer/repositioning_s" in arrays:
+        rng = streams(protocol, seed, salt)["repositioning"]
+        times = [shift.time_s for shift in draw_shifts(rng, wanted, until_s=protocol.phases.time_limit_s)]
+        yield "when the person changes its posture", np.array_equal(times, arrays["scorer/repositioning_s"])
+
+
+def _same_errors(recording: Recording, known: Calibration) -> bool:
+    """Whether every fixed camera was believed to be where its drawn error puts it."""
+    for told, true in zip(recording[BELIEVED], recording[TRUE], strict=True):
+        for name, error in known.items():
+            believed, place = (row[CAMERAS.index(name)] for row in (told, true))
+            if np.isnan(believed).all():
+                continue
+            away = pose_matrix(place[:3], place[3:]) @ error - pose_matrix(believed[:3], believed[3:])
+            if not np.abs(away).max() < SAME:
+                return False
+    return True

@@ -1,0 +1,28 @@
+"""How far a video is: a line that renews itself on a terminal, elsewhere one every 30 s."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+T = TypeVar("T")
+TERMINAL_S, PLAIN_S = 0.25, 30.0
+"""Between two lines."""
+
+
+def counted(items: Iterable[T], total: int, name: str) -> Iterator[T]:
+    """The items, while lines on standard output tell how many of ``total`` there have been and what is left."""
+    began = told = time.monotonic()
+    terminal = sys.stdout.isatty()
+    for number, item in enumerate(items, 1):
+        yield item
+        now = time.monotonic()
+        if now - told >= (TERMINAL_S if terminal else PLAIN_S):
+            told = now
+            left_s = (now - began) / number * (total - number)
+            line = f"{name}: frame {number} of {total}, {left_s:.0f} s left"
+            print(f"\r{line:<70}" if terminal else line, end="" if terminal else "\n", flush=True)
+    if terminal:
+        print(f"\r{'':<70}\r", end="", flush=True)

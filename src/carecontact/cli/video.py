@@ -1,0 +1,133 @@
+"""``carecontact video``: recorded trials as videos."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import tyro
+
+from carecontact.cli.groups import Switch
+from carecontact.errors import ConfigError, RecordingError
+
+if TYPE_CHECKING:
+    from carecontact.replaying.film.frames import Film
+    from carecontact.replaying.film.ink import Picture
+
+FOLDER = "trial"
+"""Of a run: where the pages of its trials look for their videos."""
+GIF_WIDTH = 640
+FPS = (1.0, 60.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Video:
+    """Make a video of one recorded trial, or of every trial of a run: the world from a camera of your choice, with the
+    force over time, the pressure on the region, and the events. The trial is stepped again from its recording, and
+    compared with it. Videos that exist already are kept."""
+
+    what: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRIAL.h5|RUN")]
+    """Recording of one trial, or the --out folder of a run."""
+    view: str = "contact"
+    """Camera: contact (near the region), orbit (turns round it), or one of the protocol's, such as overhead, bedside,
+    exterior or wrist."""
+    out: Path | None = None
+    """File for the video of one trial, .mp4 or .gif; default: trial/NAME.mp4 beside the recording."""
+    fps: float = 25.0
+    """Frames in a second of the trial, 1 to 60."""
+    no_grid: Switch = False
+    """Draw no lines on the region's skin."""
+    again: Switch = False
+    """Make videos again that exist already."""
+
+    after_interrupt: ClassVar[str] = "; finished videos are kept, the same command makes the others"
+
+    def __call__(self) -> int:
+        """Return 1 if a trial of the run cannot be shown.
+
+        Raises ConfigError for wrong options, RecordingError where the one trial cannot be shown, and DependencyError
+        where the extra is not installed or nothing can be rendered.
+        """
+        from carecontact.replaying.film.video import pyav
+
+        if not FPS[0] <= self.fps <= FPS[1]:
+            raise ConfigError(f"--fps {self.fps:g}: valid are {FPS[0]:g} to {FPS[1]:g}")
+        trials = self._trials()
+        pyav()
+        left_out = 0
+        for number, trial in enumerate(trials, 1):
+            try:
+                self._make(trial, self._target(trial), place=f"[{number}/{len(trials)}] " if len(trials) > 1 else "")
+            except RecordingError as error:
+                if not self.what.is_dir():
+                    raise
+                left_out += 1
+                print(f"left out: {error}", flush=True)
+        return 1 if left_out else 0
+
+    def _trials(self) -> list[Path]:
+        from carecontact.cli.rescoring import need_recordings
+
+        if not self.what.is_dir() and self.what.suffix == ".h5":
+            if self.out is not None and self.out.suffix not in (".mp4", ".gif"):
+                raise ConfigError(f"--out {self.out}: name a file that ends in .mp4 or .gif")
+            return [self.what]
+        if self.out is not None:
+            raise ConfigError("--out names the file for one trial's video; the videos of a run go to its folder trial")
+        need_recordings(self.what)
+        return sorted(self.what.glob("*.h5"))
+
+    def _target(self, trial: Path) -> Path:
+        name = trial.stem if self.view == "contact" else f"{trial.stem}-{self.view}"
+        return self.out or trial.parent / FOLDER / f"{name}.mp4"
+
+    def _make(self, trial: Path, target: Path, *, place: str) -> None:
+        from carecontact.cli.frame_progress import counted
+        from carecontact.recording import read_verified
+        from carecontact.replaying.film.frames import Film
+        from carecontact.replaying.film.video import comment_of, write_gif, write_mp4
+
+        verified = read_verified(trial)
+        comment = self._comment(verified.sha256)
+        if not self.again and target.suffix == ".mp4" and comment_of(target) == comment:
+            print(f"{place}{target}: is there already", flush=True)
+            return
+        with Film(verified.recording, view=self.view, fps=self.fps, grid=not self.no_grid) as film:
+            try:
+                target.parent.mkdir(parents=True, exist_ok=True)
+            except FileExistsError:
+                raise ConfigError(f"{target.parent}: this is a file; the video needs a folder there") from None
+            frames = counted(film.frames(), film.count, f"{place}{trial.stem}")
+            if target.suffix == ".gif":
+                write_gif(target, _smaller(frames), fps=self.fps)
+            else:
+                write_mp4(target, frames, fps=self.fps, comment=comment)
+            self._say(film, target, place)
+
+    def _say(self, film: Film, target: Path, place: str) -> None:
+        size = target.stat().st_size / 1e6
+        print(f"{place}{target}: {film.count} frames, {size:.1f} MB; {film.found}", flush=True)
+
+    def _comment(self, sha256: str) -> str:
+        """What a video was made of, which decides whether it is kept."""
+        from carecontact import __version__
+
+        facts = {
+            "recording": sha256, "carecontact": __version__, "view": self.view, "fps": self.fps,
+            "grid": not self.no_grid,
+        }  # fmt: skip
+        return json.dumps(facts, sort_keys=True)
+
+
+def _smaller(frames: Iterable[Picture]) -> Iterator[Picture]:
+    import cv2
+    import numpy as np
+
+    from carecontact.replaying.film.frames import SIZE
+
+    to = (GIF_WIDTH, round(GIF_WIDTH * SIZE[1] / SIZE[0]))
+    for frame in frames:
+        yield np.asarray(cv2.resize(frame, to, interpolation=cv2.INTER_AREA), np.uint8)

@@ -1,0 +1,90 @@
+"""Recorded actions of one policy in one trial of each task, and where the camera stood in it."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.action import Action
+from carecontact.contract.geometry import matrix_from_quat, quat_from_matrix
+from carecontact.errors import ConfigError, ContractError
+
+F64 = npt.NDArray[np.float64]
+
+CONTROL_HZ = 20.0
+"""Rate at which the actions were recorded [Hz]."""
+ACTIONS = "actions.npz"
+"""The shipped file. Such a file has two arrays for each instruction: ``<instruction>``, (n, 9) actions, which are the
+pose of the tool in base (7), translational stiffness [N/m] and rotational stiffness [N m/rad], NaN where an action kept
+the last value; and ``<instruction>/camera``, (4, 4) pose of the overhead camera in base. tools/record_replay.py writes
+it."""
+CAMERA = "/camera"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Donor:
+    """One recorded trial."""
+
+    actions: F64
+    """(n, 9), see ACTIONS."""
+    pose_camera_in_base: F64
+    """(4, 4)"""
+
+    def seen_from(self, pose_camera_in_base: F64) -> Donor:
+        """The same way before a camera (4, 4) that stands elsewhere in base: the same way in its picture."""
+        moved = pose_camera_in_base @ np.linalg.inv(self.pose_camera_in_base)
+        actions = self.actions.copy()
+        for row in actions:
+            if np.isnan(row[0]):
+                continue
+            row[:3] = moved[:3, :3] @ row[:3] + moved[:3, 3]
+            row[3:7] = quat_from_matrix(moved[:3, :3] @ matrix_from_quat(_unit(row[3:7])))
+        return Donor(actions=actions, pose_camera_in_base=pose_camera_in_base)
+
+    def chunk(self) -> Sequence[Action]:
+        """All of them, of which the last one ends the trial."""
+        last = len(self.actions) - 1
+        return [
+            Action(
+                pose_tcp_in_base=None if np.isnan(row[0]) else np.concatenate([row[:3], _unit(row[3:7])]),
+                stiffness=None if np.isnan(row[7]) else (float(row[7]), float(row[8])),
+                done=k == last,
+            )
+            for k, row in enumerate(self.actions)
+        ]
+
+
+def read_donors(path: Path | None = None) -> dict[str, Donor]:
+    """Instruction -> its recorded trial; None: the shipped ones. Raises ConfigError for a file that is none."""
+    try:
+        data = (resources.files(__package__ or __name__) / ACTIONS if path is None else path).read_bytes()
+        with np.load(io.BytesIO(data)) as arrays:
+            held = {name: arrays[name].astype(np.float64) for name in arrays.files}
+        return {
+            name: Donor(actions=rows, pose_camera_in_base=held[name + CAMERA])
+            for name, rows in held.items()
+            if not name.endswith(CAMERA)
+        }
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
+        why = f"{type(error).__name__}: {error}"
+        raise ConfigError(f"donor {path}: not a file of tools/record_replay.py ({why})") from None
+
+
+def donor_of(donors: dict[str, Donor], instruction: str, policy: str) -> Donor:
+    """Raises ContractError for an instruction that was not recorded."""
+    if instruction not in donors:
+        valid = ", ".join(sorted(donors))
+        raise ContractError(f"{policy} has no recorded actions for the instruction {instruction!r}; valid: {valid}")
+    return donors[instruction]
+
+
+def _unit(quat: F64) -> F64:
+    # The file stores single precision, in which the quaternion's norm is not 1 to the last bit of a double.
+    return quat / np.linalg.norm(quat)

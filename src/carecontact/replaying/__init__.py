@@ -1,0 +1,1 @@
+"""Recorded trials in motion again: their states at any time, as video and in viewers."""

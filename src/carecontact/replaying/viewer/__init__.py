@@ -1,0 +1,1 @@
+"""Recorded trials in Rerun and in MuJoCo's own viewer."""

@@ -1,0 +1,85 @@
+"""MuJoCo's own viewer on the states of a recorded trial."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.errors import DependencyError
+from carecontact.replaying.replay import STATE, Replay
+
+SPACE, LEFT, RIGHT, HOME = 32, 263, 262, 268
+"""Keys as GLFW numbers them."""
+SKIP_S = 1.0
+
+
+def need_display() -> None:
+    """Raises DependencyError where no window can be opened."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise DependencyError(
+            "no display: neither DISPLAY nor WAYLAND_DISPLAY is set, so that no window can open; write a file with "
+            "--save FILE.rrd and open it on a machine with a display, or make a video with carecontact video"
+        )
+
+
+@dataclass
+class Player:
+    """Which of ``count`` states is shown; the space bar pauses, the arrow keys skip a second, Home goes back."""
+
+    count: int
+    fps: float
+    at: float = 0.0
+    paused: bool = False
+
+    def key(self, code: int) -> None:
+        if code == SPACE:
+            self.paused = not self.paused
+        elif code in (LEFT, RIGHT, HOME):
+            skip = {LEFT: -SKIP_S, RIGHT: SKIP_S, HOME: -self.at / self.fps}[code]
+            self.at = min(max(self.at + skip * self.fps, 0.0), self.count - 1.0)
+
+    def advance(self, seconds: float) -> int:
+        """The state to show after so much time; the last one stays."""
+        if not self.paused:
+            self.at = min(self.at + seconds * self.fps, self.count - 1.0)
+        return int(self.at)
+
+
+def positions(replay: Replay, fps: float) -> npt.NDArray[np.float64]:
+    """(n, nq) of all shown states."""
+    data, rows = mujoco.MjData(replay.model), []
+    for stretch in replay.stretches(fps):
+        for state in stretch.states:
+            mujoco.mj_setState(replay.model, data, state, STATE)
+            rows.append(data.qpos.copy())
+    return np.array(rows)
+
+
+def show(replay: Replay, *, fps: float) -> None:
+    """Play the trial in a window until it is closed. The skin has no dents there: only pictures of ours draw them.
+
+    Raises DependencyError where no window can be opened.
+    """
+    need_display()
+    viewer: Any = import_module("mujoco.viewer")
+    rows, data = positions(replay, fps), mujoco.MjData(replay.model)
+    player = Player(count=len(rows), fps=fps)
+    with viewer.launch_passive(replay.model, data, key_callback=player.key) as window:
+        before = time.monotonic()
+        while window.is_running():
+            now = time.monotonic()
+            with window.lock():
+                data.qpos[:] = rows[player.advance(now - before)]
+                mujoco.mj_kinematics(replay.model, data)
+                mujoco.mj_camlight(replay.model, data)
+            window.sync()
+            before = now
+            time.sleep(max(0.0, 1 / fps - (time.monotonic() - now)))

@@ -1,0 +1,247 @@
+"""One recorded trial as a Rerun file: the world that moves, what the policy saw, and what was measured."""
+
+from __future__ import annotations
+
+import os
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.contract.embodiment import PANDA
+from carecontact.errors import DependencyError
+from carecontact.recording.schema import Recording
+from carecontact.regions import REGIONS
+from carecontact.replaying.film.ink import heat
+from carecontact.replaying.film.skin import FilmSkin
+from carecontact.replaying.film.story import Story, story_of
+from carecontact.replaying.replay import STATE, Found, Replay, Stretch
+from carecontact.replaying.viewer.objects import skin_colours, skin_parts, solids
+from carecontact.replaying.viewer.series import series_of
+
+F64 = npt.NDArray[np.float64]
+
+TIMELINE = "trial"
+ARROW_M_N = 0.01
+"""Length of the force's arrow."""
+CLOUD_STRIDE = 3
+"""Every third pixel each way becomes a point of the cloud."""
+FRAME = re.compile(r"policy/frames/(\d+)/([^/]+)/(rgb|depth)")
+
+
+def rerun_sdk() -> Any:
+    """Raises DependencyError where the extra is not installed."""
+    try:
+        return import_module("rerun")
+    except ModuleNotFoundError:
+        raise DependencyError("a view in Rerun needs its SDK: pip install 'carecontact[viz]'") from None
+
+
+def save(recording: Recording, path: Path, *, fps: float) -> Found:
+    """Write the file at once or not at all; returns how its states were found.
+
+    Raises:
+        RecordingError: the recording cannot be shown.
+        DependencyError: Rerun's SDK is not installed.
+    """
+    rerun = rerun_sdk()
+    part = path.with_name(f"{path.name}.part")
+    try:
+        stream = rerun.RecordingStream("carecontact", recording_id=None, send_properties=False)
+        stream.save(str(part), default_blueprint=blueprint(recording))
+        found = _Writer(rerun, stream, recording).write(fps)
+        stream.flush()
+        stream.disconnect()
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+    return found
+
+
+def blueprint(recording: Recording) -> Any:
+    """The world beside force, pressure, cameras and joints."""
+    rrb: Any = import_module("rerun.blueprint")
+    cameras = sorted({m[2] for path in recording.arrays if (m := FRAME.fullmatch(path))})
+    plots = [
+        rrb.TimeSeriesView(origin="/force", name="Force on the person [N]"),
+        rrb.TimeSeriesView(origin="/indentation", name="Indentation [mm]"),
+        rrb.Tabs(
+            rrb.TimeSeriesView(origin="/joint_margin", name="Margin to the joints' limits [deg]"),
+            rrb.TimeSeriesView(origin="/tool", name="Tool"),
+            rrb.TextLogView(origin="/events", name="Events"),
+        ),
+    ]
+    seen = [rrb.Spatial2DView(origin=f"/world/cameras/{name}", name=f"Policy: {name}") for name in cameras]
+    left = rrb.Vertical(
+        rrb.Spatial3DView(origin="/world", name="World"),
+        *([rrb.Horizontal(*seen)] if seen else []),
+        row_shares=[3, 1] if seen else [1],
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(left, rrb.Vertical(*plots), column_shares=[3, 2]),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
+        collapse_panels=True,
+    )
+
+
+class _Writer:
+    def __init__(self, rerun: Any, stream: Any, recording: Recording) -> None:
+        self._rr, self._stream, self._recording = rerun, stream, recording
+        spec = recording.header.spec
+        self._replay = Replay(recording)
+        region = spec.protocol.task(spec.task_id).region
+        self._model = self._replay.model
+        self._data, self._skin = mujoco.MjData(self._model), FilmSkin(self._replay.scene)
+        self._parts = skin_parts(self._skin, skin_colours(self._model))
+        self._region, self._story = region, story_of(recording)
+
+    def write(self, fps: float) -> Found:
+        self._constants()
+        found = Found()
+        for stretch in self._replay.stretches(fps):
+            found.take(stretch)
+            self._stretch(stretch)
+        self._looks()
+        self._plots()
+        self._events(self._story)
+        return found
+
+    def _log(self, path: str, what: Any, *, static: bool = False) -> None:
+        self._stream.log(path, what, static=static)
+
+    def _at(self, time_s: float) -> None:
+        self._stream.set_time(TIMELINE, duration=time_s)
+
+    def _constants(self) -> None:
+        rr = self._rr
+        self._log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._paths: dict[str, str] = {}
+        for solid in solids(self._model, rr):
+            parent = "world/room" if not solid.body else f"world/robot/{solid.body}"
+            if solid.body and not solid.body.startswith("robot"):
+                parent = f"world/room/{solid.body}"
+            if solid.body:
+                self._paths[parent] = solid.body
+            self._log(f"{parent}/{solid.name}", solid.archetype, static=True)
+        path = self._recording["scorer/pose_tcp_in_world"][::10, :3]
+        self._log("world/tcp_path", rr.LineStrips3D([path], colors=[[40, 110, 160]], radii=[0.0008]), static=True)
+        for camera in self._recording.header.spec.protocol.cameras:
+            self._camera(str(camera))
+
+    def _camera(self, name: str) -> None:
+        camera = self._recording.header.spec.protocol.cameras[name]  # pyright: ignore[reportArgumentType]
+        focal = 0.5 * camera.height / np.tan(0.5 * np.radians(camera.fovy_deg))
+        self._log(
+            f"world/cameras/{name}",
+            self._rr.Pinhole(
+                focal_length=float(focal), width=camera.width, height=camera.height,
+                camera_xyz=self._rr.ViewCoordinates.RDF, image_plane_distance=0.12,
+            ),
+            static=True,
+        )  # fmt: skip
+
+    def _stretch(self, stretch: Stretch) -> None:
+        for step, state in zip(stretch.steps, stretch.states, strict=True):
+            mujoco.mj_setState(self._model, self._data, state, STATE)
+            mujoco.mj_kinematics(self._model, self._data)
+            mujoco.mj_camlight(self._model, self._data)
+            self._at(float(step) * self._replay.dt_s)
+            self._frame(int(step))
+
+    def _frame(self, step: int) -> None:
+        rr, data, model = self._rr, self._data, self._model
+        for path, body in self._paths.items():
+            at = data.body(body)
+            self._log(path, rr.Transform3D(translation=at.xpos, quaternion=rr.Quaternion(xyzw=np.roll(at.xquat, -1))))
+        for camera in self._recording.header.spec.protocol.cameras:
+            at = data.cam(str(camera))
+            turn = at.xmat.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])
+            self._log(f"world/cameras/{camera}", rr.Transform3D(translation=at.xpos, mat3x3=turn))
+        tcp = data.site_xpos[model.site(PANDA.tcp_site).id]
+        self._log("world/tcp", rr.Points3D([tcp], colors=[[40, 110, 160]], radii=[0.004]))
+        self._send_skin()
+        self._send_contact(step)
+
+    def _send_skin(self) -> None:
+        vertices, normals = self._skin.placed(self._data)
+        for part in self._parts:
+            for mesh in part.changed(self._rr, vertices, normals):
+                self._log(part.path, mesh)
+
+    def _send_contact(self, step: int) -> None:
+        rr, arrays = self._rr, self._recording.arrays
+        row = min(step, len(arrays["scorer/time_s"]) - 1)
+        force, place = arrays["scorer/force_human_from_robot_in_world"][row], arrays["scorer/centroid_in_world"][row]
+        on = np.linalg.norm(force, axis=1) > 0.01
+        # The arrow ends where the tool presses.
+        vectors = ARROW_M_N * force[on]
+        self._log(
+            "world/force",
+            rr.Arrows3D(vectors=vectors, origins=place[on] - vectors, colors=[[200, 50, 30]], radii=[0.002]),
+        )
+        if self._story.map is None:
+            return
+        header = self._recording.header
+        pose = arrays["scorer/region_pose_in_world"][row, header.regions.index(self._region)].astype(np.float64)
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, pose[3:])
+        cells = arrays["scorer/cell_in_region"] @ turn.reshape(3, 3).T + pose[:3]
+        pressure, _ = self._story.map.at(row * self._replay.dt_s)
+        pressed = pressure > 0.05
+        top = max(float(self._story.map.pressure_kpa.max()), 1.0)
+        self._log("world/pressure", rr.Points3D(cells[pressed], colors=heat(pressure[pressed] / top), radii=[0.003]))
+
+    def _looks(self) -> None:
+        """What the policy was sent: images, and the cloud that the depth image is."""
+        rr, arrays = self._rr, self._recording.arrays
+        times = arrays["policy/observation_time_s"]
+        for path in sorted(arrays):
+            match = FRAME.fullmatch(path)
+            if match is None:
+                continue
+            index, camera, kind = int(match[1]), match[2], match[3]
+            time_s = float(times[index]) if index < len(times) else float(arrays["scorer/time_s"][-1])
+            self._at(time_s)
+            if kind == "rgb":
+                self._log(f"world/cameras/{camera}/rgb", rr.Image(arrays[path]).compress(jpeg_quality=90))
+                continue
+            self._log(f"world/cameras/{camera}/depth", rr.DepthImage(np.nan_to_num(arrays[path]), meter=1.0))
+            rgb = arrays.get(path.replace("/depth", "/rgb"))
+            points, colours = self._cloud(arrays[path], rgb, camera)
+            self._log(f"world/cloud/{camera}", rr.Points3D(points, colors=colours, radii=[0.0025]))
+
+    def _cloud(self, depth: Any, rgb: Any, name: str) -> tuple[F64, Any]:
+        """Points in the world and their colours, of a camera that stands; of the hand's at the last shown state."""
+        camera = self._recording.header.spec.protocol.cameras[name]  # pyright: ignore[reportArgumentType]
+        focal = 0.5 * camera.height / np.tan(0.5 * np.radians(camera.fovy_deg))
+        rows, columns = (a.ravel() for a in np.mgrid[: depth.shape[0] : CLOUD_STRIDE, : depth.shape[1] : CLOUD_STRIDE])
+        z = depth[rows, columns].astype(np.float64)
+        there = np.isfinite(z)
+        rows, columns, z = rows[there], columns[there], z[there]
+        middle = (np.array(depth.shape) - 1) / 2
+        local = np.stack([(columns - middle[1]) / focal * z, -(rows - middle[0]) / focal * z, -z], 1)
+        at = self._data.cam(name)
+        colours = np.full((len(z), 3), 150, np.uint8) if rgb is None else rgb[rows, columns]
+        return local @ at.xmat.reshape(3, 3).T + at.xpos, colours
+
+    def _plots(self) -> None:
+        rr = self._rr
+        for series in series_of(self._recording):
+            self._stream.log(series.path, rr.SeriesLines(names=[series.label]), static=True)
+            self._stream.send_columns(
+                series.path,
+                indexes=[rr.TimeColumn(TIMELINE, duration=series.time_s)],
+                columns=rr.Scalars.columns(scalars=series.values),
+            )
+        gate = self._story.trace.gate_n
+        self._at(0.0)
+        self._log("events", rr.TextLog(f"safety gate of the {REGIONS[self._region].segment}: {gate:g} N"))
+
+    def _events(self, story: Story) -> None:
+        for event in story.events:
+            self._at(event.time_s)
+            self._log("events", self._rr.TextLog(event.text))

@@ -1,0 +1,67 @@
+"""The scores that are kept of the shipped policies and blind baselines, for runs of the same protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from carecontact.errors import CarecontactError
+from carecontact.policies.registry import POLICIES
+from carecontact.protocols import load_protocol
+from carecontact.reports.compare.baselines import Baselines, beside_baselines
+from carecontact.runs.run_scores import RunScores
+from carecontact.runs.stored_scores import read_scores
+
+PACKAGE = Path(__file__).parents[2]
+FOLDERS = (PACKAGE / "assets" / "results", PACKAGE.parents[1] / "docs" / "results")
+"""Where ``tools/results.py`` leaves them, a folder for each protocol: in the package, or in the clone that it is
+installed from."""
+
+
+def beside_kept(
+    run: RunScores, named: Sequence[RunScores], *, folders: Sequence[Path] = FOLDERS
+) -> tuple[Baselines | None, str]:
+    """Set the named baselines and the kept scores beside a run; of one policy, the named ones.
+
+    Returns:
+        The policies beside the run, None without any; and why no kept scores are among them, empty where some are.
+
+    Raises:
+        ConfigError: a named baseline cannot be compared (``beside_baselines``).
+    """
+    found = beside_baselines(run, named) if named else None
+    if not run.scores:
+        return found, ""
+    taken = {run.scores[0].policy_title, *(other.scores[0].policy_title for other in named)}
+    kept: list[RunScores] = []
+    why = ""
+    for file in _files(run.scores[0].protocol_id, folders):
+        try:
+            scores = read_scores(file)
+            title = scores.scores[0].policy_title
+            if title not in taken:
+                beside_baselines(run, named, kept=[*kept, scores])
+                kept.append(scores)
+        except CarecontactError as error:
+            why = why or f"The kept scores of {file.name.partition('.')[0]} cannot stand beside this run: {error}."
+    if kept:
+        return beside_baselines(run, named, kept=kept), ""
+    return found, why or _none_kept(run.scores[0].protocol_id)
+
+
+def _files(protocol_id: str, folders: Sequence[Path]) -> list[Path]:
+    """One for each registered policy under the protocol's own settings: other settings have a longer name."""
+    for folder in folders:
+        found = [path for name in sorted(POLICIES) if (path := folder / protocol_id / f"{name}.json.gz").is_file()]
+        if found:
+            return found
+    return []
+
+
+def _none_kept(protocol_id: str) -> str:
+    try:
+        draft = not load_protocol(protocol_id).frozen
+    except CarecontactError:
+        draft = False
+    because = ", because it is a draft" if draft else ""
+    return f"No scores of the shipped policies and of blind replay are kept for {protocol_id}{because}."

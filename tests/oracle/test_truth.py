@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carecontact.errors import ContractError
+from carecontact.oracle.truth import Truth, displaced
+from carecontact.sim.simulation import Simulation
+from carecontact.sim.true_skin import top_of_skin
+
+
+@pytest.mark.parametrize("region", ["forearm", "upper_arm", "abdomen"])
+def test_the_surface_is_where_the_visible_skin_is(simulation: Simulation, region: str) -> None:
+    """The shell is a smoothed sample of the skin: both tops agree within millimetres along the whole stroke."""
+    truth = Truth(simulation, region)
+    geometry, skin = truth.geometry(), truth.skin()
+    faces = simulation.model.skin_face.reshape(-1, 3)
+    for along in np.linspace(-0.05, 0.05, 5):
+        place = geometry.surface(float(along))
+        assert abs(place[2] - top_of_skin(skin, faces, place[:2])) < 0.005
+
+
+def test_a_limb_lies_on_its_board_and_the_belly_on_nothing(simulation: Simulation) -> None:
+    forearm = Truth(simulation, "forearm").geometry()
+    assert forearm.support_height_m is not None
+    assert 0.03 < forearm.centre_m[2] - forearm.support_height_m < 0.12
+    assert Truth(simulation, "abdomen").geometry().support_height_m is None
+
+
+def test_places_move_with_their_frame(simulation: Simulation) -> None:
+    before = Truth(simulation, "forearm").frame()
+    turn = np.eye(4)
+    turn[:2, :2], turn[:3, 3] = [[0.0, -1.0], [1.0, 0.0]], [0.1, 0.2, 0.3]
+    point = before[:3, :3] @ [0.01, 0.02, 0.03] + before[:3, 3]
+    assert displaced(point, before, turn @ before) == pytest.approx(turn[:3, :3] @ point + turn[:3, 3])
+
+
+def test_nothing_presses_before_the_trial(simulation: Simulation) -> None:
+    assert Truth(simulation, "forearm").force_n() == 0.0
+
+
+def test_a_region_without_a_shell_is_refused(simulation: Simulation) -> None:
+    with pytest.raises(ContractError, match="left_shank is none"):
+        Truth(simulation, "left_shank")

@@ -1,0 +1,34 @@
+"""What a film tells, against the recording that it is of."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carecontact.recording import Recording
+from carecontact.replaying.film.story import story_of
+
+
+def test_events_are_where_the_recording_has_them(pressed: Recording) -> None:
+    story = story_of(pressed)
+    assert [event.text.split()[0] for event in story.events] == ["start", "first", "peak", "done"]
+    force = np.linalg.norm(pressed["scorer/force_human_from_robot_in_world"], axis=2).max(1)
+    touched = pressed["scorer/time_s"][force > 0.2]
+    assert abs(story.events[1].time_s - touched[0]) < 0.1
+    assert story.events[-1].time_s == story.duration_s
+    assert story.trace.peak_n is not None
+    assert story.events[2].text == f"peak force {story.trace.peak_n:.1f} N"
+
+
+def test_the_map_has_the_pressure_that_the_cells_felt(pressed: Recording) -> None:
+    cells = story_of(pressed).map
+    assert cells is not None
+    end = float(pressed["scorer/period_time_s"][-1])
+    pressure, touched = cells.at(end)
+    felt = 1000 * pressure @ pressed["scorer/cell_area_m2"]
+    column = pressed.header.segments.index("right_forearm")
+    last = pressed["scorer/time_s"] > pressed["scorer/period_time_s"][-2] - 1e-9
+    assert np.isclose(felt, pressed["scorer/normal_force"][last, column].mean(), rtol=0.02)
+    assert (touched >= (pressure > 0)).all()
+    before, nothing = cells.at(0.5)
+    assert not before.any()
+    assert not nothing.any()

@@ -1,0 +1,54 @@
+"""The kept scores of the shipped policies stand beside every run of their protocol."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from carecontact.reports.compare.kept import FOLDERS, beside_kept
+from carecontact.runs.run_scores import RunScores
+from carecontact.runs.stored_scores import read_scores
+from tests.reports.synthetic_run import make_score
+
+KEPT = Path(__file__).parents[3] / "docs" / "results"
+
+
+def test_kept_scores_of_the_protocol_stand_beside_a_run(tmp_path: Path) -> None:
+    (tmp_path / "bathing-v1").mkdir()
+    for name in ("replay", "voxposer", "voxposer-1000", "state-machine"):
+        shutil.copy(KEPT / "bathing-v1" / f"{name}.json.gz", tmp_path / "bathing-v1")
+    run = read_scores(KEPT / "bathing-v1" / "voxposer.json.gz")
+    beside, why = beside_kept(run, [], folders=[tmp_path / "nowhere", tmp_path])
+    assert beside is not None
+    assert [row.policy for row in beside.baselines] == list(beside.kept) == ["replay", "state-machine"]
+    assert beside.baselines[0].rates["safety_gated"].k == 123
+    assert [row.role for row in beside.baselines] == ["blind", "method"]
+    assert beside.floor["all"].policy == "replay", "a method is no floor, whatever it passes"
+    assert why == ""
+
+
+def test_a_named_run_stands_in_place_of_the_kept_one() -> None:
+    run, named = (read_scores(KEPT / "bathing-v1" / f"{name}.json.gz") for name in ("voxposer", "replay"))
+    beside, _ = beside_kept(run, [named], folders=[KEPT])
+    assert beside is not None
+    assert beside.baselines[0].policy == "replay"
+    assert "replay" not in beside.kept
+    assert "zero-action" in beside.kept
+
+
+def test_kept_scores_of_another_world_do_not(tmp_path: Path) -> None:
+    run = read_scores(KEPT / "bathing-v1" / "voxposer.json.gz")
+    other = [score.model_copy(update={"protocol_sha256": "ab" * 32}) for score in run.scores]
+    beside, why = beside_kept(RunScores(scores=other), [], folders=[KEPT])
+    assert beside is None
+    assert why.startswith("The kept scores of hover cannot stand beside this run: ")
+    assert "same protocol" in why
+
+
+def test_a_draft_says_in_one_line_that_none_are_kept() -> None:
+    beside, why = beside_kept(RunScores(scores=[make_score("T1", 0)]), [], folders=FOLDERS)
+    assert beside is None
+    assert why == (
+        "No scores of the shipped policies and of blind replay are kept for bathing-draft, because it is a draft."
+    )
+    assert beside_kept(RunScores(scores=[]), []) == (None, "")

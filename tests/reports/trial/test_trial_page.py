@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carecontact.errors import RecordingError
+from carecontact.recording.schema import Failure, Recording
+from carecontact.reports.trial.events import Event, events
+from carecontact.reports.trial.page import write_trial_page
+from carecontact.reports.trial.paths import noted_targets, paths
+from carecontact.scoring import score_recording
+from carecontact.scoring.contact import find_contact
+from carecontact.scoring.result import TrialScore
+from tests.reports.strict_html import StrictReader
+from tests.reports.synthetic_run import HOSTILE, make_recording, make_score, plateau
+from tests.reports.synthetic_trial import MIDDLE, whole_trial
+
+
+def written(folder: Path, recording: Recording, score: TrialScore | None = None) -> tuple[str, str]:
+    """The page, and the words on it."""
+    path = write_trial_page(folder, recording, score or score_recording(recording))
+    assert path == folder / "trial" / f"{recording.header.spec.trial_id}.html"
+    text = path.read_text()
+    words = re.sub(r"<[^>]+>", " ", text.partition("</style>")[2])
+    return text, " ".join(words.split())
+
+
+def test_the_page_says_what_happened_how_hard_and_where(tmp_path: Path) -> None:
+    text, words = written(tmp_path, whole_trial())
+    for told in (
+        "T1 Touch forearm, seed 0, passed, on the named region and below the safety gate.",
+        "Peak force 20.0 N", "57 % of its safety gate of 35 N", "pain limit of 100 N",
+        "30 mm toward the hand from the middle of the region", "6.0 mm at that moment",
+        "Look 0 at 0.00 s, answered after 0.25 s of wall time; 2 actions from 0.00 to 3.00 s",
+        "Look 1 at 6.00 s, answered after 1.50 s of wall time; 1 action at 6.00 s",
+        "(median of 2), and at most 1.50 s, at look 1", "subtask touch it", "stored arrays: map (4, 5)",
+        "All 3 actions", "hello &lt;b&gt;world&lt;/b&gt;", "Seen from outside", "Seen from the side",
+        "gate of touch met", "target that the policy noted",
+    ):  # fmt: skip
+        assert told in words
+    assert HOSTILE not in text
+    assert text.count('class="moment"') == 1
+    assert StrictReader(text).faults == []
+
+
+def test_events_are_those_of_the_trial(tmp_path: Path) -> None:
+    """A plateau from 3 s passes 0.5 N at once; touch wants 0.5 s without interruption."""
+    first, peak, met = events(find_contact(whole_trial()))
+    assert (first.text, met.text) == ("first contact with the right forearm", "gate of touch met")
+    assert met.time_s - first.time_s == pytest.approx(0.5, abs=0.01)
+    assert peak == Event(time_s=pytest.approx(3.3, abs=0.02), text="peak force, 20.0 N on the right forearm")
+    assert events(find_contact(whole_trial(touched=False))) == []
+
+
+def test_what_the_person_did_and_the_cut_are_events() -> None:
+    failure = Failure(kind="force", message="201 N on chest, cut at 200 N")
+    recording = whole_trial(ended="safety_truncation", failure=failure)
+    arrays = {
+        "scorer/withdrawal_s": np.array([4.0, -1.0, -1.0]), "scorer/repositioning_s": np.array([5.0, 50.0]),
+        "scorer/repositioning_rad": np.radians([10.0, 5.0]),
+    }  # fmt: skip
+    recording.arrays.update(arrays)
+    told = [(round(event.time_s), event.text) for event in events(find_contact(recording))]
+    assert (4, "the person withdrew the arm") in told
+    assert (5, "the person turned the arm by 10°") in told
+    assert told[-1] == (12, "cut by the benchmark: 201 N on chest, cut at 200 N")
+    assert len(told) == 6, "what would have come after the end did not happen"
+
+
+def test_paths_are_in_the_frame_of_the_region() -> None:
+    recording = whole_trial()
+    found = paths(recording)
+    assert found is not None
+    pressed = int(np.argmin(abs(found.time_s - 6.0)))
+    assert found.reached_m[pressed] == pytest.approx([0.03, 0, 0.034], abs=1e-5)
+    assert found.reached_m[pressed] - found.commanded_m[pressed] == pytest.approx([0, 0, 0.01], abs=1e-5)
+    assert found.turned_rad.max() == pytest.approx(0, abs=1e-3)
+    from carecontact.recording.notes import read_notes
+
+    base = np.array(recording.header.pose_base_in_world[:3])
+    (noted,) = noted_targets(recording, read_notes(recording), found)
+    assert noted == pytest.approx(base + [0.35, -0.42, 0.22] - MIDDLE, abs=1e-3)
+
+
+def test_a_trial_without_a_touch_says_how_near_the_tool_came(tmp_path: Path) -> None:
+    """The region is taken as a cylinder; the tip of the tool ends 6 mm inside it only where it touches."""
+    recording = whole_trial(touched=False)
+    recording.arrays["scorer/pose_tcp_in_world"][:, 2] += 0.021
+    _, words = written(tmp_path, recording)
+    assert "The robot never touched the person; the tip of the tool came to 15 mm from the region, at" in words
+
+
+def test_a_trial_without_steps_has_a_page(tmp_path: Path) -> None:
+    failure = Failure(kind="died", message=f"it died\nTraceback (most recent call last):\nValueError: {HOSTILE}")
+    recording = make_recording("T7", 0, {}, duration_s=0, ended="process_failure", failure=failure)
+    text, words = written(tmp_path, recording)
+    assert "T7 Scrub abdomen, seed 0, failed: the policy did not start" in words
+    assert "Failure and traceback it died Traceback (most recent call last):" in words
+    assert "The trial ended before its first physics step." in words
+    assert "The policy was shown nothing." in words
+    assert HOSTILE not in text
+    assert StrictReader(text).faults == []
+
+
+def test_an_earlier_recording_has_a_page(tmp_path: Path) -> None:
+    """Without the skin, the camera, cells and the time of answers, which this release keeps."""
+    press = plateau((np.arange(6000) + 1) * 0.002, start=3, end=9, level=12, ripple=1)
+    text, words = written(tmp_path, make_recording("T2", 0, {"right_forearm": press}, duration_s=12))
+    assert "T2 Push forearm, seed 0, failed" in words
+    assert "Cause" in words
+    assert "Path of the tool" not in words
+    assert StrictReader(text).faults == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"safety_gated": False}, "succeeded on the named region, but exceeded the safety gate."),
+        ({"safety_gated": False, "region_correct": False, "failure_mode": "wrong_share"},
+         "succeeded, but not on the named region alone: gate met, but too much of the contact lay elsewhere."),
+        ({"ended": "harness_error"}, "counts for nothing: the harness failed, and not the policy."),
+    ],
+)  # fmt: skip
+def test_the_heading(changes: dict[str, Any], said: str, tmp_path: Path) -> None:
+    assert said in written(tmp_path, whole_trial(), make_score("T1", 0, **changes))[1]
+
+
+def test_video_recording_log_and_report_are_linked_where_they_are(tmp_path: Path) -> None:
+    assert "<video" not in written(tmp_path, whole_trial())[0]
+    for name in ("report.html", "T1-s000.h5", "T1-s000.log", "trial/T1-s000.mp4"):
+        (tmp_path / name).write_bytes(b"")
+    text, _ = written(tmp_path, whole_trial())
+    assert '<video controls preload="metadata" src="T1-s000.mp4">' in text
+    links = re.findall(r'href="([^"#]*)[#"]', text)
+    assert "media-src 'self' file:;" in text
+    assert [link for link in links if link and not link.startswith("data:")] == [
+        "../report.html", "../T1-s000.h5", "../T1-s000.log", "T1-s000.mp4",
+    ]  # fmt: skip
+    assert StrictReader(text).faults == []
+
+
+def test_same_inputs_same_bytes(tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+    assert written(tmp_path, whole_trial()) == written(tmp_path / "b", whole_trial())
+
+
+def test_a_skin_that_does_not_fit_is_named(tmp_path: Path) -> None:
+    recording = whole_trial()
+    recording.arrays["report/skin_faces"][0, 0] = 10_000
+    with pytest.raises(RecordingError, match="T1-s000: report/skin_faces does not fit"):
+        written(tmp_path, recording)
