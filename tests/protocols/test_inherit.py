@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,8 @@ from carecontact.protocols.tissue_sets import load_tissue_set
 from tests.scoring.gates_v2 import GATES
 
 BASE = load_protocol("bathing-draft")
-GATES_V2 = Path(__file__).parents[1] / "scoring" / "gates-v2.toml"
+WIDE = (resources.files("carecontact") / "protocols/bathing-wide-draft.toml").read_text()
+GATES_V2 = WIDE[WIDE.index("[gates]") : WIDE.index("[levels.L0]")].rpartition("#")[0]
 HEAD = 'base = "bathing-draft"\nid = "mine-v1"\ndescription = "Mine."\n'
 
 
@@ -60,15 +62,15 @@ def test_a_tissue_set_brings_its_own_rows(tmp_path: Path) -> None:
 
 
 def test_gates_of_another_version_inherit_none(tmp_path: Path) -> None:
-    found = load_protocol(str(written(tmp_path, HEAD + GATES_V2.read_text())))
+    found = load_protocol(str(written(tmp_path, HEAD + GATES_V2)))
     assert found.gates == GATES
-    short = HEAD + GATES_V2.read_text().replace("duration_s = 1.0", "", 1)
+    short = HEAD + GATES_V2.replace("duration_s = 1.0", "", 1)
     with pytest.raises(ConfigError, match=r"gates\.touch\.duration_s: missing"):
         load_protocol(str(written(tmp_path, short)))
 
 
 def test_a_field_that_gates_of_this_version_do_not_have_lists_those_that_they_have(tmp_path: Path) -> None:
-    text = HEAD + GATES_V2.read_text().replace("passes = 3", "passes = 3\nstroke_m = 0.1")
+    text = HEAD + GATES_V2.replace("passes = 3", "passes = 3\nstroke_m = 0.1")
     with pytest.raises(
         ConfigError, match=r"stroke_m: no such field in the table gates\.scrub; valid: least_n, most_n,"
     ):

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
-
-from carecontact.contract.protocol import Gates, Protocol
+from carecontact.contract.protocol import Protocol
 from carecontact.protocols import load_protocol
 
-TABLE = tomllib.loads((Path(__file__).parent / "gates-v2.toml").read_text())["gates"]
-GATES = Gates.model_validate(TABLE)
+GATES = load_protocol("bathing-wide-draft", level="L0").gates
+TABLE = GATES.model_dump(mode="json")
 
 
 def gently(protocol: Protocol) -> Protocol:

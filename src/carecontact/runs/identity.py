@@ -21,7 +21,6 @@ from carecontact.policies.language.selection import language_name
 from carecontact.policies.registry import POLICIES, policy_target
 from carecontact.recording.versions import package_versions, supplier_versions
 from carecontact.runs.fingerprint import fingerprints
-from carecontact.world.human.smplx import SMPLX_PREFIX, smplx_path
 
 
 class Identity(BaseModel):
@@ -63,6 +62,9 @@ def identity_of(
         language: as the command line spells it.
         card: what the policy showed when it was tried.
     """
+    # Whoever only reads results loads nothing of the world.
+    from carecontact.world.human.smplx import SMPLX_PREFIX, smplx_path
+
     versions = package_versions()
     ref = PolicyRef.parse(spec.policy)
     source = policy_source(ref, search_path=search_path)
