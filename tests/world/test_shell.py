@@ -12,6 +12,7 @@ from carecontact.errors import SceneError
 from carecontact.protocols import load_protocol
 from carecontact.regions import REGIONS, STANDARD_REGIONS
 from carecontact.world.human.body import Body
+from carecontact.world.human.clearance import free_middle
 from carecontact.world.human.shell import Shell, belly_half_width, belly_span, trunk_shell
 from carecontact.world.human.shell.limb import FINE_HALF_LENGTH_M, FINE_HALF_ROUND_DEG, SIDE_HALF_ROUND_DEG
 from carecontact.world.scene import region_shell
@@ -121,13 +122,16 @@ def test_fine_patch_is_as_fine_as_asked(region: str, shell: Shell) -> None:
     fine = length[shell.fine[edges].all(1)]
     assert np.mean(fine) <= spacing * 1.03
     assert fine.max() <= spacing * 1.45
-    assert length.max() <= TISSUE[region].coarse_spacing_m * 1.4
+    assert length.max() <= TISSUE[region].coarse_spacing_m * 1.5
     x, y = shell.grid.T
     x = x - (x.min() + x.max()) / 2
     if region == "abdomen":
         reached = (np.abs(x) < x.max() - 0.031) & (np.abs(y) < min(0.08, y.max() - 0.03))
     else:
-        reached = (np.abs(x) < min(FINE_HALF_LENGTH_M, x.max() - 0.01)) & (np.abs(np.degrees(y)) < FINE_HALF_ROUND_DEG)
+        # The skin between a region and a chest that crowds it stays coarse.
+        in_region = region_coordinates(shell)[:, 0] > -shell.length_m / 2 + 0.001
+        half_length = min(FINE_HALF_LENGTH_M, x.max() - 0.01)
+        reached = in_region & (np.abs(x) < half_length) & (np.abs(np.degrees(y)) < FINE_HALF_ROUND_DEG)
         if region == "forearm":
             reached |= (np.abs(x) < 0.035) & (np.abs(np.degrees(y)) < SIDE_HALF_ROUND_DEG)
     assert reached.sum() > 200
@@ -158,14 +162,19 @@ def test_region_frame(body: Body, region: str, shell: Shell) -> None:
     x, _, z = shell.frame.T
     if region == "abdomen":
         np.testing.assert_allclose((x, z), ([0, 0, 1], FRONT), atol=1e-12)
+        trunkward = shell.length_m / 2
         assert shell.length_m == pytest.approx(np.diff(belly_span(body))[0])
     else:
         np.testing.assert_allclose(x, body.direction(REGIONS[region].segment), atol=1e-12)
-        assert shell.length_m == pytest.approx(np.linalg.norm(body.axis_vector(REGIONS[region].segment)))
+        # Where a chest crowds the arm, the middle lies nearer the elbow; the skin towards the trunk stays in the shell.
+        bone = float(np.linalg.norm(body.axis_vector(REGIONS[region].segment)))
+        middle = free_middle(body, REGIONS[region].segment) if region == "upper_arm" else 0.5
+        assert shell.length_m == pytest.approx(2 * (1 - middle) * bone)
+        trunkward = middle * bone
     local = region_coordinates(shell)
     top = local[np.argmin(np.hypot(local[:, 0], local[:, 1]) + np.where(local[:, 2] < 0, 1, 0))]
     assert top[2] == pytest.approx(shell.axis_depth_m, abs=0.008)
-    assert local[:, 0].min() > -shell.length_m / 2 - 1e-9
+    assert local[:, 0].min() > -trunkward - 1e-9
     assert local[:, 0].max() < shell.length_m / 2 + 1e-9
 
 
