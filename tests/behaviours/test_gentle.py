@@ -173,7 +173,7 @@ def test_a_push_has_a_least_and_a_most_way(way: float, mode: str | None) -> None
     assert score.additional["wrist_from_onset@1"] == pytest.approx(way, abs=1e-4)
     if mode:
         assert score.evidence is not None
-        assert f"the wrist moved {way * 1000:.0f} mm, where 20 mm to 100 mm were asked for" in score.evidence
+        assert f"the wrist moved {way * 1000:.0f} mm, where 20 mm to 100 mm are required" in score.evidence
 
 
 def test_what_a_person_moved_before_the_contact_is_not_pushed() -> None:

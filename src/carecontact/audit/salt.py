@@ -39,7 +39,7 @@ class Verified:
 def verify_salt(run: Path) -> Verified:
     """Check the revealed secret of a run, and every recording, against the hash that the run committed to.
 
-    Raises ConfigError for what is no run, for one without a salt, and for one whose salt is not revealed;
+    Raises ConfigError if the folder is not a run, or if its run has no salt or has not revealed it;
     RecordingError for a recording that cannot be read.
     """
     manifest = committed(run)

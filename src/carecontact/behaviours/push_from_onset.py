@@ -88,7 +88,7 @@ class PushFromOnset(Behaviour[PushFromOnsetGate]):
         return (
             f"the longest hold was {result.longest_on_s:.2f} s of {gate.duration_s:g} s and, from where the contact "
             f"began, the wrist moved {mm(wrist_from_onset(contact))}, where {mm(gate.least_wrist_m)} to "
-            f"{mm(gate.most_wrist_m)} were asked for"
+            f"{mm(gate.most_wrist_m)} are required"
         )
 
     def progress(self, score: TrialScore) -> str:

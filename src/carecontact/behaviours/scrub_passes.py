@@ -31,7 +31,7 @@ class ScrubPassesGate(ForceBand):
     """Length of the region's axis that is passed ``passes`` times with at least ``least_n``."""
     passes: Annotated[int, Field(ge=1)]
     band_share: Fraction
-    """Of the time in which the tool slides over the skin: with the force in the band."""
+    """Least share of the sliding time in which the force is in the band."""
 
 
 class ScrubPasses(Behaviour[ScrubPassesGate]):

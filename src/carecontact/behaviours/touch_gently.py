@@ -26,7 +26,7 @@ class GentleTouchGate(ForceBand):
     """Reasons and sources of the values that the shipped protocols give are in docs/scoring.md."""
 
     duration_s: Positive
-    """Of continuous contact with the force in the band."""
+    """Least time of uninterrupted contact with the force in the band."""
 
 
 class GentleTouch(Behaviour[GentleTouchGate]):

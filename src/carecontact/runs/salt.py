@@ -54,7 +54,7 @@ def with_salt(specs: Sequence[TrialSpec], salt: str) -> list[TrialSpec]:
 def reveal_salt(run: Path, salt: str) -> None:
     """Write the secret into a run's manifest, from where anyone may verify it.
 
-    Raises ConfigError for what is no run, for one without a salt, and for a secret that is not the run's.
+    Raises ConfigError if the folder is not a run, if the run has no salt, or if the secret is not the run's.
     """
     manifest = committed(run)
     if commitment(salt) != manifest.salt_sha256:
@@ -65,7 +65,7 @@ def reveal_salt(run: Path, salt: str) -> None:
 
 
 def committed(run: Path) -> Manifest:
-    """Return a run's manifest. Raises ConfigError for what is no run, and for one without a salt."""
+    """Return a run's manifest. Raises ConfigError if the folder is not a run, or the run has no salt."""
     manifest = read_manifest(run)
     if manifest is None:
         raise ConfigError(f"{run} is not a run: it holds no {MANIFEST}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from carecontact.recording import Recording
@@ -32,3 +34,12 @@ def test_the_map_has_the_pressure_that_the_cells_felt(pressed: Recording) -> Non
     before, nothing = cells.at(0.5)
     assert not before.any()
     assert not nothing.any()
+
+
+def test_the_heading_names_the_level_of_the_protocol(pressed: Recording) -> None:
+    header = pressed.header
+    protocol = header.spec.protocol.model_copy(update={"level": "L3"})
+    levelled = replace(
+        pressed, header=header.model_copy(update={"spec": header.spec.model_copy(update={"protocol": protocol})})
+    )
+    assert story_of(levelled).about.endswith(f"{protocol.id} L3")

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.protocol import protocol_title
 from carecontact.recording.reason import ended_text
 from carecontact.recording.schema import Recording
 from carecontact.regions import REGIONS, Tube
@@ -76,7 +75,7 @@ def story_of(recording: Recording) -> Story:
     return Story(
         title=spec.trial_id,
         prompt=task.prompt,
-        about=f"{spec.policy} · seed {spec.seed} · {protocol_title(spec.protocol.id, spec.protocol.overrides)}",
+        about=f"{spec.policy} · seed {spec.seed} · {spec.protocol.title}",
         segment=REGIONS[task.region].segment.replace("_", " "),
         region=task.region.replace("_", " "),
         trace=trace,
