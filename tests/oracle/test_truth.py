@@ -20,6 +20,16 @@ def test_the_surface_is_where_the_visible_skin_is(simulation: Simulation, region
         assert abs(place[2] - top_of_skin(skin, faces, place[:2])) < 0.005
 
 
+def test_the_region_begins_and_ends_where_the_scorer_measures_it(simulation: Simulation) -> None:
+    """Over the ends of its axis, which on an arm that lies aslant are not straight above the joints."""
+    truth = Truth(simulation, "upper_arm")
+    geometry, frame = truth.geometry(), truth.frame()
+    half = simulation.scene.frames["upper_arm"].size_m[0] / 2
+    for along in (-1, 1):
+        place = geometry.surface(along * geometry.half_length_m)
+        assert (place - frame[:3, 3]) @ frame[:3, 0] == pytest.approx(along * half, abs=0.006)
+
+
 def test_a_limb_lies_on_its_board_and_the_belly_on_nothing(simulation: Simulation) -> None:
     forearm = Truth(simulation, "forearm").geometry()
     assert forearm.support_height_m is not None
