@@ -32,8 +32,8 @@ AGAIN = 0.6
 """Share of a trial's time in which a motion that lost the person is planned once more where the person lies then."""
 DWELL_S = 0.8
 """At the end of a stroke: twice the time constant of the impedance, so that the tool gets there."""
-ROOM_M = 0.015
-"""Twice what 3 N of friction take from a stroke, at 400 N/m."""
+ROOM_M = 0.020
+"""Most room before the near end of a short region: 3 N of friction take 8 mm from a stroke, at 400 N/m."""
 STROKES = 2
 """Times back and forth: five passes with the one before them, where three are needed, because a person who moves the
 arm takes the skin from under one or two."""

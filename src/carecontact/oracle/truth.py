@@ -20,6 +20,8 @@ PROFILE = np.linspace(0.1, 0.9, 17)
 """Shares of the region's length at which the top surface is read, as ``sight.region`` does."""
 COLUMN_M = 0.010
 """Half width of the patch whose highest point is the top: the shell's vertices are at most 10 mm apart there."""
+HARD_M = 0.005
+"""Before the end of the shell, beyond which a tool meets bone."""
 FORCE_WINDOW = 10
 """Physics steps whose mean is the force now: one period of the impedance's target."""
 
@@ -101,10 +103,12 @@ class Truth:
         )  # fmt: skip
 
     def _line(self) -> tuple[F64, F64]:
-        """(3,) and (3,) places on the skin over the ends of the region's axis, as the scorer measures it, nearer the
-        trunk (abdomen: the feet) first."""
+        """(3,) and (3,) places on the skin over the ends of the region's axis, as the scorer measures it and as far as it
+        is soft, nearer the trunk (abdomen: the feet) first."""
         frame, (length, _, outward) = self.frame(), self.simulation.scene.frames[self.region].size_m
-        ends = np.array([[-length / 2, 0.0, outward], [length / 2, 0.0, outward]]) @ frame[:3, :3].T + frame[:3, 3]
+        soft = (self.surface() - frame[:3, 3]) @ frame[:3, 0]
+        low, high = max(-length / 2, soft.min() + HARD_M), min(length / 2, soft.max() - HARD_M)
+        ends = np.array([[low, 0.0, outward], [high, 0.0, outward]]) @ frame[:3, :3].T + frame[:3, 3]
         return ends[0], ends[1]
 
     def _in_base(self, points: F64) -> F64:
