@@ -103,8 +103,8 @@ class Truth:
         )  # fmt: skip
 
     def _line(self) -> tuple[F64, F64]:
-        """(3,) and (3,) places on the skin over the ends of the region's axis, as the scorer measures it and as far as it
-        is soft, nearer the trunk (abdomen: the feet) first."""
+        """(3,) and (3,) places on the skin over the ends of the region's axis, as the scorer measures it and as far as
+        it is soft, nearer the trunk (abdomen: the feet) first."""
         frame, (length, _, outward) = self.frame(), self.simulation.scene.frames[self.region].size_m
         soft = (self.surface() - frame[:3, 3]) @ frame[:3, 0]
         low, high = max(-length / 2, soft.min() + HARD_M), min(length / 2, soft.max() - HARD_M)
