@@ -193,11 +193,12 @@ class Run:
         return self._engine.slots()
 
     def advance(self, jobs: int | None) -> bool:
-        """Begin trials until ``jobs`` of them run, and take those that have ended; returns whether any are left.
+        """Take the trials that have ended, and begin others until ``jobs`` run; returns whether any are left.
 
         It waits for nothing: call it again and again. Raises StorageError where there is no space for a recording;
         those that are there stay.
         """
+        self._take_finished()
         while self._waiting and self.running < (self.slots() if jobs is None else jobs):
             if not self._engine.has_room():
                 self._stop_full(f"less than {ROOM_BYTES >> 20} MB are free for each trial")
@@ -207,7 +208,6 @@ class Run:
             self._report("started", spec.trial_id)
             self._engine.start(spec)
             self._most = max(self._most, self.running)
-        self._take_finished()
         self._report_silence()
         if self._waiting or self.running:
             return True
