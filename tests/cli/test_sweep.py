@@ -84,6 +84,21 @@ def test_a_sweep_is_a_run_for_each_cell_and_one_table(
     assert {name: Path("s", name).read_bytes() for name in pages} == pages
 
 
+def test_cells_are_finished_one_after_another(fake: pytest.MonkeyPatch) -> None:
+    begun: list[str] = []
+    report = Run._report
+
+    def told(run: Run, kind: EventKind, trial_id: str, **more: Any) -> None:
+        if kind == "started":
+            begun.append(run._out.name)
+        report(run, kind, trial_id, **more)
+
+    fake.setattr(Run, "_report", told)
+    Path("p.toml").write_text(PLAN.replace("0-1", "0-3"))
+    assert main(["sweep", "p.toml", "--out", "s", "--jobs", "2"]) == 0
+    assert begun == [name for name in dict.fromkeys(begun) for _ in range(4)]
+
+
 def stop_after(trials: int, patch: pytest.MonkeyPatch) -> None:
     """Ctrl-C as soon as so many have finished."""
     report, left = Run._report, [trials]
