@@ -73,6 +73,8 @@ def test_a_sweep_is_a_run_for_each_cell_and_one_table(
         results = json.loads((Path("s") / row["folder"] / "results.json").read_text())
         assert results["policy"] == row["policy"]
         assert results["protocol"]["overrides"] == ({} if row["body"] == "man-adult" else {"person.body": row["body"]})
+    requests = Path("requests.jsonl").read_text().splitlines()
+    assert all(str(Path("s").resolve()) in json.loads(request)["policy"]["closed"] for request in requests)
     pages = {name: Path("s", name).read_bytes() for name in ("sweep.html", "sweep.md", "sweep.csv")}
     assert b"woman-old-light" in pages["sweep.html"]
     before = ran()

@@ -43,7 +43,8 @@ class Keyframe:
         robot cannot touch the region."""
         simulation, self.settled, self.model_sha256 = settled_world(protocol, task_id=task_id, seed=seed, salt=salt)
         region = protocol.task(task_id).region
-        self._laid_at_deg = draw(protocol, region=region, seed=seed, salt=salt).comfort_arm_deg
+        self.laid_at_deg = draw(protocol, region=region, seed=seed, salt=salt).comfort_arm_deg
+        """Angle of the arm."""
         self.scene = simulation.scene
         self._parked = simulation.integration_state()
         self.parked_pose = simulation.control.target_in_base
@@ -72,7 +73,7 @@ class Keyframe:
         return self._begin(Simulation(scene), self._near)
 
     def _begin(self, simulation: Simulation, state: F64) -> tuple[Simulation, Settled, str]:
-        simulation.restore(state, comfort_arm_deg=self._laid_at_deg)
+        simulation.restore(state, comfort_arm_deg=self.laid_at_deg)
         return simulation, self.settled, self.model_sha256
 
     def _approach(self, simulation: Simulation, *, region: str) -> tuple[F64, F64]:

@@ -95,12 +95,13 @@ class Run:
         A policy that fails its tasks is a result. Raises ConfigError if the policy's server stays out of reach."""
         from carecontact.cli.policy import check_policy, policy_setup
         from carecontact.runs.alone import alone
+        from carecontact.runs.manifest import runs_beside
         from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials, with_noise_salt
         from carecontact.runs.salt import with_salt
         from carecontact.runs.shard import Shard
         from carecontact.trials.engines import check_engine
         from carecontact.trials.pace import check_pace
-        from carecontact.trials.supervisor import check_jobs, runs_beside
+        from carecontact.trials.supervisor import check_jobs
 
         check_jobs(self.parallel.jobs)
         check_pace(self.pace)

@@ -73,6 +73,12 @@ class Survey:
     """Those of them that an earlier command lost to a signal."""
 
 
+def runs_beside(out: Path) -> list[str]:
+    """Return this run's folder and those of other runs in the same place: none of them is the policy's business."""
+    here = out.resolve()
+    return sorted({str(here), *(str(manifest.parent) for manifest in here.parent.glob(f"*/{MANIFEST}"))})
+
+
 def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identity: Identity) -> Survey:
     """Sort the wanted trials that have a file in ``out`` into those to keep and those to run again.
 

@@ -23,7 +23,7 @@ from carecontact.recording.schema import EndReason
 from carecontact.recording.storage import no_space
 from carecontact.runs.alone import alone
 from carecontact.runs.identity import identity_of
-from carecontact.runs.manifest import MANIFEST, Purpose, Survey, salted, survey, write_manifest
+from carecontact.runs.manifest import Purpose, Survey, runs_beside, salted, survey, write_manifest
 from carecontact.trials.engine import Engine, EngineName
 from carecontact.trials.engines import Conditions, engine_of
 from carecontact.trials.launch import WORKER_COMMAND, Launcher
@@ -284,12 +284,6 @@ def _prepare(out: Path, specs: Sequence[TrialSpec], **more: Any) -> None:
         write_manifest(specs, out=out, **more)
     except OSError as error:
         raise ConfigError(f"--out {out}: cannot be written to: {error.strerror}") from None
-
-
-def runs_beside(out: Path) -> list[str]:
-    """Return this run's folder and those of other runs in the same place: none of them is the policy's business."""
-    here = out.resolve()
-    return sorted({str(here), *(str(manifest.parent) for manifest in here.parent.glob(f"*/{MANIFEST}"))})
 
 
 def check_jobs(jobs: int | None) -> None:

@@ -14,7 +14,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from carecontact.errors import PolicyError, UnreachableError
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
-from carecontact.hosting.wire.refusals import closed
+from carecontact.hosting.wire.refusals import absent, closed
 
 CLOSE_S = 1.0
 """For closing a connection, beside the deadline of the call that failed."""
@@ -54,7 +54,7 @@ class Connection:
             # A socket of our own: no proxy from the environment may come between the harness and the policy.
             sock = socket.create_connection((host, port), timeout=deadline_s)
         except TimeoutError:
-            raise UnreachableError("timeout", f"{place} took no connection within {deadline_s:g} s") from None
+            raise UnreachableError("timeout", f"{place} took no connection within {deadline_s:.3g} s") from None
         except ConnectionRefusedError:
             raise UnreachableError(
                 "start", f"nothing listens at {place}; start the policy's server there first"
@@ -82,8 +82,10 @@ class Connection:
             return connection
         except Exception as error:
             if isinstance(error, TimeoutError) or expired.is_set():
-                text = f"no answer to the WebSocket handshake within {deadline_s:g} s"
+                text = f"no answer to the WebSocket handshake within {deadline_s:.3g} s"
                 raise PolicyError("timeout", text) from None
+            if gone := absent(error):
+                raise UnreachableError("start", f"no policy server answers at {place}: {gone}") from None
             # Beside its own classes websockets raises AssertionError for some bytes that are not HTTP.
             told = f"{type(error).__name__}: {error}"
             raise PolicyError(
