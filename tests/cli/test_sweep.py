@@ -73,6 +73,8 @@ def test_a_sweep_is_a_run_for_each_cell_and_one_table(
         results = json.loads((Path("s") / row["folder"] / "results.json").read_text())
         assert results["policy"] == row["policy"]
         assert results["protocol"]["overrides"] == ({} if row["body"] == "man-adult" else {"person.body": row["body"]})
+    requests = Path("requests.jsonl").read_text().splitlines()
+    assert all(str(Path("s").resolve()) in json.loads(request)["policy"]["closed"] for request in requests)
     pages = {name: Path("s", name).read_bytes() for name in ("sweep.html", "sweep.md", "sweep.csv")}
     assert b"woman-old-light" in pages["sweep.html"]
     before = ran()
@@ -80,6 +82,21 @@ def test_a_sweep_is_a_run_for_each_cell_and_one_table(
     assert ran() == before, "what is finished does not run again"
     assert "8 trial(s) were finished already" in capsys.readouterr().out
     assert {name: Path("s", name).read_bytes() for name in pages} == pages
+
+
+def test_cells_are_finished_one_after_another(fake: pytest.MonkeyPatch) -> None:
+    begun: list[str] = []
+    report = Run._report
+
+    def told(run: Run, kind: EventKind, trial_id: str, **more: Any) -> None:
+        if kind == "started":
+            begun.append(run._out.name)
+        report(run, kind, trial_id, **more)
+
+    fake.setattr(Run, "_report", told)
+    Path("p.toml").write_text(PLAN.replace("0-1", "0-3"))
+    assert main(["sweep", "p.toml", "--out", "s", "--jobs", "2"]) == 0
+    assert begun == [name for name in dict.fromkeys(begun) for _ in range(4)]
 
 
 def stop_after(trials: int, patch: pytest.MonkeyPatch) -> None:

@@ -91,7 +91,8 @@ class Sweep:
         warnings = dict[str, None]()
         try:
             setups = [policy_setup(planned.policy, _options(planned)) for planned in plan.policies]
-            setups = [replace(setup, closed=(*setup.closed, *self.salted.closed)) for setup in setups]
+            closed = (*self.salted.closed, str(self.out.resolve()))
+            setups = [replace(setup, closed=(*setup.closed, *closed)) for setup in setups]
             named = [
                 (planned.label or _title(planned), setup.ref.text, setup.arguments, tuple(setup.environment))
                 for planned, setup in zip(plan.policies, setups, strict=True)

@@ -43,8 +43,10 @@ ENVIRONMENT = (
 )  # fmt: skip
 SECRET_CHARS = 6
 """A value of --policy-env that is at least as long is taken out of what the policy printed. Shorter ones are words."""
-ENVIRONMENT_PREFIXES = ("OMP_", "OPENBLAS_", "OPENAI_")
+ENVIRONMENT_PREFIXES = ("OMP_", "OPENBLAS_")
 """Nothing else but what --policy-env names reaches the policy: no variable of the harness can carry a seed or label."""
+LANGUAGE_PREFIX = "OPENAI_"
+"""Address and key of a language model, for a policy that the user has asked to use one: ``live:MODEL``."""
 
 _MISSING_KEY = re.compile(r"KeyError: '([A-Za-z_][A-Za-z0-9_]*)'")
 _BOOTSTRAP = """
@@ -124,7 +126,7 @@ class PolicyProcess(PolicyConversation):
             # set, and so a policy's answer, may differ from run to run.
             self._child = subprocess.Popen(
                 [sys.executable, "-s", "-P", "-u", "-c", _BOOTSTRAP],
-                env=_environment()
+                env=_environment(self._setup)
                 | dict(self._setup.environment)
                 | {MARK: self._mark, "TMPDIR": str(self._folder.path)},
                 stdin=subprocess.PIPE,
@@ -228,7 +230,7 @@ class PolicyProcess(PolicyConversation):
     def _hint(self, message: str) -> str:
         """A policy that misses a variable or a file cannot know that the caller has it."""
         missing = _MISSING_KEY.search(message)
-        passes = {*_environment(), *self._setup.environment}
+        passes = {*_environment(self._setup), *self._setup.environment}
         if missing is None or missing[1] not in os.environ or missing[1] in passes:
             return remedy(message, isolation=self.isolation)
         return f"; {missing[1]} is set here, but reaches the policy only with --policy-env {missing[1]}"
@@ -277,7 +279,9 @@ def _options(setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: in
     }
 
 
-def _environment() -> dict[str, str]:
-    allowed = {k: v for k, v in os.environ.items() if k in ENVIRONMENT or k.startswith(ENVIRONMENT_PREFIXES)}
+def _environment(setup: PolicySetup) -> dict[str, str]:
+    language = setup.language or setup.arguments.get("language", "")
+    prefixes = (*ENVIRONMENT_PREFIXES, *([LANGUAGE_PREFIX] if language.startswith("live:") else []))
+    allowed = {k: v for k, v in os.environ.items() if k in ENVIRONMENT or k.startswith(prefixes)}
     # One thread: the fastest for small arrays, and the only count whose floating-point sums are the same everywhere.
     return {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"} | allowed | {"PYTHONHASHSEED": "0"}

@@ -21,7 +21,7 @@ class Merged:
     already: int
     """Recordings that an earlier merge into the same folder had copied."""
     missing: tuple[str, ...]
-    """Trials that some part planned and no part has a recording of."""
+    """Trials of the whole run that no part has a recording of."""
 
 
 def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
@@ -49,10 +49,10 @@ def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
             raise ConfigError(f"{out} is not a run, and it is not empty; name a new folder")
         folders = {**parts, **({out: earlier} if earlier else {})}
         files = _recordings(folders)
-        trials = sorted({trial for manifest in folders.values() for trial in manifest.trials})
+        trials = sorted({trial for held in folders.values() for trial in (*held.trials, *held.elsewhere)})
         # First, so that the same command knows the folder again after an interruption.
         revealed = next((manifest.salt for manifest in folders.values() if manifest.salt), "")
-        store_manifest(parts[first].model_copy(update={"trials": trials, "salt": revealed}), out=out)
+        store_manifest(parts[first].model_copy(update={"trials": trials, "elsewhere": [], "salt": revealed}), out=out)
         copied = [trial for trial, file in files.items() if file.parent != out]
         for trial in copied:
             for source in (files[trial].with_suffix(".log"), files[trial]):
