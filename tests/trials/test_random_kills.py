@@ -25,6 +25,7 @@ TRIALS, KILLS, HANGUPS = 12, 15, 2
 STRETCH = 3.0
 """How much longer the attacks take, all together, than the undisturbed run: each throws away what had begun, and the
 rest must still get on."""
+LAST = 0.75
 GONE_S = 1.0
 """After the death of the command."""
 
@@ -160,9 +161,10 @@ class Attack:
 
     def pause_s(self) -> float:
         """Long while the run is behind the attacks, so that it gets on; short while it is ahead of them, so that all of
-        them are made."""
+        them are made by the time when LAST of its trials are done."""
         made = 1.0 - (self.kills + self.hangups) / self.attacks
-        return self.longest_s if len(list(self.out.glob("*.h5"))) <= made * self.trials else self.longest_s / 10
+        behind = len(list(self.out.glob("*.h5"))) <= LAST * made * self.trials
+        return self.longest_s if behind else self.longest_s / 10
 
     def look(self) -> None:
         for name, changed in self.done.items():
