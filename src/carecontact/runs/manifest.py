@@ -1,4 +1,4 @@
-"""What a run folder holds, and what of it another command may keep."""
+"""The manifest of a run's folder: which trials were planned there, and which recordings a later command may keep."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ class Manifest(BaseModel):
 
 @dataclass(frozen=True, kw_only=True)
 class Survey:
-    """Of a run folder, against the trials that are wanted."""
+    """The content of a run's folder, compared with the trials that a command wants to run."""
 
     keep: dict[str, EndReason]
     """Trial id -> how it ended."""
     redo: dict[str, str]
     """Trial id -> why the file that is there does not count."""
     killed: frozenset[str] = frozenset()
-    """Those of them that an earlier command lost to a signal."""
+    """Those trials of ``redo`` that an earlier command lost to a signal."""
 
 
 def runs_beside(out: Path) -> list[str]:

@@ -118,7 +118,7 @@ def _draw_events(drawing: Drawing, rows: Sequence[Axes], events: Sequence[Event]
 
 
 def panels_of(recording: Recording, trace: ForceTrace, found: Paths | None) -> list[Panel]:
-    """What the recording has; the pose needs control periods."""
+    """Return the panels for which the recording has data. The panels of the pose need at least one control period."""
     steps = trace.time_s
     panels = [_force_panel(trace)]
     if found is not None:
@@ -153,7 +153,7 @@ def _force_panel(trace: ForceTrace) -> Panel:
 
 
 def _positive(title: str, least: float, curve: Curve) -> Panel:
-    """From 0 to the largest value, at least to ``least``."""
+    """A panel from 0 to the largest value of the curve, or to ``least`` if that is larger."""
     return Panel(title=title, curves=(curve,), low=0.0, high=1.08 * max(least, float(curve.values.max(initial=0.0))))
 
 
