@@ -14,6 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 import carecontact
 from carecontact.contract.policy_ref import PolicyRef
@@ -419,6 +421,25 @@ def test_what_reaches_the_process(launch: Launch, monkeypatch: pytest.MonkeyPatc
     assert "carecontact.contract.observation" in told["modules"]
     heavy = {"mujoco", "pydantic", "scipy", "mediapipe", "carecontact.recording", "carecontact.contract.protocol"}
     assert not heavy & set(told["modules"])
+
+
+def test_nobody_but_the_harness_reaches_the_policy(launch: Launch, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever connects first would have it: a policy of another run could make every trial of this one fail."""
+    process, found = launch("class P(Base): pass"), list[int]()
+    launched = process._launch
+
+    def spied(left: Callable[[], float]) -> int:
+        port = launched(left)
+        with connect(f"ws://127.0.0.1:{port}") as other, pytest.raises(ConnectionClosed):
+            other.recv(timeout=20)
+        found.append(port)
+        return port
+
+    monkeypatch.setattr(process, "_launch", spied)
+    assert process.start().name == "under-test"
+    process.reset("touch", SESSION)
+    process.act(synthetic_observation())
+    assert found
 
 
 @pytest.mark.parametrize(("language", "reaches"), [("live:m-1", True), ("rules-v1", False), (None, False)])

@@ -65,7 +65,7 @@ def test_out_of_reach_it_ends_without_moving() -> None:
 def test_another_file_is_read_and_a_wrong_one_named(tmp_path: Path) -> None:
     path = tmp_path / "mine.json"
     path.write_text(read_person(None).model_dump_json())
-    assert read_person(path) == read_person(None)
+    assert read_person(path) == read_person(None) == read_person(Path("person")), "a shipped one has a name"
     path.write_text("{}")
     with pytest.raises(ConfigError, match=r"mine\.json: made_by"):
         read_person(path)

@@ -119,17 +119,22 @@ class Attack:
     killed: int = 0
     commands: int = 0
     supervisors: int = 0
+    attacks: int = 0
+    """In all."""
     meanwhile: int = 0
     """Trials that had a recording when the last attack began."""
     done: dict[str, int] = field(default_factory=dict[str, int])
     """Recording of a trial that did not fail -> time of its last change [ns]."""
+
+    def __post_init__(self) -> None:
+        self.attacks = self.kills + self.hangups
 
     def once(self) -> int:
         """Give the command and attack it until it ends; returns the exit status."""
         seen, terminal = set[Process](), Terminal(command(self.out, self.trials), self.temporary)
         self.commands += 1
         pid = terminal.running.pid
-        while not terminal.wait(self.rng.uniform(0.0, self.longest_s)):
+        while not terminal.wait(self.rng.uniform(0.0, self.pause_s())):
             if self.kills + self.hangups == 0 or not (found := tree(pid)):
                 continue
             seen |= set(found)
@@ -152,6 +157,12 @@ class Attack:
         assert not started_in(self.temporary)
         self.look()
         return terminal.running.returncode
+
+    def pause_s(self) -> float:
+        """Long while the run is behind the attacks, so that it gets on; short while it is ahead of them, so that all of
+        them are made."""
+        made = 1.0 - (self.kills + self.hangups) / self.attacks
+        return self.longest_s if len(list(self.out.glob("*.h5"))) <= made * self.trials else self.longest_s / 10
 
     def look(self) -> None:
         for name, changed in self.done.items():
@@ -181,6 +192,7 @@ def test_what_was_killed_at_random_is_finished_by_the_same_command(
     attack = Attack(tmp_path / "run", temporary, trials, random.Random(7), longest_s, kills, hangups)
     while attack.kills + attack.hangups and len(attack.done) < trials:
         attack.once()
+    assert attack.kills + attack.hangups == 0, "the run ended before all attacks were made"
     assert attack.meanwhile > trials // 4, "else there was hardly a trial that could have run again or been lost"
     attack.kills = attack.hangups = 0
     assert attack.once() == 0

@@ -113,8 +113,8 @@ def touches(samples: list[Samples]) -> bool:
 
 
 def _skin_in_world(simulation: Simulation, region: str) -> F64:
-    """(3,) the highest place of the region's shell near its middle."""
+    """(3,) the highest place of the shell near the region's middle, where the hand keeps clear of a large chest."""
     vertices = skin_points(simulation, region)
-    middle = vertices.mean(0)
+    middle = simulation.data.site(f"region_{region}").xpos
     near = np.linalg.norm(vertices[:, :2] - middle[:2], axis=1) < NEAR_MIDDLE_M
     return np.array([*middle[:2], vertices[near, 2].max()])

@@ -8,18 +8,18 @@ import os
 import re
 import select
 import signal
+import socket
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import carecontact
 from carecontact.errors import PolicyError
-from carecontact.hosting.conversation import BUDGET_S, GRACE_S, PolicyConversation
+from carecontact.hosting.conversation import BUDGET_S, GRACE_S, Left, PolicyConversation
 from carecontact.hosting.descendants import MARK, kill_marked, new_mark
 from carecontact.hosting.isolation.blocked import remedy
 from carecontact.hosting.isolation.private_folder import PrivateFolder, private_folder
@@ -75,6 +75,7 @@ class PolicyProcess(PolicyConversation):
         self._child: subprocess.Popen[bytes] | None = None
         self._mark = new_mark()
         self._lifeline: int | None = None
+        self._line: socket.socket | None = None
         self._folder: PrivateFolder | None = None
         self._stack: int | None = None
         self._output = b""
@@ -84,14 +85,13 @@ class PolicyProcess(PolicyConversation):
     def printed(self) -> str:
         return self._shown(self._output.decode(errors="replace")).strip()
 
-    def launch(self) -> int:
-        """The port of the loopback interface where the policy waits for whoever speaks to it instead of this object.
+    def launch(self) -> socket.socket:
+        """Return a connection to the policy, for whoever speaks to it instead of this object, and closes it.
 
         Raises PolicyError as ``start`` does.
         """
-        deadline = time.monotonic() + self._first_deadline_s
-        with self._evidence("start"):
-            return self._launch(lambda: max(deadline - time.monotonic(), 0.0))
+        with self._evidence("start"), self._within(self._first_deadline_s) as left:
+            return self._reached(self._launch(left), left)
 
     def hung(self) -> str:
         """Where a launched policy stands that does not end although nobody speaks to it any more; empty if it ends."""
@@ -107,17 +107,32 @@ class PolicyProcess(PolicyConversation):
                 self._child.wait(GRACE_S)
         self._drop()
 
-    def _open(self, left: Callable[[], float]) -> PolicyClient:
+    def _open(self, left: Left) -> PolicyClient:
         """Launch, import, connect."""
         port = self._launch(left)
-        return PolicyClient(Connection.open(port=port, deadline_s=left()))
+        return PolicyClient(Connection.open(port=port, deadline_s=left(), line=self._reached(port, left)))
 
-    def _launch(self, left: Callable[[], float]) -> int:
+    def _reached(self, port: int, left: Left) -> socket.socket:
+        """The line to the port where the policy listens, from the one port that it listens to."""
+        line, self._line = self._line, None
+        assert line is not None
+        line.settimeout(left())
+        try:
+            line.connect(("127.0.0.1", port))
+        except OSError as error:
+            line.close()
+            raise PolicyError("died", f"its process took no connection: {error.strerror or error}") from None
+        line.settimeout(None)
+        return line
+
+    def _launch(self, left: Left) -> int:
         """Return the port on which the child listens."""
         try:
             self._folder = private_folder()
         except OSError as error:
             raise PolicyError("start", f"no temporary folder could be made for its process: {error}") from None
+        self._line = socket.socket()
+        self._line.bind(("127.0.0.1", 0))
         report_read, report_write = os.pipe()
         lifeline_read, self._lifeline = os.pipe()
         self._stack, stack_write = os.pipe()
@@ -144,15 +159,16 @@ class PolicyProcess(PolicyConversation):
         self._reader = threading.Thread(target=self._drain, args=(self._child,), daemon=True)
         self._reader.start()
         options = _options(
-            self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline_read, stack_fd=stack_write
-        )
+            self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline_read, stack_fd=stack_write,
+            harness_port=self._line.getsockname()[1],
+        )  # fmt: skip
         # Not on the command line, which every user of the machine can read.
         assert self._child.stdin is not None
         with suppress(BrokenPipeError), self._child.stdin as stdin:
             stdin.write(json.dumps(options).encode())
         return self._reported_port(report_read, left)
 
-    def _reported_port(self, report_read: int, left: Callable[[], float]) -> int:
+    def _reported_port(self, report_read: int, left: Left) -> int:
         with os.fdopen(report_read, "rb", buffering=0) as report:
             lines = self._report_lines(report, left)
             try:
@@ -166,7 +182,7 @@ class PolicyProcess(PolicyConversation):
                 raise PolicyError("garbage", "its process reported neither a port nor why it did not start") from None
         raise PolicyError(kind if kind in ("argument", "start") else "start", why)
 
-    def _report_lines(self, report: io.FileIO, left: Callable[[], float]) -> Iterator[bytes]:
+    def _report_lines(self, report: io.FileIO, left: Left) -> Iterator[bytes]:
         """What the process says about its start, line by line; never the end of it."""
         written = b""
         while True:
@@ -257,10 +273,15 @@ class PolicyProcess(PolicyConversation):
         for end in ends:
             if end is not None:
                 os.close(end)
+        if self._line is not None:
+            self._line.close()
+            self._line = None
         super()._drop()
 
 
-def _options(setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: int, stack_fd: int) -> Options:
+def _options(
+    setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: int, stack_fd: int, harness_port: int
+) -> Options:
     return {
         "root": str(Path(carecontact.__file__).resolve().parents[1]),
         "target": target,
@@ -271,6 +292,7 @@ def _options(setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: in
         "report_fd": report_fd,
         "lifeline_fd": lifeline_fd,
         "parent": os.getpid(),
+        "harness_port": harness_port,
         "readable": [os.path.abspath(place) for place in setup.readable],
         "writable": [os.path.abspath(place) for place in setup.writable],
         "closed": [os.path.abspath(place) for place in setup.closed],

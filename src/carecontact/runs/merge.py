@@ -33,7 +33,7 @@ def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
     of which two parts have different recordings, and for a folder in which another command is at work; then nothing
     was copied. RecordingError for a recording that cannot be read.
     """
-    _check_places(out, runs)
+    check_places(out, runs)
     with ExitStack() as held:
         for run in runs:
             held.enter_context(alone(run))
@@ -62,7 +62,8 @@ def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
     return Merged(copied=len(copied), already=len(files) - len(copied), missing=missing)
 
 
-def _check_places(out: Path, runs: Sequence[Path]) -> None:
+def check_places(out: Path, runs: Sequence[Path]) -> None:
+    """Raises ConfigError for a folder to write that is a file or one of the parts, and for a part given twice."""
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: this is a file; name a folder first, then the parts")
     places = [run.resolve() for run in runs]

@@ -63,9 +63,16 @@ class Donor:
 
 
 def read_donors(path: Path | None = None) -> dict[str, Donor]:
-    """Instruction -> its recorded trial; None: the shipped ones. Raises ConfigError for a file that is none."""
+    """Instruction -> its recorded trial.
+
+    Args:
+        path: a file, or the name of one that is shipped beside ACTIONS, without its suffix; None: ACTIONS.
+
+    Raises ConfigError for a file that is none.
+    """
+    kept = resources.files(__package__ or __name__) / (ACTIONS if path is None else f"{path}.npz")
     try:
-        data = (resources.files(__package__ or __name__) / ACTIONS if path is None else path).read_bytes()
+        data = (kept if path is None or kept.is_file() else path).read_bytes()
         with np.load(io.BytesIO(data)) as arrays:
             held = {name: arrays[name].astype(np.float64) for name in arrays.files}
         return {

@@ -20,7 +20,7 @@ class Replay:
     card = PolicyCard(name="replay", cameras=(), control_hz=CONTROL_HZ)
 
     def __init__(self, *, donor: Path | None = None) -> None:
-        """``donor``: file of tools/record_replay.py; default: the shipped one. Raises ConfigError."""
+        """``donor``: file of tools/record_replay.py, or the name of a shipped one. Raises ConfigError."""
         self._donors, self._donor = read_donors(donor), None
 
     def reset(self, instruction: str) -> None:
