@@ -117,7 +117,7 @@ class PolicyError(CarecontactError):
         "program",
     )
     REPORTED = ("exception", "action", "language", "program", "handshake")
-    """Those that a policy's end of the line may report of itself; the others are for the harness to find."""
+    """Kinds that the policy's own process may report. The benchmark detects all other kinds itself."""
 
     def __init__(self, kind: str, message: str, *, notes: dict[str, object] | None = None) -> None:
         """``notes``: what the policy wanted to be kept of the step that failed."""

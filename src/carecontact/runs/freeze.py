@@ -1,4 +1,5 @@
-"""What a frozen protocol depends on besides its own fields, as it is here now, and how it differs from the lock."""
+"""Determines what a frozen protocol depends on besides its own fields, and how that differs from the protocol's
+lock."""
 
 from __future__ import annotations
 

@@ -95,12 +95,18 @@ class Losses:
         why = reason_of(recording.header.failure)
         return self._once_more(recording.header.spec, answers, why, of_policy=recording, otherwise=recording)
 
-    def died_with_policy(self, spec: TrialSpec, answers: bytes, death: str, evidence: str) -> Recording | str:
+    def died_with_policy(
+        self, spec: TrialSpec, answers: bytes, death: str, evidence: str, *, starved: bool = False
+    ) -> Recording | str:
         """A trial whose own process died while its policy ran. Chance, such as a machine out of memory, seldom comes
-        twice at the same place; a policy that kills does, and must not leave its bad trials out of the count."""
+        twice at the same place; a policy that kills does, and must not leave its bad trials out of the count.
+
+        ``starved``: whether it ran out of time, to which any policy of this machine can bring it by using the
+        processors.
+        """
         why = f"{death} while the policy was running"
         message = f"{why}, in both attempts{evidence}"
-        bound = b"" if self._signals_closed else answers
+        bound = b"" if self._signals_closed and not starved else answers
         return self._once_more(spec, bound, why, otherwise=killed_by_policy_recording(spec, message=message))
 
     def died(self, spec: TrialSpec, answers: bytes, death: str, evidence: str) -> Recording | str:

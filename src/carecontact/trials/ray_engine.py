@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import pickle
 import shutil
+import socket
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -29,13 +30,15 @@ from carecontact.trials.workers import ROOM_BYTES
 
 ATTEMPTS = 3
 """At a trial of which Ray lost the node or the process, in one command."""
+ANSWER_S = 10.0
+"""For a connection to the cluster's address; Ray itself would try for minutes before it gives up."""
 NEEDS = "--engine ray needs the package ray: pip install 'carecontact[cluster]', here and on every node"
 
 
-def connect(policy: PolicyRef) -> None:
+def connect(*policies: PolicyRef) -> None:
     """Connect this process to the cluster that RAY_ADDRESS names, or that runs on this machine; once.
 
-    The current folder goes to the nodes where a policy is imported from it, without the folders of runs.
+    The current folder goes to the nodes if any of the policies is imported from it, without the folders of runs.
 
     Raises DependencyError without the package, ConfigError where there is no cluster or the folder is too large.
     """
@@ -46,10 +49,12 @@ def connect(policy: PolicyRef) -> None:
     if ray.is_initialized():
         return
     here = Path.cwd()
-    shipped = {"working_dir": str(here), "excludes": _excluded(here)} if policy.kind == "importable" else {}
+    imported = any(policy.kind == "importable" for policy in policies)
+    shipped = {"working_dir": str(here), "excludes": _excluded(here)} if imported else {}
     # Ray's own default is not to look for a driver's variables.
     where = os.environ.get("RAY_ADDRESS") or "auto"
     try:
+        _reach(where)
         ray.init(address=where, runtime_env=shipped, log_to_driver=False, logging_level="error")
     except ConnectionError as error:
         place = "on this machine" if where == "auto" else f"at {where}"
@@ -64,6 +69,17 @@ def connect(policy: PolicyRef) -> None:
                 "in a folder that holds the policy alone, or serve the policy (docs/cluster.md)"
             ) from None
         raise
+
+
+def _reach(address: str) -> None:
+    """Raises ConnectionError where nothing listens at ``HOST:PORT``; another kind of address is left to Ray."""
+    host, _, port = address.rpartition(":")
+    if not host or "/" in host or not port.isdecimal():
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER_S).close()
+    except OSError as error:
+        raise ConnectionError(str(error)) from None
 
 
 def asks_for_a_token() -> bool:

@@ -104,6 +104,13 @@ def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
             r"axes\.gates\.touch\.duration: .*did you mean 'duration_s'",
         ),
         ('"manikin-like"', '"manikin"', r"axes\.tissue: no tissue set named 'manikin'"),
+        (
+            '"bathing-moved-draft"',
+            '"bathing-wide-draft"',
+            r"has the levels L0, L1, L2, L3; name levels in axes\.level, or",
+        ),
+        ("body =", 'level = ["L1"]\nbody =', r"axes\.level: bathing-draft has no levels, and so no L1; name levels in"),
+        ('"bathing-moved-draft"', '"bathing-wide-draft L9"', r"no level named 'L9'"),
         ('"bathing-moved-draft"', '"bathing-v1"', r"axes\.protocol: no protocol named 'bathing-v1'"),
         ("phases.time_limit_s", "phases.limit", r"set: phases\.limit: no field 'limit' in phases"),
         ("T1,T3", "T1,T9", r"tasks: 'T9' is not a task of bathing-draft"),

@@ -43,16 +43,27 @@ class Connection:
 
     @classmethod
     def open(
-        cls, *, port: int, deadline_s: float, host: str = "127.0.0.1", path: str = "/", authorization: str = ""
+        cls,
+        *,
+        port: int,
+        deadline_s: float,
+        host: str = "127.0.0.1",
+        path: str = "/",
+        authorization: str = "",
+        line: socket.socket | None = None,
     ) -> Self:
-        """Connect and read nothing yet. ``authorization``: value of the header of that name, or nothing.
+        """Connect and read nothing yet.
+
+        Args:
+            authorization: value of the header of that name, or nothing.
+            line: connected already; this object then owns it.
 
         Raises UnreachableError if nothing there takes a connection, PolicyError ``handshake`` or ``timeout``.
         """
         place, until = f"[{host}]:{port}" if ":" in host else f"{host}:{port}", time.monotonic() + deadline_s
         try:
             # A socket of our own: no proxy from the environment may come between the harness and the policy.
-            sock = socket.create_connection((host, port), timeout=deadline_s)
+            sock = line or socket.create_connection((host, port), timeout=deadline_s)
         except TimeoutError:
             raise UnreachableError("timeout", f"{place} took no connection within {deadline_s:.3g} s") from None
         except ConnectionRefusedError:

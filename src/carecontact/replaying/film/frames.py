@@ -1,4 +1,4 @@
-"""The frames of a film: the world from one or two cameras, with the charts beside."""
+"""The frames of a video: the world as one or two cameras see it, with charts beside it."""
 
 from __future__ import annotations
 
@@ -28,12 +28,13 @@ PICTURE = (SIZE[0] - PANEL_WIDTH, PANEL_HEIGHT)
 INSET = (268, 151)
 INSET_CAMERA = "exterior"
 EVENT_S = 1.6
-"""How long an event stays written in the picture."""
+"""Time for which the picture shows the text of an event [s]."""
 LAMPS = 2
 
 
 class Film:
-    """One trial. Iterate over ``frames`` once; use it as a context manager, because it holds a renderer."""
+    """The video of one trial. Iterate over ``frames`` once. Use it as a context manager, because it holds a
+    renderer."""
 
     def __init__(
         self,

@@ -1,4 +1,5 @@
-"""What a film tells beside its pictures: traces, events and the pressure on the region, from the recording alone."""
+"""The data that a video shows beside its pictures: traces, events and the pressure on the region, from the recording
+alone."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ class RegionMap:
     """Where the first coordinate grows to."""
 
     def at(self, time_s: float) -> tuple[F64, npt.NDArray[np.bool_]]:
-        """(C,) pressure [kPa] in the period at a time, and (C,) which cells were touched until then."""
+        """Return the (C,) pressure [kPa] in the control period at a time, and (C,) which cells were touched until
+        then."""
         row = int(np.searchsorted(self.period_s, time_s - 1e-9))
         if row >= len(self.period_s):
             return np.zeros(len(self.places_m)), np.any(self.pressure_kpa > 0, axis=0)

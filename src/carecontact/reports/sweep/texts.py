@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 
+from carecontact.reports.sweep.band_texts import flip_heads, flip_rows, spread_heads, spread_rows
 from carecontact.reports.sweep.level_texts import (
     CONTRAST_HEADS,
     FACTOR_HEADS,
@@ -161,8 +162,11 @@ def marginal_rows(table: SweepTable) -> list[list[str]]:
 
 
 def level_tables(table: SweepTable) -> list[tuple[str, Sequence[str], list[list[str]]]]:
-    """Title, heads and rows of what the table has of levels, factors and gates."""
+    """Title, heads and rows of what the table has of draws, levels, factors and gates."""
     found: list[tuple[str, Sequence[str], list[list[str]]]] = []
+    if table.bands is not None:
+        found.append(("Spread over the draws", spread_heads(), spread_rows(table.bands)))
+        found.append(("Draws in which two policies change places", flip_heads(), flip_rows(table.bands)))
     if table.ladder is not None:
         found.append(("Success over level", LEVEL_HEADS, level_rows(table.ladder)))
         found.append(("By task", task_heads(table.ladder), task_rows(table.ladder)))

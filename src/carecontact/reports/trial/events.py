@@ -12,7 +12,7 @@ from carecontact.scoring.contact import Contact, find_contact
 from carecontact.scoring.metrics.c3_success import judge
 
 TENSE_S = 0.1
-"""So long before the arm moves, the person's muscles tense and already press the arm against the tool (RISE in
+"""Time before the recorded onset of a movement at which the person's muscles begin to tense [s] (RISE in
 ``kernel/c/life.c``)."""
 TOLD_ENDS: dict[EndReason, str] = {
     "safety_truncation": "cut by the benchmark",
@@ -29,7 +29,7 @@ class Event:
 
 
 def events(contact: Contact) -> list[Event]:
-    """In the order of time; times of sensors are those at which a physics step began."""
+    """Return the events of a trial in the order of time. A sensor's time is that at which its physics step began."""
     header = contact.recording.header
     if not len(contact.time_s):
         return []
@@ -64,7 +64,7 @@ def _of_the_person(recording: Recording) -> list[Event]:
 
 
 def _turn_text(turn_rad: float) -> str:
-    """Of the shoulder's abduction."""
+    """Size and direction of a turn of the shoulder's abduction, in words."""
     return f"{abs(np.degrees(turn_rad)):.0f}° {'away from' if turn_rad > 0 else 'toward'} the trunk"
 
 
@@ -89,7 +89,8 @@ def gate_met_s(contact: Contact) -> float | None:
 
 
 def _beginning(recording: Recording, steps: int) -> Recording:
-    """The first physics steps alone. What else is counted by time is of no importance to a gate."""
+    """The recording of the first physics steps alone. Arrays over other units of time stay whole, since no gate reads
+    them."""
     described = ARRAYS | {path: row for path, row in OPTIONAL_ARRAYS.items() if path in recording.arrays}
     cut = {path: recording[path][:steps] for path in described if dimensions(path)[0] == "T"}
     return replace(recording, arrays=recording.arrays | cut)
