@@ -268,6 +268,16 @@ def test_failures_of_a_cell_are_told_and_give_the_status(
     assert "The harness failed in 4 trials, which are in no count." in Path("s/sweep.md").read_text()
 
 
+def test_what_is_suspect_about_a_policy_is_told_in_one_of_its_cells(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "answers"}))
+    assert main(["sweep", "p.toml", "--out", "s"]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if "warning: the first answer" in line]
+    assert [line.split("] ")[1].split("_")[0] for line in told if "quaternion" in line] == ["hover", "zero-action"]
+    assert len(told) == 4, "two lines about each"
+
+
 def test_a_wrong_plan_is_one_line_and_makes_no_folder(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

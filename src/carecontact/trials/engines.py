@@ -1,4 +1,4 @@
-"""From the name of an engine to the one that carries out the trials of a run."""
+"""Makes the engine of a given name for the trials of a run."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from carecontact.trials.workers import Workers
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """Of all trials of one run."""
+    """The settings that all trials of one run share."""
 
     out: Path
     work: Path
-    """Folder for what is not finished."""
+    """Folder for files that are not finished."""
     policy: PolicySetup
     identity: Identity
     weights: Path | None

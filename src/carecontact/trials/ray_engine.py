@@ -29,9 +29,9 @@ from carecontact.trials.node_task import NodeDone, NodeTask, carry_out
 from carecontact.trials.workers import ROOM_BYTES
 
 ATTEMPTS = 3
-"""At a trial of which Ray lost the node or the process, in one command."""
+"""Most attempts of one command at a trial whose node or process Ray lost."""
 ANSWER_S = 10.0
-"""For a connection to the cluster's address; Ray itself would try for minutes before it gives up."""
+"""Longest wait for a connection to the cluster's address [s]; Ray itself would try for minutes."""
 NEEDS = "--engine ray needs the package ray: pip install 'carecontact[cluster]', here and on every node"
 
 
@@ -88,14 +88,14 @@ def asks_for_a_token() -> bool:
 
 
 def _excluded(folder: Path) -> list[str]:
-    """Folders of runs, and hidden ones: no policy needs them, and a recording is none of its business."""
+    """Folders that are not sent to the nodes: those of runs, which no policy may read, and hidden ones."""
     runs = [path.parent for pattern in ("*", "*/*", "*/*/*") for path in folder.glob(f"{pattern}/{MANIFEST}")]
     return [".?*", "__pycache__", *(f"/{run.relative_to(folder).as_posix()}/" for run in runs)]
 
 
 @dataclass(kw_only=True)
 class RayTrials:
-    """Make one only after ``connect``."""
+    """The engine ``ray``. Call ``connect`` before you make one."""
 
     out: Path
     work: Path

@@ -1,4 +1,5 @@
-"""The trials of a run: which of them begin when, and what is told of them; an engine carries them out."""
+"""Runs the trials of a run: it decides which trial begins when and reports their progress; an engine carries them
+out."""
 
 from __future__ import annotations
 
@@ -35,8 +36,8 @@ from carecontact.trials.workers import ROOM_BYTES
 EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
 POLL_S = 0.05
 DEFAULT_TRIAL_LIMIT_S = 14400.0
-"""Wall clock. Only a harness that hangs gets near it: a policy has an hour for all its calls (``BUDGET_S``), which
-leaves 7 s for each of the 1,500 observations that it can request."""
+"""Limit of a trial's wall time [s]. Only a harness that hangs reaches it: a policy has an hour for all its calls
+(``BUDGET_S``), which leaves 7 s for each of the 1,500 observations that it can request."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +155,7 @@ def open_run(
 
 
 class Run:
-    """The order of the trials of one run, and what is told of them."""
+    """The trials of one run: their order and the reports of their progress."""
 
     def __init__(
         self,
@@ -230,12 +231,13 @@ class Run:
         )
 
     def _stop_full(self, why: str) -> None:
-        """Begin no trial that cannot be stored; those that run may end."""
+        """Begin no further trial, because its recording could not be stored; trials that run already may end."""
         self._full = why
         self._waiting.clear()
 
     def _report_silence(self) -> None:
-        """At most once every WAIT_REPORT_S: each look reads a file for every trial that runs."""
+        """Report policies that are silent, at most once every WAIT_REPORT_S, because this reads a file for every
+        running trial."""
         if time.monotonic() < self._next_look:
             return
         self._next_look = time.monotonic() + WAIT_REPORT_S

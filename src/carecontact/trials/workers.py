@@ -1,4 +1,4 @@
-"""The processes of trials that run now: started, watched, reaped, and their recordings collected."""
+"""Starts the processes of trials, watches them, reaps them, and collects their recordings."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ class Workers:
     out: Path
     """Folder for the recordings and logs."""
     work: Path
-    """Folder for what is not finished."""
+    """Folder for files that are not finished."""
     policy: PolicySetup
     weights: Path | None
     pace_s: float | None
     launcher: Launcher
-    """Whoever made it closes it: it may start the workers of other runs, too."""
+    """Its maker closes it, because it may also start the workers of other runs."""
     trial_limit_s: float
     losses: Losses
     """Trials that this command or an earlier one lost to a signal."""

@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from carecontact.errors import ConfigError
+from carecontact.policies.registry import POLICIES
+from carecontact.protocols import load_levels
 from carecontact.runs.sweep.cells import Cell, cells_of, places_of
 from carecontact.runs.sweep.plan import read_plan
 
@@ -76,6 +78,15 @@ def test_the_ensemble_is_of_24_people() -> None:
     places = places_of(plan, named="ensemble.toml")
     assert sum(len(place.tasks) * len(place.seeds) for place in places) == 24
     assert {place.protocol.variation.tissue for place in places} == {"published-v1"}
+
+
+def test_the_results_are_of_every_shipped_policy_at_every_level() -> None:
+    plan = read_plan(Path(__file__).parents[3] / "examples" / "cluster" / "results.toml")
+    shipped = [name for name in POLICIES if POLICIES.package(name) is None]
+    assert sorted(each.policy for each in plan.policies) == sorted(shipped)
+    places = places_of(plan, named="results.toml")
+    assert [place.values["level"] for place in places] == list(load_levels("bathing-wide-draft"))
+    assert {(len(place.tasks), place.seeds) for place in places} == {(7, tuple(range(1000, 1027)))}
 
 
 def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ class MeanPerson(BaseModel):
     protocol: str
     protocol_sha256: str
     seeds: tuple[int, ...]
-    """Over which the means are."""
+    """Seeds over which the means were taken."""
     camera: str
     regions: dict[str, MeanRegion]
 

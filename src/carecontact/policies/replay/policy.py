@@ -1,4 +1,4 @@
-"""The blind baselines that repeat another trial's actions: a gate that they pass does not need vision."""
+"""The blind baselines that repeat the actions of another trial: a gate that they meet does not require vision."""
 
 from __future__ import annotations
 
