@@ -56,7 +56,7 @@ def test_a_trial_comes_back_as_bytes_and_leaves_nothing(folder: Path) -> None:
     assert (found.log, found.lost, found.refused) == (None, None, None)
     assert [path.name for path in folder.iterdir() if path.is_dir()] == []
     request = json.loads((folder / "requests.jsonl").read_text())
-    (closed,) = request["policy"]["closed"]
+    closed = tuple(request["policy"]["closed"])
     assert request["out"].startswith(closed), "the folder of the recording is closed to the policy"
 
 
