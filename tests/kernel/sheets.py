@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import numpy.typing as npt
@@ -50,19 +52,20 @@ def sheet(*, half_m: float = 0.05, spacing_m: float = 0.005) -> Mesh:
 
 
 class Sheet:
-    """A tool of one geom that slides along x and z over a sheet. It starts with its lowest point at z = 0.
+    """A tool that slides along x and z over a sheet. Its first geom starts with its lowest point at z = 0.
 
     Args:
         geom: of ``MjsBody.add_geom``.
         bottom_m: distance of the geom's lowest point from its centre.
         give_m3_n: how far the tool's own surface gives way under pressure.
         frame: (3, 3) turns the whole world; nothing may depend on it.
+        more: further geoms of the tool, of ``MjsBody.add_geom``, whose ``pos`` is seen from the lowest point.
     """
 
     def __init__(
         self, law: Tissue, mesh: Mesh, *, bottom_m: float, dt_s: float = 0.002, mass_kg: float = HEAVY_KG,
         ledger: bool = False, give_m3_n: float = 0.0, bone_mass_kg: float | None = None, frame: Array | None = None,
-        **geom: object,
+        more: tuple[dict[str, Any], ...] = (), **geom: object,
     ) -> None:  # fmt: skip
         spec = mujoco.MjSpec()
         spec.option.timestep, spec.option.gravity = dt_s, [0, 0, 0]
@@ -80,6 +83,8 @@ class Sheet:
         for axis in ([1, 0, 0], [0, 0, 1]):
             tool.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         tool.add_geom(name="tool", pos=[0, 0, bottom_m], mass=0, contype=1, conaffinity=0, **geom)
+        for other in more:
+            tool.add_geom(mass=0, contype=1, conaffinity=0, **other)
         if give_m3_n:
             spec.nuser_geom, tool.first_geom().userdata = 1, [give_m3_n]
         add_region(spec, name="sheet", bone=bone, mesh=mesh, tissue=law, tools="tool", ledger=ledger)

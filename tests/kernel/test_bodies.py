@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -13,11 +15,17 @@ from carecontact.kernel.readings import RING_ROWS, Readings
 from tests.kernel.sheets import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Array, Sheet, sheet, tissue
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-TOOLS = {
+TOOLS: dict[str, dict[str, Any]] = {
     "cap": {"bottom_m": 0.012, "type": ELLIPSOID, "size": [0.012, 0.019, 0.012]},
     "pad": {"bottom_m": 0.006, "type": BOX, "size": [0.015, 0.020, 0.006]},
     "disc": {"bottom_m": 0.02, "type": CYLINDER, "size": [0.011, 0.02, 0]},
     "flank": {"bottom_m": 0.03, "type": CAPSULE, "size": [0.03, 0.03, 0], "quat": [0.5, 0.5, 0.5, 0.5]},
+    "cap in a pad": {
+        "bottom_m": 0.012,
+        "type": ELLIPSOID,
+        "size": [0.012, 0.019, 0.012],
+        "more": ({"type": BOX, "size": [0.015, 0.020, 0.006], "pos": [0, 0, 0.0075]},),
+    },
 }
 
 
@@ -67,6 +75,37 @@ def test_no_energy_is_made_when_a_body_bounces_and_slides(tool: str, dt_s: float
     after = 0.5 * float((made.data.qvel[-2:] ** 2).sum())
     assert after < 0.8 * before, "it touched"
     assert abs(before - after - row["stored_j"] - row["kinetic_j"] - lost) < 0.02 * before
+
+
+@pytest.mark.parametrize(
+    ("outer", "inner"),
+    [
+        ("pad", {"type": ELLIPSOID, "size": [0.008, 0.008, 0.003], "pos": [0, 0, 0.0032]}),
+        ("cap", {"type": BOX, "size": [0.003, 0.003, 0.003], "pos": [0, 0, 0.0036]}),
+    ],
+)
+def test_skin_in_two_geoms_of_a_tool_bears_once(outer: str, inner: dict[str, Any]) -> None:
+    """What lies wholly inside a geom changes nothing, although skin is let in as far as there by a soft layer."""
+    law = soft(contact_n_m3=4e6)
+    alone, both, inside = (
+        Sheet(law, sheet(), **{**TOOLS[tool], **more}).hold(0.005)
+        for tool, more in [(outer, {}), (outer, {"more": (inner,)}), ("flank", {"bottom_m": 0.1, "more": (inner,)})]
+    )
+    assert inside["points"] >= 3, "alone, it touches"
+    np.testing.assert_allclose(both["force_n"], alone["force_n"], atol=1e-6)
+    assert both["points"] == alone["points"]
+    assert both["area_m2"] == pytest.approx(alone["area_m2"])
+
+
+def test_where_one_geom_of_a_tool_takes_over_from_another_the_force_does_not_jump() -> None:
+    """A ball comes through the face of a pad that already presses."""
+    steps = 400
+    law, path = soft(damping_ns_m3=1e3), np.zeros((steps, 2))
+    path[:, 1] = -np.linspace(0, 0.006, steps)
+    force = Sheet(law, sheet(), **TOOLS["cap in a pad"]).move(path)["force_n"][:, 2]
+    alone = Sheet(law, sheet(), **TOOLS["cap"]).move(path)["force_n"][:, 2]
+    assert force[-1] < 1.2 * alone[-1]
+    assert np.abs(np.diff(force)).max() < 0.02 * np.abs(force).max()
 
 
 def test_nothing_depends_on_how_the_world_is_turned() -> None:

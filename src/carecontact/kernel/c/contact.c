@@ -102,11 +102,30 @@ void contact_forget(Region* r) {
 }
 
 static void find_one(Region* r, const State* s, const Law* law, double dt, int q) {
-  Contact c = {.point = q, .stayed = r->held_of[q] >= 0};
+  Contact c = {.point = q, .area = r->point[q].area, .stayed = r->held_of[q] >= 0};
   if (c.stayed) memcpy(c.before, s->held + HELD_SIZE * r->held_of[q] + 1, sizeof c.before);
   place_of(r, s, r->point + q, dt, c.at, c.seen);
   if (!measure(r, law, &c)) return;
   contact_keep(r, &c);
+}
+
+// What the tool presses a point with where its gap was measured, as if the layer could pull too [Pa].
+static double pressed(const Contact* c) { return -c->stiff * (c->gap + dot(c->normal, c->seen)); }
+
+// Skin that lies in a round tool and in one with faces at once is not to bear twice. Each third of the triangle belongs to
+// the one that presses it more, which of equally stiff ones is the one that it lies deeper in. So its pressure does not
+// jump when it changes hands.
+static void share_out(Region* r) {
+  for (int i = 0, middle = -1; i < r->ncontact; i++) {
+    Contact* c = r->contact + i;
+    if (!r->point[c->point].third) {
+      middle = i;
+    } else if (middle >= 0 && c->point - r->contact[middle].point < POINTS_EACH) {
+      Contact* round = r->contact + middle;
+      if (pressed(c) > pressed(round)) round->area = most(0, round->area - c->area);
+      else c->area = 0;
+    }
+  }
 }
 
 void contact_find(Region* r, const State* s, const Law* law, double dt) {
@@ -116,6 +135,7 @@ void contact_find(Region* r, const State* s, const Law* law, double dt) {
   for (int q = 0; q < r->npoint; q++)
     if (r->moves[r->point[q].corner[0]] == CLOSE && meets[r->point[q].third]) find_one(r, s, law, dt, q);
   for (int k = 0; k < (int)*s->holds; k++) r->held_of[(int)s->held[HELD_SIZE * k]] = -1;
+  if (meets[0] && meets[1]) share_out(r);
 }
 
 int contact_review(Region* r, const Law* law) {

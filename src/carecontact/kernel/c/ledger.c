@@ -25,7 +25,7 @@ void ledger(Region* r, const State* s, const Law* law) {
   for (int i = 0; i < r->ncontact; i++) {
     const Contact* c = r->contact + i;
     if (!c->touching) continue;
-    double area = r->point[c->point].area, size = dot(c->traction, c->traction);
+    double area = c->area, size = dot(c->traction, c->traction);
     stored += area * (c->pressure * c->pressure + size) / (2 * c->stiff);
     // By the trapezoidal rule, like the work of a spring.
     rubbed += area * (law->friction * c->pressure + sqrt(dot(c->before, c->before))) / 2 * c->slipped;

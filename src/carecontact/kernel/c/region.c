@@ -250,10 +250,10 @@ static void add_to_cells(const Region* r, State* s, double dt) {
     const Point* p = r->point + c->point;
     if (!c->touching || p->cell < 0) continue;
     double* cell = s->cells + CELL_SIZE * p->cell;
-    cell[CELL_PRESS] += dt * p->area * c->pressure;
-    cell[CELL_SHEAR] += dt * p->area * sqrt(dot(c->traction, c->traction));
-    cell[CELL_SLIP] += p->area * c->slipped;
-    cell[CELL_TOUCH] += dt * p->area;
+    cell[CELL_PRESS] += dt * c->area * c->pressure;
+    cell[CELL_SHEAR] += dt * c->area * sqrt(dot(c->traction, c->traction));
+    cell[CELL_SLIP] += c->area * c->slipped;
+    cell[CELL_TOUCH] += dt * c->area;
   }
 }
 

@@ -52,7 +52,8 @@ enum { EDGE_FROM, EDGE_TO, EDGE_WEIGHT, EDGE_SIZE };
 enum { TRIANGLE_CORNER = 0, TRIANGLE_AREA = 3, TRIANGLE_CELL = 4, TRIANGLE_SIZE = 5 };
 
 // Contact points of a triangle: the first, in its middle, meets round tools; the others, of a third of the area each,
-// meet tools with faces, on whose rims a whole triangle would turn over at once.
+// meet tools with faces, on whose rims a whole triangle would turn over at once. Where both meet one triangle, each third
+// of its area bears on one of them only.
 enum { POINTS_EACH = 4 };
 
 typedef struct {
@@ -93,6 +94,7 @@ typedef struct {
 // A contact point near a tool during the step that is being made.
 typedef struct {
   int point, tool, touching;
+  double area;           // that it bears for [m^2]
   double at[3];          // where it was at the start of the step
   double normal[3];      // of the tool, outward
   double gap;            // negative inside; continued from `seen` to the start of the step as if the tool were flat [m]

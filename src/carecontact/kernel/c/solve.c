@@ -63,7 +63,7 @@ static int add_contacts(Region* r, const Law* law, int i, double g[3], double B[
     any = 1;
     int corner = r->live_corner[k];
     const Point* p = r->point + c->point;
-    double share = p->share[corner] * p->area, stiff = c->stiff * share * p->share[corner];
+    double share = p->share[corner] * c->area, stiff = c->stiff * share * p->share[corner];
     const double* m = c->local[corner];
     double rest = stiff * (1 - sticks), own = stiff * sticks;
     for (int j = 0; j < 3; j++) sum[j] += share * (c->pressure * c->normal[j] + c->traction[j]);

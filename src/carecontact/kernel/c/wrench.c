@@ -22,8 +22,8 @@ void wrench_apply(const mjModel* m, mjData* d, Region* r) {
     int touching = 0;
     for (int i = 0; i < r->ncontact; i++) {
       const Contact* c = r->contact + i;
-      if (c->tool != t || !c->touching) continue;
-      double area = r->point[c->point].area, at[3], f[3], moment[3];
+      if (c->tool != t || !c->touching || c->area == 0) continue;
+      double area = c->area, at[3], f[3], moment[3];
       touching++;
       for (int j = 0; j < 3; j++) {
         at[j] = c->at[j] + c->moved[j];

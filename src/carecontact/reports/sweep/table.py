@@ -1,4 +1,4 @@
-"""One row for each cell of a sweep, and what holds over all of them."""
+"""The table of a sweep: one row for each cell, and the statistics over all cells."""
 
 from __future__ import annotations
 

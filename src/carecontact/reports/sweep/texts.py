@@ -60,12 +60,12 @@ def _field(metric: Metric) -> str:
 
 
 def heads(table: SweepTable) -> list[str]:
-    """Of the columns of ``cells``."""
+    """Heads of the columns of ``cells``."""
     return ["policy", *table.axes, "trials", *RATES.values(), *(metric.label for metric in headlines())]
 
 
 def cells(row: CellRow) -> list[str]:
-    """As tables for people show a row."""
+    """The cells of a row, as tables for people show them."""
     left = [row.cell.label, *row.cell.values.values()]
     if row.counts is None:
         return [*left, f"0/{row.cell.planned}", *[NA] * (len(RATES) + len(headlines()))]
@@ -87,7 +87,7 @@ def as_markdown(table: SweepTable) -> str:
 
 
 def sentences(table: SweepTable) -> list[str]:
-    """What stands above the tables."""
+    """The sentences above the tables."""
     told = [f"{len(table.rows)} cells of {len(table.policies)} policies, {_trials(table)}."]
     if table.unfinished:
         told.append(f"Unfinished: {table.unfinished} cells lack trials.")
