@@ -1,4 +1,4 @@
-"""Write the lock of every shipped frozen protocol, or verify them.
+"""Write the lock of every shipped frozen protocol, one for each of its levels, or verify them.
 
     python tools/lock_protocols.py            beside each protocol file that has none yet
     python tools/lock_protocols.py --check    exit status 1 if one is missing or anything differs from it
@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 
 from carecontact.cli.protocol import verify
-from carecontact.protocols import load_protocol, shipped_protocols
+from carecontact.protocols import load_levels, shipped_protocols
 from carecontact.protocols.lock import lock_path, read_lock, write_lock
 from carecontact.runs.freeze import make_lock
 
@@ -21,15 +21,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing")
     options = parser.parse_args()
-    frozen = [name for name in shipped_protocols() if load_protocol(name).frozen]
+    every = [(name, rules) for name in shipped_protocols() for rules in load_levels(name).values() if rules.frozen]
     if options.check:
-        raise SystemExit(max([verify(name) for name in frozen], default=0))
-    for name in frozen:
-        if read_lock(name) is None:
-            write_lock(make_lock(load_protocol(name)), lock_path(name))
-            print(f"{lock_path(name)} written")
+        raise SystemExit(max([verify(name, rules) for name, rules in every], default=0))
+    for name, rules in every:
+        if read_lock(name, level=rules.level) is None:
+            path = lock_path(name, level=rules.level)
+            write_lock(make_lock(rules), path)
+            print(f"{path} written")
         else:
-            print(f"{name} has its lock already: a change is a new id")
+            print(f"{rules.name} has its lock already: a change is a new id")
 
 
 if __name__ == "__main__":

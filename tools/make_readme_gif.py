@@ -59,6 +59,8 @@ def main() -> None:
     contact = find_contact(recording)
     touched_s = float(contact.time_s[contact.window][0])
     depth_mm = 1000 * recording["scorer/indentation_m"].max()
+    header = recording.header
+    print(f"protocol {header.spec.protocol.sha256[:12]}, tissue kernel {header.sha256['kernel'][:12]}")
     print(f"touched at {touched_s:.2f} s; at most {contact.force_in_window.max():.1f} N and {depth_mm:.1f} mm")
     near = replace(view_of(CONTACT, recording)(0.0), distance_m=DISTANCE_M, radius_m=SHADOWS_M)
     with Film(recording, view=lambda time_s: near, fps=FPS, lamps=LAMPS, panel=False, size=SIZE) as film:

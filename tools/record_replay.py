@@ -7,7 +7,7 @@
 The run has every task, with a seed on which the baselines will not be judged. The shipped file is the state machine's,
 with a seed that no shipped protocol has:
 
-    sed -e 's/^seeds = .*/seeds = [1000]/; 0,/^id/s/^id = .*/id = "replay-source"/; s/^frozen = .*/frozen = false/' \\
+    sed -e 's/^seeds = .*/seeds = [9999]/; 0,/^id/s/^id = .*/id = "replay-source"/; s/^frozen = .*/frozen = false/' \\
         src/carecontact/protocols/bathing-draft.toml > /tmp/replay.toml
     carecontact run --policy state-machine --protocol /tmp/replay.toml --out runs/replay-source
 """
@@ -23,7 +23,7 @@ import numpy as np
 from carecontact.contract.geometry import matrix_from_quat, pose_matrix
 from carecontact.contract.policy import CAMERAS
 from carecontact.policies.replay import donor
-from carecontact.protocols import load_protocol, shipped_protocols
+from carecontact.protocols import load_levels, shipped_protocols
 from carecontact.recording import read_recording
 from carecontact.recording.schema import Recording
 from carecontact.world.cameras import look_at
@@ -42,7 +42,8 @@ def main() -> None:
     given = parser.parse_args()
     shipped = Path(donor.__file__).parent / donor.ACTIONS
     # A policy that repeats a trial must not be judged on that very trial.
-    taken = set() if given.out else {s for name in shipped_protocols() for s in load_protocol(name).randomization.seeds}
+    every = [] if given.out else [rules for name in shipped_protocols() for rules in load_levels(name).values()]
+    taken = {seed for rules in every for seed in rules.randomization.seeds}
     arrays: dict[str, np.ndarray] = {}
     source: dict[str, object] = {}
     for path in sorted(given.run.glob("*.h5")):

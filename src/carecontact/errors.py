@@ -13,7 +13,8 @@ CarecontactError
 ├── LanguageError            a language backend is out of reach, refuses, or answers outside its schema
 ├── ProgramError             a program that a language model wrote was stopped or is wrong
 ├── PolicyError              the policy process died, hung or answered wrongly: its process failure
-│   └── UnreachableError     no server takes a connection at the policy's address: says nothing about the policy
+│   ├── UnreachableError     no server takes a connection at the policy's address: says nothing about the policy
+│   └── LostError            the connection to the policy ended, and its server did not say why
 ├── RecordingError           a trial file is corrupt, truncated or foreign
 └── StorageError             there is no space for a file: says nothing about a trial
 """
@@ -116,7 +117,7 @@ class PolicyError(CarecontactError):
         "program",
     )
     REPORTED = ("exception", "action", "language", "program", "handshake")
-    """Those that a policy's end of the line may report of itself; the others are for the harness to find."""
+    """Kinds that the policy's own process may report. The benchmark detects all other kinds itself."""
 
     def __init__(self, kind: str, message: str, *, notes: dict[str, object] | None = None) -> None:
         """``notes``: what the policy wanted to be kept of the step that failed."""
@@ -128,6 +129,10 @@ class PolicyError(CarecontactError):
 
 class UnreachableError(PolicyError):
     """Of kind ``start`` or ``timeout``."""
+
+
+class LostError(PolicyError):
+    """Of kind ``died``. Before the first action, the server may just be starting anew."""
 
 
 class RecordingError(CarecontactError):

@@ -1,4 +1,4 @@
-"""One registry for everything a user can name: tasks, policies, bodies, metrics."""
+"""The registry class, which serves everything that a user can name, such as policies, bodies and metrics."""
 
 from __future__ import annotations
 

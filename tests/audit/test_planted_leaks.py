@@ -168,7 +168,7 @@ def leaky_pair(
         pair: list[Watched] = []
         for one, prepare in ((spec, keyframe.near), (other_hidden_values(spec), keyframe.twin)):
             told = f"run {one.trial_id}"
-            patch.setattr(process, "_environment", lambda told=told: {**environment(), "LANG": told})
+            patch.setattr(process, "_environment", lambda setup, told=told: {**environment(setup), "LANG": told})
             patch.setattr(process, "_options", lambda *args, told=told, **fds: {**options(*args, **fds), "run": told})
             pair.append(
                 press(one, card=BLIND, poses=keyframe.poses, prepare=prepare, actions_per_look=1, folder=folder)

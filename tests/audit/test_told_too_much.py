@@ -144,6 +144,7 @@ def test_a_next_movement_in_the_session(begin: Callable[[TrialSpec], World], tmp
     class Parked:
         scene = begin(SPEC)[0].scene
         parked_pose = begin(SPEC)[0].control.target_in_base
+        laid_at_deg = begin(SPEC)[1].comfort_arm_deg
         parked = staticmethod(begin)
 
     session, quiet = Episode.session, SPEC.model_copy(update={"protocol": without_noise(LONG)})

@@ -107,6 +107,15 @@ def test_isolation_that_is_not_there_is_warned_of(
     assert all(part in said for part in told)
 
 
+def test_a_socket_through_which_a_policy_may_get_out_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.geteuid", lambda: 1000)
+    found = ["/run/user/1000/bus", "/tmp/tmux-1000/default"]
+    monkeypatch.setattr("carecontact.hosting.isolation.sockets.open_sockets", lambda: found)
+    told = machine.check_isolation()
+    assert told.warning
+    assert "listen at /run/user/1000/bus and 1 other socket(s)" in told.detail
+
+
 @pytest.mark.parametrize(
     ("code", "expected"),
     [

@@ -57,6 +57,14 @@ def test_an_unfinished_part_is_named_and_a_later_merge_completes(
     assert json.loads(Path("merged/results.json").read_text())["missing"] == []
 
 
+def test_a_part_that_was_forgotten_is_missing(parts: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["merge", "merged", *parts[:3]]) == 1
+    assert "3 of 4 planned trials scored; not scored: T2-s001" in capsys.readouterr().out
+    assert main(["merge", "merged", parts[3]]) == 0
+    assert main([*WHOLE, "--out", "whole"]) == 0
+    assert Path("merged/manifest.json").read_bytes() == Path("whole/manifest.json").read_bytes()
+
+
 def other_recording() -> None:
     recording = read_recording("part-1/T1-s000.h5")
     header = recording.header.model_copy(update={"embodiment": "another"})

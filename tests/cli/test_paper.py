@@ -7,8 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from carecontact.cli import main
+from carecontact.cli import main, paper
+from carecontact.protocols import load_protocol
 from carecontact.runs import score_run, write_scores
+from carecontact.runs.run_scores import RunScores
+from tests.reports.synthetic_run import make_score
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 
@@ -59,3 +62,9 @@ def test_mistakes_are_one_line(run: Path, capsys: pytest.CaptureFixture[str]) ->
     told = capsys.readouterr().err.splitlines()
     assert told[0].startswith("error: nowhere: no such folder")
     assert told[1] == "error: --out run/results.json: this is a file; name a folder"
+
+
+def test_results_alone_of_one_level_have_its_protocol() -> None:
+    protocol = load_protocol("bathing-wide-draft", level="L2")
+    score = make_score("T1", 0).model_copy(update={"protocol_id": protocol.name, "protocol_sha256": protocol.sha256})
+    assert paper._protocol([], [RunScores(scores=[score])]) == protocol  # pyright: ignore[reportPrivateUsage]

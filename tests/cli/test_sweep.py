@@ -73,6 +73,8 @@ def test_a_sweep_is_a_run_for_each_cell_and_one_table(
         results = json.loads((Path("s") / row["folder"] / "results.json").read_text())
         assert results["policy"] == row["policy"]
         assert results["protocol"]["overrides"] == ({} if row["body"] == "man-adult" else {"person.body": row["body"]})
+    requests = Path("requests.jsonl").read_text().splitlines()
+    assert all(str(Path("s").resolve()) in json.loads(request)["policy"]["closed"] for request in requests)
     pages = {name: Path("s", name).read_bytes() for name in ("sweep.html", "sweep.md", "sweep.csv")}
     assert b"woman-old-light" in pages["sweep.html"]
     before = ran()
@@ -80,6 +82,21 @@ def test_a_sweep_is_a_run_for_each_cell_and_one_table(
     assert ran() == before, "what is finished does not run again"
     assert "8 trial(s) were finished already" in capsys.readouterr().out
     assert {name: Path("s", name).read_bytes() for name in pages} == pages
+
+
+def test_cells_are_finished_one_after_another(fake: pytest.MonkeyPatch) -> None:
+    begun: list[str] = []
+    report = Run._report
+
+    def told(run: Run, kind: EventKind, trial_id: str, **more: Any) -> None:
+        if kind == "started":
+            begun.append(run._out.name)
+        report(run, kind, trial_id, **more)
+
+    fake.setattr(Run, "_report", told)
+    Path("p.toml").write_text(PLAN.replace("0-1", "0-3"))
+    assert main(["sweep", "p.toml", "--out", "s", "--jobs", "2"]) == 0
+    assert begun == [name for name in dict.fromkeys(begun) for _ in range(4)]
 
 
 def stop_after(trials: int, patch: pytest.MonkeyPatch) -> None:
@@ -113,6 +130,107 @@ def test_the_parts_of_a_sweep_share_a_folder(fake: pytest.MonkeyPatch, capsys: p
     assert "Unfinished: 2 cells lack trials." in capsys.readouterr().out
     assert main(["sweep", "p.toml", "--out", "s", "--shard", "2/2"]) == 0
     assert [row["trials"] for row in rows()] == ["2"] * 4
+    assert main(["sweep", "p.toml", "--out", "s", "--shard", "5/5"]) == 2
+    assert "--shard 5/5: there are 4 cells; give at most as many parts" in capsys.readouterr().err
+
+
+def test_parts_in_several_folders_become_one_sweep(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for part in ("1/2", "2/2"):
+        assert main(["sweep", "p.toml", "--out", part[0], "--shard", part]) == 0
+    # The second machine has also run half of a cell of the first.
+    first = sorted(Path("1/cells").iterdir())[0].name
+    Path("1/cells", first, "T1-s001.h5").unlink()
+    assert main(["merge", "s", "1"]) == 1
+    assert f"s/cells/{first}: 1 planned trial(s) have no recording: T1-s001\n" in capsys.readouterr().out
+    (half := Path("2/cells", first)).mkdir()
+    for name in ("manifest.json", "T1-s000.h5"):
+        half.joinpath(name).write_bytes(Path("1/cells", first, name).read_bytes())
+    Path("1/cells", first, "T1-s000.h5").rename(Path("1/cells", first, "aside"))
+    assert main(["sweep", "p.toml", "--out", "1", "--shard", "1/2"]) == 0
+    assert main(["merge", "s", "1", "2"]) == 0
+    out = capsys.readouterr().out
+    assert "2 part(s), 4 cell(s): 5 recording(s) copied into s, 3 were there already\n" in out
+    assert "carecontact sweep PLAN.toml --out s --table-only" in out
+    before = ran()
+    assert main(["sweep", "p.toml", "--out", "s", "--table-only"]) == 0
+    assert [row["trials"] for row in rows()] == ["2"] * 4
+    assert main(["sweep", "p.toml", "--out", "s"]) == 0, "and the sweep goes on there"
+    assert ran() == before
+
+
+def test_what_is_no_part_of_a_sweep_is_refused(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", "p.toml", "--out", "s", "--seeds", "0"]) == 0
+    cell = sorted(Path("s/cells").iterdir())[0]
+    for parts, told in (
+        (["s", str(cell)], f"{cell} is not a sweep: it holds no folder cells"),
+        (["s", "s"], "s is given twice"),
+        (["s", "nothing"], "nothing is not a sweep"),
+    ):
+        assert main(["merge", "merged", *parts]) == 2
+        assert told in capsys.readouterr().err
+        assert not Path("merged").exists()
+
+
+def test_a_piece_of_a_plan_is_a_beginning_of_the_whole(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sweep", "p.toml", "--out", "s", "--seeds", "1", "--tasks", "T1"]) == 0
+    assert [row["planned"] for row in rows()] == ["1"] * 4
+    capsys.readouterr()
+    assert main(["sweep", "p.toml", "--out", "s", "--dry-run"]) == 0
+    assert capsys.readouterr().out.count(": 2 trial(s), 1 recorded\n") == 4
+    assert main(["sweep", "p.toml", "--out", "s"]) == 0
+    assert ran() == 8
+    assert main(["sweep", "p.toml", "--out", "s", "--seeds", "77"]) == 2
+    assert "plan p.toml: seeds: '77' contains seeds that bathing-draft does not have" in capsys.readouterr().err
+
+
+def test_a_stopped_sweep_has_a_table_on_request(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", "p.toml", "--out", "s", "--table-only"]) == 2
+    assert "s: no such folder" in capsys.readouterr().err
+    with pytest.MonkeyPatch.context() as patch:
+        stop_after(3, patch)
+        assert main(["sweep", "p.toml", "--out", "s", "--jobs", "1"]) == 130
+    assert main(["sweep", "p.toml", "--out", "s", "--table-only"]) == 0
+    assert [row["trials"] for row in rows()] == ["2", "1", "0", "0"]
+    assert len(list(Path("s").rglob("results.json"))) == 1, "nothing is written into a cell that may be running"
+    assert ran() == 3
+
+
+def test_a_server_that_no_trial_needs_may_be_away(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("p.toml").write_text(PLAN.replace('"zero-action"', '"ws://127.0.0.1:9"'))
+    assert main(["sweep", "p.toml", "--out", "s"]) == 2
+    assert capsys.readouterr().err.startswith("error: plan p.toml: policies: ws://127.0.0.1:9 does not answer")
+    assert main(["sweep", "p.toml", "--out", "s", "--shard", "1/2"]) == 0
+    assert [row["trials"] for row in rows()] == ["2", "0", "2", "0"]
+
+
+def test_one_noise_salt_serves_all_cells_that_have_noise(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    salt = "0123456789abcdef" * 2
+    assert main(["sweep", "p.toml", "--out", "s", "--noise-salt", salt]) == 2
+    assert "--noise-salt: no protocol of this plan has sensor noise" in capsys.readouterr().err
+    levels = 'protocol = ["bathing-wide-draft"]\nlevel = ["L1", "L2"]'
+    Path("p.toml").write_text(PLAN.replace('body = ["man-adult", "woman-old-light"]', levels))
+    assert main(["sweep", "p.toml", "--out", "s", "--noise-salt", salt[1:]]) == 2
+    assert "--noise-salt: expected 32 hexadecimal digits" in capsys.readouterr().err
+    assert main(["sweep", "p.toml", "--out", "s", "--noise-salt", salt]) == 0
+    manifests = {row["folder"]: json.loads(Path("s", row["folder"], "manifest.json").read_text()) for row in rows()}
+    assert [manifest.get("noise_salt") for manifest in manifests.values()] == [None, None, salt, salt]
+
+
+def test_a_policy_may_be_given_folders(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("p.toml").write_text(PLAN.replace('"zero-action"', '"zero-action"\nread = ["weights"]'))
+    assert main(["sweep", "p.toml", "--out", "s"]) == 2
+    assert "plan p.toml: policies: --policy-read" in capsys.readouterr().err
+    Path("weights").mkdir()
+    assert main(["sweep", "p.toml", "--out", "s"]) == 0
+    asked = [json.loads(line) for line in Path("requests.jsonl").read_text().splitlines()]
+    readable = [each["policy"]["readable"] for each in asked if each["spec"]["policy"] == "zero-action"]
+    assert readable == [[str(Path("weights").resolve())]] * 4
 
 
 def test_a_policy_has_no_more_trials_at_once_than_its_plan_says(fake: pytest.MonkeyPatch) -> None:
@@ -148,6 +266,16 @@ def test_failures_of_a_cell_are_told_and_give_the_status(
     assert main(["sweep", "p.toml", "--out", "s", "--retry-failed"]) == 1
     assert [(row["harness_errors"], row["trials"]) for row in rows()] == [("1", "1")] * 4
     assert "The harness failed in 4 trials, which are in no count." in Path("s/sweep.md").read_text()
+
+
+def test_what_is_suspect_about_a_policy_is_told_in_one_of_its_cells(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "answers"}))
+    assert main(["sweep", "p.toml", "--out", "s"]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if "warning: the first answer" in line]
+    assert [line.split("] ")[1].split("_")[0] for line in told if "quaternion" in line] == ["hover", "zero-action"]
+    assert len(told) == 4, "two lines about each"
 
 
 def test_a_wrong_plan_is_one_line_and_makes_no_folder(

@@ -50,6 +50,16 @@ def test_angle_depends_on_the_protocols_id_and_nothing_else_in_it() -> None:
     assert all(comfort_arm_deg(renamed, s) != a for s, a in zip(SEEDS, angles, strict=True))
 
 
+@pytest.mark.parametrize("salt", ["", "5a" * 32])
+def test_a_renamed_protocol_keeps_its_persons_where_it_says_so(salt: str) -> None:
+    kept = PROTOCOL.randomization.model_copy(update={"drawn_as": PROTOCOL.id})
+    renamed = PROTOCOL.model_copy(update={"id": "bathing-v2", "randomization": kept})
+    for seed in SEEDS[:3]:
+        assert comfort_arm_deg(renamed, seed, salt=salt) == comfort_arm_deg(PROTOCOL, seed, salt=salt)
+    assert "drawn_as" in renamed.model_dump()["randomization"]
+    assert "drawn_as" not in PROTOCOL.model_dump()["randomization"], "other protocols keep their hash"
+
+
 def test_angles_of_the_protocols_seeds_spread_over_the_range() -> None:
     low, high = PROTOCOL.randomization.comfort_arm_deg
     angles = np.array([comfort_arm_deg(PROTOCOL, s) for s in SEEDS])

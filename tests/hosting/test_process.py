@@ -14,6 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 import carecontact
 from carecontact.contract.policy_ref import PolicyRef
@@ -412,14 +414,52 @@ def test_what_reaches_the_process(launch: Launch, monkeypatch: pytest.MonkeyPatc
     process.reset("touch", SESSION)
     process.act(synthetic_observation())
     told = json.loads((tmp_path / "told").read_text())
-    assert told["env"]["OPENAI_API_KEY"] == "k"
     assert told["env"]["PYTHONHASHSEED"] == "0"
-    assert not told["env"].keys() & {"CARECONTACT_SEED", "PYTHONPATH"}
+    assert not told["env"].keys() & {"CARECONTACT_SEED", "PYTHONPATH", "OPENAI_API_KEY"}
     assert told["path"][0] == str(tmp_path)
     assert not {"", "/nowhere"} & set(told["path"])
     assert "carecontact.contract.observation" in told["modules"]
     heavy = {"mujoco", "pydantic", "scipy", "mediapipe", "carecontact.recording", "carecontact.contract.protocol"}
     assert not heavy & set(told["modules"])
+
+
+def test_nobody_but_the_harness_reaches_the_policy(launch: Launch, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever connects first would have it: a policy of another run could make every trial of this one fail."""
+    process, found = launch("class P(Base): pass"), list[int]()
+    launched = process._launch
+
+    def spied(left: Callable[[], float]) -> int:
+        port = launched(left)
+        with connect(f"ws://127.0.0.1:{port}") as other, pytest.raises(ConnectionClosed):
+            other.recv(timeout=20)
+        found.append(port)
+        return port
+
+    monkeypatch.setattr(process, "_launch", spied)
+    assert process.start().name == "under-test"
+    process.reset("touch", SESSION)
+    process.act(synthetic_observation())
+    assert found
+
+
+@pytest.mark.parametrize(("language", "reaches"), [("live:m-1", True), ("rules-v1", False), (None, False)])
+def test_the_key_of_a_language_model_reaches_a_policy_that_shall_use_one(
+    language: str | None, reaches: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Every policy may open connections, and so could spend what the key pays."""
+    monkeypatch.setenv("OPENAI_API_KEY", "k")
+    (tmp_path / "under_test.py").write_text(
+        PREAMBLE
+        + """
+class P(Base):
+    def __init__(self, *, language: str = "none"):
+        print("key" if "OPENAI_API_KEY" in os.environ else "no key")
+"""
+    )
+    setup = PolicySetup(ref=PolicyRef.parse("under_test:P"), search_path=(str(tmp_path),), language=language)
+    with PolicyProcess(setup, first_deadline_s=20, deadline_s=20) as process:
+        process.start()
+    assert process.printed == ("key" if reaches else "no key")
 
 
 def test_arguments_and_variables_reach_the_constructor_and_the_card(tmp_path: Path) -> None:

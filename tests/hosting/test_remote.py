@@ -10,21 +10,24 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
+from websockets.http11 import Response
 from websockets.sync.server import ServerConnection, basic_auth, serve
 
+from carecontact.contract.action import Action
 from carecontact.contract.observation import CameraView
 from carecontact.contract.policy import PolicyCard
-from carecontact.errors import PolicyError, UnreachableError
+from carecontact.errors import LostError, PolicyError, UnreachableError
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.remote import RemotePolicy
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.messages import act_message
-from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, pack
+from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, pack, unpack
 from tests.hosting.served import served
 from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_view
 
@@ -90,20 +93,20 @@ def test_two_trials_at_once_have_a_policy_each(server: tuple[int, subprocess.Pop
     [
         ("die", "died", "closed without an answer"),
         ("nan", "action", "expected finite numbers"),
-        ("hang", "timeout", "no actions message within 1 s"),
+        ("hang", "timeout", "no actions message within 5 s"),
     ],
 )
 def test_failures_are_those_of_a_local_policy(
     server: tuple[int, subprocess.Popen[str]], instruction: str, kind: str, says: str
 ) -> None:
-    error = failure(at(server[0], first_deadline_s=1 if kind == "timeout" else 20), instruction=instruction)
+    error = failure(at(server[0], first_deadline_s=5 if kind == "timeout" else 20), instruction=instruction)
     assert error.kind == kind
     assert says in str(error)
 
 
 def test_a_policy_ends_with_its_trial(server: tuple[int, subprocess.Popen[str]]) -> None:
     """Even one that hangs; else it would keep its place, and its graphics card, for ever."""
-    failure(at(server[0], first_deadline_s=1), instruction="hang")
+    failure(at(server[0], first_deadline_s=5), instruction="hang")
     deadline = time.monotonic() + 20
     while _children(server[1].pid) and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -170,6 +173,110 @@ def test_a_trial_waits_no_longer_than_its_deadline() -> None:
     policy.patient = True
     with pytest.raises(UnreachableError, match="nothing listens"):
         policy.start()
+
+
+STAGES = ("handshake", "proxy", "card", "reset", "act", "second act")
+
+
+@contextmanager
+def losing(stage: str, times: int, *, name: str = "far") -> Iterator[tuple[int, list[str]]]:
+    """A port where that many connections are lost at a stage, and what those behind it were asked. A connection that
+    comes later is shown a card of that name."""
+    asked: list[str] = []
+    lost = 0
+
+    def converse(connection: ServerConnection) -> None:
+        nonlocal lost
+
+        def at_stage(now: str) -> bool:
+            nonlocal lost
+            asked.append(now)
+            if now != stage or lost == times:
+                return False
+            lost += 1
+            connection.socket.shutdown(socket.SHUT_RDWR)
+            return True
+
+        card = PolicyCard(name=name if lost else "far")
+        acts = 0
+        if at_stage("card"):
+            return
+        connection.send(pack({"type": "card", "card": codec.encode_card(card)}))
+        for frame in connection:
+            kind = str(cast(dict[str, object], unpack(cast(bytes, frame)))["type"])
+            acts += kind == "act"
+            if kind == "close" or at_stage("second act" if acts == 2 else kind):
+                return
+            answer = codec.encode_actions([Action(done=True)])
+            connection.send(pack({"type": "ready"} if kind == "reset" else {"type": "actions", "actions": answer}))
+
+    def before(connection: ServerConnection, request: object) -> Response | None:
+        nonlocal lost
+        if stage not in STAGES[:2] or lost == times:
+            return None
+        lost += 1
+        if stage == "proxy":
+            return connection.respond(503, "no server")
+        connection.socket.shutdown(socket.SHUT_RDWR)
+        return None
+
+    with speaking(converse, process_request=before) as port:
+        yield port, asked
+
+
+@pytest.fixture
+def no_pause(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    pauses: list[float] = []
+    monkeypatch.setattr("carecontact.hosting.remote.time", SimpleNamespace(sleep=pauses.append))
+    return pauses
+
+
+def trial(port: int) -> None:
+    with at(port) as policy:
+        policy.patient = True
+        policy.start()
+        policy.reset("touch", SESSION)
+        for _ in range(2):
+            policy.act(synthetic_observation())
+
+
+@pytest.mark.parametrize("stage", STAGES[:-1])
+def test_a_trial_whose_connection_is_lost_before_its_first_action_begins_anew(
+    stage: str, no_pause: list[float], caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("CRITICAL", "websockets")
+    with losing(stage, 2) as (port, asked):
+        trial(port)
+    assert no_pause == [0.5, 1]
+    until = ["card", "reset", "act"][: max(STAGES.index(stage) - 1, 0)]
+    assert asked == [*until, *until, "card", "reset", "act", "second act"]
+
+
+@pytest.mark.parametrize(("stage", "times"), [("card", 3), ("reset", 3), ("act", 3), ("second act", 1)])
+def test_a_policy_that_loses_every_connection_or_one_after_its_first_action_has_failed(
+    stage: str, times: int, no_pause: list[float]
+) -> None:
+    with losing(stage, 9) as (port, asked), pytest.raises(LostError, match="closed without an answer"):
+        trial(port)
+    assert asked.count(stage) == times
+    assert len(no_pause) == times - 1
+
+
+def test_a_server_that_loses_a_trial_and_stays_away_judges_nobody(tmp_path: Path, no_pause: list[float]) -> None:
+    with served(POLICY, tmp_path) as (port, server), at(port, first_deadline_s=3) as policy:
+        policy.patient = True
+        policy.start()
+        server.kill()
+        server.wait()
+        with pytest.raises(UnreachableError, match="nothing listens"):
+            policy.reset("touch", SESSION)
+
+
+@pytest.mark.usefixtures("no_pause")
+def test_a_server_that_comes_back_as_another_policy_is_refused() -> None:
+    with losing("act", 1, name="other") as (port, _), pytest.raises(PolicyError, match="another card") as caught:
+        trial(port)
+    assert caught.value.kind == "handshake"
 
 
 def test_a_host_that_there_is_not() -> None:

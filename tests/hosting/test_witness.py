@@ -46,6 +46,7 @@ def test_it_writes_down_what_it_was_told(made: Witness, tmp_path: Path, monkeypa
         "arguments": {"seed": "3"},
         "report_fd": 7,
         "lifeline_fd": 8,
+        "harness_port": 9,
         "stack_fd": 9,
     }.items():
         monkeypatch.setitem(child.RECEIVED, name, value)

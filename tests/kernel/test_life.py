@@ -142,6 +142,42 @@ def test_the_arm_changes_its_place_and_stays_there() -> None:
     assert (np.diff(angle) > -1e-4).all()
 
 
+def test_an_arm_that_was_pushed_aside_moves_from_where_it_lies() -> None:
+    """It does not first spring back to its old place, against the tool that holds it."""
+    model, data = arm()
+    data.joint("finger").qpos[:] = 1.0
+    life = Life(model)
+    life.wake(data, Doings(moves=(replace(MOVES.moves[0], time_s=3.0),)))
+    data.joint(ABDUCTION).qfrc_applied[:] = -0.15
+    torque, angle = [], []
+    for _ in range(3000):
+        mujoco.mj_step(model, data)
+        torque.append(float(life.torque_nm(data)[0]))
+        angle.append(data.joint(ABDUCTION).qpos[0])
+    assert angle[1449] == pytest.approx(-0.1, abs=0.005)
+    assert angle[1550] == pytest.approx(angle[1449], abs=0.003)
+    assert angle[2100] == pytest.approx(angle[1449] + 0.12, abs=0.005)
+    assert max(np.abs(torque)) < 2.0
+    assert max(np.abs(np.diff(torque))) < 0.1
+
+
+def test_a_withdrawal_ends_the_change_of_posture_and_none_begins_meanwhile() -> None:
+    model, data = arm()
+    life = Life(model)
+    moves = (*MOVES.moves, Move(time_s=1.5, duration_s=1.0, lift_rad=0.0, shift_rad=3 * SHIFT))
+    pull = Pull(force_n=20.0, for_s=0.05, delay_s=0.1, duration_s=1.0, shift_rad=-SHIFT)
+    life.wake(data, Doings(moves=moves, pull=pull))
+    data.joint("finger").qpos[:] = -0.05
+    run(model, data, 0.8)
+    angle = press(model, data, 60.0, 0.4)[:, 1]
+    pulled = life.pulls_s(data)[0]
+    assert pulled == pytest.approx(0.95, abs=0.03)
+    last = np.append(angle, press(model, data, 0.0, 3.0)[:, 1])
+    from_rad = last[round((pulled - 0.1 - 0.8) / 0.002)]
+    assert last[-1] == pytest.approx(from_rad - 0.12, abs=0.02)
+    assert last[round((pulled - 0.8) / 0.002) :].max() < from_rad
+
+
 @pytest.mark.parametrize(
     ("doings", "stiffness_nm_rad"),
     [(Doings(), 1.5), (Doings(tone=0.15), 1.5 + 0.15 * 200.0), (Doings(help=0.8), 0.2 * 1.5)],
@@ -180,13 +216,15 @@ def test_the_arm_is_withdrawn_after_more_than_a_force_for_a_time(newton: float, 
     press(model, data, 5.0, 1.0)
     assert (life.pulls_s(data) < 0).all()
     began = data.time
-    press(model, data, newton, seconds)
+    angle = press(model, data, newton, seconds)[:, 1]
     press(model, data, 1.0, 1.0)
     assert (life.pulls_s(data) > 0).sum() == pulled
     if pulled:
         # Contact takes a few steps to bear the new force.
         assert life.pulls_s(data)[0] == pytest.approx(began + 0.05 + 0.1, abs=0.012)
-        assert data.joint(ABDUCTION).qpos[0] == pytest.approx(-0.12, abs=0.01)
+        from_rad = angle[round((life.pulls_s(data)[0] - began - 0.1) / 0.002)]
+        assert from_rad < -0.01
+        assert data.joint(ABDUCTION).qpos[0] == pytest.approx(from_rad - 0.12, abs=0.01)
 
 
 @pytest.mark.parametrize("when_s", [0.3, 0.9])

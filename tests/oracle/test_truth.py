@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from carecontact.errors import ContractError
-from carecontact.oracle.truth import Truth, displaced
+from carecontact.oracle.truth import HARD_M, Truth, displaced
 from carecontact.sim.simulation import Simulation
 from carecontact.sim.true_skin import top_of_skin
 
@@ -18,6 +18,16 @@ def test_the_surface_is_where_the_visible_skin_is(simulation: Simulation, region
     for along in np.linspace(-0.05, 0.05, 5):
         place = geometry.surface(float(along))
         assert abs(place[2] - top_of_skin(skin, faces, place[:2])) < 0.005
+
+
+def test_the_region_begins_and_ends_where_the_scorer_measures_it(simulation: Simulation) -> None:
+    """Over the ends of its axis, which on an arm that lies aslant are not straight above the joints."""
+    truth = Truth(simulation, "upper_arm")
+    geometry, frame = truth.geometry(), truth.frame()
+    soft = (truth.surface() - frame[:3, 3]) @ frame[:3, 0]
+    for along, end in ((-1, soft.min()), (1, soft.max())):
+        place = geometry.surface(along * geometry.half_length_m)
+        assert (place - frame[:3, 3]) @ frame[:3, 0] == pytest.approx(end - along * HARD_M, abs=0.006)
 
 
 def test_a_limb_lies_on_its_board_and_the_belly_on_nothing(simulation: Simulation) -> None:

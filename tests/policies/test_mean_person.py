@@ -65,9 +65,17 @@ def test_out_of_reach_it_ends_without_moving() -> None:
 def test_another_file_is_read_and_a_wrong_one_named(tmp_path: Path) -> None:
     path = tmp_path / "mine.json"
     path.write_text(read_person(None).model_dump_json())
-    assert read_person(path) == read_person(None)
+    assert read_person(path) == read_person(None) == read_person(Path("person")), "a shipped one has a name"
     path.write_text("{}")
     with pytest.raises(ConfigError, match=r"mine\.json: made_by"):
         read_person(path)
     with pytest.raises(ConfigError, match="make it with tools/mean_person"):
         read_person(tmp_path / "none.json")
+
+
+@pytest.mark.parametrize("level", ["L1", "L2"])
+def test_the_exams_mean_is_shipped_by_name_and_is_not_the_other_protocols(level: str) -> None:
+    person = read_person(Path(f"bathing-wide-{level}"))
+    assert person.regions.keys() == {task.region for task in PROTOCOL.tasks}
+    assert person.protocol.endswith(level)
+    assert person.regions != read_person(None).regions

@@ -37,6 +37,7 @@ def test_every_task_was_recorded_and_its_actions_are_allowed(task) -> None:
 
 def test_tasks_differ() -> None:
     assert len({donor.actions.tobytes() for donor in read_donors().values()}) == len(PROTOCOL.tasks)
+    assert read_donors(Path("actions")).keys() == read_donors().keys(), "a shipped one has a name"
 
 
 def test_an_unknown_instruction_lists_what_there_is() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 import carecontact as cc
 from carecontact.errors import ConfigError
+from carecontact.hosting.isolation.landlock import version
 from carecontact.programs import evaluate as module
 from carecontact.trials import supervisor
 from tests.programs.still import Still
@@ -50,6 +51,29 @@ def test_a_class_runs_by_its_name_in_a_process_of_its_own(fake: pytest.MonkeyPat
     run = cc.evaluate(Still, out=tmp_path / "a", tasks="T1", seeds=0, arguments={"steps": 2}, jobs=1)
     assert run.scores[0].policy == "tests.programs.still:Still"
     assert run.scores[0].policy_arguments == {"steps": "2"}
+
+
+PEEK = """
+from carecontact.contract.policy import PolicyCard
+
+class Peek:
+    card = PolicyCard(name="peek")
+    reset = act = print
+    def __init__(self):
+        try:
+            open("runs/b/manifest.json").close()
+        except PermissionError:
+            return
+        raise RuntimeError("it reads another run")
+"""
+
+
+@pytest.mark.skipif(not version(), reason="this system has no Landlock")
+def test_no_run_is_open_to_a_policy_that_is_tried_before_its_trials(fake: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "peek.py").write_text(PEEK)
+    (tmp_path / "runs" / "b").mkdir(parents=True)
+    (tmp_path / "runs" / "b" / "manifest.json").touch()
+    assert len(cc.evaluate("peek:Peek", out="runs/a", tasks="T1", seeds=0, jobs=1).scores) == 1
 
 
 @pytest.mark.slow

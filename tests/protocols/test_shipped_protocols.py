@@ -32,7 +32,7 @@ def test_file_name_is_the_id_and_what_is_frozen_has_its_lock(protocol: Protocol)
     assert protocol.id in shipped_protocols()
     lock = read_lock(protocol.id, level=protocol.level)
     assert protocol.frozen is (lock is not None)
-    assert lock is None or (lock.id, lock.protocol_sha256) == (protocol.id, protocol.sha256)
+    assert lock is None or (lock.id, lock.protocol_sha256) == (protocol.name, protocol.sha256)
 
 
 def test_a_draft_says_so_in_plain_words(protocol: Protocol) -> None:

@@ -110,6 +110,10 @@ def test_a_folder_without_space_is_named_with_what_to_do(tmp_path: Path, monkeyp
         patch.setattr(os, "write", full)
         with pytest.raises(StorageError, match=f"^{tmp_path}: No space left on device; free some"), alone(tmp_path):
             pass
+        assert not list(tmp_path.iterdir()), "the file of a lock that nobody has"
+        with pytest.raises(StorageError), alone(tmp_path / "new", make=True):
+            pass
+        assert not list(tmp_path.iterdir())
     with alone(tmp_path):
         pass
     assert not list(tmp_path.iterdir())

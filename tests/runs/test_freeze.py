@@ -68,7 +68,7 @@ def test_rounding_of_a_world_is_no_drift_and_a_millionth_of_mass_is(here: Lock) 
         return here.model_copy(update={"worlds": {**here.worlds, "forearm": forearm}})
 
     assert drift(scaled(1 + 1e-9), here) == []
-    assert drift(scaled(1 + 1e-5), here) == ["world with the forearm as target: body_mass"]
+    assert drift(scaled(1 + 1e-5), here) == ["world (forearm): body_mass"]
 
 
 def test_a_new_metric_is_no_drift(here: Lock) -> None:
@@ -158,3 +158,11 @@ def test_a_file_with_a_shipped_id_is_held_to_the_shipped_lock(tmp_path: Path, sh
     told = r"impedance\.translational_n_m: locked 400\.0, here 500\.0.*mine\.toml an id of its own"
     with pytest.raises(ConfigError, match=told):
         check_frozen(str(path), load_protocol(str(path)), unfrozen=False)
+
+
+def test_a_lock_holds_a_world_of_every_body_and_region() -> None:
+    varied = load_protocol("bathing-wide-draft", level="L3")
+    worlds = freeze.worlds_of(varied)
+    assert [rules.person.body for rules, _ in worlds.values()] == list(varied.variation.bodies)
+    assert {region for _, region in worlds.values()} == set(varied.regions)
+    assert freeze.worlds_of(load_protocol()) == {region: (load_protocol(), region) for region in varied.regions}

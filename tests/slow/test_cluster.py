@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from carecontact.cli import main
 from carecontact.contract.trial import TrialSpec
 from carecontact.protocols import load_protocol, overridden
 from carecontact.recording import read_header, stored_sha256
@@ -90,3 +91,24 @@ def test_a_policy_in_a_file_goes_to_the_nodes(cluster: Any, tmp_path: Path, monk
         found = run_trials(specs, out=place / "runs" / engine, policy=setup, engine=engine)
         assert found.ended == {"T1-s000": "time_limit", "T1-s001": "time_limit"}
     assert hashes(place / "runs/ray") == hashes(place / "runs/local")
+
+
+PLAN = """
+tasks = "T1"
+seeds = "0"
+policies = [{ policy = "zero-action" }, { policy = "under_test:P" }]
+set = { "phases.time_limit_s" = 1 }
+"""
+
+
+def test_a_sweep_takes_a_policy_in_a_file_to_the_nodes_whichever_place_it_has(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cluster.add_node(num_cpus=2)
+    cluster.wait_for_nodes()
+    (tmp_path / "under_test.py").write_text(PREAMBLE + POLICY)
+    (tmp_path / "p.toml").write_text(PLAN)
+    monkeypatch.chdir(tmp_path)
+    assert main(["sweep", "p.toml", "--engine", "ray", "--out", "s"]) == 0, capsys.readouterr().out
+    assert {read_header(path).ended for path in Path("s").rglob("*.h5")} == {"time_limit"}
+    assert len(list(Path("s/cells").iterdir())) == 2

@@ -125,6 +125,17 @@ def main() -> int:
     elif does == "hang":
         note(f"child {subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']).pid}")
         time.sleep(600)
+    elif does == "starve":
+        from carecontact.trials.told import POLICY_RUNS
+
+        assert request.told_fd is not None
+        os.write(request.told_fd, POLICY_RUNS)
+        time.sleep(600)
+    elif does == "beside":
+        # Another command begins a run.
+        (out.parents[3] / "later").mkdir()
+        (out.parents[3] / "later" / "manifest.json").touch()
+        write(spec, out, "good")
     elif does == "unreached":
         from carecontact.trials.worker import UNREACHED
 

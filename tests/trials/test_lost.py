@@ -76,6 +76,18 @@ def test_a_worker_that_the_policy_may_have_killed_binds_it_too(
     assert summary.ended == {FIRST: ends, SECOND: "done"}
 
 
+def test_a_policy_that_starves_its_trial_until_the_time_is_over_has_failed(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For that it needs the processors and no signal; a trial without an end would leave the count."""
+    monkeypatch.setattr(lost, "available", lambda: "full")
+    summary = bench.run(specs(2), {FIRST: "starve:ab", SECOND: ["starve:ab", "good:xyz"]}, trial_limit_s=6.0)
+    assert summary.ended == {FIRST: "process_failure", SECOND: "process_failure"}
+    assert bench.ran() == [FIRST, FIRST, SECOND, SECOND]
+    assert kind(bench.recording(FIRST)) == ("process_failure", "killed")
+    assert kind(bench.recording(SECOND)) == ("process_failure", OTHER_ANSWERS)
+
+
 def test_a_trial_that_was_killed_before_its_policy_ran_is_repeated_by_every_command(bench: Bench) -> None:
     for _ in range(2):
         bench.run(specs(2), {FIRST: "kill", SECOND: "exit"} if not bench.out.exists() else {FIRST: "kill"})

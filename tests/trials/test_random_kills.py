@@ -22,8 +22,10 @@ from carecontact.recording.reader import read_verified
 
 TRIALS, KILLS, HANGUPS = 12, 15, 2
 """Even: half of the trials are of one task, half of another."""
-PAUSE_S = (0.3, 6.0)
-"""Between two attacks: a trial takes some 4 s, and two run at once."""
+STRETCH = 3.0
+"""How much longer the attacks take, all together, than the undisturbed run: each throws away what had begun, and the
+rest must still get on."""
+LAST = 0.75
 GONE_S = 1.0
 """After the death of the command."""
 
@@ -54,6 +56,17 @@ def tree(root: int) -> list[Process]:
 def alive(process: Process) -> bool:
     row = stat(process[0])
     return row is not None and row[0] not in "ZX" and row[2] == process[1]
+
+
+def started_in(temporary: Path) -> list[int]:
+    """The processes that have this folder for temporary files, as far as this user may know: also those that began
+    after the last look at the tree."""
+    found: list[int] = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if os.fsencode(temporary) in (folder / "environ").read_bytes():
+                found.append(int(folder.name))
+    return found
 
 
 def command(out: Path, trials: int) -> list[str]:
@@ -99,26 +112,36 @@ class Attack:
     temporary: Path
     trials: int
     rng: random.Random
+    longest_s: float
+    """Between two attacks."""
     kills: int
     hangups: int
     """How many are left."""
     killed: int = 0
     commands: int = 0
     supervisors: int = 0
+    attacks: int = 0
+    """In all."""
+    meanwhile: int = 0
+    """Trials that had a recording when the last attack began."""
     done: dict[str, int] = field(default_factory=dict[str, int])
     """Recording of a trial that did not fail -> time of its last change [ns]."""
+
+    def __post_init__(self) -> None:
+        self.attacks = self.kills + self.hangups
 
     def once(self) -> int:
         """Give the command and attack it until it ends; returns the exit status."""
         seen, terminal = set[Process](), Terminal(command(self.out, self.trials), self.temporary)
         self.commands += 1
         pid = terminal.running.pid
-        while not terminal.wait(self.rng.uniform(*PAUSE_S)):
+        while not terminal.wait(self.rng.uniform(0.0, self.pause_s())):
             if self.kills + self.hangups == 0 or not (found := tree(pid)):
                 continue
             seen |= set(found)
             if len(found) == 1 and self.rng.random() < 0.8:
                 continue  # more often while it has workers than while it begins
+            self.meanwhile = len(list(self.out.glob("*.h5")))
             if self.rng.randrange(self.kills + self.hangups) < self.hangups:
                 terminal.close()
                 self.hangups -= 1
@@ -132,8 +155,16 @@ class Attack:
         terminal.close()
         time.sleep(GONE_S)
         assert not [process for process in seen if alive(process)]
+        assert not started_in(self.temporary)
         self.look()
         return terminal.running.returncode
+
+    def pause_s(self) -> float:
+        """Long while the run is behind the attacks, so that it gets on; short while it is ahead of them, so that all of
+        them are made by the time when LAST of its trials are done."""
+        made = 1.0 - (self.kills + self.hangups) / self.attacks
+        behind = len(list(self.out.glob("*.h5"))) <= LAST * made * self.trials
+        return self.longest_s if behind else self.longest_s / 10
 
     def look(self) -> None:
         for name, changed in self.done.items():
@@ -157,15 +188,18 @@ def test_what_was_killed_at_random_is_finished_by_the_same_command(
     trials, hangups = given("KILL_TRIALS", TRIALS), given("KILL_HANGUPS", HANGUPS)
     undisturbed, temporary = tmp_path / "undisturbed", tmp_path / "temporary"
     temporary.mkdir()
+    kills, began = given("KILL_KILLS", KILLS), time.monotonic()
     subprocess.run(command(undisturbed, trials), check=True, stdout=subprocess.DEVNULL, env=within(temporary))
-    attack = Attack(tmp_path / "run", temporary, trials, random.Random(7), given("KILL_KILLS", KILLS), hangups)
+    longest_s = 2.0 * STRETCH * (time.monotonic() - began) / (kills + hangups)
+    attack = Attack(tmp_path / "run", temporary, trials, random.Random(7), longest_s, kills, hangups)
     while attack.kills + attack.hangups and len(attack.done) < trials:
         attack.once()
-    left = attack.trials - len(attack.done)
+    assert attack.kills + attack.hangups == 0, "the run ended before all attacks were made"
+    assert attack.meanwhile > trials // 4, "else there was hardly a trial that could have run again or been lost"
     attack.kills = attack.hangups = 0
     assert attack.once() == 0
     assert hashes(attack.out) == hashes(undisturbed)
     assert {path.name for path in attack.out.iterdir()} == {path.name for path in undisturbed.iterdir()}
     assert not list(temporary.iterdir())
     told = {"kills": attack.killed, "of the command": attack.supervisors, "commands": attack.commands}
-    record_property("random kills", {**told, "trials": trials, "left for the last command": left})
+    record_property("random kills", {**told, "trials": trials, "done meanwhile": attack.meanwhile})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import socket
 import sys
 import types
 from dataclasses import replace
@@ -93,6 +94,7 @@ def ray(monkeypatch: pytest.MonkeyPatch) -> FakeRay:
     made = FakeRay()
     monkeypatch.setitem(sys.modules, "ray", made)
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    monkeypatch.setattr(ray_engine, "_reach", lambda address: None)
     return made
 
 
@@ -201,6 +203,23 @@ def test_the_folder_of_an_imported_policy_goes_to_the_nodes_without_runs(
     connect(PolicyRef.parse("mine:P"))
     assert ray.began["address"] == "192.0.2.7:6379"
     assert ray.began["runtime_env"] == {"working_dir": str(tmp_path), "excludes": [".?*", "__pycache__", "/runs/mine/"]}
+
+
+def test_the_folder_goes_to_the_nodes_whichever_policy_of_a_sweep_needs_it(ray: FakeRay, tmp_path: Path) -> None:
+    shipped, mine = (PolicySetup(ref=PolicyRef.parse(text)) for text in ("hover", "mine:P"))
+    check_engine("ray", shipped, mine, gpus=0)
+    assert ray.began["runtime_env"]["working_dir"] == str(Path.cwd())
+
+
+def test_an_address_where_nothing_listens_is_told_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = FakeRay()
+    monkeypatch.setitem(sys.modules, "ray", made)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    monkeypatch.setenv("RAY_ADDRESS", f"127.0.0.1:{port}")
+    with pytest.raises(ConfigError, match=rf"no Ray cluster answers at 127\.0\.0\.1:{port} \(.*refused"):
+        connect(PolicyRef.parse("hover"))
+    assert not made.began, "Ray was not asked"
 
 
 def test_a_cluster_without_a_token_is_warned_about_where_a_policy_runs_on_it(

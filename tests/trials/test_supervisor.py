@@ -152,6 +152,13 @@ def test_nothing_that_a_policy_can_read_names_the_trial_or_holds_a_secret(bench:
     assert [TrialRequest.model_validate_json(request).policy for request in requests] == [closed, closed]
 
 
+def test_a_run_that_begins_beside_this_one_is_closed_to_its_policy(bench: Bench) -> None:
+    bench.run(specs(2), {"T1-s000": "beside"}, jobs=1)
+    requests = (bench.folder / "requests.jsonl").read_text().splitlines()
+    closed = [TrialRequest.model_validate_json(request).policy.closed for request in requests]
+    assert closed == [(str(bench.out),), (str(bench.out), str(bench.folder / "later"))]
+
+
 def test_other_arguments_or_variables_need_another_folder(bench: Bench) -> None:
     def run(steps: str, *variables: str) -> RunSummary:
         trials = specs(1, arguments={"steps": steps}, environment=variables)

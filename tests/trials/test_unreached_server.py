@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -73,27 +75,63 @@ def test_a_server_that_stays_away_stops_the_run_and_no_trial_is_lost(tmp_path: P
     assert (summary.ran, summary.kept, summary.unreached) == (("T1-s001",), ("T1-s000",), None)
 
 
-def test_a_server_that_dies_in_a_trial_is_that_trials_failure(tmp_path: Path) -> None:
-    """Its trial has begun: what it commanded counts."""
-    acts = f"{tmp_path.parent.name}-acts"
-    hangs = POLICY.replace(
-        "return Action", f"open(os.path.join(os.environ['TMPDIR'], '{acts}'), 'w'); time.sleep(60); return Action"
-    )
-    with served(hangs, tmp_path) as (port, server):
+def kill_in_act(number: int, folder: Path) -> tuple[str, Callable[[subprocess.Popen[str]], threading.Thread]]:
+    """Source of a policy that hangs there once, and what then kills its server."""
+    acts, hung = f"{folder.parent.name}-acts", folder / "hung"
+    source = f"""
+class P(Base):
+    acts = 0
+    def act(self, observation):
+        self.acts += 1
+        if self.acts == {number} and not os.path.exists({str(hung)!r}):
+            open(os.path.join(os.environ["TMPDIR"], {acts!r}), "w")
+            time.sleep(600)
+        return Action(pose_tcp_in_base=observation.pose_tcp_in_base, done=self.acts > 1)
+"""
 
-        def kill_when_it_acts() -> None:
+    def killer(server: subprocess.Popen[str]) -> threading.Thread:
+        def kill() -> None:
             while not any(Path(tempfile.gettempdir()).glob(f"carecontact-policy-*/{acts}")):
                 time.sleep(0.05)
+            hung.touch()
             server.kill()
+            server.wait()
 
-        killer = threading.Thread(target=kill_when_it_acts, daemon=True)
-        killer.start()
+        thread = threading.Thread(target=kill, daemon=True)
+        thread.start()
+        return thread
+
+    return source, killer
+
+
+def test_a_server_that_dies_in_a_trial_is_that_trials_failure(tmp_path: Path) -> None:
+    """Its trial has begun: what it commanded counts."""
+    source, killer = kill_in_act(2, tmp_path)
+    with served(source, tmp_path) as (port, server):
+        killer(server)
         summary = run(port, tmp_path / "r", lambda event: None, first_call_s=6)
     assert summary.ended == {"T1-s000": "process_failure"}
     assert "nothing listens" in (summary.unreached or "")
     failure = read_recording(tmp_path / "r" / "T1-s000.h5").header.failure
     assert failure is not None
     assert failure.kind == "died"
+
+
+def test_a_server_that_dies_before_its_first_answer_loses_no_trial(tmp_path: Path) -> None:
+    source, killer = kill_in_act(1, tmp_path)
+    with ExitStack() as servers:
+        port, server = servers.enter_context(served(source, tmp_path))
+
+        def again() -> None:
+            dead.join()
+            servers.enter_context(served(source, tmp_path, port=port))
+
+        dead = killer(server)
+        restart = threading.Thread(target=again, daemon=True)
+        restart.start()
+        summary = run(port, tmp_path / "r", lambda event: None)
+        restart.join()
+    assert (summary.ended, summary.unreached) == ({"T1-s000": "done", "T1-s001": "done"}, None)
 
 
 def test_trials_that_run_end_before_the_run_stops(bench: Bench) -> None:

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from carecontact.kernel.readings import Cells
 from carecontact.validation import smoothness
-from carecontact.validation.smoothness import dropouts
+from carecontact.validation.smoothness import dropouts, sliding_friction
 from carecontact.validation.subject import Subject
 from tests.validation.defects import ActsInContactOnly, frictionless, slippery
 
@@ -55,3 +56,18 @@ def test_skin_more_slippery_than_declared_is_found(subject: Subject) -> None:
 def test_skin_without_friction_is_found(subject: Subject) -> None:
     missed = smoothness.run(ActsInContactOnly(subject, frictionless), quick=True).missed
     assert "scrubbing at 5 N: deviation of the sliding friction from the declared one" in {m.name for m in missed}
+
+
+def test_friction_is_that_of_the_cells_over_which_the_tool_slides() -> None:
+    """Of three cells, the first slides with the tool's speed, the second sticks, and nothing touches the third."""
+    zero = Cells(press_ns=np.zeros(3), shear_ns=np.zeros(3), slip_m3=np.zeros(3), touch_m2s=np.zeros(3))
+    area, time, speed = 5e-5, 0.02, 0.1
+    after = Cells(
+        press_ns=np.array([3.0, 1.0, 0.0]), shear_ns=np.array([1.5, 0.1, 0.0]),
+        slip_m3=np.array([speed * time * area, 0.3 * speed * time * area, 0.0]),
+        touch_m2s=np.array([time * area, time * area, 0.0]),
+    )  # fmt: skip
+    assert sliding_friction(zero, after, speed_m_s=speed) == (0.5, 0.75)
+    friction, share = sliding_friction(zero, after, speed_m_s=10 * speed)
+    assert np.isnan(friction)
+    assert share == 0.0

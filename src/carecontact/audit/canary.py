@@ -10,7 +10,7 @@ from carecontact.audit.schema import failed_at
 from carecontact.audit.watched import Watched
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
-from carecontact.episode.randomization import comfort_arm_deg
+from carecontact.episode.drawn import draw
 from carecontact.hosting.wire.packing import unpack
 
 NAME, TITLE = "canary", "same observations until contact in worlds with different hidden values"
@@ -55,11 +55,17 @@ def other_hidden_values(spec: TrialSpec) -> TrialSpec:
     return spec.model_copy(update={"protocol": other, "task_id": "canary", "seed": spec.seed + OTHER_SEED})
 
 
-def other_arm_angle(spec: TrialSpec) -> TrialSpec:
-    """The same trial with a seed that lays the person's arm at an angle far from this one's."""
-    own = comfort_arm_deg(spec.protocol, spec.seed, salt=spec.salt)
-    seeds = range(spec.seed + OTHER_SEED, spec.seed + OTHER_SEED + OTHER_ANGLES)
-    far = max(seeds, key=lambda seed: abs(comfort_arm_deg(spec.protocol, seed, salt=spec.salt) - own))
+def other_arm_angle(spec: TrialSpec, *, own_deg: float) -> TrialSpec:
+    """The same trial with a seed that lays the person's arm at an angle far from ``own_deg``, where it lies now.
+
+    The angle is not computed from the seed: where the robot is parked, the seed's first person may have been refused.
+    """
+    region = spec.protocol.task(spec.task_id).region
+
+    def away(seed: int) -> float:
+        return abs(draw(spec.protocol, region=region, seed=seed, salt=spec.salt).comfort_arm_deg - own_deg)
+
+    far = max(range(spec.seed + OTHER_SEED, spec.seed + OTHER_SEED + OTHER_ANGLES), key=away)
     return spec.model_copy(update={"seed": far})
 
 

@@ -43,7 +43,8 @@ class Keyframe:
         robot cannot touch the region."""
         simulation, self.settled, self.model_sha256 = settled_world(protocol, task_id=task_id, seed=seed, salt=salt)
         region = protocol.task(task_id).region
-        self._laid_at_deg = draw(protocol, region=region, seed=seed, salt=salt).comfort_arm_deg
+        self.laid_at_deg = draw(protocol, region=region, seed=seed, salt=salt).comfort_arm_deg
+        """Angle of the arm."""
         self.scene = simulation.scene
         self._parked = simulation.integration_state()
         self.parked_pose = simulation.control.target_in_base
@@ -72,7 +73,7 @@ class Keyframe:
         return self._begin(Simulation(scene), self._near)
 
     def _begin(self, simulation: Simulation, state: F64) -> tuple[Simulation, Settled, str]:
-        simulation.restore(state, comfort_arm_deg=self._laid_at_deg)
+        simulation.restore(state, comfort_arm_deg=self.laid_at_deg)
         return simulation, self.settled, self.model_sha256
 
     def _approach(self, simulation: Simulation, *, region: str) -> tuple[F64, F64]:
@@ -112,8 +113,8 @@ def touches(samples: list[Samples]) -> bool:
 
 
 def _skin_in_world(simulation: Simulation, region: str) -> F64:
-    """(3,) the highest place of the region's shell near its middle."""
+    """(3,) the highest place of the shell near the region's middle, where the hand keeps clear of a large chest."""
     vertices = skin_points(simulation, region)
-    middle = vertices.mean(0)
+    middle = simulation.data.site(f"region_{region}").xpos
     near = np.linalg.norm(vertices[:, :2] - middle[:2], axis=1) < NEAR_MIDDLE_M
     return np.array([*middle[:2], vertices[near, 2].max()])

@@ -179,7 +179,7 @@ def two_starts(spec: TrialSpec, keyframe: Keyframe, *, folder: Path) -> tuple[Wa
     poses = keyframe.parked_pose[None]
     one = press(spec, card=BLIND, poses=poses, prepare=keyframe.parked, actions_per_look=1, folder=folder)
     same = canary.without_noise(settled_draws(keyframe.scene.protocol))
-    other = canary.other_arm_angle(spec.model_copy(update={"protocol": same}))
+    other = canary.other_arm_angle(spec.model_copy(update={"protocol": same}), own_deg=keyframe.laid_at_deg)
     return one, press(other, card=BLIND, poses=poses, prepare=_settled, actions_per_look=1, folder=folder)
 
 

@@ -1,6 +1,7 @@
-"""The actions that a task can name: one file each, with gate, judge, sweeps and words, found by name in BEHAVIOURS."""
+"""The actions that a task can name, as the table BEHAVIOURS: each file has one action with its gate, the rule by which
+a trial meets the gate, the sweeps of its values, and the words for a failure."""
 
-# A second file says how gates-v2 judges the action; the first names it in ``versions``.
+# Under gates-v2, a second file has the action's gate and rule; the first file names it in ``versions``.
 
 # A new action imports everything that it needs from here (docs/extending.md).
 

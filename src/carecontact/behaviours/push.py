@@ -1,4 +1,4 @@
-"""Push: contact at a force that lasts and carries the wrist along."""
+"""Push: the robot presses with a least force for a least time, and the wrist moves meanwhile."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from carecontact.behaviours.push_from_onset import PushFromOnset
 
 class PushGate(Section):
     force_n: Positive
-    """Least force summed over the neighbourhood, for as long as it is held."""
+    """Least force, summed over the named region's segment and its neighbours, during the whole hold [N]."""
     duration_s: Positive
     wrist_displacement_m: Positive
-    """Horizontal, from where the wrist had settled."""
+    """Least horizontal displacement of the wrist from where it rested before the trial [m]."""
 
 
 class Push(Behaviour[PushGate]):

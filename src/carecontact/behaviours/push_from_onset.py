@@ -1,4 +1,5 @@
-"""Push under gates-v2: the wrist's way is counted from where the contact began, and has an upper end."""
+"""Push under gates-v2: the displacement of the wrist counts from the beginning of the contact, and has an upper
+limit."""
 
 from __future__ import annotations
 
@@ -26,13 +27,13 @@ from carecontact.behaviours import (
 
 
 class PushFromOnsetGate(Section):
-    """Reasons and sources of the values that the shipped protocols give are in docs/scoring.md."""
+    """docs/scoring.md has the reasons and sources of the values in the shipped protocols."""
 
     force_n: Positive
-    """Least force summed over the neighbourhood, for as long as it is held."""
+    """Least force, summed over the named region's segment and its neighbours, during the whole hold [N]."""
     duration_s: Positive
     least_wrist_m: Positive
-    """Horizontal, from where the wrist was when the contact episode began."""
+    """Least horizontal displacement of the wrist from where it was when the contact episode began [m]."""
     most_wrist_m: Positive
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""Scrub: strokes to and fro along the region, in contact for most of the time."""
+"""Scrub: the tool moves to and fro along the region and is in contact for most of the time."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from carecontact.behaviours.scrub_passes import ScrubPasses
 
 class ScrubGate(Section):
     on_share: Fraction
-    """Of an episode's time in contact."""
+    """Least share of an episode's time that is in contact."""
     stroke_m: Positive
-    """Length of the path over the skin while in contact."""
+    """Least length of the tool's path over the skin while in contact [m]."""
     extent_m: Positive
-    """Part of the region's axis that the path covers."""
+    """Least length of the part of the region's axis that this path covers [m]."""
     reversals: int
 
 
 class Scrub(Behaviour[ScrubGate]):
-    """Judged on one contact episode and not on a hold, so a brief gap is forgiven."""
+    """The gate applies to one contact episode and not to one hold, so that a brief gap does not fail the trial."""
 
     gate = ScrubGate
     versions: ClassVar = {"gates-v2": ScrubPasses()}
@@ -69,7 +69,7 @@ class Scrub(Behaviour[ScrubGate]):
         )
 
     def lost(self, contact: Contact, gate: ScrubGate, result: Gate) -> bool:
-        """Half the share stands for half a hold."""
+        """For this action, half of the required share of contact counts as a good part of the time."""
         if result.best is None:
             return False
         target_on = contact.on[result.best.start : result.best.stop, contact.target]

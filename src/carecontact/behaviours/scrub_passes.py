@@ -1,4 +1,4 @@
-"""Scrub under gates-v2: a part of the region is passed several times, with a force that cleans and does not press."""
+"""Scrub under gates-v2: the tool passes a part of the region several times, with a force that cleans and is gentle."""
 
 from __future__ import annotations
 
@@ -25,17 +25,18 @@ from carecontact.behaviours import (
 
 
 class ScrubPassesGate(ForceBand):
-    """Reasons and sources of the values that the shipped protocols give are in docs/scoring.md."""
+    """docs/scoring.md has the reasons and sources of the values in the shipped protocols."""
 
     passed_m: Positive
-    """Length of the region's axis that is passed ``passes`` times with at least ``least_n``."""
+    """Least length of the part of the region's axis that is passed ``passes`` times with at least ``least_n`` [m]."""
     passes: Annotated[int, Field(ge=1)]
     band_share: Fraction
     """Least share of the sliding time in which the force is in the band."""
 
 
 class ScrubPasses(Behaviour[ScrubPassesGate]):
-    """Judged on the whole trial: a gap between two strokes takes nothing away, and every stroke's force counts."""
+    """The gate applies to the whole trial: a gap between two strokes does no harm, and the force of every stroke
+    counts."""
 
     gate = ScrubPassesGate
     harder = ScrubPassesGate(least_n=1.0, most_n=8.0, passed_m=0.080, passes=3, band_share=0.8)

@@ -1,4 +1,4 @@
-"""Touch: contact that lasts."""
+"""Touch: contact without interruption for a least time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from carecontact.behaviours.touch_gently import GentleTouch
 
 class TouchGate(Section):
     duration_s: Positive
-    """Of continuous contact."""
+    """Least time of uninterrupted contact [s]."""
 
 
 class Touch(Behaviour[TouchGate]):

@@ -1,4 +1,4 @@
-"""Touch under gates-v2: a hold at a force that is felt and does not press."""
+"""Touch under gates-v2: contact for a least time with a force that the person feels and that is gentle."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from carecontact.behaviours import (
 
 
 class GentleTouchGate(ForceBand):
-    """Reasons and sources of the values that the shipped protocols give are in docs/scoring.md."""
+    """docs/scoring.md has the reasons and sources of the values in the shipped protocols."""
 
     duration_s: Positive
-    """Least time of uninterrupted contact with the force in the band."""
+    """Least time of uninterrupted contact with the force in the band [s]."""
 
 
 class GentleTouch(Behaviour[GentleTouchGate]):

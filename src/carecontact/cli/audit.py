@@ -1,4 +1,4 @@
-"""``carecontact audit``: can a policy know what it must not?"""
+"""``carecontact audit``: checks that no policy receives what it must not know."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``carecontact calibrate``: measured trials in, fitted tissue and its certificate out."""
+"""``carecontact calibrate``: fits tissue to measured trials and writes it with a certificate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What two results of the same run differ in, in lines."""
+"""Lists the differences between two results of the same run, one line each."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def _counted(n: int, what: str) -> str:
 
 
 def _say(text: str) -> None:
-    """Wrapped between words on a narrow terminal, as one line elsewhere."""
+    """Print a text: wrapped between words on a narrow terminal, and as one line elsewhere."""
     from carecontact.cli.console import console
 
     terminal = console(WIDTH)

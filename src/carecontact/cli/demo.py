@@ -1,4 +1,4 @@
-"""``carecontact demo``: the seven tasks once, and proof that they really happened."""
+"""``carecontact demo``: runs the seven tasks once and checks that the robot really touched, pushed and scrubbed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a video is: a line that renews itself on a terminal, elsewhere one every 30 s."""
+"""Progress of a video: one line that is rewritten on a terminal, and elsewhere a new line every 30 s."""
 
 from __future__ import annotations
 

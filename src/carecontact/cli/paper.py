@@ -72,7 +72,10 @@ def _protocol(places: Sequence[Path], runs: Sequence[RunScores]) -> Protocol | N
     if recording is not None:
         return read_header(recording).spec.protocol
     first = next((score for run in runs for score in run.scores), None)
-    if first is None or first.overrides or first.protocol_id not in shipped_protocols():
+    if first is None or first.overrides:
         return None
-    found = load_protocol(first.protocol_id)
+    name, _, level = first.protocol_id.partition(" ")
+    if name not in shipped_protocols():
+        return None
+    found = load_protocol(name, level=level or None)
     return found if found.sha256 == first.protocol_sha256 else None

@@ -95,12 +95,13 @@ class Run:
         A policy that fails its tasks is a result. Raises ConfigError if the policy's server stays out of reach."""
         from carecontact.cli.policy import check_policy, policy_setup
         from carecontact.runs.alone import alone
+        from carecontact.runs.manifest import runs_beside
         from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials, with_noise_salt
         from carecontact.runs.salt import with_salt
         from carecontact.runs.shard import Shard
         from carecontact.trials.engines import check_engine
         from carecontact.trials.pace import check_pace
-        from carecontact.trials.supervisor import check_jobs, runs_beside
+        from carecontact.trials.supervisor import check_jobs
 
         check_jobs(self.parallel.jobs)
         check_pace(self.pace)
@@ -117,7 +118,7 @@ class Run:
             held.enter_context(alone(self.out, make=True))
             closed = replace(setup, closed=(*setup.closed, *runs_beside(self.out)))
             card = check_policy(closed, deadline_s=rules.phases.first_call_deadline_s)
-            specs = plan_trials(
+            planned = plan_trials(
                 protocol=rules,
                 policy=setup.ref.text,
                 tasks=tasks,
@@ -125,13 +126,16 @@ class Run:
                 arguments=setup.arguments,
                 environment=setup.environment,
             )
-            specs = with_noise_salt(with_salt(specs, salt), self.noise_salt, one_of_several=shard is not None)
-            specs = specs if shard is None else shard.of(specs)
+            planned = with_noise_salt(with_salt(planned, salt), self.noise_salt, one_of_several=shard is not None)
+            specs = planned if shard is None else shard.of(planned)
             if self.restart and restart(self.out):
                 held.enter_context(alone(self.out, make=True))
-            return self._run(specs, setup, card, purpose)
+            whole = [spec.trial_id for spec in planned]
+            return self._run(specs, setup, card=card, purpose=purpose, whole=whole)
 
-    def _run(self, specs: list[TrialSpec], setup: PolicySetup, card: PolicyCard | None, purpose: Purpose) -> int:
+    def _run(
+        self, specs: list[TrialSpec], setup: PolicySetup, *, card: PolicyCard | None, purpose: Purpose, whole: list[str]
+    ) -> int:
         from carecontact.cli.policy import arguments_text
         from carecontact.cli.progress import progress
         from carecontact.trials.supervisor import run_trials
@@ -155,6 +159,7 @@ class Run:
                 pace_s=self.pace,
                 on_event=lambda event: self._show(event, on_event),
                 purpose=purpose,
+                whole=whole,
             )
         status = self._finish(summary)
         if self.output.json and summary.unreached is None:

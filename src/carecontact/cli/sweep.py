@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import tyro
 
 from carecontact.cli.groups import FLAT, EngineGroup, JsonGroup, PolicyGroup, SaltGroup, Switch
-from carecontact.errors import ConfigError, DependencyError
+from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
     from carecontact.cli.sweep_progress import SweepProgress
+    from carecontact.hosting.setup import PolicySetup
     from carecontact.reports.sweep.table import SweepTable
     from carecontact.runs.run_scores import RunScores
     from carecontact.runs.sweep.cells import Cell
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from carecontact.scoring.result import TrialScore
     from carecontact.trials.supervisor import RunSummary
     from carecontact.trials.sweep import SweptPolicy
-
-CELLS = "cells"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,81 +36,117 @@ class Sweep:
     """File with the policies, the axes, the tasks and the seeds."""
     out: Path
     """Folder for sweep.html, sweep.md, sweep.csv and, below cells/, one run for each cell."""
+    tasks: str | None = None
+    """Tasks in place of the plan's, for a first piece of it: a list (T1,T2), a range (T1-T7), or all."""
+    seeds: str | None = None
+    """Seeds in place of the plan's, for a first piece of it: one (3), a list (0,4,7), a range (0-19), or all."""
     parallel: Annotated[EngineGroup, FLAT] = field(default_factory=EngineGroup)
     shard: str | None = None
     """Run one part of the cells: 2/4 is the second of four. The parts can share --out, and the last one to end writes
-    the whole table."""
+    the whole table; `carecontact merge` makes one sweep of parts in several folders."""
+    noise_salt: str | None = None
+    """Secret from which the sensor noise is drawn in every cell whose protocol has any: 32 hexadecimal digits. With it,
+    the sweep can be repeated with the same hashes; default: a fresh one for each cell."""
     salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
     retry_failed: Switch = False
     """Run again the trials in which the policy crashed or the harness failed."""
     dry_run: Switch = False
-    """Print the cells, and run nothing."""
+    """Print the cells and how many of their trials are recorded, and run nothing."""
+    table_only: Switch = False
+    """Write the table of the trials that are recorded, and run nothing."""
     output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
 
-    after_interrupt: ClassVar[str] = "; finished trials are kept; give the same command again to continue"
+    after_interrupt: ClassVar[str] = (
+        "; finished trials are kept; give the same command again to continue, or with --table-only for their table"
+    )
 
     def __call__(self) -> int:
         """Return 1 if the harness failed in any trial or one could not be scored, else 3 if a policy crashed in one.
 
         Raises ConfigError for a wrong plan, and where the server of a policy stays out of reach."""
+        from carecontact.cli.cell_scores import computed, stored
         from carecontact.cli.sweep_progress import SweepProgress
         from carecontact.runs.shard import Shard
+        from carecontact.runs.sweep.cells import CELLS
         from carecontact.runs.sweep.plan import read_plan
         from carecontact.trials.supervisor import check_jobs
 
         check_jobs(self.parallel.jobs)
         shard = None if self.shard is None else Shard.parse(self.shard)
         plan = read_plan(self.plan)
-        cells, policies = self._planned(plan)
-        mine = cells if shard is None else [cell for k, cell in enumerate(cells) if k % shard.count == shard.index - 1]
+        pieces = {"tasks": self.tasks, "seeds": self.seeds}
+        plan = plan.model_copy(update={name: text for name, text in pieces.items() if text is not None})
+        cells, setups = self._planned(plan)
+        if self.table_only:
+            return self._table(plan, cells, computed)
+        mine = cells if shard is None else shard.every(cells)
         trials = sum(len(cell.specs) for cell in mine)
         part = f", part {self.shard} of them" if shard else ""
         print(f"{self.plan}: {len(mine)} cell(s){part}, {trials} trial(s), into {self.out}", flush=True)
         if self.dry_run:
             for cell in mine:
-                print(f"{self._folder(cell)}: {len(cell.specs)} trial(s)")
+                told = f", {recorded} recorded" if (recorded := len(cell.specs) - self._lacking(cell)) else ""
+                print(f"{self._folder(cell)}: {len(cell.specs)} trial(s){told}")
             return 0
+        policies = self._checked(plan, setups, mine)
         (self.out / CELLS).mkdir(parents=True, exist_ok=True)
         began = time.monotonic()
         progress = SweepProgress(cells=len(mine), trials=trials)
         self._run(mine, policies, progress)
         progress.say_throughput(time.monotonic() - began)
-        return self._finish(plan, cells, progress)
+        return self._table(plan, cells, stored) or progress.status()
 
-    def _planned(self, plan: Plan) -> tuple[list[Cell], list[SweptPolicy]]:
-        """Everything that can be wrong with the plan is found here, before the first trial."""
-        from carecontact.cli.policy import check_policy, policy_setup
-        from carecontact.runs.sweep.cells import cells_of, places_of
-        from carecontact.trials.engines import check_engine
-        from carecontact.trials.sweep import SweptPolicy
+    def _planned(self, plan: Plan) -> tuple[list[Cell], list[PolicySetup]]:
+        """What can be wrong with the plan itself is found here, before the first trial."""
+        from carecontact.cli.policy import policy_setup
+        from carecontact.runs.sweep.cells import cells_of, places_of, with_noise
 
+        salt = self.salted.salt
         places = places_of(plan, named=str(self.plan))
-        deadline_s = places[0].protocol.phases.first_call_deadline_s
-        swept: list[SweptPolicy] = []
-        warnings = dict[str, None]()
         try:
             setups = [policy_setup(planned.policy, _options(planned)) for planned in plan.policies]
-            setups = [replace(setup, closed=(*setup.closed, *self.salted.closed)) for setup in setups]
+            closed = (*self.salted.closed, str(self.out.resolve()))
+            setups = [replace(setup, closed=(*setup.closed, *closed)) for setup in setups]
             named = [
                 (planned.label or _title(planned), setup.ref.text, setup.arguments, tuple(setup.environment))
                 for planned, setup in zip(plan.policies, setups, strict=True)
             ]
-            cells = cells_of(plan, places, named, salt=self.salted.salt)
+            cells = cells_of(plan, places, named, salt=salt)
         except ConfigError as error:
             raise ConfigError(f"plan {self.plan}: policies: {error}") from None
-        for planned, setup in zip(plan.policies, setups, strict=True):
-            if not self.dry_run:
-                warnings[check_engine(self.parallel.engine, setup, gpus=self.parallel.gpus)] = None
-            card = None if self.dry_run else check_policy(setup, deadline_s=deadline_s)
-            swept.append(SweptPolicy(setup=setup, card=card, jobs=planned.jobs))
-        for told in filter(None, warnings):
+        return cells if self.noise_salt is None else with_noise(cells, self.noise_salt), setups
+
+    def _checked(self, plan: Plan, setups: Sequence[PolicySetup], cells: Sequence[Cell]) -> list[SweptPolicy]:
+        """Start every policy once that a trial of these cells still needs: a server that is not may be gone."""
+        from carecontact.cli.policy import check_policy
+        from carecontact.trials.engines import check_engine
+        from carecontact.trials.sweep import SweptPolicy
+
+        if told := check_engine(self.parallel.engine, *setups, gpus=self.parallel.gpus):
             print(f"warning: {told}")
-        return cells, swept
+        deadline_s = cells[0].place.protocol.phases.first_call_deadline_s
+        needed = {cell.policy for cell in cells if self.retry_failed or self._lacking(cell)}
+        swept: list[SweptPolicy] = []
+        for number, (planned, setup) in enumerate(zip(plan.policies, setups, strict=True)):
+            try:
+                card = check_policy(setup, deadline_s=deadline_s) if number in needed else None
+            except ConfigError as error:
+                raise ConfigError(f"plan {self.plan}: policies: {str(error).removeprefix('--policy ')}") from None
+            swept.append(SweptPolicy(setup=setup, card=card, jobs=planned.jobs))
+        return swept
 
     def _folder(self, cell: Cell) -> Path:
+        from carecontact.runs.sweep.cells import CELLS
+
         return self.out / CELLS / cell.name
 
+    def _lacking(self, cell: Cell) -> int:
+        """How many trials of the cell have no recording."""
+        folder = self._folder(cell)
+        return sum(not (folder / f"{spec.trial_id}.h5").is_file() for spec in cell.specs)
+
     def _run(self, cells: Sequence[Cell], policies: Sequence[SweptPolicy], progress: SweepProgress) -> None:
+        from carecontact.cli.cell_scores import store
         from carecontact.trials.sweep import run_cells
 
         # One thread: what scores must not take the cores of the trials.
@@ -124,7 +159,7 @@ class Sweep:
                         f"the sweep stops in {cell.name}: {summary.unreached}; give the same command again"
                     )
                 progress.done(cell, summary)
-                scored.append(scorer.submit(_score, self._folder(cell), anew=bool(summary.ran)))
+                scored.append(scorer.submit(store, self._folder(cell), anew=bool(summary.ran)))
 
             run_cells(
                 cells, policies, folder=self._folder, jobs=self.parallel.jobs, on_event=progress.take, on_done=done,
@@ -135,19 +170,26 @@ class Sweep:
             for each in scored:
                 each.result()
 
-    def _finish(self, plan: Plan, cells: Sequence[Cell], progress: SweepProgress) -> int:
+    def _table(self, plan: Plan, cells: Sequence[Cell], read: Callable[[Path], RunScores | None]) -> int:
+        """Write the table of all cells; returns 1 if a recording could not be scored.
+
+        Args:
+            read: the scores of a cell's folder.
+        """
         from carecontact.policies.registry import role_of
         from carecontact.reports.sweep.page import write_sweep
         from carecontact.reports.sweep.table import CellScores, sweep_table
         from carecontact.reports.sweep.texts import sentences
 
-        found = [(cell, _stored(self._folder(cell))) for cell in cells]
+        if not self.out.is_dir():
+            raise ConfigError(f"{self.out}: no such folder; name the --out of a sweep")
+        found = [(cell, read(self._folder(cell))) for cell in cells]
         table = sweep_table(
             self.plan.stem,
             [
                 CellScores(
                     label=cell.label, role=role_of(cell.specs[0].policy), values=cell.place.values,
-                    folder=f"{CELLS}/{cell.name}",
+                    folder=self._folder(cell).relative_to(self.out).as_posix(),
                     planned=len(cell.specs), scores=_of_plan(cell, run),
                 )
                 for cell, run in found
@@ -165,7 +207,7 @@ class Sweep:
         ]
         for line in skipped:
             print(f"skipped {line}")
-        return 1 if skipped else progress.status()
+        return 1 if skipped else 0
 
 
 def _say(table: SweepTable) -> None:
@@ -193,6 +235,8 @@ def _options(planned: PlannedPolicy) -> PolicyGroup:
     return PolicyGroup(
         policy_arg=tuple(f"{name}={text}" for name, text in texts.items()),
         policy_env=tuple(planned.environment),
+        policy_read=tuple(planned.read),
+        policy_write=tuple(planned.write),
         language=planned.language,
     )
 
@@ -200,24 +244,6 @@ def _options(planned: PlannedPolicy) -> PolicyGroup:
 def _title(planned: PlannedPolicy) -> str:
     language = [planned.language] if planned.language else []
     return " ".join([planned.policy, *(f"{name}={value}" for name, value in planned.arguments.items()), *language])
-
-
-def _score(folder: Path, *, anew: bool) -> None:
-    """Write the results of a cell, unless those that are there belong to its recordings."""
-    from carecontact.runs import score_run, write_scores
-    from carecontact.runs.stored_scores import beside_plan
-
-    if anew or _stored(folder) is None:
-        write_scores(folder, beside_plan(folder, score_run(folder)))
-
-
-def _stored(folder: Path) -> RunScores | None:
-    from carecontact.runs.stored_scores import read_scores
-
-    try:
-        return read_scores(folder)
-    except (ConfigError, DependencyError):
-        return None
 
 
 def _of_plan(cell: Cell, run: RunScores | None) -> list[TrialScore]:

@@ -20,6 +20,8 @@ class SweepProgress:
         self._done_cells = self._done = self._ran = self._most = 0
         self._running = 0
         self._ended: dict[str, int] = {}
+        self._warned: dict[int, str] = {}
+        """Policy -> the cell whose first answer was told: it answers alike in all of them."""
 
     def take(self, cell: Cell, event: TrialEvent) -> None:
         self._running += (event.kind == "started") - (event.kind in ("finished", "redo") and self._running > 0)
@@ -32,7 +34,7 @@ class SweepProgress:
         line = told(event) if event.kind == "redo" or failed else None
         if event.kind == "waiting" and self._silence.is_due(f"{cell.name} {event.trial_id}"):
             line = told(event)
-        if event.kind == "warned":
+        if event.kind == "warned" and self._warned.setdefault(cell.policy, cell.name) == cell.name:
             line = f"warning: the first answer of {event.trial_id}, {event.message}"
         if line is not None:
             self._say(f"{cell.name}: {line}")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Validate:
-    """Check that the simulated person is physically valid: twelve checks, each with limits that it must meet."""
+    """Check that the simulated person is physically valid: thirteen checks, each with limits that it must meet."""
 
     body: tuple[str, ...] = ()
     """Bodies to check; see `carecontact list bodies`; default: the protocol's."""

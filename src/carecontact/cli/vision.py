@@ -33,7 +33,7 @@ def with_vision(protocol: Protocol, options: VisionGroup) -> Protocol:
     named = protocol.vision.weights_sha256
     if segmenter is None and sha256 != named:
         raise ConfigError(
-            f"--weights {weights}: sha256 {sha256[:12]}, protocol {protocol.id} names {named[:12]}; add "
+            f"--weights {weights}: sha256 {sha256[:12]}, protocol {protocol.name} names {named[:12]}; add "
             "--segmenter grounded-sam to use these weights instead"
         )
     return _replaced(protocol, name, sha256)

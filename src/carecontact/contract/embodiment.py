@@ -17,12 +17,12 @@ class Tip:
     half_m: tuple[float, float, float]
     """Semi-axes of an ellipsoid in the hand's axes; y is along the finger pair, z out of the tool."""
     give_m3_n: float = 0.0
-    """How far the tip's own surface gives way under pressure [m/Pa]; 0: it is rigid."""
+    """Compliance of the tip's own surface under pressure [m/Pa]; 0 means that it is rigid."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Embodiment:
-    """Constants of a robot, as the compiled model, the policies and the recordings know them."""
+    """The constants of a robot that the compiled model, the policies and the recordings share."""
 
     id: str
     """Its name in every recording and in the lock of every protocol."""

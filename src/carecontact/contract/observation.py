@@ -1,4 +1,4 @@
-"""What a policy may see, and nothing else."""
+"""The observation: everything that a policy receives during a trial, and nothing else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The card a policy shows and the two methods it has."""
+"""The interface of a policy: its card and its two methods."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a policy learns before its first observation."""
+"""The information that a policy receives before its first observation."""
 
 from __future__ import annotations
 

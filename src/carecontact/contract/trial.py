@@ -1,4 +1,4 @@
-"""What one trial is, before it runs."""
+"""The specification of one trial, as it is known before the trial runs."""
 
 from __future__ import annotations
 

@@ -16,8 +16,8 @@ STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "plac
 
 
 def streams(protocol: Protocol, seed: int, salt: str) -> dict[str, np.random.Generator]:
-    """One generator a stream; they depend on protocol id, seed and salt only, so trials are paired over tasks, methods
-    and levels.
+    """One generator a stream; they depend on ``Protocol.drawn_as``, seed and salt only, so
+    trials are paired over tasks, methods and levels.
 
     Args:
         salt: the trial's secret (``TrialSpec.salt``), without which nobody can tell from a published seed what it
@@ -26,8 +26,8 @@ def streams(protocol: Protocol, seed: int, salt: str) -> dict[str, np.random.Gen
     if salt:
         # A hash for each stream, not a seed for all: whoever found out one stream from what it drew would know neither
         # the salt nor another stream.
-        return {name: np.random.default_rng(words(f"{salt} {protocol.id} {seed} {name}")) for name in STREAMS}
-    children = np.random.SeedSequence([*words(protocol.id), seed]).spawn(len(STREAMS))
+        return {name: np.random.default_rng(words(f"{salt} {protocol.drawn_as} {seed} {name}")) for name in STREAMS}
+    children = np.random.SeedSequence([*words(protocol.drawn_as), seed]).spawn(len(STREAMS))
     return {name: np.random.default_rng(child) for name, child in zip(STREAMS, children, strict=True)}
 
 

@@ -20,7 +20,7 @@ JOINTS = tuple(f"joint{k}" for k in range(1, 8))
 
 @dataclass(frozen=True, kw_only=True)
 class Stream:
-    """One quantity at every row."""
+    """The values of one quantity in every row of an episode."""
 
     names: tuple[str, ...]
     values: F32
@@ -31,12 +31,12 @@ class Stream:
 class Episode:
     instruction: str
     hz: float
-    """Rows in a second of simulated time."""
+    """Number of rows in a second of simulated time."""
     streams: dict[str, Stream]
     images: dict[str, list[npt.NDArray[np.uint8]]] = field(default_factory=dict[str, list[Any]])
     """Camera -> (H, W, 3) images, in the order in which they were sent."""
     shown: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """(M,) which of the images the policy had when it chose the action."""
+    """(M,) index of the image that the policy had when it chose the action."""
 
     def __len__(self) -> int:
         return len(self.streams["action"].values)

@@ -28,7 +28,7 @@ QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 @dataclass(kw_only=True)
 class Dataset:
-    """A dataset that grows by one episode at a time; ``close`` writes what stands beside the rows."""
+    """A dataset that is written one episode at a time; ``close`` writes the metadata."""
 
     folder: Path
     robot: str

@@ -39,6 +39,8 @@ class Options(TypedDict):
     """Ends when the parent does."""
     parent: int
     """Process id."""
+    harness_port: int
+    """Of the loopback interface: from there the harness connects, and every other connection is refused."""
     readable: list[str]
     writable: list[str]
     """What the user opened to the isolated process."""
@@ -84,6 +86,7 @@ def main(options: Options) -> None:
         serve_policy(
             policy,
             on_port=lambda port: tell({"port": port}),
+            client_port=options["harness_port"],
             arguments=arguments,
             environment=tuple(options["environment"]),
         )

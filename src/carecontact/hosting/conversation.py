@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from types import TracebackType
-from typing import Self
+from typing import Self, TypeVar
 
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
@@ -28,6 +28,10 @@ BUDGET_S = 3600.0
 """Wall time that a policy may take in one trial, all calls together: 2.4 s for each of the 1,500 calls that 30 s at
 50 Hz can hold. In code and in no protocol: it only keeps a trial from ending by the supervisor's limit, which would be
 nobody's fault."""
+
+T = TypeVar("T")
+Left = Callable[[], float]
+"""Seconds until the deadline of a call, never below 0."""
 
 
 def readable(text: str) -> str:
@@ -48,7 +52,8 @@ class PolicyConversation(ABC):
     isolation: str | None = None
     """How far the policy's process is isolated (``isolation.fence``); None before its start and on another host."""
     patient = False
-    """Whether ``start`` waits, within its deadline, for a server that takes no connection."""
+    """Whether the calls before the first answer wait, within their deadline, for a server that takes no connection or
+    lost it."""
 
     on_sent: Callable[[bytes], None] | None = None
     """Called with every message that has been sent to the policy."""
@@ -79,28 +84,28 @@ class PolicyConversation(ABC):
         return ""
 
     def start(self) -> PolicyCard:
-        """Connect; returns the policy's card. Raises UnreachableError where no server takes a connection."""
-        with self._evidence("start"), self._within(self._first_deadline_s) as allowed_s:
-            deadline = time.monotonic() + allowed_s
-
-            def left() -> float:
-                return max(deadline - time.monotonic(), 0.0)
-
-            self._client = self._open(left)
-            self._client.connection.on_sent = self.on_sent
-            self._client.connection.on_received = self.on_received
-            return self._client.card(deadline_s=left())
+        """Connect; returns the policy's card. Raises UnreachableError where no server takes a connection, as ``reset``
+        and the first ``act`` do if it is ``patient``."""
+        with self._evidence("start"), self._within(self._first_deadline_s) as left:
+            return self._carried_out(self._connect, left)
 
     def reset(self, instruction: str, session: Session) -> None:
-        with self._evidence("reset"), self._within(self._first_deadline_s) as allowed_s:
-            self._connected().reset(instruction, session, deadline_s=allowed_s)
+        def step(left: Left) -> None:
+            self._connected().reset(instruction, session, deadline_s=left())
+
+        with self._evidence("reset"), self._within(self._first_deadline_s) as left:
+            self._carried_out(step, left)
 
     def act(self, observation: Observation) -> ActReply:
         """One observation, one checked chunk. ObservationError and ContractError are the harness's own mistakes."""
-        deadline_s = self._deadline_s if self._acted else self._first_deadline_s
+
+        def step(left: Left) -> ActReply:
+            return self._connected().act(observation, deadline_s=left())
+
+        with self._evidence("act"), self._within(self._deadline_s if self._acted else self._first_deadline_s) as left:
+            reply = self._carried_out(step, left)
         self._acted = True
-        with self._evidence("act"), self._within(deadline_s) as allowed_s:
-            return self._connected().act(observation, deadline_s=allowed_s)
+        return reply
 
     def close(self) -> None:
         """End the conversation, gracefully if the policy still answers. Idempotent."""
@@ -109,8 +114,18 @@ class PolicyConversation(ABC):
         self._drop()
 
     @abstractmethod
-    def _open(self, left: Callable[[], float]) -> Client:
+    def _open(self, left: Left) -> Client:
         """Reach the policy within the seconds that are ``left``."""
+
+    def _connect(self, left: Left) -> PolicyCard:
+        self._client = self._open(left)
+        self._client.connection.on_sent = self.on_sent
+        self._client.connection.on_received = self.on_received
+        return self._client.card(deadline_s=left())
+
+    def _carried_out(self, step: Callable[[Left], T], left: Left) -> T:
+        """Take one step of the conversation within the seconds that are ``left``."""
+        return step(left)
 
     def _shown(self, text: str) -> str:
         """Make text that came from the policy fit for a terminal, a log or a recording."""
@@ -146,12 +161,12 @@ class PolicyConversation(ABC):
         return self._client
 
     @contextmanager
-    def _within(self, deadline_s: float) -> Generator[float, None, None]:
-        """Gives the seconds that a call may take, and takes those that it took off the budget."""
+    def _within(self, deadline_s: float) -> Generator[Left, None, None]:
+        """Gives the seconds that are left for a call, and takes those that it took off the budget."""
         started, allowed_s = time.monotonic(), min(deadline_s, self._left_s)
         try:
             with self._reported_wait(allowed_s):
-                yield allowed_s
+                yield lambda: max(started + allowed_s - time.monotonic(), 0.0)
         except PolicyError as error:
             if error.kind == "timeout" and allowed_s < deadline_s:
                 raise PolicyError(

@@ -8,18 +8,18 @@ import os
 import re
 import select
 import signal
+import socket
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import carecontact
 from carecontact.errors import PolicyError
-from carecontact.hosting.conversation import BUDGET_S, GRACE_S, PolicyConversation
+from carecontact.hosting.conversation import BUDGET_S, GRACE_S, Left, PolicyConversation
 from carecontact.hosting.descendants import MARK, kill_marked, new_mark
 from carecontact.hosting.isolation.blocked import remedy
 from carecontact.hosting.isolation.private_folder import PrivateFolder, private_folder
@@ -43,8 +43,10 @@ ENVIRONMENT = (
 )  # fmt: skip
 SECRET_CHARS = 6
 """A value of --policy-env that is at least as long is taken out of what the policy printed. Shorter ones are words."""
-ENVIRONMENT_PREFIXES = ("OMP_", "OPENBLAS_", "OPENAI_")
+ENVIRONMENT_PREFIXES = ("OMP_", "OPENBLAS_")
 """Nothing else but what --policy-env names reaches the policy: no variable of the harness can carry a seed or label."""
+LANGUAGE_PREFIX = "OPENAI_"
+"""Address and key of a language model, for a policy that the user has asked to use one: ``live:MODEL``."""
 
 _MISSING_KEY = re.compile(r"KeyError: '([A-Za-z_][A-Za-z0-9_]*)'")
 _BOOTSTRAP = """
@@ -73,6 +75,7 @@ class PolicyProcess(PolicyConversation):
         self._child: subprocess.Popen[bytes] | None = None
         self._mark = new_mark()
         self._lifeline: int | None = None
+        self._line: socket.socket | None = None
         self._folder: PrivateFolder | None = None
         self._stack: int | None = None
         self._output = b""
@@ -82,14 +85,13 @@ class PolicyProcess(PolicyConversation):
     def printed(self) -> str:
         return self._shown(self._output.decode(errors="replace")).strip()
 
-    def launch(self) -> int:
-        """The port of the loopback interface where the policy waits for whoever speaks to it instead of this object.
+    def launch(self) -> socket.socket:
+        """Return a connection to the policy, for whoever speaks to it instead of this object, and closes it.
 
         Raises PolicyError as ``start`` does.
         """
-        deadline = time.monotonic() + self._first_deadline_s
-        with self._evidence("start"):
-            return self._launch(lambda: max(deadline - time.monotonic(), 0.0))
+        with self._evidence("start"), self._within(self._first_deadline_s) as left:
+            return self._reached(self._launch(left), left)
 
     def hung(self) -> str:
         """Where a launched policy stands that does not end although nobody speaks to it any more; empty if it ends."""
@@ -105,17 +107,32 @@ class PolicyProcess(PolicyConversation):
                 self._child.wait(GRACE_S)
         self._drop()
 
-    def _open(self, left: Callable[[], float]) -> PolicyClient:
+    def _open(self, left: Left) -> PolicyClient:
         """Launch, import, connect."""
         port = self._launch(left)
-        return PolicyClient(Connection.open(port=port, deadline_s=left()))
+        return PolicyClient(Connection.open(port=port, deadline_s=left(), line=self._reached(port, left)))
 
-    def _launch(self, left: Callable[[], float]) -> int:
+    def _reached(self, port: int, left: Left) -> socket.socket:
+        """The line to the port where the policy listens, from the one port that it listens to."""
+        line, self._line = self._line, None
+        assert line is not None
+        line.settimeout(left())
+        try:
+            line.connect(("127.0.0.1", port))
+        except OSError as error:
+            line.close()
+            raise PolicyError("died", f"its process took no connection: {error.strerror or error}") from None
+        line.settimeout(None)
+        return line
+
+    def _launch(self, left: Left) -> int:
         """Return the port on which the child listens."""
         try:
             self._folder = private_folder()
         except OSError as error:
             raise PolicyError("start", f"no temporary folder could be made for its process: {error}") from None
+        self._line = socket.socket()
+        self._line.bind(("127.0.0.1", 0))
         report_read, report_write = os.pipe()
         lifeline_read, self._lifeline = os.pipe()
         self._stack, stack_write = os.pipe()
@@ -124,7 +141,7 @@ class PolicyProcess(PolicyConversation):
             # set, and so a policy's answer, may differ from run to run.
             self._child = subprocess.Popen(
                 [sys.executable, "-s", "-P", "-u", "-c", _BOOTSTRAP],
-                env=_environment()
+                env=_environment(self._setup)
                 | dict(self._setup.environment)
                 | {MARK: self._mark, "TMPDIR": str(self._folder.path)},
                 stdin=subprocess.PIPE,
@@ -142,15 +159,16 @@ class PolicyProcess(PolicyConversation):
         self._reader = threading.Thread(target=self._drain, args=(self._child,), daemon=True)
         self._reader.start()
         options = _options(
-            self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline_read, stack_fd=stack_write
-        )
+            self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline_read, stack_fd=stack_write,
+            harness_port=self._line.getsockname()[1],
+        )  # fmt: skip
         # Not on the command line, which every user of the machine can read.
         assert self._child.stdin is not None
         with suppress(BrokenPipeError), self._child.stdin as stdin:
             stdin.write(json.dumps(options).encode())
         return self._reported_port(report_read, left)
 
-    def _reported_port(self, report_read: int, left: Callable[[], float]) -> int:
+    def _reported_port(self, report_read: int, left: Left) -> int:
         with os.fdopen(report_read, "rb", buffering=0) as report:
             lines = self._report_lines(report, left)
             try:
@@ -164,7 +182,7 @@ class PolicyProcess(PolicyConversation):
                 raise PolicyError("garbage", "its process reported neither a port nor why it did not start") from None
         raise PolicyError(kind if kind in ("argument", "start") else "start", why)
 
-    def _report_lines(self, report: io.FileIO, left: Callable[[], float]) -> Iterator[bytes]:
+    def _report_lines(self, report: io.FileIO, left: Left) -> Iterator[bytes]:
         """What the process says about its start, line by line; never the end of it."""
         written = b""
         while True:
@@ -228,7 +246,7 @@ class PolicyProcess(PolicyConversation):
     def _hint(self, message: str) -> str:
         """A policy that misses a variable or a file cannot know that the caller has it."""
         missing = _MISSING_KEY.search(message)
-        passes = {*_environment(), *self._setup.environment}
+        passes = {*_environment(self._setup), *self._setup.environment}
         if missing is None or missing[1] not in os.environ or missing[1] in passes:
             return remedy(message, isolation=self.isolation)
         return f"; {missing[1]} is set here, but reaches the policy only with --policy-env {missing[1]}"
@@ -255,10 +273,15 @@ class PolicyProcess(PolicyConversation):
         for end in ends:
             if end is not None:
                 os.close(end)
+        if self._line is not None:
+            self._line.close()
+            self._line = None
         super()._drop()
 
 
-def _options(setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: int, stack_fd: int) -> Options:
+def _options(
+    setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: int, stack_fd: int, harness_port: int
+) -> Options:
     return {
         "root": str(Path(carecontact.__file__).resolve().parents[1]),
         "target": target,
@@ -269,6 +292,7 @@ def _options(setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: in
         "report_fd": report_fd,
         "lifeline_fd": lifeline_fd,
         "parent": os.getpid(),
+        "harness_port": harness_port,
         "readable": [os.path.abspath(place) for place in setup.readable],
         "writable": [os.path.abspath(place) for place in setup.writable],
         "closed": [os.path.abspath(place) for place in setup.closed],
@@ -277,7 +301,9 @@ def _options(setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: in
     }
 
 
-def _environment() -> dict[str, str]:
-    allowed = {k: v for k, v in os.environ.items() if k in ENVIRONMENT or k.startswith(ENVIRONMENT_PREFIXES)}
+def _environment(setup: PolicySetup) -> dict[str, str]:
+    language = setup.language or setup.arguments.get("language", "")
+    prefixes = (*ENVIRONMENT_PREFIXES, *([LANGUAGE_PREFIX] if language.startswith("live:") else []))
+    allowed = {k: v for k, v in os.environ.items() if k in ENVIRONMENT or k.startswith(prefixes)}
     # One thread: the fastest for small arrays, and the only count whose floating-point sums are the same everywhere.
     return {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"} | allowed | {"PYTHONHASHSEED": "0"}

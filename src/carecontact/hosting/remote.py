@@ -5,16 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from carecontact.contract.policy import PolicyCard
 from carecontact.contract.policy_ref import API_KEY, PolicyRef
-from carecontact.errors import UnreachableError
+from carecontact.errors import LostError, PolicyError, UnreachableError
 from carecontact.hosting.client import Client
-from carecontact.hosting.conversation import PolicyConversation
+from carecontact.hosting.conversation import Left, PolicyConversation, T
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire.client import PolicyClient, basic_authorization
 from carecontact.hosting.wire.connection import Connection
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
-"""Between two attempts to reach a server that takes no connection; each pause is twice the one before."""
+"""Between two attempts at a server that is away; each pause is twice the one before."""
+MOST_LOSSES = 3
+"""Connections that a call may lose. A server that starts anew loses one and refuses the others for a while; one that
+takes and loses them again and again dies of what it is sent."""
 HIDDEN = "***"
 
 
@@ -25,21 +29,43 @@ class RemotePolicy(PolicyConversation):
         """``setup``: of a remote policy. Its credentials become HTTP basic authorization, or a dialect's key."""
         super().__init__(setup.ref.text, first_deadline_s=first_deadline_s, deadline_s=deadline_s)
         self._ref = setup.ref
+        self._card: PolicyCard | None = None
+        self._steps: list[Callable[[Left], object]] = []
 
-    def _open(self, left: Callable[[], float]) -> Client:
-        ref, pause_s = self._ref, FIRST_PAUSE_S
+    def _open(self, left: Left) -> Client:
+        ref = self._ref
+        connection = Connection.open(
+            host=ref.host, port=ref.port, path=ref.path, deadline_s=left(), authorization=_authorization(ref)
+        )
+        return _client(ref, connection)
+
+    def _connect(self, left: Left) -> PolicyCard:
+        card = super()._connect(left)
+        if self._card not in (None, card):
+            raise PolicyError("handshake", "the server lost the connection, and then came back with another card")
+        self._card = card
+        return card
+
+    def _carried_out(self, step: Callable[[Left], T], left: Left) -> T:
+        """Before the first answer nothing has been executed: with a server that was away, the trial begins anew."""
+        if self._acted or not self.patient:
+            return step(left)
+        pause_s, losses, again = FIRST_PAUSE_S, 0, list[Callable[[Left], object]]()
         while True:
             try:
-                connection = Connection.open(
-                    host=ref.host, port=ref.port, path=ref.path, deadline_s=left(), authorization=_authorization(ref)
-                )
-            except UnreachableError:
-                if not self.patient or left() <= pause_s:
+                for earlier in again:
+                    earlier(left)
+                result = step(left)
+                break
+            except (UnreachableError, LostError) as error:
+                losses += isinstance(error, LostError)
+                if losses == MOST_LOSSES or left() <= pause_s:
                     raise
-            else:
-                return _client(ref, connection)
+            self._drop()
             time.sleep(pause_s)
-            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+            pause_s, again = min(2 * pause_s, LONGEST_PAUSE_S), self._steps
+        self._steps.append(step)
+        return result
 
     def _shown(self, text: str) -> str:
         secret = self._ref.credentials

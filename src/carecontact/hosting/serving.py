@@ -60,7 +60,7 @@ def _serve_one(connection: socket.socket, peer: str, *, setup: PolicySetup, on_e
     on_event(f"{peer}: a trial begins")
     process = PolicyProcess(setup, first_deadline_s=LOAD_DEADLINE_S, deadline_s=LOAD_DEADLINE_S)
     try:
-        with process, socket.create_connection(("127.0.0.1", process.launch())) as inner:
+        with process, process.launch() as inner:
             _relay(connection, inner)
             where = process.hung()
     except (PolicyError, OSError) as error:

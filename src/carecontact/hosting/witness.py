@@ -25,7 +25,7 @@ from carecontact.hosting.wire import codec
 
 TASK, TOLD = "witness.json", "told.json"
 """In the witness's folder: what it shall do, and what it was told."""
-CHANCE_OPTIONS = ("report_fd", "lifeline_fd", "stack_fd", "parent")
+CHANCE_OPTIONS = ("report_fd", "lifeline_fd", "stack_fd", "parent", "harness_port")
 CHANCE_VARIABLES = (MARK, "TMPDIR", *CACHES)
 CHANCE_HEADERS = ("host", "sec-websocket-key")
 """Numbers that the operating system or a random generator gave: no trial chooses them."""

@@ -26,7 +26,7 @@ JOINTS = ("right_upper_arm_abduction", "right_upper_arm_flexion", "right_upper_a
 """That muscles move."""
 MOST_MOVES = 64
 """Changes of posture in a trial."""
-AWAKE, BEGAN, POSTURE, PULLED, PULL_TIME, WORK, STATE_SIZE = 0, 1, 2, 7, 8, 11, 13
+AWAKE, BEGAN, POSTURE, BASE, REST, WANT, PULLED, PULL_TIME, WORK, STATE_SIZE = 0, 1, 2, 6, 10, 14, 25, 27, 30, 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +137,7 @@ class Life:
         state[:] = 0
         state[[AWAKE, BEGAN]] = 1.0, data.time
         for k, address in self._joints.items():
-            state[POSTURE + k] = data.qpos[address]
+            state[[first + k for first in (POSTURE, BASE, REST, WANT)]] = data.qpos[address]
         height, rate = breath(doings, 0.0)
         for actuator, size in zip(self._parts, doings.breath_m, strict=True):
             if actuator >= 0:

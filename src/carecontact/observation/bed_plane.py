@@ -1,4 +1,4 @@
-"""Where the bed is, from one depth image: a plane through the level surface on which the person lies."""
+"""Finds the bed in one depth image, as a plane through the level surface on which the person lies."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 ENOUGH_PX = 60_000
-"""Of a larger image, every second (third, ...) row and column is enough."""
+"""Number of pixels that suffice; of a larger image, only every second (third, ...) row and column is used."""
 CELL_M = 0.04
 """Side of the squares of the base's horizontal plane whose heights count: a surface counts by its area, however far the
 camera is and however obliquely it looks."""
 MIN_PIXELS = 3
-"""Of a square, for its height to count."""
+"""Least number of pixels in a square whose height counts."""
 LEVEL_M = 0.05
 """Largest difference between the quartiles of a square's heights: what is steeper, such as a wall or an edge, is no
 place to lie on. Structured-light noise at 2.4 m has quartiles 20 mm apart."""
 MIN_AREA_M2 = 0.10
-"""Less than this much of a level surface, a twentieth of a mattress, is no bed."""
+"""Least area of a level surface that counts as a bed: a twentieth of a mattress."""
 LAYER_M = 0.02
 """Half thickness of the layer in which squares count as one surface, before a plane is fitted."""
 PERSON_M = 0.40

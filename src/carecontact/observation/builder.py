@@ -66,7 +66,7 @@ ALLOWED_IN_VIEW = frozenset(
 
 @dataclass(frozen=True, kw_only=True)
 class RawView:
-    """What one camera delivered; every derived modality is a function of this alone."""
+    """The images of one camera; every derived modality is a function of them alone."""
 
     intrinsics: F64
     pose_camera_in_base: F64

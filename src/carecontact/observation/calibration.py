@@ -1,4 +1,4 @@
-"""How wrong a cell's knowledge of its fixed cameras is: the error of one trial's extrinsic calibration."""
+"""The error of the extrinsic calibration of the fixed cameras in one trial."""
 
 from __future__ import annotations
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +30,13 @@ F64 = npt.NDArray[np.float64]
 
 AGAIN = 0.6
 """Share of a trial's time in which a motion that lost the person is planned once more where the person lies then."""
+DWELL_S = 0.8
+"""At the end of a stroke: twice the time constant of the impedance, so that the tool gets there."""
+ROOM_M = 0.020
+"""Most room before the near end of a short region: 3 N of friction take 8 mm from a stroke, at 400 N/m."""
+STROKES = 2
+"""Times back and forth: five passes with the one before them, where three are needed, because a person who moves the
+arm takes the skin from under one or two."""
 
 
 class Oracle:
@@ -84,7 +90,8 @@ class Oracle:
         if self._task.action not in ("touch", "scrub"):
             raise PlanningFailure(f"the oracle has no primitive for the action {self._task.action}")
         contact = self._held(_pressed(geometry, self._task.action))
-        return Press(truth, stages(travel(start, contact, travel_height_m=height), start))
+        plan = stages(travel(start, contact, travel_height_m=height), start)
+        return Press(truth, plan, rests=self._task.action == "touch")
 
     def _held(self, contact: Sequence[Leg]) -> list[Leg]:
         """The motion at the person with the hand turned clear of the rest of the person."""
@@ -100,9 +107,22 @@ class Oracle:
 
 def _pressed(geometry: RegionGeometry, action: str) -> list[Leg]:
     """On the skin and not below it: the depth is what the force wants (``oracle.press``)."""
-    primitive: Any = touch if action == "touch" else scrub
-    speed = fixed.TOUCH_SPEEDS_M_S[0] if action == "touch" else fixed.SCRUB_SPEEDS_M_S[0]
-    return primitive(geometry, key_point=0.5, depth_m=0.0, speed_m_s=speed)
+    if action == "touch":
+        return touch(geometry, key_point=0.5, depth_m=0.0, speed_m_s=fixed.TOUCH_SPEEDS_M_S[0])
+    legs = scrub(_with_room(geometry), key_point=0.5, depth_m=0.0, speed_m_s=fixed.SCRUB_SPEEDS_M_S[0])
+    *contact, back, forth, up = (replace(leg, hold_s=DWELL_S) if leg.hold_s else leg for leg in legs)
+    return [*contact, *(back, forth) * STROKES, up]
+
+
+def _with_room(geometry: RegionGeometry) -> RegionGeometry:
+    """The region, and where it is short, some of what lies before its near end: friction ends a stroke early, and at
+    the far end there is a joint."""
+    whole = fixed.SCRUB_HALF_STROKE_M + fixed.SCRUB_END_MARGIN_M
+    room = float(np.clip(whole - geometry.half_length_m, 0.0, ROOM_M / 2))
+    return replace(
+        geometry, centre_m=geometry.centre_m - room * geometry.axis, half_length_m=geometry.half_length_m + room,
+        profile_m=geometry.profile_m + [room, 0.0],
+    )  # fmt: skip
 
 
 def _pushed(geometry: RegionGeometry) -> list[Leg]:

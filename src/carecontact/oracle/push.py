@@ -19,6 +19,8 @@ BACK_M_S = FREE_SPEED_M_S
 """As fast as the impedance's target may go: a person who moves the arm against the tool is given way to."""
 WRIST_M = 0.030
 """Between the 20 mm that a push must move the wrist by and the 100 mm that would be rough."""
+MOST_WRIST_M = 0.075
+"""Where a person who moves the arm as well takes the wrist so far, the tool lets go before the 100 mm."""
 HOLDS_N = 4.0
 """Over the 3 N that count as a push."""
 MOST_N = 18.0
@@ -46,7 +48,7 @@ class Push:
         self._low = low
         self._from: F64 | None = None
         """Where the push began, once it has."""
-        self._on_m, self._held, self._wrist = 0.0, 0, None
+        self._on_m, self._held, self._wrist, self._went_too_far = 0.0, 0, None, False
 
     @property
     def succeeded(self) -> bool:
@@ -69,7 +71,7 @@ class Push:
         if self._from is None:
             # From here on the limb moves because it is pushed: the target no longer follows it.
             self._from = self._follower.follow(self._low)
-        if not self.succeeded and self._on_m < FARTHEST_M:
+        if not self.succeeded and self._on_m < FARTHEST_M and not self._went_too_far:
             self._push()
             return np.concatenate([self._from + self._on_m * self._way, self._quat])
         pose = self._after.pop(0)
@@ -82,6 +84,7 @@ class Push:
         moved = 0.0 if self._wrist is None else float(np.linalg.norm((wrist - self._wrist)[:2]))
         enough = moved >= WRIST_M and force >= HOLDS_N
         self._held = self._held + 1 if enough else 0
+        self._went_too_far = moved > MOST_WRIST_M
         if force > MOST_N:
             self._on_m -= BACK_M_S / CONTROL_HZ
         elif not enough:

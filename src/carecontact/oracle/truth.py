@@ -6,11 +6,9 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.episode.perception import SEGMENT_AT
 from carecontact.errors import ContractError
-from carecontact.regions import REGIONS, LimbSight, TrunkSight
+from carecontact.regions import REGIONS, LimbSight
 from carecontact.sight import RegionGeometry
-from carecontact.sight.region import free_from
 from carecontact.sim.simulation import Simulation
 from carecontact.sim.true_skin import skin_in_world
 from carecontact.world.human.skeleton import body_name
@@ -22,6 +20,8 @@ PROFILE = np.linspace(0.1, 0.9, 17)
 """Shares of the region's length at which the top surface is read, as ``sight.region`` does."""
 COLUMN_M = 0.010
 """Half width of the patch whose highest point is the top: the shell's vertices are at most 10 mm apart there."""
+HARD_M = 0.005
+"""Before the end of the shell, beyond which a tool meets bone."""
 FORCE_WINDOW = 10
 """Physics steps whose mean is the force now: one period of the impedance's target."""
 
@@ -46,13 +46,18 @@ class Truth:
         """(3,) of the right wrist."""
         return self._in_base(self.simulation.data.body(body_name("right_hand")).xpos[None])[0]
 
-    def force_n(self) -> float:
-        """Size of the robot's force on the region's segment, on its shell and on its core."""
+    def force(self) -> F64:
+        """(3,) the robot's force on the region's segment, on its shell and on its core [N]."""
         if self.simulation.time_s == 0.0:
-            return 0.0
+            return np.zeros(3)
         rigid = self.simulation.history.last(self.simulation.data, FORCE_WINDOW)[1][:, self._net][:, :3]
         soft = self._tissue.last(self.simulation.data, FORCE_WINDOW)["force_n"]
-        return float(np.linalg.norm((rigid + soft).mean(0)))
+        to_base = self.simulation.robot.in_base(self.simulation.data, np.zeros(3), np.eye(3))
+        return to_base[:3, :3] @ (rigid + soft).mean(0)
+
+    def force_n(self) -> float:
+        """Its size."""
+        return float(np.linalg.norm(self.force()))
 
     def surface(self) -> F64:
         """(N, 3) vertices of the region's shell at rest, where the person lies now."""
@@ -71,7 +76,7 @@ class Truth:
         return float(self._in_base(top[None])[0, 2])
 
     def geometry(self) -> RegionGeometry:
-        """The region as ``sight.region_from_observation`` would find it if it saw everything exactly."""
+        """The region where it really is, in the form in which ``sight.region_from_observation`` finds it."""
         start, end = self._line()
         points = self.surface()
         length = float(np.linalg.norm((end - start)[:2]))
@@ -98,20 +103,13 @@ class Truth:
         )  # fmt: skip
 
     def _line(self) -> tuple[F64, F64]:
-        """(3,) and (3,) ends of the region's line, nearer the trunk (abdomen: the feet) first."""
-        row = REGIONS[self.region]
-        match row.sight:
-            case LimbSight(joints=(first, second)) as sight:
-                a, b = self._joint(f"{row.side} {first}"), self._joint(f"{row.side} {second}")
-                return a + free_from(sight, self.skin(), a, b) * (b - a), b
-            case TrunkSight(joints=(lower, upper), middle=middle, length=share):
-                a, b = ((self._joint(f"left {j}") + self._joint(f"right {j}")) / 2 for j in (lower, upper))
-                return a + (middle - share / 2) * (b - a), a + (middle + share / 2) * (b - a)
-        raise AssertionError(row.sight)
-
-    def _joint(self, name: str) -> F64:
-        side, joint = name.split()
-        return self._in_base(self.simulation.data.body(body_name(f"{side}_{SEGMENT_AT[joint]}")).xpos[None])[0]
+        """(3,) and (3,) places on the skin over the ends of the region's axis, as the scorer measures it and as far as
+        it is soft, nearer the trunk (abdomen: the feet) first."""
+        frame, (length, _, outward) = self.frame(), self.simulation.scene.frames[self.region].size_m
+        soft = (self.surface() - frame[:3, 3]) @ frame[:3, 0]
+        low, high = max(-length / 2, soft.min() + HARD_M), min(length / 2, soft.max() - HARD_M)
+        ends = np.array([[low, 0.0, outward], [high, 0.0, outward]]) @ frame[:3, :3].T + frame[:3, 3]
+        return ends[0], ends[1]
 
     def _in_base(self, points: F64) -> F64:
         to_base = self.simulation.robot.in_base(self.simulation.data, np.zeros(3), np.eye(3))

@@ -1,4 +1,4 @@
-"""A probe: it approaches the person and waits before it acts, which must not pay."""
+"""A probe that approaches the person and waits before it acts. In a fair world, this does not raise its rate."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class FeintAndWait:
         return [*feint, *[Action()] * round(WAIT_S * CONTROL_HZ)]
 
     def take_notes(self) -> dict[str, object]:
-        """Return the policy's."""
+        """Return the notes of the policy that acts."""
         return self._base.take_notes() if self._began and hasattr(self._base, "take_notes") else {}
 
 

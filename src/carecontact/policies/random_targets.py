@@ -1,4 +1,4 @@
-"""The blind baseline that moves about: a gate that it passes is too easy."""
+"""The blind baseline that moves to random targets: a gate that it meets is too easy."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ import inspect
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -21,6 +22,7 @@ from carecontact.recording.reason import reason
 from carecontact.reports.trial_table import write_trial_table
 from carecontact.runs import score_run, write_scores
 from carecontact.runs.freeze import check_frozen
+from carecontact.runs.manifest import runs_beside
 from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
 from carecontact.runs.preflight import check_protocol, check_rows
 from carecontact.runs.stored_scores import beside_plan
@@ -77,7 +79,8 @@ def evaluate(
     given = {name: str(value) for name, value in (arguments or {}).items()}
     with _reached(policy, given, port=port, jobs=jobs) as (text, search_path):
         setup = PolicySetup.of(text, search_path=search_path, arguments=given)
-        card = _card(setup, deadline_s=rules.phases.first_call_deadline_s)
+        closed = replace(setup, closed=tuple(runs_beside(place)))
+        card = _card(closed, deadline_s=rules.phases.first_call_deadline_s)
         summary = run_trials(
             plan_trials(protocol=rules, policy=setup.ref.text, tasks=task_ids, seeds=seed_numbers, arguments=given),
             out=place,

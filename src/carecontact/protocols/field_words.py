@@ -1,4 +1,4 @@
-"""What is wrong with a field of a file, in words that need no knowledge of the library that checks it."""
+"""Says what is wrong with a field of a file, without words of pydantic, which checks it."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ WORDS = {
     "float_type": "expected a number",
     "float_parsing": "expected a number",
 }
-"""Type of an error of pydantic's -> our words, with the names of its context."""
+"""Type of an error of pydantic -> the sentence for it; names in braces are filled in from the error's context."""
 
 
 WRITTEN = ("level", "overrides")
-"""Fields of a protocol that no file gives."""
+"""Fields of a protocol that carecontact fills in and a file must not give."""
 
 
 def words(found: Mapping[str, Any], model: type[BaseModel] | None, content: object = None) -> str:
-    """What one error says, without its field.
+    """One error as a sentence, without the name of its field.
 
     Args:
         found: as ``ValidationError.errors`` lists it.

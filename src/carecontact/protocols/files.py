@@ -41,7 +41,7 @@ def protocol_file(name_or_path: str) -> Path:
 
 
 def no_longer(name: str) -> str:
-    """What is said of a protocol in SUCCESSORS."""
+    """The message about a protocol of an earlier release, which names its successor."""
     return (
         f"no protocol named {name!r}: earlier releases had it, with another model of the tissue; its successor is the "
         f"draft {SUCCESSORS[name]!r}, whose results cannot be compared with those of {name!r}"

@@ -1,4 +1,4 @@
-"""Named states of the skin, each with its coefficient of friction against the tool and where that is from."""
+"""Named states of the skin, each with its coefficient of friction against the tool and the source of that value."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A protocol file may name a ``base`` and say only what differs from it."""
+"""Inheritance of protocol files: a file may name a ``base`` and state only what differs from it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from carecontact.protocols.files import SUCCESSORS, no_longer, protocol_file, sh
 Table = dict[str, Any]
 
 OWN = ("id", "description", "frozen")
-"""What a file has to say for itself: these fields are not inherited. ``frozen`` is false where a file with a base does
-not name it."""
+"""Fields that are not inherited, so that every file has to state them. ``frozen`` is false where a file with a base
+does not name it."""
 
 
 def ancestry(name_or_path: str, *, heirs: tuple[str, ...] = ()) -> list[tuple[str, Table]]:

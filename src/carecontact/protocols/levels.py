@@ -1,4 +1,4 @@
-"""A protocol file may hold several levels, tables ``[levels.NAME]`` of what changes on them, which add up.
+"""Levels of a protocol file: tables ``[levels.NAME]`` that state what changes from one level to the next.
 
 The first level is the file without its levels, with the first table over it; every other level is the one before it,
 with its own table over that. A person of a seed is the same on all levels, so each level knows what the others draw.
@@ -15,11 +15,11 @@ from carecontact.protocols.inherit import OWN, Table, merged
 
 LEVELS = "levels"
 OWN_OF_FILE = (*OWN, "base", "level", LEVELS, "tasks", "gates", "contact", "limits", "overrides")
-"""Fields that no level changes: who the protocol is, what is asked, and what a success is."""
+"""Fields that no level may change: the identity of the protocol, its tasks, and what counts as success."""
 
 
 def split(place: str, table: Table) -> tuple[Table, dict[str, Table]]:
-    """A file's table without its levels, and these.
+    """Split the table of a file into the table without levels and the tables of the levels.
 
     Raises ConfigError naming the table that is not one, or a field in it that no level can change.
     """

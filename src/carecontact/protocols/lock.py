@@ -29,7 +29,8 @@ class Lock(Section):
     assets: dict[str, str]
     """Place under carecontact/assets -> sha256."""
     worlds: dict[str, dict[str, float]]
-    """Target region -> sums over the compiled world. Sums and not a hash of it: another processor rounds otherwise."""
+    """Target region, with the body where bodies vary -> sums over the compiled world. Sums and not a hash of it:
+    another processor rounds otherwise."""
 
 
 def lock_path(name_or_path: str, *, level: str = "") -> Path:

@@ -1,4 +1,4 @@
-"""Replace fields of a loaded protocol by their dotted paths, record that in it, and take it back."""
+"""Replace fields of a loaded protocol by their dotted paths, record the replacements in it, and undo them."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from carecontact.protocols.tissue_sets import load_tissue_set
 from carecontact.protocols.wrong_fields import faults
 
 BODIES = "variation.bodies"
-"""Where a body is chosen, none is drawn."""
+"""If the user chooses a body, the seed draws none."""
 FAST_DT_S = 0.004
 """The fast mode's physics step; ``carecontact validate`` shows what it does to the scores."""
 FOLLOWS = {
     "person.tissue": "person.tissue_set", "vision.weights_sha256": "vision.segmenter", BODIES: "person.body"
 }  # fmt: skip
-"""Path -> another one with which it is replaced, recorded and taken back."""
+"""Path -> the path together with which it is replaced, recorded and restored."""
 NOT_REPLACEABLE = ("id", "description", "frozen", "level", "levels", "overrides")
-"""Who a protocol is; the id stays because the seeds' random numbers come from it, so that trials are paired over what
-is replaced."""
+"""Fields that identify a protocol. The id stays, because the seeds' random numbers come from it, so that trials are
+paired over what is replaced."""
 
 
 def overridden(protocol: Protocol, changes: Mapping[str, object]) -> Protocol:

@@ -1,4 +1,4 @@
-"""What a user's TOML file or option has wrong, field by field."""
+"""Lists the mistakes in a user's TOML file or option, field by field."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What makes a recording well formed; asked before writing, after reading and before scoring."""
+"""Checks whether a recording is well formed: before it is written, after it is read, and before it is scored."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def check_header(header: Header, place: str) -> None:
 
 
 def _check_names(header: Header, place: str) -> None:
-    """Columns are found by name: each name once, and all there that the task is scored by."""
+    """Columns are found by their names: each name occurs once, and every name that the task's score needs is there."""
     protocol = header.spec.protocol
     region = protocol.task(header.spec.task_id).region
     needed = {

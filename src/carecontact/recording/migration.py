@@ -1,7 +1,8 @@
-"""Recordings of earlier schemas: how each is lifted to a later one.
+"""Migration of recordings: each function converts a recording of an earlier schema into the next one.
 
-To change the schema: raise SCHEMA_VERSION and add to MIGRATIONS the function that lifts the version before it. Files
-stay as they are; reading lifts what it read, after the checksum of the file as it was written has been verified.
+To change the schema: raise SCHEMA_VERSION and add to MIGRATIONS the function that converts the version before it. Files
+stay as they are; the reader converts what it has read, after the checksum of the file as it was written has been
+verified.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from carecontact.recording.schema import SCHEMA_VERSION
 
 @dataclass(frozen=True, kw_only=True)
 class RawRecording:
-    """A recording before its header is understood."""
+    """A recording whose header has been parsed as JSON, but not validated yet."""
 
     header: dict[str, Any]
     """Parsed JSON; ``schema_version`` says what the rest means."""
@@ -81,7 +82,7 @@ def check_version(version: object, place: str) -> str:
 
 
 def migrate(raw: RawRecording, place: str) -> RawRecording:
-    """Lift step by step to SCHEMA_VERSION. Raises RecordingError naming ``place`` and the step that failed."""
+    """Convert step by step to SCHEMA_VERSION. Raises RecordingError naming ``place`` and the step that failed."""
     passed: list[str] = []
     while (version := check_version(raw.header.get("schema_version"), place)) != SCHEMA_VERSION:
         if version in passed:

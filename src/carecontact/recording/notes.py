@@ -1,4 +1,4 @@
-"""A policy's notes on its steps: for inspection and provenance; they enter no metric."""
+"""The notes that a policy made at its steps. They serve inspection and provenance, and no metric uses them."""
 
 from __future__ import annotations
 

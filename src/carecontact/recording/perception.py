@@ -1,4 +1,5 @@
-"""How far perception was from the truth in a trial: optional arrays of a recording, for the scorer only.
+"""The error of perception against the simulator's truth in a trial: optional arrays of a recording, for the scorer
+only.
 
 N rows, one per camera and observation in which the policy requested landmarks or masks; R regions as in the schema.
 """

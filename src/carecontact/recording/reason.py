@@ -1,4 +1,4 @@
-"""Of a failure that may be a whole traceback, the line that says why."""
+"""Finds, in the message of a failure, the one line that gives the reason; the message may be a whole traceback."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ pixel in a view of the whole room)."""
 
 @dataclass(frozen=True, kw_only=True)
 class Stretch:
-    """The shown states between two stored ones."""
+    """The states to show between two states that the recording stores."""
 
     steps: npt.NDArray[np.int64]
     """(n,) physics steps since t = 0"""
@@ -55,15 +55,15 @@ SAID: dict[Kind, str] = {
     "close": "Stepped again from the state of each second",
     "interpolated": "Interpolated between the states of each second",
 }
-"""From the best to the worst."""
+"""How each kind is described to the user, from the best to the worst."""
 
 
 @dataclass(kw_only=True)
 class Found:
-    """How the states of a whole trial were found; grows with its stretches."""
+    """How the states of a whole trial were found, summed up over its stretches."""
 
     kind: Kind = "exact"
-    """The worst of all stretches."""
+    """The worst kind among all stretches."""
     off_m: float = 0.0
     """Largest distance of the tool from its recorded path."""
 
@@ -157,7 +157,7 @@ class Replay:
         return self._probe.site_xpos[self._tcp].copy()
 
     def _between(self, a: F64, b: F64, share: float) -> F64:
-        """Joint positions along the shortest way, all other numbers linearly."""
+        """Interpolate between two states: rotations along the shortest path, all other numbers linearly."""
         model, probe, way = self.model, self._probe, np.zeros(self.model.nv)
         qpos = []
         for state in (a, b):
@@ -232,7 +232,7 @@ def _world(header: Header) -> Simulation:
 
 
 def _foreign(header: Header, why: str) -> str:
-    """One line about a recording that this release cannot show."""
+    """Return the message, in one line, about a recording that this release cannot show."""
     recorded, here = header.sha256.get("kernel", "none"), kernel_sha256()
     tissue = "" if recorded == here else f" and with another tissue kernel ({recorded[:12]}; installed: {here[:12]})"
     return (

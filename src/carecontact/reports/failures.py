@@ -1,4 +1,4 @@
-"""Why trials failed: modes, causes with their evidence, and where contact fell."""
+"""Why trials failed: failure modes, causes with their evidence, and where the contact was."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CAUSE_MEANING = {
     "process": "the policy's process, its program or its language backend failed",
 }
 EXAMPLES = 2
-"""Pieces of evidence shown for a cause."""
+"""Number of pieces of evidence that are shown for a cause."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,9 +38,9 @@ class LoadRow:
 class Load:
     tasks: tuple[str, ...]
     n: tuple[int, ...]
-    """Trials of each task and, last, of all; harness errors left out."""
+    """Number of trials of each task and, last, of all tasks, without harness errors."""
     contacts: tuple[int, ...]
-    """Of them with valid contact."""
+    """Number of these trials with valid contact."""
     rows: tuple[LoadRow, ...]
 
 

@@ -8,9 +8,9 @@ from carecontact.scoring.result import TrialScore
 
 NA = "NA"
 NOT_DEFINED = "–"
-"""Stands where a task does not pool a score, while NA says that no trial had one."""
+"""Marks a score that is not pooled over this task. NA, in contrast, means that no trial had a value."""
 NAMED = 10
-"""Trials that a sentence names before it only counts them."""
+"""Number of trials that a sentence names; it only counts any further ones."""
 
 
 def number(value: float | None, digits: int) -> str:

@@ -18,7 +18,7 @@ LEVELS = ("success", "region_correct", "safety_gated")
 
 
 def rate(k: int, n: int) -> dict[str, Any]:
-    """A count in percent with its Wilson interval; no percentage of nothing."""
+    """A count in percent with its Wilson interval; without trials, there is no percentage."""
     found = wilson_interval(k, n)
     percent = None if found.estimate is None else 100 * found.estimate
     return {"n": k, "pc": percent, "pc_ci95": [100 * found.low, 100 * found.high]}

@@ -30,6 +30,7 @@ def alone(folder: Path, *, make: bool = False) -> Generator[None]:
     Raises ConfigError if another command has the folder, or if nothing can be written there, and StorageError if there
     is no space.
     """
+    made = False
     try:
         made = make and not folder.exists()
         if made:
@@ -38,6 +39,9 @@ def alone(folder: Path, *, make: bool = False) -> Generator[None]:
     except NotADirectoryError:
         stream = None  # a file, of which the command will say more
     except OSError as error:
+        if made:
+            with suppress(OSError):
+                folder.rmdir()
         if is_full(error):
             raise no_space(folder, error.strerror) from None
         raise ConfigError(f"{folder}: cannot be written to: {error.strerror}") from None
@@ -93,6 +97,8 @@ def _locked(folder: Path, *, make: bool) -> TextIO | None:
         stream.truncate(0)
         os.write(stream.fileno(), f"process {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')},".encode())
     except BaseException:
+        with suppress(OSError):
+            path.unlink()
         stream.close()
         raise
     return stream

@@ -1,4 +1,4 @@
-"""Add metrics to a result that stands: what is there stays as it is, to the last digit."""
+"""Adds metrics to an existing result without changing a digit of what the result already holds."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Appended:
     trials: int
     """Trials that got one or more."""
     not_listed: list[str]
-    """Recordings in the folder that the result does not know: appending takes in no new trials."""
+    """Recordings in the folder that the result does not contain; appending adds no trials."""
     gone: list[str]
     """Trials of the result whose recordings are not in the folder."""
 

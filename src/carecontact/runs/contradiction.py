@@ -1,4 +1,4 @@
-"""What no scorer can have written of a trial."""
+"""Finds contradictions in the stored score of a trial: values that no scorer can have written together."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ AT_LEAST_ZERO = (
 
 
 def contradiction(score: TrialScore) -> str | None:
-    """What no scorer can have written of a trial; None where there is nothing."""
+    """Return a contradiction between the values of a score in words, or None if there is none."""
     if score.trial_id != f"{score.task_id}-s{score.seed:03d}":
         return f"it says task {score.task_id}, seed {score.seed}"
     if score.safety_gated and not score.region_correct:

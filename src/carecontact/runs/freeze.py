@@ -1,4 +1,5 @@
-"""What a frozen protocol depends on besides its own fields, as it is here now, and how it differs from the lock."""
+"""Determines what a frozen protocol depends on besides its own fields, and how that differs from the protocol's
+lock."""
 
 from __future__ import annotations
 
@@ -32,13 +33,13 @@ SAME = 1e-6
 
 
 def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
-    """``worlds``: compile one world per region and sum over it; some seconds."""
+    """``worlds``: compile the worlds of ``worlds_of`` and sum over each; about a second for each."""
     return Lock(
         id=protocol.name, protocol_sha256=protocol.sha256, fields=protocol.model_dump(mode="json"),
         embodiment=EMBODIMENTS[protocol.scene.tool].id, metrics=sorted(METRICS),
         versions={name: version for name, version in package_versions().items() if name in PACKAGES},
         assets=asset_hashes(protocol),
-        worlds={region: world_sums(protocol, region) for region in (protocol.regions if worlds else ())},
+        worlds={name: world_sums(*world) for name, world in (worlds_of(protocol) if worlds else {}).items()},
     )  # fmt: skip
 
 
@@ -54,6 +55,19 @@ def asset_hashes(protocol: Protocol) -> dict[str, str]:
         for place, name in places
         if (file := folder / place / name).is_file()
     }
+
+
+def worlds_of(protocol: Protocol) -> dict[str, tuple[Protocol, str]]:
+    """Name -> protocol and target region of the worlds that a lock holds: every region once, and where bodies vary,
+    every body with the regions in turn."""
+    regions, bodies = protocol.regions, protocol.variation.bodies
+    if not bodies:
+        return {region: (protocol, region) for region in regions}
+    out: dict[str, tuple[Protocol, str]] = {}
+    for number, body in enumerate(bodies):
+        region, person = regions[number % len(regions)], protocol.person.model_copy(update={"body": body})
+        out[f"{region}, {body}"] = protocol.model_copy(update={"person": person}), region
+    return out
 
 
 def world_sums(protocol: Protocol, region: str) -> dict[str, float]:
@@ -87,15 +101,15 @@ def drift(lock: Lock, now: Lock) -> list[str]:
             old, new = before.get(name, "none"), after.get(name, "none")
             if old != new:
                 said.append(f"{what}{name}: locked {old[:12]}, here {new[:12]}")
-    for region, sums in now.worlds.items():
-        held = lock.worlds.get(region, {})
+    for world, sums in now.worlds.items():
+        held = lock.worlds.get(world, {})
         changed = [
             name for name in sorted(held.keys() | sums.keys())
             if not np.isclose(held.get(name, np.nan), sums.get(name, np.nan), rtol=SAME, atol=1e-12)
         ]  # fmt: skip
         if changed:
             told = ", ".join(changed[:4]) + (f" and {len(changed) - 4} more" if len(changed) > 4 else "")
-            said.append(f"world with the {region} as target: {told}")
+            said.append(f"world ({world}): {told}")
     return said
 
 

@@ -47,7 +47,7 @@ class Identity(BaseModel):
     recording's header."""
 
     def differences(self, *, versions: Mapping[str, str], sha256: Mapping[str, str]) -> list[str]:
-        """Of this one from what something older says; what that does not mention does not count."""
+        """List the differences of this identity from an older one; fields that the older one lacks do not count."""
         pairs = [(name, versions.get(name), now) for name, now in self.versions.items()]
         pairs += [(f"{name} sha256", sha256.get(name, "")[:12], now[:12]) for name, now in self.sha256.items()]
         return [f"{name} was {old}, is {now}" for name, old, now in pairs if old and old != now]

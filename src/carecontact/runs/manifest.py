@@ -1,4 +1,4 @@
-"""What a run folder holds, and what of it another command may keep."""
+"""The manifest of a run's folder: which trials were planned there, and which recordings a later command may keep."""
 
 from __future__ import annotations
 
@@ -50,6 +50,8 @@ class Manifest(BaseModel):
     identity: Identity
     trials: list[str]
     """Ids of every trial that any command planned here."""
+    elsewhere: list[str] = []
+    """Ids of the other trials of the run of which this is a part (``run --shard``)."""
     noise_salt: str = ""
     """Of every trial here; empty where the protocol names no sensor noise, and where the run has a ``salt_sha256``."""
     salt_sha256: str = ""
@@ -61,14 +63,20 @@ class Manifest(BaseModel):
 
 @dataclass(frozen=True, kw_only=True)
 class Survey:
-    """Of a run folder, against the trials that are wanted."""
+    """The content of a run's folder, compared with the trials that a command wants to run."""
 
     keep: dict[str, EndReason]
     """Trial id -> how it ended."""
     redo: dict[str, str]
     """Trial id -> why the file that is there does not count."""
     killed: frozenset[str] = frozenset()
-    """Those of them that an earlier command lost to a signal."""
+    """Those trials of ``redo`` that an earlier command lost to a signal."""
+
+
+def runs_beside(out: Path) -> list[str]:
+    """Return this run's folder and those of other runs in the same place: none of them is the policy's business."""
+    here = out.resolve()
+    return sorted({str(here), *(str(manifest.parent) for manifest in here.parent.glob(f"*/{MANIFEST}"))})
 
 
 def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identity: Identity) -> Survey:
@@ -124,9 +132,16 @@ def _was_killed(header: Header) -> bool:
     return (header.ended, kind) in (("harness_error", KILLED), ("process_failure", POLICY_KILLED))
 
 
-def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity, purpose: Purpose) -> None:
-    """Atomically; trials of earlier commands in the same folder stay listed."""
+def write_manifest(
+    specs: Sequence[TrialSpec], *, out: Path, identity: Identity, purpose: Purpose, whole: Sequence[str] = ()
+) -> None:
+    """Atomically; trials of earlier commands in the same folder stay listed.
+
+    Args:
+        whole: ids of all trials of the run of which ``specs`` are a part.
+    """
     protocol, earlier = specs[0].protocol, read_manifest(out)
+    trials = {*(earlier.trials if earlier else ()), *(spec.trial_id for spec in specs)}
     manifest = Manifest(
         purpose=earlier.purpose if earlier else purpose,
         policy=specs[0].policy,
@@ -135,15 +150,16 @@ def write_manifest(specs: Sequence[TrialSpec], *, out: Path, identity: Identity,
         noise_salt=specs[0].noise_salt,
         salt_sha256=specs[0].commitment,
         salt=earlier.salt if earlier else "",
-        trials=sorted({*(earlier.trials if earlier else ()), *(spec.trial_id for spec in specs)}),
+        trials=sorted(trials),
+        elsewhere=sorted({*(earlier.elsewhere if earlier else ()), *whole} - trials),
     )
     store_manifest(manifest, out=out)
 
 
 def store_manifest(manifest: Manifest, *, out: Path) -> None:
     """Atomically; the same manifest gives the same bytes."""
-    unsalted = {name for name in ("noise_salt", "salt_sha256", "salt") if not getattr(manifest, name)}
-    text = json.dumps(manifest.model_dump(mode="json", by_alias=True, exclude=unsalted), indent=2)
+    empty = {name for name in ("elsewhere", "noise_salt", "salt_sha256", "salt") if not getattr(manifest, name)}
+    text = json.dumps(manifest.model_dump(mode="json", by_alias=True, exclude=empty), indent=2)
     replace_file(out / MANIFEST, f"{text}\n".encode("ascii"))
 
 

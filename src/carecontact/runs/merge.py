@@ -21,7 +21,7 @@ class Merged:
     already: int
     """Recordings that an earlier merge into the same folder had copied."""
     missing: tuple[str, ...]
-    """Trials that some part planned and no part has a recording of."""
+    """Trials of the whole run that no part has a recording of."""
 
 
 def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
@@ -33,7 +33,7 @@ def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
     of which two parts have different recordings, and for a folder in which another command is at work; then nothing
     was copied. RecordingError for a recording that cannot be read.
     """
-    _check_places(out, runs)
+    check_places(out, runs)
     with ExitStack() as held:
         for run in runs:
             held.enter_context(alone(run))
@@ -49,10 +49,10 @@ def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
             raise ConfigError(f"{out} is not a run, and it is not empty; name a new folder")
         folders = {**parts, **({out: earlier} if earlier else {})}
         files = _recordings(folders)
-        trials = sorted({trial for manifest in folders.values() for trial in manifest.trials})
+        trials = sorted({trial for held in folders.values() for trial in (*held.trials, *held.elsewhere)})
         # First, so that the same command knows the folder again after an interruption.
         revealed = next((manifest.salt for manifest in folders.values() if manifest.salt), "")
-        store_manifest(parts[first].model_copy(update={"trials": trials, "salt": revealed}), out=out)
+        store_manifest(parts[first].model_copy(update={"trials": trials, "elsewhere": [], "salt": revealed}), out=out)
         copied = [trial for trial, file in files.items() if file.parent != out]
         for trial in copied:
             for source in (files[trial].with_suffix(".log"), files[trial]):
@@ -62,7 +62,8 @@ def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
     return Merged(copied=len(copied), already=len(files) - len(copied), missing=missing)
 
 
-def _check_places(out: Path, runs: Sequence[Path]) -> None:
+def check_places(out: Path, runs: Sequence[Path]) -> None:
+    """Raises ConfigError for a folder to write that is a file or one of the parts, and for a part given twice."""
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: this is a file; name a folder first, then the parts")
     places = [run.resolve() for run in runs]

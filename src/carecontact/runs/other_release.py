@@ -1,4 +1,4 @@
-"""What to say of a run's folder that another release, or an earlier source of the policy, has started."""
+"""Messages about a run's folder that another release, or an earlier source of the policy, has started."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
             wanted.update(order[order.index(first) : order.index(last) + 1])
         else:
             raise ConfigError(
-                f"--tasks: {part!r} is not a task of {protocol.id}{did_you_mean(part, order)}; valid: "
+                f"--tasks: {part!r} is not a task of {protocol.name}{did_you_mean(part, order)}; valid: "
                 f"{', '.join(order)}, a range like {order[0]}-{order[-1]}, or all"
             )
     return [task for task in order if task in wanted]
@@ -57,7 +57,7 @@ def parse_seeds(text: str, *, protocol: Protocol) -> list[int]:
             raise ConfigError(f"--seeds: the range {part!r} runs backwards; valid: {valid}")
         known = {seed for seed in order if low <= seed <= high}
         if len(known) != high - low + 1:
-            raise ConfigError(f"--seeds: {part!r} contains seeds that {protocol.id} does not have; valid: {valid}")
+            raise ConfigError(f"--seeds: {part!r} contains seeds that {protocol.name} does not have; valid: {valid}")
         wanted.update(known)
     return [seed for seed in order if seed in wanted]
 

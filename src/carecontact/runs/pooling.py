@@ -17,7 +17,8 @@ def judged(scores: Iterable[TrialScore]) -> list[TrialScore]:
 
 
 def decides_force(scores: Iterable[TrialScore]) -> list[TrialScore]:
-    """The trials that are above a force limit or not: all but those in which the policy crashed before any contact."""
+    """The trials that count for exceedances of force limits: all but those in which the policy crashed before any
+    contact."""
     return [s for s in scores if not s.crashed_untouched]
 
 

@@ -29,7 +29,7 @@ def check_protocol(protocol: Protocol) -> None:
                 f"scene.parked_joint_rad: joint {joint} at {angle:g} is outside the robot's {low:.4f} to {high:.4f}"
             )
     if faults:
-        raise ConfigError(f"protocol {protocol.id} cannot run: {'; '.join(faults)}")
+        raise ConfigError(f"protocol {protocol.name} cannot run: {'; '.join(faults)}")
 
 
 def check_rows(protocol: Protocol) -> None:

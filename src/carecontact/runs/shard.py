@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Self, TypeVar
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError
 
+Cell = TypeVar("Cell")
 EXPECTED = "expected I/N with I from 1 to N, for example 2/4 for the second of four parts"
 
 
@@ -37,3 +38,14 @@ class Shard:
             )
         begin, end = (len(specs) * k // self.count for k in (self.index - 1, self.index))
         return list(specs[begin:end])
+
+    def every(self, cells: Sequence[Cell]) -> list[Cell]:
+        """Of the cells of a sweep, each at this part's place among ``count``: 2/4 has the second, the sixth and so on.
+
+        Raises ConfigError where there are more parts than cells.
+        """
+        if self.count > len(cells):
+            raise ConfigError(
+                f"--shard {self.index}/{self.count}: there are {len(cells)} cells; give at most as many parts"
+            )
+        return list(cells[self.index - 1 :: self.count])

@@ -1,4 +1,5 @@
-"""Ask an action about a trial, and name the action and the trial where its answer is no answer."""
+"""Calls a method of an action's Behaviour on a trial. If the method fails or returns a wrong type, the error names the
+action and the trial."""
 
 from __future__ import annotations
 

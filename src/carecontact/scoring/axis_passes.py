@@ -29,12 +29,12 @@ class Wiping:
     reversal_m: float
     """Opposite travel that begins another stroke."""
     moving: Mask
-    """(N - 1,) in contact from one sample to the next and sliding faster than the definition of motion asks"""
+    """(N - 1,) in contact from one sample to the next and sliding faster than the least speed that counts as motion"""
 
     def passes(self, least_n: float) -> npt.NDArray[np.intp]:
         """(K,) how often each STEP_M of the axis was passed with at least this force.
 
-        A *stroke* is the way between two turns or lifts, and passes each place at most once: trembling on a place is
+        A *stroke* is the path between two turns or lifts, and passes each place at most once: trembling on a place is
         no wiping. Strokes count in either direction, also where the tool is lifted and comes back through the air, as
         a nurse may wipe.
         """

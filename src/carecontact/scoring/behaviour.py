@@ -1,4 +1,4 @@
-"""What the scorer has to know of an action. A package adds an action by one object of a class of its own.
+"""What the scorer has to know about an action. A package adds an action as one object of a class of its own.
 
 The shipped actions are in ``carecontact.behaviours``, one file each.
 """
@@ -27,7 +27,8 @@ G = TypeVar("G", bound=Section)
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """A field of a gate whose value had to be chosen: every trial is judged again at other values of it."""
+    """A field of a gate whose value was a choice of the benchmark: every trial is scored again with other values of
+    it."""
 
     name: str
     """Key in ``TrialScore.gate_sweep``; it begins with the action, as in ``push_force_n``."""
@@ -43,7 +44,7 @@ class Sweep:
 
 
 class ForceBand(Section):
-    """A gate's range of the force summed over the neighbourhood, averaged over a moment (``scoring.held_force``)."""
+    """The range in which a gate requires the held force (``scoring.held_force``) to be."""
 
     least_n: Positive
     most_n: Positive
@@ -65,15 +66,17 @@ class Behaviour(ABC, Generic[G]):
     """Schema of the table ``[gates.<action>]`` in a protocol."""
     sweeps: ClassVar[tuple[Sweep, ...]] = ()
     needs: ClassVar[frozenset[Literal["episodes", "wrist"]]] = frozenset()
-    """Measures that ``judge`` uses; they are taken again for every contact floor of the sweep."""
+    """Measures that ``judge`` uses. The sweep over contact floors computes them again for every floor."""
     moves_the_person: ClassVar[bool] = False
     """Whether the action is meant to move a limb. Results pool the joint-limit margin C2 over such actions alone: it
     says little where nothing was meant to move."""
 
     versions: ClassVar[Mapping[str, Behaviour[Any]]] = {}
-    """Version of a protocol's gates -> who judges the action there, where that is another than this."""
+    """``gates.version`` of a protocol -> the Behaviour that scores the action under that version in place of this
+    one."""
     harder: ClassVar[Section | None] = None
-    """A stricter table of the gate that no trial has to pass; ``harder_band@1`` reports who would."""
+    """Stricter values of the gate, which no trial has to meet; ``harder_band@1`` reports which trials would meet
+    them."""
 
     def __init_subclass__(cls) -> None:
         """Raises ConfigError for a sweep of a field that the gate does not have."""
@@ -85,18 +88,19 @@ class Behaviour(ABC, Generic[G]):
                 raise ConfigError(f"{cls.__name__}.sweeps: the gate has no field {sweep.field!r}; valid: {known}")
 
     def under(self, version: str) -> Behaviour[Any]:
-        """Who judges the action where ``gates.version`` is this."""
+        """The Behaviour that scores the action under this ``gates.version``."""
         return self.versions.get(version, self)
 
     @abstractmethod
     def judge(self, contact: Contact, gate: G, attempt: Attempt) -> Judgement: ...
 
     def holding(self, contact: Contact, gate: G) -> Mask:
-        """(T,) physics steps that count toward a hold; by default those with the neighbourhood on."""
+        """(T,) physics steps that count toward a hold; by default, those in which the named region's segment or one of
+        its neighbours is touched."""
         return contact.neighbourhood_on
 
     def passes(self, gate: G, episode: Episode) -> bool:
-        """Whether an episode alone fulfils the gate; False for an action that does not look at episodes."""
+        """Whether one contact episode alone meets the gate; False for an action whose gate does not use episodes."""
         return False
 
     def lost(self, contact: Contact, gate: G, result: Gate) -> bool:
@@ -112,7 +116,8 @@ class Behaviour(ABC, Generic[G]):
 
     @abstractmethod
     def shortfall(self, contact: Contact, gate: G, result: Gate) -> str:
-        """What was missing, with the figures of the gate, to follow "The commanded path came to the region, but"."""
+        """What the trial lacked, with the figures of the gate: words that continue the sentence "The commanded path
+        came to the region, but"."""
 
     def progress(self, score: TrialScore) -> str:
         """The figures that the gate judges, for a row of the report."""
@@ -120,7 +125,7 @@ class Behaviour(ABC, Generic[G]):
 
 
 def behaviour_of(action: str, version: str) -> Behaviour[Any]:
-    """Who judges an action under a version of the gates.
+    """The Behaviour that scores an action under a version of the gates.
 
     Raises UnknownNameError for an action that nothing registers, ConfigError for a row that is not a Behaviour.
     """
@@ -131,7 +136,8 @@ def behaviour_of(action: str, version: str) -> Behaviour[Any]:
 
 
 def actions_that_move() -> frozenset[str]:
-    """The registered actions that are meant to move a limb; one that cannot be loaded has no trials to pool."""
+    """The registered actions that are meant to move a limb. An action that cannot be loaded is left out, because no
+    trial of it can be scored."""
     usable = BEHAVIOURS.usable()
     return frozenset(action for action, row in usable.items() if isinstance(row, Behaviour) and row.moves_the_person)
 

@@ -21,7 +21,11 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """Which segments were touched and when; every metric starts from here. T physics steps, S segments."""
+    """Which segments were touched and when; every metric starts from here. T physics steps, S segments.
+
+    A segment is *on* at a step if it counts as touched there: its filtered normal force has reached the definition's
+    ``on_n`` and has not fallen below ``off_n`` since. Its *on-samples* are these steps.
+    """
 
     recording: Recording
     protocol: Protocol
@@ -30,17 +34,17 @@ class Contact:
     force_norm: F64
     """(T, S) norm of the summed contact force on each segment [N], unfiltered."""
     filtered_normal: F64
-    """(T, S) causally low-passed normal sums [N], which decide what is on."""
+    """(T, S) sums of the normal forces after a causal low-pass filter [N]; they decide which segments are on."""
     on: Mask
-    """(T, S) on-samples."""
+    """(T, S) whether each segment is on."""
     impulse_ns: F64
     """(S,) integral of ``force_norm`` over each segment's on-samples."""
     target: int
     """Index of the named region's segment."""
     neighbourhood: tuple[int, ...]
-    """Indices of the segments on which C3 may be earned."""
+    """Indices of the segments on which contact counts for success (C3): the named region's own and its neighbours."""
     neighbourhood_on: Mask
-    """(T,) any of them on."""
+    """(T,) whether any segment of the neighbourhood is on."""
     neighbourhood_force: F64
     """(T,) norm of the force summed over the neighbourhood [N], unfiltered."""
     valid: bool

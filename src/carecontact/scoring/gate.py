@@ -1,4 +1,4 @@
-"""What a trial achieved in the quantities of the gates, and the verdict on it."""
+"""What a trial achieved, in the quantities that the gates limit, and whether it meets its gate."""
 
 from __future__ import annotations
 
@@ -13,38 +13,39 @@ class Measures:
 
     episodes: list[Episode]
     wrist_m: float
-    """Largest displacement of the wrist while the neighbourhood is on."""
+    """Largest displacement of the wrist while the neighbourhood (``Contact.neighbourhood``) is touched [m]."""
     wrist_any_m: float
-    """The same over the whole trial."""
+    """Largest displacement of the wrist over the whole trial [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """What was achieved, with what depends on the gates: what counts as a hold, and which episode is best."""
+    """What was achieved, including what depends on the gates: the longest hold and the best contact episode."""
 
     held_steps: int
     """Longest stretch of physics steps that count toward a hold (``Behaviour.holding``)."""
     best: Episode | None
-    """The episode that is reported, and on which an action that looks at episodes is judged."""
+    """The episode that the score reports. For an action whose gate uses episodes, it decides whether the gate is
+    met."""
     wrist_m: float
     wrist_any_m: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
-    """What an action's gate says of an attempt. Each part that the action does not require is True."""
+    """Which parts of an action's gate an attempt meets. A part that the action does not require is True."""
 
     time_met: bool
     """The contact lasted long enough."""
     progress_met: bool
-    """What the contact had to bring about was reached: a displacement, a stroke."""
+    """The contact had the required effect, for example a displacement or a stroke."""
     band_met: bool = True
-    """Nothing was too light, too hard or too far: contact and motion were in the ranges that the gate asks for."""
+    """Force and motion were in the ranges that the gate requires: not too light, too hard or too far."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gate:
-    """The judged trial."""
+    """The result of a trial under its gate."""
 
     success: bool
     time_met: bool

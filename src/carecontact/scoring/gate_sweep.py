@@ -1,4 +1,5 @@
-"""How much a trial's verdict depends on numbers that had to be chosen: the gates moved one at a time."""
+"""How much a trial's result depends on values that the benchmark chose: each gate is changed alone, and the others
+stay."""
 
 from __future__ import annotations
 
@@ -48,7 +49,7 @@ def own_value(protocol: Protocol, action: str | None, sweep: Sweep) -> float:
 
 
 def level(verdict: Verdict) -> int:
-    """How far through the funnel: 0 failed, 1 success, 2 region-correct too, 3 safety-gated too."""
+    """0: failed, 1: success, 2: also region-correct, 3: also safety-gated."""
     return int(verdict.success) + int(verdict.region_correct) + int(verdict.safety_gated)
 
 

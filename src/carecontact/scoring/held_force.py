@@ -1,4 +1,5 @@
-"""The force on the person as bands of force judge it: averaged over a moment, so that a hold is not cut by a ripple."""
+"""The force that is compared with a gate's band of force: an average over a short time, so that a ripple does not end a
+hold."""
 
 from __future__ import annotations
 
@@ -35,5 +36,5 @@ def in_band(force: npt.NDArray[np.float64], least_n: float, most_n: float) -> Ma
 
 
 def held_in_band(contact: Contact, least_n: float, most_n: float) -> Mask:
-    """(T,) steps with the neighbourhood on and the held force in the band."""
+    """(T,) steps in which the neighbourhood is touched and the held force is in the band."""
     return contact.neighbourhood_on & in_band(held_force(contact), least_n, most_n)

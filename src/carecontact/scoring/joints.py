@@ -8,8 +8,8 @@ from carecontact.recording import Recording
 from carecontact.scoring.filters import F64
 
 LEAST_SETTLED_RAD = 0.01
-"""A settled margin below this counts as this: a share of nothing says nothing. Shipped persons settle with 0.08 or
-more."""
+"""Settled margins below this count as this value, because a share of almost nothing means nothing. The shipped persons
+settle with at least 0.08 rad."""
 
 
 def least_margin(recording: Recording) -> tuple[F64, F64]:

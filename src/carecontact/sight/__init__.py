@@ -1,4 +1,4 @@
-"""Where the parts of the body are in a camera's view: for the shipped policies, and for what measures perception."""
+"""Finds the parts of the body in a camera's view, for the shipped policies and for the measurement of perception."""
 
 from carecontact.sight.person import LANDMARK, PerceptionFailure, person_points
 from carecontact.sight.region import RegionGeometry, region_from_observation

@@ -33,7 +33,7 @@ HAND_REACH_M, HAND_OVER_TIP_M, HALF_SCRUB_M = 0.12, 0.035, 0.025
 """From the tool to the corners of the robot's hand, which touched the chests of heavy bodies there; height of its
 underside over the tip; half of what a scrub has to cover."""
 MIN_REGION_M = 0.10
-"""Of a limb's region that a chest crowds: a scrub has room in it."""
+"""Least length of a limb's region where the chest leaves little room: a scrub fits into it."""
 CROWDED = np.linspace(0.95, 0.2, 39)
 """Places along a limb at which the chest is looked for, from the next joint to the trunk."""
 

@@ -51,7 +51,7 @@ class CartesianControl:
         write_target(self._model, self._data, pose)
 
     def resume(self) -> None:
-        """Go on from a restored state: the target stays where the state has it."""
+        """Continue from a restored state, with the target where this state has it."""
         self._interpolator.reset(target_in_base(self._model, self._data))
 
     def set_goal(self, pose_in_base: F64 | None, period_s: float) -> None:
@@ -63,7 +63,7 @@ class CartesianControl:
         set_gains(self._model, stiffness, damping_ratio, self._protocol)
 
     def refresh(self) -> None:
-        """Move the target on, and command the posture and the feedforward for one target period."""
+        """Advance the target by one target period, and command the posture and the feedforward for that period."""
         write_target(self._model, self._data, self._interpolator.advance())
         self._data.qfrc_applied[self._posture.dofs] = self._posture.torque(self._data)
         # The springs act along the target's axes; the tool's differ from them by what the tool lags behind.

@@ -100,7 +100,8 @@ class TargetInterpolator:
         self._duration_s, self._elapsed_s = self._step_s, 0.0
 
     def set_goal(self, pose_in_base: Array | None, period_s: float) -> None:
-        """Head for a new pose (7,); None goes on toward the last one. ``period_s`` is that of the policy's actions."""
+        """Move toward a new pose (7,); None continues toward the last one. ``period_s`` is that of the policy's
+        actions."""
         if pose_in_base is None:
             return
         self._start, self._goal, self._elapsed_s = self._pose, _unit_pose(pose_in_base), 0.0
@@ -163,7 +164,7 @@ def _period_steps(period: Fraction) -> Iterator[int]:
 
 
 class Posture:
-    """Pulls the arm toward a posture without accelerating the TCP."""
+    """Pulls the robot's arm toward a posture in the null space, without accelerating the TCP."""
 
     def __init__(self, model: mujoco.MjModel, posture: Array) -> None:
         """``posture``: (7,) [rad]."""

@@ -1,1 +1,1 @@
-"""Which trials to run, one process for each, and what is left behind when one crashes."""
+"""Runs trials, each in a process of its own, and records those whose process crashes."""

@@ -1,4 +1,5 @@
-"""Try a policy on one real observation: it starts, shows a card, answers twice, and nothing is recorded."""
+"""Tries a policy on one real observation: it starts the policy, reads its card and requests two answers. Nothing is
+recorded."""
 
 from __future__ import annotations
 
@@ -44,9 +45,9 @@ class Check:
     pictures: Path | None = None
     """Where the pictures that are sent are written, for the deep check (``trials.deep``); None: without it."""
     warnings: int = 0
-    """Number of them so far."""
+    """Number of warnings so far."""
     times: dict[str, float] = field(default_factory=dict[str, float])
-    """What was timed -> wall time [s]."""
+    """Name of each timed step -> its wall time [s]."""
 
     def run(self) -> bool:
         """Raises CarecontactError if the benchmark itself fails, as a trial does."""
@@ -137,7 +138,8 @@ class Check:
         return f"{count}; first call {self.times['first']:.2f} s, second call {self.times['second']:.2f} s"
 
     def _keeps_pace(self, count: int, card: PolicyCard) -> bool:
-        """Whether a trial fits its budget: simulated time stands still while a policy thinks, the budget does not."""
+        """Whether a trial with answers of this latency fits its budget of wall time. Simulated time stands still while
+        a policy computes, but the budget counts this time."""
         seconds, took = count / card.control_hz, self.times["second"]
         limit_s = self.spec.protocol.phases.time_limit_s
         whole_s = took * limit_s / seconds

@@ -1,4 +1,5 @@
-"""What an engine is: it carries out the trials of one run, and the supervisor decides which and when."""
+"""The interface of an engine. An engine carries out the trials of one run; the supervisor decides which trials, and
+when."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.recording.schema import Recording
 
 EngineName = Literal["local", "ray"]
-"""On this machine (``trials.workers``), or on the nodes of a Ray cluster (``trials.ray_engine``)."""
+"""``local``: this machine (``trials.workers``); ``ray``: the nodes of a Ray cluster (``trials.ray_engine``)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,13 +21,13 @@ class Ended:
     recording: Recording | None
     """None: the trial has to run once more, or it did not begin."""
     warnings: tuple[str, ...] | None = None
-    """About the policy's first answer; None: it gave none."""
+    """Warnings about the policy's first answer; None if it gave no answer."""
     unreached: str | None = None
     """Why no trial can begin: the policy's server could not be reached, or a package is missing."""
     unstored: bool = False
     """Whether there was no space for the recording."""
     lost: str | None = None
-    """How its process or its node died, if it has to run once more."""
+    """How the process or the node of the trial died, if the trial has to run once more; else empty."""
 
 
 class Engine(Protocol):
@@ -47,7 +48,7 @@ class Engine(Protocol):
     def start(self, spec: TrialSpec) -> None: ...
 
     def finished(self) -> list[Ended]:
-        """Take the attempts that have ended; their recordings are then in the run's folder."""
+        """Return the attempts that have ended since the last call. Their recordings are then in the run's folder."""
         ...
 
     def waiting(self) -> dict[str, str]:
@@ -55,5 +56,5 @@ class Engine(Protocol):
         ...
 
     def kill_all(self) -> None:
-        """Leave no process of any trial behind."""
+        """Kill all processes of all trials."""
         ...

@@ -1,4 +1,4 @@
-"""From the name of an engine to the one that carries out the trials of a run."""
+"""Makes the engine of a given name for the trials of a run."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from carecontact.trials.workers import Workers
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """Of all trials of one run."""
+    """The settings that all trials of one run share."""
 
     out: Path
     work: Path
-    """Folder for what is not finished."""
+    """Folder for files that are not finished."""
     policy: PolicySetup
     identity: Identity
     weights: Path | None
@@ -32,8 +32,8 @@ class Conditions:
     """Trials that an earlier command lost to a signal."""
 
 
-def check_engine(name: EngineName, policy: PolicySetup, *, gpus: float) -> str:
-    """Return a warning about what the engine opens to the policy, or nothing.
+def check_engine(name: EngineName, *policies: PolicySetup, gpus: float) -> str:
+    """Return a warning about what the engine opens to the policies of this command, or nothing.
 
     Raises ConfigError for what the engine cannot give or reach, DependencyError for one that is not installed.
     """
@@ -43,12 +43,12 @@ def check_engine(name: EngineName, policy: PolicySetup, *, gpus: float) -> str:
         return ""
     if gpus < 0:
         raise ConfigError(f"--gpus {gpus:g}: must be 0 or more")
-    if policy.record is not None:
+    if any(policy.record is not None for policy in policies):
         raise ConfigError("--record: not with --engine ray, whose nodes write no common file; record on one machine")
     from carecontact.trials.ray_engine import asks_for_a_token, connect
 
-    connect(policy.ref)
-    if policy.ref.kind == "remote" or asks_for_a_token():
+    connect(*(policy.ref for policy in policies))
+    if all(policy.ref.kind == "remote" for policy in policies) or asks_for_a_token():
         return ""
     return (
         "this Ray cluster takes orders from whoever reaches its ports, and a policy does; set RAY_AUTH_MODE=token "

@@ -1,4 +1,4 @@
-"""The recording of a trial of which nothing but its failure is left."""
+"""Makes the recording of a trial that left nothing but its failure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ EVIDENCE_CHARACTERS = 4000
 
 
 def harness_error_recording(spec: TrialSpec, *, kind: str, message: str) -> Recording:
-    """A zero-length recording with ``ended="harness_error"`` and the evidence in its failure; judges nobody."""
+    """A zero-length recording with ``ended="harness_error"`` and the evidence in its failure. It counts neither for
+    nor against the policy."""
     return _without_data(spec, ended="harness_error", kind=kind, message=message)
 
 

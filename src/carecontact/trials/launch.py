@@ -1,4 +1,4 @@
-"""How a worker comes about: forked from a process that has everything imported, or started as a program of its own."""
+"""Starts workers: each is forked from a process that has imported everything, or started as a program of its own."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ PYTHON = (sys.executable, "-P", "-X", "faulthandler", "-m")
 WORKER_COMMAND = (*PYTHON, "carecontact.trials.worker")
 SERVER_COMMAND = (*PYTHON, "carecontact.trials.fork_server")
 PATIENCE_S = 60.0
-"""For news of the fork server, which takes a second to start."""
+"""Longest wait for a message of the fork server, which takes a second to start [s]."""
 
 
 class Process(Protocol):
-    """What the supervisor needs of a worker's process; ``subprocess.Popen`` has it."""
+    """The part of the interface of ``subprocess.Popen`` that the supervisor uses of a worker's process."""
 
     pid: int
     returncode: int | None

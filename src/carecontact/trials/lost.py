@@ -43,12 +43,12 @@ def digest_of(actions: Sequence[Action]) -> bytes:
 
 @dataclass(frozen=True, kw_only=True)
 class Lost:
-    """What is left of the attempts at a trial."""
+    """What earlier attempts at a trial have left."""
 
     answers: bytes = b""
     """Digests of the answers that a repetition has to begin with."""
     recording: Recording | None = None
-    """Of the attempt that gave them; None where its process left none."""
+    """Recording of the attempt that gave these answers; None if its process left no recording."""
 
     def permits(self, answers: bytes) -> bool:
         """Whether a repetition that gave these answers went the same way, as far as both went."""
@@ -84,27 +84,33 @@ class Losses:
         """Whether the policy has no means to send the trial's process a signal."""
 
     def counted(self, recording: Recording, answers: bytes) -> Recording:
-        """A trial that came to its end."""
+        """Handle a trial that came to its end."""
         spec = recording.header.spec
         earlier = self._lost.get(spec.trial_id, Lost())
         return recording if earlier.permits(answers) else earlier.answered_otherwise(spec)
 
     def policy_killed(self, recording: Recording, answers: bytes) -> Recording | str:
-        """A trial that ended because its policy's process was killed."""
+        """Handle a trial that ended because its policy's process was killed."""
         assert recording.header.failure is not None
         why = reason_of(recording.header.failure)
         return self._once_more(recording.header.spec, answers, why, of_policy=recording, otherwise=recording)
 
-    def died_with_policy(self, spec: TrialSpec, answers: bytes, death: str, evidence: str) -> Recording | str:
-        """A trial whose own process died while its policy ran. Chance, such as a machine out of memory, seldom comes
-        twice at the same place; a policy that kills does, and must not leave its bad trials out of the count."""
+    def died_with_policy(
+        self, spec: TrialSpec, answers: bytes, death: str, evidence: str, *, starved: bool = False
+    ) -> Recording | str:
+        """Handle a trial whose own process died while its policy ran. Chance, such as a machine out of memory, seldom
+        comes twice at the same place; a policy that kills does, and must not leave its bad trials out of the count.
+
+        ``starved``: whether it ran out of time, to which any policy of this machine can bring it by using the
+        processors.
+        """
         why = f"{death} while the policy was running"
         message = f"{why}, in both attempts{evidence}"
-        bound = b"" if self._signals_closed else answers
+        bound = b"" if self._signals_closed and not starved else answers
         return self._once_more(spec, bound, why, otherwise=killed_by_policy_recording(spec, message=message))
 
     def died(self, spec: TrialSpec, answers: bytes, death: str, evidence: str) -> Recording | str:
-        """A trial whose own process was killed before its policy ran or after it was gone."""
+        """Handle a trial whose own process was killed before its policy ran or after its policy had ended."""
         bound = b"" if self._signals_closed else answers
         lost = harness_error_recording(spec, kind=KILLED, message=death + evidence)
         return self._once_more(spec, bound, death, otherwise=lost)

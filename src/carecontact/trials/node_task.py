@@ -35,12 +35,12 @@ class NodeTask:
     shipped: bool
     """Whether the policy's modules lie in the folder that the task runs in."""
     identity: Identity
-    """As the command that planned the trial has it."""
+    """Identity of the run, as the command that planned the trial determined it."""
     weights: Path | None
     pace_s: float | None
     trial_limit_s: float
     command: Sequence[str] | None
-    """Of the trial's process; None: this node's own."""
+    """Command that starts the trial's process; None: this node's own."""
     earlier: bytes | None
     """File of an attempt at the trial that an earlier command lost."""
 
@@ -82,7 +82,8 @@ def carry_out(release: str, packed: bytes) -> NodeDone:
 
 
 def differences(task: NodeTask) -> str:
-    """What here decides the numbers and is not what the command has; empty where all is the same."""
+    """List what differs between this node and the planning command and influences the results; empty if nothing
+    does."""
     try:
         here = identity_of(task.spec, search_path=task.policy.search_path, language=task.policy.language)
     except CarecontactError as error:
@@ -140,7 +141,7 @@ def _launcher(command: tuple[str, ...]) -> Launcher:
 
 
 def _ended(workers: Workers, spec: TrialSpec) -> Ended:
-    """The last of as many attempts as ``Losses`` allows."""
+    """Return how the last attempt ended, out of as many as ``Losses`` allows."""
     workers.start(spec)
     while True:
         for ended in workers.finished():

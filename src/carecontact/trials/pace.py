@@ -65,7 +65,7 @@ class Pace:
         self._late = 0
 
     def answered(self, periods: int) -> None:
-        """An answer came, which is executed in so many control periods."""
+        """Note that an answer came whose execution takes this many control periods."""
         self._answered_s, self._periods = self._clock(), periods
         if self._left_s is not None:
             self._act_s.append(self._answered_s - self._left_s)
@@ -95,7 +95,7 @@ class Pace:
         self._between_s.append(self._left_s - self._answered_s)
 
     def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
-        """Return what the recording keeps of it."""
+        """Return the arrays that the recording keeps of the pace."""
         kept = {BETWEEN: np.array(self._between_s, "<f8"), ACT: np.array(self._act_s, "<f8")}
         if self._pace_s is not None:
             kept[PACED] = np.array([self._pace_s, self._late], "<f8")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import pickle
 import shutil
+import socket
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -28,14 +29,16 @@ from carecontact.trials.node_task import NodeDone, NodeTask, carry_out
 from carecontact.trials.workers import ROOM_BYTES
 
 ATTEMPTS = 3
-"""At a trial of which Ray lost the node or the process, in one command."""
+"""Most attempts of one command at a trial whose node or process Ray lost."""
+ANSWER_S = 10.0
+"""Longest wait for a connection to the cluster's address [s]; Ray itself would try for minutes."""
 NEEDS = "--engine ray needs the package ray: pip install 'carecontact[cluster]', here and on every node"
 
 
-def connect(policy: PolicyRef) -> None:
+def connect(*policies: PolicyRef) -> None:
     """Connect this process to the cluster that RAY_ADDRESS names, or that runs on this machine; once.
 
-    The current folder goes to the nodes where a policy is imported from it, without the folders of runs.
+    The current folder goes to the nodes if any of the policies is imported from it, without the folders of runs.
 
     Raises DependencyError without the package, ConfigError where there is no cluster or the folder is too large.
     """
@@ -46,10 +49,12 @@ def connect(policy: PolicyRef) -> None:
     if ray.is_initialized():
         return
     here = Path.cwd()
-    shipped = {"working_dir": str(here), "excludes": _excluded(here)} if policy.kind == "importable" else {}
+    imported = any(policy.kind == "importable" for policy in policies)
+    shipped = {"working_dir": str(here), "excludes": _excluded(here)} if imported else {}
     # Ray's own default is not to look for a driver's variables.
     where = os.environ.get("RAY_ADDRESS") or "auto"
     try:
+        _reach(where)
         ray.init(address=where, runtime_env=shipped, log_to_driver=False, logging_level="error")
     except ConnectionError as error:
         place = "on this machine" if where == "auto" else f"at {where}"
@@ -66,20 +71,31 @@ def connect(policy: PolicyRef) -> None:
         raise
 
 
+def _reach(address: str) -> None:
+    """Raises ConnectionError where nothing listens at ``HOST:PORT``; another kind of address is left to Ray."""
+    host, _, port = address.rpartition(":")
+    if not host or "/" in host or not port.isdecimal():
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER_S).close()
+    except OSError as error:
+        raise ConnectionError(str(error)) from None
+
+
 def asks_for_a_token() -> bool:
     """Whether the cluster, as far as this process is told, takes orders from those alone who know its token."""
     return os.environ.get("RAY_AUTH_MODE") == "token"
 
 
 def _excluded(folder: Path) -> list[str]:
-    """Folders of runs, and hidden ones: no policy needs them, and a recording is none of its business."""
+    """Folders that are not sent to the nodes: those of runs, which no policy may read, and hidden ones."""
     runs = [path.parent for pattern in ("*", "*/*", "*/*/*") for path in folder.glob(f"{pattern}/{MANIFEST}")]
     return [".?*", "__pycache__", *(f"/{run.relative_to(folder).as_posix()}/" for run in runs)]
 
 
 @dataclass(kw_only=True)
 class RayTrials:
-    """Make one only after ``connect``."""
+    """The engine ``ray``. Call ``connect`` before you make one."""
 
     out: Path
     work: Path

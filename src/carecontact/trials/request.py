@@ -1,4 +1,4 @@
-"""What the supervisor asks of a trial's process: one JSON document on its standard input."""
+"""The request of the supervisor to a trial's process: one JSON document on its standard input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The trials of a run: which of them begin when, and what is told of them; an engine carries them out."""
+"""Runs the trials of a run: it decides which trial begins when and reports their progress; an engine carries them
+out."""
 
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import EndReason
 from carecontact.recording.storage import no_space
 from carecontact.runs.alone import alone
-from carecontact.runs.identity import Identity, identity_of
-from carecontact.runs.manifest import MANIFEST, Purpose, Survey, salted, survey, write_manifest
+from carecontact.runs.identity import identity_of
+from carecontact.runs.manifest import Purpose, Survey, runs_beside, salted, survey, write_manifest
 from carecontact.trials.engine import Engine, EngineName
 from carecontact.trials.engines import Conditions, engine_of
 from carecontact.trials.launch import WORKER_COMMAND, Launcher
@@ -35,8 +36,8 @@ from carecontact.trials.workers import ROOM_BYTES
 EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
 POLL_S = 0.05
 DEFAULT_TRIAL_LIMIT_S = 14400.0
-"""Wall clock. Only a harness that hangs gets near it: a policy has an hour for all its calls (``BUDGET_S``), which
-leaves 7 s for each of the 1,500 observations that it can request."""
+"""Limit of a trial's wall time [s]. Only a harness that hangs reaches it: a policy has an hour for all its calls
+(``BUDGET_S``), which leaves 7 s for each of the 1,500 observations that it can request."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +107,7 @@ def open_run(
     worker_command: Sequence[str] = WORKER_COMMAND,
     launcher: Launcher | None = None,
     purpose: Purpose = "run",
+    whole: Sequence[str] = (),
 ) -> Generator[Run]:
     """Keep the folder of a run for the trials that it still lacks; the end of the block kills those that run.
 
@@ -117,6 +119,7 @@ def open_run(
         engine: where the trials run.
         gpus: share of a GPU that a cluster reserves for each trial.
         launcher: starts the workers of other runs of this command, too, if it has the same ``worker_command``.
+        whole: ids of all trials of the run of which ``specs`` are a part.
 
     Raises ConfigError for a folder that holds another run, that another command is at work in, or that cannot be
     written to, and for an engine that cannot be reached; DependencyError for one that is not installed.
@@ -130,7 +133,7 @@ def open_run(
     with alone(out, make=True):
         found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
         specs = salted(specs, out=out)
-        _prepare(out, specs, identity=identity, purpose=purpose)
+        _prepare(out, specs, identity=identity, purpose=purpose, whole=whole)
         setup = replace(setup, closed=(*setup.closed, *runs_beside(out)))
         kill_abandoned()
         remove_abandoned_folders()
@@ -152,7 +155,7 @@ def open_run(
 
 
 class Run:
-    """The order of the trials of one run, and what is told of them."""
+    """The trials of one run: their order and the reports of their progress."""
 
     def __init__(
         self,
@@ -193,11 +196,12 @@ class Run:
         return self._engine.slots()
 
     def advance(self, jobs: int | None) -> bool:
-        """Begin trials until ``jobs`` of them run, and take those that have ended; returns whether any are left.
+        """Take the trials that have ended, and begin others until ``jobs`` run; returns whether any are left.
 
         It waits for nothing: call it again and again. Raises StorageError where there is no space for a recording;
         those that are there stay.
         """
+        self._take_finished()
         while self._waiting and self.running < (self.slots() if jobs is None else jobs):
             if not self._engine.has_room():
                 self._stop_full(f"less than {ROOM_BYTES >> 20} MB are free for each trial")
@@ -207,7 +211,6 @@ class Run:
             self._report("started", spec.trial_id)
             self._engine.start(spec)
             self._most = max(self._most, self.running)
-        self._take_finished()
         self._report_silence()
         if self._waiting or self.running:
             return True
@@ -228,12 +231,13 @@ class Run:
         )
 
     def _stop_full(self, why: str) -> None:
-        """Begin no trial that cannot be stored; those that run may end."""
+        """Begin no further trial, because its recording could not be stored; trials that run already may end."""
         self._full = why
         self._waiting.clear()
 
     def _report_silence(self) -> None:
-        """At most once every WAIT_REPORT_S: each look reads a file for every trial that runs."""
+        """Report policies that are silent, at most once every WAIT_REPORT_S, because this reads a file for every
+        running trial."""
         if time.monotonic() < self._next_look:
             return
         self._next_look = time.monotonic() + WAIT_REPORT_S
@@ -276,18 +280,12 @@ class Run:
         )
 
 
-def _prepare(out: Path, specs: Sequence[TrialSpec], *, identity: Identity, purpose: Purpose) -> None:
+def _prepare(out: Path, specs: Sequence[TrialSpec], **more: Any) -> None:
     try:
         remove_abandoned(out)
-        write_manifest(specs, out=out, identity=identity, purpose=purpose)
+        write_manifest(specs, out=out, **more)
     except OSError as error:
         raise ConfigError(f"--out {out}: cannot be written to: {error.strerror}") from None
-
-
-def runs_beside(out: Path) -> list[str]:
-    """Return this run's folder and those of other runs in the same place: none of them is the policy's business."""
-    here = out.resolve()
-    return sorted({str(here), *(str(manifest.parent) for manifest in here.parent.glob(f"*/{MANIFEST}"))})
 
 
 def check_jobs(jobs: int | None) -> None:

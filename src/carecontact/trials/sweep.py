@@ -1,4 +1,4 @@
-"""Many runs at once on one engine: a cell of a sweep begins as soon as those before it leave a slot free."""
+"""Many runs on one engine, one after another: a cell of a sweep begins when those before it leave a slot free."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -91,25 +92,24 @@ def run_cells(
 def _advance(opened: Sequence[_Open], policies: Sequence[SweptPolicy], jobs: int | None) -> None:
     """Give every open cell, in the order of the plan, as many trials as the slots and its policy allow."""
     for each in opened:
-        free = _free(opened, jobs)
-        limit, busy = policies[each.cell.policy].jobs, _busy(opened)[each.cell.policy]
-        if limit is not None:
-            free = min(free, limit - busy)
-        each.run.advance(each.run.running + max(0, free))
+        free = min(_free(opened, jobs), _room(policies[each.cell.policy], _busy(opened)[each.cell.policy]))
+        each.run.advance(each.run.running + int(max(0, free)))
 
 
 def _following(
     waiting: Sequence[Cell], opened: Sequence[_Open], policies: Sequence[SweptPolicy], jobs: int | None
 ) -> Cell | None:
-    """The next cell whose trials could begin now; None while there is nothing free for any."""
+    """The next cell whose trials could begin now; None while those of the open cells will take all that is free."""
     if not opened:
         return next(iter(waiting), None)
-    if _free(opened, jobs) <= 0 or len(opened) >= MOST_OPEN:
-        return None
-    busy = _busy(opened)
+    busy, still = _busy(opened), Counter[int]()
     for each in opened:
-        busy[each.cell.policy] += each.run.waiting
-    return next((cell for cell in waiting if _has_slot(policies[cell.policy], busy[cell.policy])), None)
+        still[each.cell.policy] += each.run.waiting
+    taken = sum(min(many, _room(policies[policy], busy[policy])) for policy, many in still.items())
+    if _free(opened, jobs) <= taken or len(opened) >= MOST_OPEN:
+        return None
+    busy += still
+    return next((cell for cell in waiting if _room(policies[cell.policy], busy[cell.policy]) > 0), None)
 
 
 def _free(opened: Sequence[_Open], jobs: int | None) -> int:
@@ -124,5 +124,6 @@ def _busy(opened: Sequence[_Open]) -> Counter[int]:
     return busy
 
 
-def _has_slot(policy: SweptPolicy, busy: int) -> bool:
-    return policy.jobs is None or busy < policy.jobs
+def _room(policy: SweptPolicy, busy: int) -> float:
+    """How many more trials of the policy may run."""
+    return inf if policy.jobs is None else policy.jobs - busy

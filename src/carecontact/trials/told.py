@@ -1,4 +1,4 @@
-"""What a trial's process tells its supervisor through a pipe, which works where a disk is full."""
+"""Messages of a trial's process to its supervisor, through a pipe, which works even if the disk is full."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ DIGEST_BYTES = 32
 
 
 class Told:
-    """The supervisor's end."""
+    """The supervisor's end of the pipe."""
 
     def __init__(self, pipe: int) -> None:
         """``pipe``: file descriptor to read from, which this object then owns."""
@@ -23,7 +23,7 @@ class Told:
         """Digests of the policy's answers, one after another."""
 
     def read(self) -> None:
-        """Take what has come. Call it again and again: the other end waits while the pipe is full."""
+        """Read the messages that have arrived. Call it repeatedly: the other end waits while the pipe is full."""
         with suppress(BlockingIOError):
             while piece := os.read(self._pipe, 1 << 16):
                 self._rest += piece

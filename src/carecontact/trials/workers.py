@@ -1,4 +1,4 @@
-"""The processes of trials that run now: started, watched, reaped, and their recordings collected."""
+"""Starts the processes of trials, watches them, reaps them, and collects their recordings."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import signal
 import tempfile
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
 
@@ -21,7 +21,7 @@ from carecontact.hosting.isolation.private_folder import remove_abandoned_folder
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.schema import Recording
-from carecontact.runs.manifest import FAILED, KILLED
+from carecontact.runs.manifest import FAILED, KILLED, runs_beside
 from carecontact.trials.engine import Ended
 from carecontact.trials.failed import harness_error_recording, tail
 from carecontact.trials.launch import Launcher, Process, is_stopped
@@ -52,12 +52,12 @@ class Workers:
     out: Path
     """Folder for the recordings and logs."""
     work: Path
-    """Folder for what is not finished."""
+    """Folder for files that are not finished."""
     policy: PolicySetup
     weights: Path | None
     pace_s: float | None
     launcher: Launcher
-    """Whoever made it closes it: it may start the workers of other runs, too."""
+    """Its maker closes it, because it may also start the workers of other runs."""
     trial_limit_s: float
     losses: Losses
     """Trials that this command or an earlier one lost to a signal."""
@@ -77,9 +77,11 @@ class Workers:
         folder = Path(tempfile.mkdtemp(dir=self.work))
         partial, output = folder / "trial.h5", folder / "output.txt"
         pipe, told_fd = os.pipe()
+        # Again for each trial: another command may have begun a run beside this one.
+        closed = tuple(dict.fromkeys((*self.policy.closed, *runs_beside(self.out))))
         request = TrialRequest(
-            spec=spec, policy=self.policy, out=partial.resolve(), weights=self.weights, told_fd=told_fd,
-            supervisor=os.getpid(), pace_s=self.pace_s,
+            spec=spec, policy=replace(self.policy, closed=closed), out=partial.resolve(), weights=self.weights,
+            told_fd=told_fd, supervisor=os.getpid(), pace_s=self.pace_s,
         )  # fmt: skip
         try:
             process = self.launcher.start(request, log=output)
@@ -152,8 +154,9 @@ class Workers:
             outcome = self.losses.counted(found, answers)
         elif found is not None:
             outcome = self.losses.policy_killed(found, answers)
-        elif worker.told.policy_runs and kind != "timeout":
-            outcome = self.losses.died_with_policy(worker.spec, answers, death, _evidence(worker))
+        elif worker.told.policy_runs:
+            starved = kind == "timeout"
+            outcome = self.losses.died_with_policy(worker.spec, answers, death, _evidence(worker), starved=starved)
         elif kind == KILLED:
             outcome = self.losses.died(worker.spec, answers, death, _evidence(worker))
         else:

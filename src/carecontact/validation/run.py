@@ -25,6 +25,7 @@ CHECKS = {
     for name in (
         "force-balance", "energy", "convergence", "passive-response", "calibration-residual", "determinism",
         "sensitivity", "stability", "uniformity", "smoothness", "declared", "knocks",
+        "alive",
     )
 }  # fmt: skip
 """Name -> module in this package, which has TITLE, run(subject, quick=...) and draw(result, figure). The first eight

@@ -51,7 +51,7 @@ def tries(folder: Path, socket_name: str) -> dict[str, Callable[[], object]]:
         "write into its own folder": (folder / "policy" / "kept").touch,
         "read a file of the user": (folder / "outside" / "secret").read_text,
         "write a file of the user": lambda: (folder / "outside" / "secret").open("ab").close(),
-        "list processes": lambda: os.listdir("/proc"),
+        "list processes in /proc": lambda: os.listdir("/proc"),
         "command line of the harness": (of_harness / "cmdline").read_bytes,
         "variables of the harness": (of_harness / "environ").read_bytes,
         "memory of the harness": lambda: (of_harness / "mem").open("rb").close(),
@@ -67,12 +67,12 @@ def tries(folder: Path, socket_name: str) -> dict[str, Callable[[], object]]:
         "limit the processor time of the harness through a child": lambda: _child(
             f"import resource; resource.prlimit({harness}, resource.RLIMIT_CPU, {UNLIMITED})"
         ),
-        "connect to an abstract socket": lambda: _connected(socket_name),
+        "connect to an abstract socket": lambda: _connected(f"\0{socket_name}"),
     }
 
 
 def stays_open(folder: Path) -> dict[str, Callable[[], object]]:
-    """What Landlock cannot close."""
+    """What Landlock cannot close, or not before Linux 7.1."""
     run, harness = folder / "policy" / "runs" / "now", os.getppid()
     recording = run / "T1-s000.h5"
     return {
@@ -81,7 +81,10 @@ def stays_open(folder: Path) -> dict[str, Callable[[], object]]:
         "learn the names of the run's new files": lambda: _watched(run),
         "change the priority of the harness": lambda: os.setpriority(os.PRIO_PROCESS, harness, 0),
         "bind the harness to processors": lambda: os.sched_setaffinity(harness, os.sched_getaffinity(harness)),
+        "learn that a process exists": Path(f"/proc/{harness}").stat,
+        "connect to a socket with a path": lambda: _connected(str(folder / "outside" / "socket")),
         "write into shared memory": _shared_memory,
+        "keep something in shared memory of System V": _system_v,
         "open a connection": lambda: socket.create_server(("127.0.0.1", 0)).close(),
     }
 
@@ -161,7 +164,7 @@ def _taken(pid: int) -> None:
 
 def _connected(name: str) -> None:
     with socket.socket(socket.AF_UNIX) as client:
-        client.connect(f"\0{name}")
+        client.connect(name)
 
 
 def _watched(folder: Path) -> None:
@@ -177,3 +180,8 @@ def _shared_memory() -> None:
     place.touch()
     with suppress(OSError):
         place.unlink()
+
+
+def _system_v() -> None:
+    libc = _libc()
+    _checked(libc.shmctl(_checked(libc.shmget(0, SIZE(4096), 0o600)), 0, None))

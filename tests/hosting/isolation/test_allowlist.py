@@ -63,6 +63,19 @@ def test_no_place_that_may_be_written_holds_a_run(folder: Path, monkeypatch: pyt
     assert str(folder) not in asked(folder, closed=[str(folder / "runs" / "now")])
 
 
+def test_weights_in_the_cache_are_open_and_the_users_keys_beside_them_are_not(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(folder / "runs"))
+    cache = folder / "runs" / ".cache"
+    (cache / "huggingface" / "hub").mkdir(parents=True)
+    (cache / "torch").mkdir()
+    assert asked(folder, search_path=[])[str(cache)] == READ
+    (cache / "huggingface" / "token").touch()
+    found = {path for path in asked(folder, search_path=[]) if path.startswith(str(cache))}
+    assert found == {str(cache / "torch"), str(cache / "huggingface" / "hub")}
+
+
 def test_the_package_of_a_policy_that_is_installed_elsewhere(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As an editable installation has it: a finder knows where, and ``sys.path`` does not."""
     elsewhere = folder / "weights"

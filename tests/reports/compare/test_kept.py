@@ -5,6 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import pytest
+
 from carecontact.reports.compare.kept import FOLDERS, beside_kept
 from carecontact.runs.run_scores import RunScores
 from carecontact.runs.stored_scores import read_scores
@@ -45,10 +47,12 @@ def test_kept_scores_of_another_world_do_not(tmp_path: Path) -> None:
     assert "same protocol" in why
 
 
-def test_a_draft_says_in_one_line_that_none_are_kept() -> None:
-    beside, why = beside_kept(RunScores(scores=[make_score("T1", 0)]), [], folders=FOLDERS)
+@pytest.mark.parametrize("protocol", ["bathing-draft", "bathing-wide-draft L2"])
+def test_a_draft_says_in_one_line_that_none_are_kept(protocol: str) -> None:
+    score = make_score("T1", 0).model_copy(update={"protocol_id": protocol})
+    beside, why = beside_kept(RunScores(scores=[score]), [], folders=FOLDERS)
     assert beside is None
-    assert why == (
-        "No scores of the shipped policies and of blind replay are kept for bathing-draft, because it is a draft."
+    assert (
+        why == f"No scores of the shipped policies and of blind replay are kept for {protocol}, because it is a draft."
     )
     assert beside_kept(RunScores(scores=[]), []) == (None, "")

@@ -577,3 +577,21 @@ def test_importing_reports_loads_no_simulator_and_no_heavy_library() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_page_without_blind_replay_says_how_to_get_it(tmp_path: Path) -> None:
+    scores = [make_score("T1", 0)]
+    path = write_report(tmp_path, scores=scores, recordings=_no_recording, skipped={}, kept_scores="None are kept.")
+    text = Page(path.read_text()).text
+    assert "None are kept. To learn whether" in text
+    assert "carecontact report DIR --baseline" in text.partition("From success to safe success")[0]
+
+
+def test_a_success_above_the_safety_gate_is_no_failure_and_is_told(tmp_path: Path) -> None:
+    unsafe = make_score("T1", 0, safety_gated=False, over_limit={"right_forearm": 1.5})
+    path = write_report(tmp_path, scores=[unsafe], recordings=_no_recording, skipped={})
+    assert "No trial failed: every one succeeded on the named region. But 1 of 1 did not" in Page(path.read_text()).text
+
+
+def _no_recording(trial_id: str) -> Recording:
+    raise RecordingError(trial_id)

@@ -61,12 +61,12 @@ def test_what_the_person_did_and_the_cut_are_events() -> None:
     recording = whole_trial(ended="safety_truncation", failure=failure)
     arrays = {
         "scorer/withdrawal_s": np.array([4.0, -1.0, -1.0]), "scorer/repositioning_s": np.array([5.0, 50.0]),
-        "scorer/repositioning_rad": np.radians([10.0, 5.0]),
+        "scorer/repositioning_rad": np.radians([-10.0, 5.0]),
     }  # fmt: skip
     recording.arrays.update(arrays)
-    told = [(round(event.time_s), event.text) for event in events(find_contact(recording))]
-    assert (4, "the person withdrew the arm") in told
-    assert (5, "the person turned the arm by 10°") in told
+    told = [(round(event.time_s, 1), event.text) for event in events(find_contact(recording))]
+    assert (4, "the person withdraws the arm") in told
+    assert (4.9, "the person begins to turn the arm by 10° toward the trunk") in told, "muscles tense 0.1 s before"
     assert told[-1] == (12, "cut by the benchmark: 201 N on chest, cut at 200 N")
     assert len(told) == 6, "what would have come after the end did not happen"
 

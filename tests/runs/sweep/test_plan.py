@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from carecontact.errors import ConfigError
+from carecontact.policies.registry import POLICIES
+from carecontact.protocols import load_levels
 from carecontact.runs.sweep.cells import Cell, cells_of, places_of
 from carecontact.runs.sweep.plan import read_plan
 
@@ -78,6 +80,15 @@ def test_the_ensemble_is_of_24_people() -> None:
     assert {place.protocol.variation.tissue for place in places} == {"published-v1"}
 
 
+def test_the_results_are_of_every_shipped_policy_at_every_level() -> None:
+    plan = read_plan(Path(__file__).parents[3] / "examples" / "cluster" / "results.toml")
+    shipped = [name for name in POLICIES if POLICIES.package(name) is None]
+    assert sorted(each.policy for each in plan.policies) == sorted(shipped)
+    places = places_of(plan, named="results.toml")
+    assert [place.values["level"] for place in places] == list(load_levels("bathing-wide-draft"))
+    assert {(len(place.tasks), place.seeds) for place in places} == {(7, tuple(range(1000, 1027)))}
+
+
 def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
     few = planned(tmp_path, PLAN)
     many = planned(tmp_path, PLAN.replace('"woman-old-light"]', '"man-old-light", "woman-old-light"]'))
@@ -104,6 +115,13 @@ def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
             r"axes\.gates\.touch\.duration: .*did you mean 'duration_s'",
         ),
         ('"manikin-like"', '"manikin"', r"axes\.tissue: no tissue set named 'manikin'"),
+        (
+            '"bathing-moved-draft"',
+            '"bathing-wide-draft"',
+            r"has the levels L0, L1, L2, L3; name levels in axes\.level, or",
+        ),
+        ("body =", 'level = ["L1"]\nbody =', r"axes\.level: bathing-draft has no levels, and so no L1; name levels in"),
+        ('"bathing-moved-draft"', '"bathing-wide-draft L9"', r"no level named 'L9'"),
         ('"bathing-moved-draft"', '"bathing-v1"', r"axes\.protocol: no protocol named 'bathing-v1'"),
         ("phases.time_limit_s", "phases.limit", r"set: phases\.limit: no field 'limit' in phases"),
         ("T1,T3", "T1,T9", r"tasks: 'T9' is not a task of bathing-draft"),

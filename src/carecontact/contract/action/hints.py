@@ -1,4 +1,5 @@
-"""What the numbers of a refused action look like, and what to send instead; a hint is empty where nothing is known."""
+"""Hints about refused actions: what their numbers look like, and what to send instead. A hint is empty if the numbers
+resemble no known mistake."""
 
 from __future__ import annotations
 

@@ -48,7 +48,10 @@ class Breathing(Section):
 
 
 class Repositioning(Section):
-    """The person moves the right arm to another place on its board, now and then (all assumed)."""
+    """The person moves the right arm to another place on its board, now and then (all assumed).
+
+    A change of posture begins from where the arm lies then, wherever it was pushed.
+    """
 
     per_minute: Annotated[float, Field(gt=0, le=20)] = 4.0
     """Mean number of onsets. They come at a constant rate over the whole trial, whatever the robot does, but never
@@ -62,7 +65,7 @@ class Withdrawal(Section):
     """The person pulls the right arm away from a force on it that lasts (all assumed).
 
     The force is the largest of those on upper arm, forearm and hand, as vector sums. At most three withdrawals happen
-    in a trial, at least 2 s apart.
+    in a trial, at least 2 s apart. A withdrawal ends a change of posture, and none begins during one.
     """
 
     force_n: Annotated[Range, _within(1.0, 200.0, "N")] = (20.0, 30.0)

@@ -111,6 +111,11 @@ class Protocol(Section):
         return self
 
     @property
+    def drawn_as(self) -> str:
+        """Name from which seeds draw (``Randomization.drawn_as``)."""
+        return self.randomization.drawn_as or self.id
+
+    @property
     def sha256(self) -> str:
         """Of the canonical JSON, so that spelling and comments in the TOML do not count."""
         content = self.model_dump(mode="json", exclude=None if self.overrides else {"overrides"})

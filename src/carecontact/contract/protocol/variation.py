@@ -27,6 +27,14 @@ class Randomization(Section):
     seeds: list[int]
     comfort_arm_deg: tuple[float, float]
     """Angle between the humerus' long axis and the trunk's in the frontal plane; uniform over this range."""
+    drawn_as: str = ""
+    """Name from which seeds draw, in place of the protocol's id: a draft that is renamed when it is frozen keeps its
+    persons."""
+
+    @model_serializer(mode="wrap")
+    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out ``drawn_as`` where it is empty: protocols did not always have it, and keep their hash."""
+        return {name: value for name, value in handler(self).items() if name != "drawn_as" or value}
 
 
 class Variation(Section):

@@ -197,11 +197,11 @@ def _decisive_part(variation: Variation) -> Variation:
 
 def _decisive(protocol: Protocol, variations: Sequence[Variation]) -> dict[str, object]:
     """Everything of a protocol that decides who is drawn and which bases serve."""
-    sections = ("id", "physics", "phases", "scene", "impedance", "cameras")
+    sections = ("physics", "phases", "scene", "impedance", "cameras")
     wrist = max((level.reposition_m for level in protocol.levels.values()), default=0.0)
     return {
         **{name: protocol.model_dump(mode="json")[name] for name in sections},
-        "person": _still(protocol).person.model_dump(mode="json"),
+        "drawn_as": protocol.drawn_as, "person": _still(protocol).person.model_dump(mode="json"),
         "comfort_arm_deg": protocol.randomization.comfort_arm_deg, "regions": protocol.regions,
         "variations": [variation.model_dump(mode="json") for variation in variations], "reposition_m": wrist,
         "bodies": protocol.variation.bodies,

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 
-from carecontact.hosting.isolation.landlock import DEVICE, READ, READ_FILE, TRUNCATE, WRITE, WRITE_FILE
+from carecontact.hosting.isolation.landlock import DEVICE, READ, READ_FILE, RESOLVE_SOCKET, TRUNCATE, WRITE, WRITE_FILE
 
 SYSTEM = (
     "/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/opt", "/nix/store", "/sys", "/run/systemd/resolve",
@@ -29,6 +29,10 @@ PROCESS = (
 """Of /proc, what describes the machine. Of the processes in it, a policy sees itself only."""
 CACHES = ("~/.cache",)
 """Where libraries keep the weights that they downloaded."""
+KEYS = ("~/.cache/huggingface/token", "~/.cache/huggingface/stored_tokens")
+"""Secrets of the user among them."""
+SOCKETS = ("/run/systemd/resolve", "/run/nscd", "/run/nvidia-persistenced")
+"""Where daemons listen that tell the addresses of hosts and keep graphics cards awake."""
 DEVICES = (
     "/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom", "/dev/nvidia*", "/dev/dri", "/dev/kfd",
     "/dev/dxg", "/dev/infiniband",
@@ -61,13 +65,16 @@ def rights(
     def allow(path: str, right: int) -> None:
         found[path] = found.get(path, 0) | right
 
-    shut = [os.path.realpath(path) for path in closed]
+    keys = [path for path in map(os.path.expanduser, KEYS) if os.path.exists(path)]
+    shut = [os.path.realpath(path) for path in (*closed, *keys)]
     places = [*SYSTEM, *PROCESS, *map(os.path.expanduser, CACHES), *_interpreter(), *_package(search_path, target)]
     for place in [*places, *search_path, *_paths(given)]:
         for path in without(os.path.realpath(place), shut):
             allow(path, READ)
     for path in (path for pattern in DEVICES for path in glob.glob(pattern)):
         allow(path, READ | DEVICE)
+    for place in SOCKETS:
+        allow(os.path.realpath(place), RESOLVE_SOCKET)
     # CUDA names its threads there, and does not start without emptying the file that it writes the name to.
     allow(f"/proc/{os.getpid()}", READ | WRITE_FILE | TRUNCATE)
     for place in (tempfile.gettempdir(), SHARED_MEMORY):
@@ -78,7 +85,7 @@ def rights(
     for path in readable:
         allow(path, READ)
     for path in writable:
-        allow(path, READ | WRITE | DEVICE)
+        allow(path, READ | WRITE | DEVICE | RESOLVE_SOCKET)
     return found
 
 

@@ -19,9 +19,12 @@ if TYPE_CHECKING:
     from carecontact.hosting.child import Options
 
 TRUNCATE_SINCE = 3
-CACHES = ("TRITON_HOME", "TRITON_CACHE_DIR", "CUPY_CACHE_DIR", "CUDA_CACHE_PATH", "MPLCONFIGDIR", "NUMBA_CACHE_DIR")
-"""Variables that say where libraries keep what they compiled: else in the home folder, and some fail where they cannot
-write there."""
+CACHES = (
+    "TRITON_HOME", "TRITON_CACHE_DIR", "CUPY_CACHE_DIR", "CUDA_CACHE_PATH", "MPLCONFIGDIR", "NUMBA_CACHE_DIR",
+    "HF_TOKEN_PATH",
+)  # fmt: skip
+"""Variables that say where libraries keep what they compiled, and the last where one looks for a key of the user: else
+in the home folder, and some fail where they cannot write or read there."""
 NAME_FILES = ("LD_LIBRARY_PATH", "SSL_CERT_FILE")
 
 

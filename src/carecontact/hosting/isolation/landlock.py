@@ -20,15 +20,16 @@ NO_NEW_PRIVS = 38
 EXECUTE, WRITE_FILE, READ_FILE, READ_DIR = 1 << 0, 1 << 1, 1 << 2, 1 << 3
 REMOVE_AND_MAKE = sum(1 << bit for bit in range(4, 13))
 """Remove a directory or file; make a device, directory, file, socket, pipe or link."""
-REFER, TRUNCATE, IOCTL_DEVICE = 1 << 13, 1 << 14, 1 << 15
-SINCE = {2: REFER, 3: TRUNCATE, 5: IOCTL_DEVICE}
+REFER, TRUNCATE, IOCTL_DEVICE, RESOLVE_SOCKET = 1 << 13, 1 << 14, 1 << 15, 1 << 16
+"""The last: connect to a socket with a path that another process made."""
+SINCE = {2: REFER, 3: TRUNCATE, 5: IOCTL_DEVICE, 9: RESOLVE_SOCKET}
 """Version of Landlock -> the right that it learnt to take away."""
 SCOPES_SINCE, ABSTRACT_SOCKETS, SIGNALS = 6, 1 << 0, 1 << 1
 
 READ = EXECUTE | READ_FILE | READ_DIR
 WRITE = WRITE_FILE | REMOVE_AND_MAKE | REFER | TRUNCATE
 DEVICE = READ_FILE | WRITE_FILE | IOCTL_DEVICE
-OF_A_FILE = EXECUTE | WRITE_FILE | READ_FILE | TRUNCATE | IOCTL_DEVICE
+OF_A_FILE = EXECUTE | WRITE_FILE | READ_FILE | TRUNCATE | IOCTL_DEVICE | RESOLVE_SOCKET
 """Rights that a rule about something other than a directory may have."""
 
 _PINNED: list[int] = []

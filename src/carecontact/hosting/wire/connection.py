@@ -14,7 +14,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from carecontact.errors import PolicyError, UnreachableError
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
-from carecontact.hosting.wire.refusals import closed
+from carecontact.hosting.wire.refusals import absent, closed
 
 CLOSE_S = 1.0
 """For closing a connection, beside the deadline of the call that failed."""
@@ -43,18 +43,29 @@ class Connection:
 
     @classmethod
     def open(
-        cls, *, port: int, deadline_s: float, host: str = "127.0.0.1", path: str = "/", authorization: str = ""
+        cls,
+        *,
+        port: int,
+        deadline_s: float,
+        host: str = "127.0.0.1",
+        path: str = "/",
+        authorization: str = "",
+        line: socket.socket | None = None,
     ) -> Self:
-        """Connect and read nothing yet. ``authorization``: value of the header of that name, or nothing.
+        """Connect and read nothing yet.
+
+        Args:
+            authorization: value of the header of that name, or nothing.
+            line: connected already; this object then owns it.
 
         Raises UnreachableError if nothing there takes a connection, PolicyError ``handshake`` or ``timeout``.
         """
         place, until = f"[{host}]:{port}" if ":" in host else f"{host}:{port}", time.monotonic() + deadline_s
         try:
             # A socket of our own: no proxy from the environment may come between the harness and the policy.
-            sock = socket.create_connection((host, port), timeout=deadline_s)
+            sock = line or socket.create_connection((host, port), timeout=deadline_s)
         except TimeoutError:
-            raise UnreachableError("timeout", f"{place} took no connection within {deadline_s:g} s") from None
+            raise UnreachableError("timeout", f"{place} took no connection within {deadline_s:.3g} s") from None
         except ConnectionRefusedError:
             raise UnreachableError(
                 "start", f"nothing listens at {place}; start the policy's server there first"
@@ -82,8 +93,10 @@ class Connection:
             return connection
         except Exception as error:
             if isinstance(error, TimeoutError) or expired.is_set():
-                text = f"no answer to the WebSocket handshake within {deadline_s:g} s"
+                text = f"no answer to the WebSocket handshake within {deadline_s:.3g} s"
                 raise PolicyError("timeout", text) from None
+            if gone := absent(error):
+                raise UnreachableError("start", f"no policy server answers at {place}: {gone}") from None
             # Beside its own classes websockets raises AssertionError for some bytes that are not HTTP.
             told = f"{type(error).__name__}: {error}"
             raise PolicyError(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from carecontact.errors import PolicyError, did_you_mean
+from carecontact.errors import LostError, PolicyError, did_you_mean
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
 
 EXAMPLES = {
@@ -18,7 +18,10 @@ EXAMPLES = {
 LATE = {"card": "; a server sends its card first, unasked; if it serves one trial at a time, run with --jobs 1"}
 """Kind of a message that did not come -> what may help."""
 MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA, INTERNAL_ERROR = 1009, 1002, 1007, 1011
-"""Close codes of RFC 6455, section 7.4.1."""
+GOING_AWAY, RESTART, TRY_AGAIN = 1001, 1012, 1013
+"""Close codes of RFC 6455, section 7.4.1, and of IANA's registry of them."""
+PROXY_ALONE = (502, 503, 504)
+"""Statuses of HTTP: bad gateway, service unavailable, gateway timeout."""
 
 
 def instead(kind: str) -> str:
@@ -39,7 +42,7 @@ def wrong_keys(entries: Mapping[str, object], *, kind: str, field: str | None) -
 
 
 def closed(error: Exception, *, sent_bytes: int) -> PolicyError:
-    """Return why a call failed.
+    """Return why a call failed: a LostError where the server did not say so, or said that it starts anew.
 
     Args:
         error: ConnectionClosed, or the AssertionError of websockets when the peer vanishes in the middle of a call.
@@ -48,14 +51,23 @@ def closed(error: Exception, *, sent_bytes: int) -> PolicyError:
     sent = error.sent if isinstance(error, ConnectionClosed) else None
     received = error.rcvd if isinstance(error, ConnectionClosed) else None
     if received is not None and isinstance(error, ConnectionClosed) and error.rcvd_then_sent is not False:
-        return PolicyError(
-            "oversize" if received.code == MESSAGE_TOO_BIG else "died", _refused(received.code, sent_bytes)
-        )
+        failure = LostError if received.code in (GOING_AWAY, RESTART, TRY_AGAIN) else PolicyError
+        return failure("oversize" if received.code == MESSAGE_TOO_BIG else "died", _refused(received.code, sent_bytes))
     if sent is not None and sent.code == MESSAGE_TOO_BIG:
         return PolicyError("oversize", f"expected a reply of at most {MAX_REPLY_BYTES} bytes, got a longer one")
     if sent is not None and sent.code in (PROTOCOL_ERROR, INVALID_DATA):
         return PolicyError("garbage", f"the reply is not WebSocket: {sent.reason}")
-    return PolicyError("died", "the connection closed without an answer")
+    return LostError("died", "the connection closed without an answer")
+
+
+def absent(error: Exception) -> str:
+    """Return how a failed handshake shows that only a tunnel or a proxy took the connection, as it does while the
+    server behind it is away; empty where a server answered."""
+    if isinstance(error, InvalidStatus) and error.response.status_code in PROXY_ALONE:
+        return f"a proxy there answers HTTP {error.response.status_code}"
+    if isinstance(error, ConnectionResetError) or isinstance(error.__cause__, EOFError | ConnectionResetError):
+        return "the connection was closed before the WebSocket handshake, as ssh -L does without a server behind it"
+    return ""
 
 
 def _refused(code: int, sent_bytes: int) -> str:

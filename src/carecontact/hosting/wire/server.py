@@ -24,10 +24,14 @@ def serve_policy(
     *,
     on_port: Callable[[int], None],
     port: int = 0,
+    client_port: int | None = None,
     arguments: Mapping[str, str] | None = None,
     environment: tuple[str, ...] = (),
 ) -> None:
     """Serve one client on the loopback interface until it closes; ``on_port`` learns the port once it listens.
+
+    ``client_port``: from which alone a client may connect, since any process of the machine can connect, and the first
+    one would have the policy; None: from any.
 
     The card that the client receives is the policy's own with ``arguments`` and ``environment`` added.
 
@@ -39,6 +43,8 @@ def serve_policy(
     finished = threading.Event()
 
     def hand_over(connection: ServerConnection) -> None:
+        if client_port not in (None, connection.remote_address[1]):
+            return
         offered.put(connection)
         finished.wait()
 

@@ -105,49 +105,90 @@ static double breath(const double* x, double t, double* rate) {
 }
 
 typedef struct {
-  double shift[LIFE_JOINTS];  // of the posture against that at the start [rad]
-  double effort;              // activation of the muscles, 0 to 1
+  double want[LIFE_JOINTS];  // where the muscles draw the joints [rad]
+  double rest[LIFE_JOINTS];  // where the passive joints rest [rad]
+  double lifted;             // of which is to take the arm off its board [rad]
+  double effort;             // activation of the muscles, 0 to 1
 } Posture;
 
-static void add_move(Posture* p, double since, double duration, double lift, const double* shift) {
-  if (since <= -RISE) return;
-  double part = since / duration;
-  for (int k = 0; k < LIFE_JOINTS; k++) p->shift[k] += shift[k] * smooth((part - 0.15) / 0.7);
-  // The arm is lighter from before it moves along the board until it has arrived.
-  p->shift[LIFTS] += lift * smooth(part / 0.3) * (1 - smooth((part - 0.7) / 0.3));
-  p->effort = most(p->effort, smooth(1 + since / RISE) * (1 - smooth((since - duration) / RELAX)));
-}
 
-// The posture that the person wants now. Movements add up where they overlap (Flash and Henis 1991).
+// The posture that the person wants now. A movement begins from where the arm lies, wherever it was pushed before, and
+// ends the movement before it.
 static Posture posture(const mjModel* m, const Life* l, const double* state, double t) {
   Posture p = {.effort = 0};
-  const double *move = m->numeric_data + l->moves, *pull = m->numeric_data + l->withdrawal;
-  for (int k = 0; k < l->nmove && move[MOVE_DURATION] > 0; k++, move += MOVE_SIZE)
-    add_move(&p, t - move[MOVE_TIME], move[MOVE_DURATION], move[MOVE_LIFT], move + MOVE_SHIFT);
-  for (int k = 0; k < (int)state[LIFE_PULLED]; k++)
-    add_move(&p, t - state[LIFE_PULL_TIME + k], pull[PULL_DURATION], 0, pull + PULL_SHIFT);
+  memcpy(p.want, state + LIFE_WANT, sizeof p.want);
+  memcpy(p.rest, state + LIFE_REST, sizeof p.rest);
+  int now = (int)state[LIFE_NOW];
+  if (now == 0) return p;
+  const double *pull = m->numeric_data + l->withdrawal, *move = m->numeric_data + l->moves + MOVE_SIZE * (now - 1);
+  const double* shift = now < 0 ? pull + PULL_SHIFT : move + MOVE_SHIFT;
+  double duration = now < 0 ? pull[PULL_DURATION] : move[MOVE_DURATION], lift = now < 0 ? 0 : move[MOVE_LIFT];
+  double part = (t - state[LIFE_ONSET]) / duration, tensed = smooth((t - state[LIFE_FROM]) / RISE);
+  // The arm is lighter from before it moves along the board until it has arrived.
+  p.lifted = lift * smooth(part / 0.3) * (1 - smooth((part - 0.7) / 0.3)) + state[LIFE_LIFTED] * (1 - smooth(part));
+  p.effort = state[LIFE_EFFORT] + (1 - state[LIFE_EFFORT]) * tensed;
+  p.effort *= 1 - smooth((part - 1) * duration / RELAX);
   for (int k = 0; k < LIFE_JOINTS; k++) {
     if (l->joint[k] < 0) continue;
-    const double *range = m->jnt_range + 2 * l->joint[k], from = state[LIFE_POSTURE + k];
-    double low = least(range[0] + MARGIN, from), high = most(range[1] - MARGIN, from);
-    p.shift[k] = least(most(from + p.shift[k], low), high) - from;
+    const double *range = m->jnt_range + 2 * l->joint[k], base = state[LIFE_BASE + k];
+    double low = least(range[0] + MARGIN, base), high = most(range[1] - MARGIN, base);
+    double to = base + shift[k] * smooth((part - 0.15) / 0.7) + (k == LIFTS ? p.lifted : 0);
+    double moved = least(most(to, low), high) - base;
+    p.want[k] += tensed * (base - p.want[k]) + moved;
+    p.rest[k] += tensed * (base - p.rest[k]) + moved;
   }
   return p;
+}
+
+// Begins a movement. The muscles let go of the posture before it while they tense for this one.
+static void begin(const mjModel* m, const mjData* d, const Life* l, double* state, double t, int now, double onset) {
+  Posture p = posture(m, l, state, t);
+  for (int k = 0; k < LIFE_JOINTS; k++) {
+    if (l->joint[k] < 0) continue;
+    double at = d->qpos[m->jnt_qposadr[l->joint[k]]];
+    double lifted = k == LIFTS ? p.lifted : 0;
+    state[LIFE_BASE + k] = at - lifted;
+    state[LIFE_REST + k] = p.rest[k] - lifted;
+    // Muscles that were slack drew nowhere.
+    state[LIFE_WANT + k] = at + p.effort * (p.want[k] - at) - lifted;
+  }
+  state[LIFE_LIFTED] = p.lifted;
+  state[LIFE_EFFORT] = p.effort;
+  state[LIFE_FROM] = t;
+  state[LIFE_NOW] = now;
+  state[LIFE_ONSET] = onset;
+}
+
+// Begins what is due. Nobody changes the posture while a withdrawal is under way.
+static void begin_due(const mjModel* m, const mjData* d, const Life* l, double* state, double t) {
+  const double *moves = m->numeric_data + l->moves, *pull = m->numeric_data + l->withdrawal;
+  int pulled = (int)state[LIFE_PULLED], drawn = (int)state[LIFE_DRAWN];
+  if (drawn < pulled && t >= state[LIFE_PULL_TIME + drawn] - RISE) {
+    begin(m, d, l, state, t, -1, state[LIFE_PULL_TIME + drawn]);
+    state[LIFE_DRAWN] += 1;
+  }
+  int moved = (int)state[LIFE_MOVED];
+  const double* move = moves + MOVE_SIZE * moved;
+  if (moved == l->nmove || move[MOVE_DURATION] <= 0 || t < move[MOVE_TIME] - RISE) return;
+  state[LIFE_MOVED] += 1;
+  if (pulled && t < state[LIFE_PULL_TIME + pulled - 1] + pull[PULL_DURATION]) return;
+  begin(m, d, l, state, t, moved + 1, move[MOVE_TIME]);
 }
 
 static void tense(const mjModel* m, mjData* d, const Life* l, const double* state, double t) {
   const double* muscle = m->numeric_data + l->muscle;
   Posture p = posture(m, l, state, t);
-  double effort = muscle[MUSCLE_TONE] + (1 - muscle[MUSCLE_TONE]) * p.effort;
+  double tone = muscle[MUSCLE_TONE], effort = (1 - tone) * p.effort;
   for (int k = 0; k < LIFE_JOINTS; k++) {
     int j = l->joint[k];
     if (j < 0) continue;
-    double wanted = state[LIFE_POSTURE + k] + p.shift[k], passive = m->jnt_stiffness[j];
-    double away = d->qpos[m->jnt_qposadr[j]] - wanted, speed = d->qvel[m->jnt_dofadr[j]];
+    double stiffness = -m->actuator_gainprm[mjNGAIN * l->holds[k] + 1], passive = m->jnt_stiffness[j];
+    double away = d->qpos[m->jnt_qposadr[j]] - p.rest[k], speed = d->qvel[m->jnt_dofadr[j]];
     double damping = m->dof_damping[m->jnt_dofadr[j]];
-    d->ctrl[l->holds[k]] = effort;
-    // The muscles' set point; the passive spring, which now rests at the new posture; and help.
-    d->ctrl[l->turns[k]] = -effort * m->actuator_gainprm[mjNGAIN * l->holds[k] + 1] * wanted + passive * p.shift[k] +
+    d->ctrl[l->holds[k]] = tone + effort;
+    // The set points of muscles and of their tone; the passive spring, which rests at the new posture; and help.
+    d->ctrl[l->turns[k]] = stiffness * (effort * p.want[k] + tone * p.rest[k]) +
+                           passive * (p.rest[k] - state[LIFE_POSTURE + k]) +
                            muscle[MUSCLE_HELP] * (passive * away + damping * speed);
   }
 }
@@ -212,7 +253,9 @@ static void advance(const mjModel* m, mjData* d, int instance) {
       double torque = d->actuator_force[l->holds[k]] + d->actuator_force[l->turns[k]];
       state[LIFE_WORK + 1] += torque * d->qvel[m->jnt_dofadr[l->joint[k]]] * m->opt.timestep;
     }
-  watch(m, d, l, state, d->time - state[LIFE_BEGAN]);
+  double t = d->time - state[LIFE_BEGAN];
+  watch(m, d, l, state, t);
+  begin_due(m, d, l, state, t);
 }
 
 void life_plugin(mjpPlugin* plugin) {

@@ -17,8 +17,18 @@ enum {
   LIFE_AWAKE = 0,   // 0 until Python wakes the person: then nothing moves
   LIFE_BEGAN,       // MjData.time at that moment [s]
   LIFE_POSTURE,     // LIFE_JOINTS: the joints' angles at that moment [rad]
-  LIFE_OVER = LIFE_POSTURE + LIFE_JOINTS,  // how long the arm has borne too much without a break [s]
-  LIFE_PULLED,      // withdrawals so far
+  LIFE_BASE = LIFE_POSTURE + LIFE_JOINTS,  // LIFE_JOINTS: their angles when the present movement began [rad]
+  LIFE_REST = LIFE_BASE + LIFE_JOINTS,     // LIFE_JOINTS: where the passive arm rested until then [rad]
+  LIFE_WANT = LIFE_REST + LIFE_JOINTS,     // LIFE_JOINTS: where its muscles drew it until then [rad]
+  LIFE_LIFTED = LIFE_WANT + LIFE_JOINTS,   // how far it was lifted off the board then [rad]
+  LIFE_EFFORT,      // activation of the muscles then, 0 to 1
+  LIFE_FROM,        // when that was, since LIFE_BEGAN [s]
+  LIFE_NOW,         // the present movement: a row of "life/moves" from 1, 0 before the first, -1 for a withdrawal
+  LIFE_ONSET,       // when it begins: its muscles tense before that [s]
+  LIFE_MOVED,       // rows of "life/moves" whose time has come
+  LIFE_OVER,        // how long the arm has borne too much without a break [s]
+  LIFE_PULLED,      // withdrawals that were decided
+  LIFE_DRAWN,       // withdrawals that have begun
   LIFE_PULL_TIME,   // LIFE_PULLS: when each begins, since LIFE_BEGAN [s]
   LIFE_WORK = LIFE_PULL_TIME + LIFE_PULLS,  // 2: of breathing and of the arm's muscles, since LIFE_BEGAN [J]
   LIFE_STATE = LIFE_WORK + 2

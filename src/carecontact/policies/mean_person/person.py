@@ -43,16 +43,17 @@ class MeanPerson(BaseModel):
     protocol: str
     protocol_sha256: str
     seeds: tuple[int, ...]
-    """Over which the means are."""
+    """Seeds over which the means were taken."""
     camera: str
     regions: dict[str, MeanRegion]
 
 
 def read_person(path: Path | None) -> MeanPerson:
-    """Return the means in a file; None: the shipped one. Raises ConfigError for a file that cannot be read."""
-    shipped = resources.files(__package__ or __name__) / FILE
+    """Return the means in a file, or in one that is shipped beside FILE and is named without its suffix; None: FILE.
+    Raises ConfigError for a file that cannot be read."""
+    kept = resources.files(__package__ or __name__) / (FILE if path is None else f"{path}.json")
     try:
-        return MeanPerson.model_validate_json(shipped.read_bytes() if path is None else path.read_bytes())
+        return MeanPerson.model_validate_json((kept if path is None or kept.is_file() else path).read_bytes())
     except OSError as error:
         raise ConfigError(f"mean person {path or FILE}: {error.strerror}; make it with tools/mean_person.py") from None
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""The state machine's primitives on the mean person: a gate that it passes needs no eyes."""
+"""The state machine's primitives on the mean person: a gate that this baseline meets does not require vision."""
 
 from __future__ import annotations
 

@@ -38,7 +38,8 @@ class Donor:
     """(4, 4)"""
 
     def seen_from(self, pose_camera_in_base: F64) -> Donor:
-        """The same way before a camera (4, 4) that stands elsewhere in base: the same way in its picture."""
+        """The same path relative to a camera (4, 4) that stands elsewhere in base, so that it looks the same in its
+        picture."""
         moved = pose_camera_in_base @ np.linalg.inv(self.pose_camera_in_base)
         actions = self.actions.copy()
         for row in actions:
@@ -49,7 +50,7 @@ class Donor:
         return Donor(actions=actions, pose_camera_in_base=pose_camera_in_base)
 
     def chunk(self) -> Sequence[Action]:
-        """All of them, of which the last one ends the trial."""
+        """Return all recorded actions; the last one ends the trial."""
         last = len(self.actions) - 1
         return [
             Action(
@@ -62,9 +63,16 @@ class Donor:
 
 
 def read_donors(path: Path | None = None) -> dict[str, Donor]:
-    """Instruction -> its recorded trial; None: the shipped ones. Raises ConfigError for a file that is none."""
+    """Instruction -> its recorded trial.
+
+    Args:
+        path: a file, or the name of one that is shipped beside ACTIONS, without its suffix; None: ACTIONS.
+
+    Raises ConfigError for a file that is none.
+    """
+    kept = resources.files(__package__ or __name__) / (ACTIONS if path is None else f"{path}.npz")
     try:
-        data = (resources.files(__package__ or __name__) / ACTIONS if path is None else path).read_bytes()
+        data = (kept if path is None or kept.is_file() else path).read_bytes()
         with np.load(io.BytesIO(data)) as arrays:
             held = {name: arrays[name].astype(np.float64) for name in arrays.files}
         return {

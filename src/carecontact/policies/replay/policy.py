@@ -1,4 +1,4 @@
-"""The blind baselines that repeat another trial's actions: a gate that they pass does not need vision."""
+"""The blind baselines that repeat the actions of another trial: a gate that they meet does not require vision."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Replay:
     card = PolicyCard(name="replay", cameras=(), control_hz=CONTROL_HZ)
 
     def __init__(self, *, donor: Path | None = None) -> None:
-        """``donor``: file of tools/record_replay.py; default: the shipped one. Raises ConfigError."""
+        """``donor``: file of tools/record_replay.py, or the name of a shipped one. Raises ConfigError."""
         self._donors, self._donor = read_donors(donor), None
 
     def reset(self, instruction: str) -> None:

@@ -1,4 +1,4 @@
-"""The frames of a film: the world from one or two cameras, with the charts beside."""
+"""The frames of a video: the world as one or two cameras see it, with charts beside it."""
 
 from __future__ import annotations
 
@@ -18,21 +18,23 @@ from carecontact.replaying.film.panel import WIDTH as PANEL_WIDTH
 from carecontact.replaying.film.panel import Panel
 from carecontact.replaying.film.skin import film_scene
 from carecontact.replaying.film.stage import Stage
-from carecontact.replaying.film.story import Event, Story, story_of
+from carecontact.replaying.film.story import Story, story_of
 from carecontact.replaying.film.views import CONTACT, ViewAt, view_of
 from carecontact.replaying.replay import SAID, STATE, Found, Kind, Replay
+from carecontact.reports.trial.events import Event
 
 SIZE = (1280, 720)
 PICTURE = (SIZE[0] - PANEL_WIDTH, PANEL_HEIGHT)
 INSET = (268, 151)
 INSET_CAMERA = "exterior"
 EVENT_S = 1.6
-"""How long an event stays written in the picture."""
+"""Time for which the picture shows the text of an event [s]."""
 LAMPS = 2
 
 
 class Film:
-    """One trial. Iterate over ``frames`` once; use it as a context manager, because it holds a renderer."""
+    """The video of one trial. Iterate over ``frames`` once. Use it as a context manager, because it holds a
+    renderer."""
 
     def __init__(
         self,
@@ -105,7 +107,7 @@ class Film:
         if self._inset is not None:
             small = replace(self._inset(time_s), radius_m=0.0)
             _put_inset(picture, self._stage.picture(self._data, small, INSET))
-        _write_event(picture, self.story.events, time_s)
+        _write_events(picture, self.story.events, time_s)
         if kind not in self._panels:
             self._panels[kind] = Panel(self.story, note=SAID[kind])
         return np.hstack([picture, self._panels[kind].at(time_s)])
@@ -118,9 +120,11 @@ def _put_inset(picture: Picture, inset: Picture) -> None:
     picture[y : y + height, x : x + width] = inset
 
 
-def _write_event(picture: Picture, events: list[Event], time_s: float) -> None:
+def _write_events(picture: Picture, events: list[Event], time_s: float) -> None:
+    """One under the other where several came shortly after each other."""
     now = [event for event in events if event.time_s <= time_s < event.time_s + EVENT_S and event.text != "start"]
-    if now:
-        width = round(text_width(now[-1].text, 17, bold=True)) + 28
-        faded(picture, 20, 20, 20 + width, 58, (24, 26, 30), 0.72)
-        write(picture, 34, 45, now[-1].text, 17, colour=PAPER, bold=True)
+    for row, event in enumerate(now):
+        top = 20 + 42 * row
+        width = round(text_width(event.text, 17, bold=True)) + 28
+        faded(picture, 20, top, 20 + width, top + 38, (24, 26, 30), 0.72)
+        write(picture, 34, top + 25, event.text, 17, colour=PAPER, bold=True)

@@ -34,14 +34,14 @@ CHART = (74, 246, WIDTH - MARGIN, 396)
 MAP = (MARGIN, 466, WIDTH - MARGIN, 632)
 UNTOUCHED, TOUCHED = (236, 234, 230), (243, 222, 203)
 LEAST_KPA = 0.05
-"""Less pressure is drawn as none."""
+"""Pressures below this are drawn like no pressure [kPa]."""
 
 
 class Panel:
-    """Drawn once; each frame adds what holds at its time."""
+    """The charts of one trial. What does not change is drawn once, and each frame adds the values at its time."""
 
     def __init__(self, story: Story, *, note: str) -> None:
-        """``note``: one line at the foot."""
+        """``note``: one line below the charts."""
         self._story = story
         trace = story.trace
         self._time_s, self._force_n = decimate(trace.time_s, trace.target_n, buckets=700)

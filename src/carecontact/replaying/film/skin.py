@@ -1,4 +1,4 @@
-"""The skin as a film shows it: split finely round the region, dented where the shell beneath it is, evenly shaded."""
+"""The skin as a video shows it: finer round the region, dented where the shell beneath it is dented, evenly shaded."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ REACH_M = 0.016
 NEIGHBOURS = 8
 """Vertices of the shell that a vertex of the skin follows, with Gaussian weights."""
 MOVED_M = 5e-5
-"""Where no vertex of a shell has moved farther, the skin over it stays."""
+"""If no vertex of a shell has moved farther than this, the skin over it stays as it is."""
 GAP_M = 3e-4
 """A vertex of the skin inside the tool is drawn this far outside it: smoothing makes dents shallower."""
 

@@ -1,4 +1,4 @@
-"""Draws a world as a film shows it: any size, smooth edges, lamps with soft shadows where the camera looks."""
+"""Draws a world for a video: in any size, with smooth edges, and with soft shadows where the camera looks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ F64 = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
 
 SAMPLES = 4
-"""Of each pixel."""
+"""Number of samples for each pixel (multisampling)."""
 SHADOW_SIZE = 1536
 """Pixels of the shadow map, each way."""
 KEY_DIRECTION = (-0.40, -0.62, -0.68)
@@ -40,7 +40,7 @@ class View:
     azimuth_deg: float
     elevation_deg: float
     radius_m: float
-    """How far round ``look_at`` shadows are drawn; 0: nowhere."""
+    """Radius round ``look_at`` within which shadows are drawn; 0 draws none."""
     camera: str | None = None
     """Name of a camera of the protocol, which is used instead of the numbers above."""
     fovy_deg: float = 40.0

@@ -1,9 +1,9 @@
-"""What a film tells beside its pictures: traces, events and the pressure on the region, from the recording alone."""
+"""The data that a video shows beside its pictures: traces, events and the pressure on the region, from the recording
+alone."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,15 +12,11 @@ from carecontact.recording.reason import ended_text
 from carecontact.recording.schema import Recording
 from carecontact.regions import REGIONS, Tube
 from carecontact.reports.page.force_trace import ForceTrace, force_trace
+from carecontact.reports.trial.events import TOLD_ENDS, Event, events
 from carecontact.scoring import score_recording
+from carecontact.scoring.contact import Contact, find_contact
 
 F64 = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Event:
-    time_s: float
-    text: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +33,8 @@ class RegionMap:
     """Where the first coordinate grows to."""
 
     def at(self, time_s: float) -> tuple[F64, npt.NDArray[np.bool_]]:
-        """(C,) pressure [kPa] in the period at a time, and (C,) which cells were touched until then."""
+        """Return the (C,) pressure [kPa] in the control period at a time, and (C,) which cells were touched until
+        then."""
         row = int(np.searchsorted(self.period_s, time_s - 1e-9))
         if row >= len(self.period_s):
             return np.zeros(len(self.places_m)), np.any(self.pressure_kpa > 0, axis=0)
@@ -82,25 +79,19 @@ def story_of(recording: Recording) -> Story:
         depth_s=recording["scorer/period_time_s"],
         depth_mm=1000.0 * recording["scorer/indentation_m"][:, column],
         duration_s=duration,
-        events=_events(recording, trace, duration),
+        events=_events(find_contact(recording), duration),
         map=_map(recording, task.region),
         verdict=f"{ended_text(header.ended)}: {passed if score.c3_success else 'no success'}",
     )
 
 
-def _events(recording: Recording, trace: ForceTrace, duration_s: float) -> list[Event]:
-    arrays = recording.arrays
-    found = [Event(time_s=0.0, text="start")]
-    if trace.windows_s:
-        found.append(Event(time_s=max(0.0, trace.windows_s[0][0]), text="first touch"))
-    if trace.peak_s is not None and trace.peak_n is not None:
-        found.append(Event(time_s=trace.peak_s, text=f"peak force {trace.peak_n:.1f} N"))
-    moves: Any = arrays.get("scorer/repositioning_s", ())
-    found += [Event(time_s=float(t), text="the person moves the arm") for t in moves if 0 <= t <= duration_s]
-    pulls: Any = arrays.get("scorer/withdrawal_s", ())
-    found += [Event(time_s=float(t), text="the person withdraws the arm") for t in pulls[:1] if 0 <= t <= duration_s]
-    found.append(Event(time_s=duration_s, text=ended_text(recording.header.ended)))
-    return sorted(found, key=lambda event: event.time_s)
+def _events(contact: Contact, duration_s: float) -> list[Event]:
+    """Those of the trial's page, between the start and how the trial ended."""
+    ended = contact.recording.header.ended
+    found = [Event(time_s=0.0, text="start"), *events(contact)]
+    if ended not in TOLD_ENDS:
+        found.append(Event(time_s=duration_s, text=ended_text(ended)))
+    return found
 
 
 def _map(recording: Recording, region: str) -> RegionMap | None:

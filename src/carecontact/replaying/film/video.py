@@ -16,9 +16,9 @@ from carecontact.errors import DependencyError, RecordingError
 from carecontact.replaying.film.ink import Picture
 
 PRESET, QUALITY = "medium", "18"
-"""Of x264: a constant quality at which text keeps its edges."""
+"""Settings of x264: a constant quality at which text stays sharp."""
 PART = ".part"
-"""Ending of a file that is not whole yet."""
+"""Ending of the name of a file that is still being written."""
 
 
 def pyav() -> Any:
@@ -30,7 +30,7 @@ def pyav() -> Any:
 
 
 def write_mp4(path: Path, frames: Iterable[Picture], *, fps: float, comment: Callable[[], str] | str) -> None:
-    """Write a video at once or not at all.
+    """Write a video as a whole or not at all.
 
     Args:
         frames: (H, W, 3) each, of one size with even sides.

@@ -1,4 +1,4 @@
-"""The views that a film can have: the protocol's cameras, one near the contact, and one that turns round it."""
+"""The views that a video can have: the protocol's cameras, a camera near the contact, and one that orbits it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from carecontact.replaying.film.stage import View
 
 CONTACT, ORBIT = "contact", "orbit"
 ViewAt = Callable[[float], View]
-"""Seconds since t = 0 -> the camera then."""
+"""Time since t = 0 [s] -> the camera at that time."""
 BESIDE_DEG = 97.0
 """Between the region's axis and the direction in which the view near the contact looks: from the side, where the
 skin's outline shows a dent."""
@@ -33,7 +33,7 @@ def view_names(protocol: Protocol) -> list[str]:
 
 
 def view_of(name: str, recording: Recording) -> ViewAt:
-    """Raises ConfigError for a view that there is not."""
+    """Return the view of this name. Raises ConfigError for a name that no view has."""
     spec = recording.header.spec
     names = view_names(spec.protocol)
     if name not in names:

@@ -1,4 +1,4 @@
-"""What Rerun shows of a world that a step does not change: bodies of the robot, furniture, and meshes of the skin."""
+"""The objects that Rerun shows: the robot's links, the furniture, and the meshes of the skin."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class SkinPart:
 
 
 def skin_parts(skin: FilmSkin, colours: npt.NDArray[np.uint8]) -> list[SkinPart]:
-    """What can be dented, and the rest."""
+    """The skin in two kinds of parts: those over soft tissue, which can be dented, and the rest."""
     dented = skin.dentable[skin.faces].any(1)
     parts = []
     for name, faces in (("dented", skin.faces[dented]), ("rest", skin.faces[~dented])):

@@ -47,7 +47,7 @@ class Player:
             self.at = min(max(self.at + skip * self.fps, 0.0), self.count - 1.0)
 
     def advance(self, seconds: float) -> int:
-        """The state to show after so much time; the last one stays."""
+        """Return the index of the state to show after this much time; the last state stays."""
         if not self.paused:
             self.at = min(self.at + seconds * self.fps, self.count - 1.0)
         return int(self.at)
@@ -64,7 +64,7 @@ def positions(replay: Replay, fps: float) -> npt.NDArray[np.float64]:
 
 
 def show(replay: Replay, *, fps: float) -> None:
-    """Play the trial in a window until it is closed. The skin has no dents there: only pictures of ours draw them.
+    """Play the trial in a window until it is closed. The viewer does not draw the dents of the skin; videos do.
 
     Raises DependencyError where no window can be opened.
     """

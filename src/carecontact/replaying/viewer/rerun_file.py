@@ -42,7 +42,7 @@ def rerun_sdk() -> Any:
 
 
 def save(recording: Recording, path: Path, *, fps: float) -> Found:
-    """Write the file at once or not at all; returns how its states were found.
+    """Write the file as a whole or not at all; returns how its states were found.
 
     Raises:
         RecordingError: the recording cannot be shown.
@@ -196,7 +196,7 @@ class _Writer:
         self._log("world/pressure", rr.Points3D(cells[pressed], colors=heat(pressure[pressed] / top), radii=[0.003]))
 
     def _looks(self) -> None:
-        """What the policy was sent: images, and the cloud that the depth image is."""
+        """What the policy was sent: its images, and the point cloud that its depth image gives."""
         rr, arrays = self._rr, self._recording.arrays
         times = arrays["policy/observation_time_s"]
         for path in sorted(arrays):
@@ -215,7 +215,8 @@ class _Writer:
             self._log(f"world/cloud/{camera}", rr.Points3D(points, colors=colours, radii=[0.0025]))
 
     def _cloud(self, depth: Any, rgb: Any, name: str) -> tuple[F64, Any]:
-        """Points in the world and their colours, of a camera that stands; of the hand's at the last shown state."""
+        """Points of a depth image in the world, and their colours. The pose of the camera is that of the last state
+        shown."""
         camera = self._recording.header.spec.protocol.cameras[name]  # pyright: ignore[reportArgumentType]
         focal = 0.5 * camera.height / np.tan(0.5 * np.radians(camera.fovy_deg))
         rows, columns = (a.ravel() for a in np.mgrid[: depth.shape[0] : CLOUD_STRIDE, : depth.shape[1] : CLOUD_STRIDE])

@@ -1,4 +1,4 @@
-"""The best blind baseline: what of a rate needs no eyes, as a column beside every rate."""
+"""The best blind baseline for each task: the rate that can be reached without vision, as a column beside every rate."""
 
 from __future__ import annotations
 

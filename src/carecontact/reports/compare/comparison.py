@@ -1,4 +1,5 @@
-"""Two runs of one protocol side by side, trial by trial: what differs, and what could not have been seen."""
+"""Compares two runs of one protocol trial by trial: what differs, and which differences the runs could not have
+shown."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ class RunInfo:
     policy: str
     language_backend: tuple[str, ...]
     n_trials: int
-    """That say something about the policy."""
+    """Number of trials that say something about the policy, which excludes harness errors."""
     n_harness_errors: int
     skipped: dict[str, str]
     n_missing: int

@@ -59,8 +59,9 @@ def _files(protocol_id: str, folders: Sequence[Path]) -> list[Path]:
 
 
 def _none_kept(protocol_id: str) -> str:
+    name, _, level = protocol_id.partition(" ")
     try:
-        draft = not load_protocol(protocol_id).frozen
+        draft = not load_protocol(name, level=level or None).frozen
     except CarecontactError:
         draft = False
     because = ", because it is a draft" if draft else ""

@@ -1,4 +1,4 @@
-"""Whether the order of several methods survives another gate."""
+"""Whether the ranking of several methods stays the same with other values of the gates."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from carecontact.stats import RankingSweep, ranking_sweep
 
 GAMMAS = tuple(round(0.2 + 0.05 * i, 2) for i in range(17))
 REFERENCE = "safety_gated"
-"""As the protocol has it."""
+"""Level of a sweep at which every gate has the protocol's own value."""
 STEPS = {REFERENCE: "safety_gated", "region_correct": "region_correct", "success": "c3_success"}
 """Level -> field of a score."""
 

@@ -1,4 +1,4 @@
-"""What the paper prints, as data; see ``published.toml``."""
+"""The values that the paper prints, read from ``published.toml``."""
 
 from __future__ import annotations
 

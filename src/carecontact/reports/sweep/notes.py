@@ -1,12 +1,23 @@
-"""What stands above the tables of levels, factors and gates."""
+"""What stands above the tables of draws, levels, factors and gates."""
 
 from __future__ import annotations
+
+from carecontact.reports.text import NOT_DEFINED
 
 OVER_PERSONS = (
     "Intervals are over persons: whole seeds are drawn, those of one body among themselves. Where all persons fare "
     "alike, the interval is that of as many trials as there are persons."
 )
 NOTES = {
+    "Spread over the draws": (
+        "A draw is one combination of the axes and one seed. Median and, in brackets, the 5th and 95th percentile over "
+        "the trials of one task for which a score is defined; n where those are not all."
+    ),
+    "Draws in which two policies change places": (
+        "In how many of the draws that both have, the two stand the other way round than over all of them, where "
+        "passes are counted and medians compared: the chance that the order flips with the person who is drawn. "
+        f"{NOT_DEFINED}: the two are equal over all, or no draw has a number of both."
+    ),
     "Success over level": (
         f"{OVER_PERSONS} Above the best blind: points above the blind baseline that passes most often at the level, "
         "over the same trials. Worst tenth: the mean rate of the tenth of the persons who fare worst; by chance: what "

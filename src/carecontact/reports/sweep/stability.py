@@ -1,4 +1,4 @@
-"""Whether the order of the policies is the same in every cell of a sweep, and would be with other seeds."""
+"""Whether the ranking of the policies is the same in every cell of a sweep, and would be the same with other seeds."""
 
 from __future__ import annotations
 

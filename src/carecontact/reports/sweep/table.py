@@ -1,4 +1,4 @@
-"""One row for each cell of a sweep, and what holds over all of them."""
+"""The table of a sweep: one row for each cell, and the statistics over all cells."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from carecontact.policies.registry import Role
+from carecontact.reports.sweep.bands import Bands, bands
 from carecontact.reports.sweep.factors import Factors, factors
 from carecontact.reports.sweep.gate_orders import GateOrder, gate_orders
 from carecontact.reports.sweep.ladder import Ladder, ladder
@@ -57,6 +58,8 @@ class SweepTable:
     rows: tuple[CellRow, ...]
     stability: Stability | None
     """Of the policies that are ranked. None with one such policy, or where no place has a trial of every one."""
+    bands: Bands | None
+    """None for a plan that compares levels or factors, whose trials are no draws of one population."""
     ladder: Ladder | None
     factors: Factors | None
     gate_orders: tuple[GateOrder, ...]
@@ -76,6 +79,7 @@ def sweep_table(title: str, cells: Sequence[CellScores], *, rank_by: str) -> Swe
         places.setdefault(tuple(cell.values.items()), {})[cell.label] = cell.scores
     ranked = ranked_policies(cells)
     groups = [Group(values=dict(values), scores=of_policy) for values, of_policy in places.items()]
+    compared = ladder(cells, OUTCOMES[rank_by]), factors(cells, OUTCOMES[rank_by])
     return SweepTable(
         title=title,
         axes=tuple(cells[0].values) if cells else (),
@@ -83,8 +87,9 @@ def sweep_table(title: str, cells: Sequence[CellScores], *, rank_by: str) -> Swe
         rank_by=rank_by,
         rows=tuple(map(_row, cells)),
         stability=stability(groups, ranked, outcome=OUTCOMES[rank_by]) if len(ranked) > 1 else None,
-        ladder=ladder(cells, OUTCOMES[rank_by]),
-        factors=factors(cells, OUTCOMES[rank_by]),
+        bands=bands(cells, OUTCOMES[rank_by]) if compared == (None, None) else None,
+        ladder=compared[0],
+        factors=compared[1],
         gate_orders=gate_orders(cells, ranked),
     )
 

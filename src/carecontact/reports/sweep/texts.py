@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 
+from carecontact.reports.sweep.band_texts import flip_heads, flip_rows, spread_heads, spread_rows
 from carecontact.reports.sweep.level_texts import (
     CONTRAST_HEADS,
     FACTOR_HEADS,
@@ -59,12 +60,12 @@ def _field(metric: Metric) -> str:
 
 
 def heads(table: SweepTable) -> list[str]:
-    """Of the columns of ``cells``."""
+    """Heads of the columns of ``cells``."""
     return ["policy", *table.axes, "trials", *RATES.values(), *(metric.label for metric in headlines())]
 
 
 def cells(row: CellRow) -> list[str]:
-    """As tables for people show a row."""
+    """The cells of a row, as tables for people show them."""
     left = [row.cell.label, *row.cell.values.values()]
     if row.counts is None:
         return [*left, f"0/{row.cell.planned}", *[NA] * (len(RATES) + len(headlines()))]
@@ -86,7 +87,7 @@ def as_markdown(table: SweepTable) -> str:
 
 
 def sentences(table: SweepTable) -> list[str]:
-    """What stands above the tables."""
+    """The sentences above the tables."""
     told = [f"{len(table.rows)} cells of {len(table.policies)} policies, {_trials(table)}."]
     if table.unfinished:
         told.append(f"Unfinished: {table.unfinished} cells lack trials.")
@@ -161,8 +162,11 @@ def marginal_rows(table: SweepTable) -> list[list[str]]:
 
 
 def level_tables(table: SweepTable) -> list[tuple[str, Sequence[str], list[list[str]]]]:
-    """Title, heads and rows of what the table has of levels, factors and gates."""
+    """Title, heads and rows of what the table has of draws, levels, factors and gates."""
     found: list[tuple[str, Sequence[str], list[list[str]]]] = []
+    if table.bands is not None:
+        found.append(("Spread over the draws", spread_heads(), spread_rows(table.bands)))
+        found.append(("Draws in which two policies change places", flip_heads(), flip_rows(table.bands)))
     if table.ladder is not None:
         found.append(("Success over level", LEVEL_HEADS, level_rows(table.ladder)))
         found.append(("By task", task_heads(table.ladder), task_rows(table.ladder)))

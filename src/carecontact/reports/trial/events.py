@@ -6,9 +6,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, Recording, dimensions
+from carecontact.recording.reason import reason_of
+from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, EndReason, Recording, dimensions
 from carecontact.scoring.contact import Contact, find_contact
 from carecontact.scoring.metrics.c3_success import judge
+
+TENSE_S = 0.1
+"""Time before the recorded onset of a movement at which the person's muscles begin to tense [s] (RISE in
+``kernel/c/life.c``)."""
+TOLD_ENDS: dict[EndReason, str] = {
+    "safety_truncation": "cut by the benchmark",
+    "process_failure": "the policy crashed",
+    "time_limit": "time limit",
+}
+"""The ends of a trial that are events. A policy that is done, and a harness that fails, do nothing to the person."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,8 +29,8 @@ class Event:
 
 
 def events(contact: Contact) -> list[Event]:
-    """In the order of time; times of sensors are those at which a physics step began."""
-    recording = contact.recording
+    """Return the events of a trial in the order of time. A sensor's time is that at which its physics step began."""
+    header = contact.recording.header
     if not len(contact.time_s):
         return []
     found = [Event(time_s=contact.time_s[int(on.argmax())], text=f"first contact with the {name.replace('_', ' ')}")
@@ -31,35 +42,39 @@ def events(contact: Contact) -> list[Event]:
         name = contact.segments[contact.reported].replace("_", " ")
         text = f"peak force, {inside.max():.1f} N on the {name}"
         found.append(Event(time_s=contact.time_s[int(inside.argmax())], text=text))
-    found += _of_the_person(recording)
-    header, end = recording.header, float(contact.time_s[-1])
-    why = header.failure.message.partition("\n")[0] if header.failure else ""
-    if header.ended == "safety_truncation":
-        found.append(Event(time_s=end, text=f"cut by the benchmark: {why}"))
-    elif header.ended == "process_failure":
-        found.append(Event(time_s=end, text="the policy crashed"))
-    elif header.ended == "time_limit":
-        found.append(Event(time_s=end, text="time limit"))
+    found += _of_the_person(contact.recording)
+    if header.ended in TOLD_ENDS:
+        cut = header.failure if header.ended == "safety_truncation" else None
+        why = "" if cut is None else f": {reason_of(cut)}"
+        found.append(Event(time_s=contact.time_s[-1], text=f"{TOLD_ENDS[header.ended]}{why}"))
     return [replace(event, time_s=float(event.time_s)) for event in sorted(found, key=lambda event: event.time_s)]
 
 
 def _of_the_person(recording: Recording) -> list[Event]:
     """What the person did by itself, as far as it came before the trial's end."""
     end = float(recording["scorer/time_s"][-1])
-    turns = recording.arrays.get("scorer/repositioning_rad", np.zeros(0))
+    times, turns = (recording.arrays.get(f"scorer/repositioning_{unit}", np.zeros(0)) for unit in ("s", "rad"))
     found = [
-        Event(time_s=float(t), text=f"the person turned the arm by {np.degrees(turn):.0f}°")
-        for t, turn in zip(recording.arrays.get("scorer/repositioning_s", np.zeros(0)), turns, strict=True)
+        Event(time_s=max(0.0, float(time_s) - TENSE_S), text=f"the person begins to turn the arm by {_turn_text(turn)}")
+        for time_s, turn in zip(times, turns, strict=True)
     ]
     withdrawn = recording.arrays.get("scorer/withdrawal_s", np.zeros(0))
-    found += [Event(time_s=float(t), text="the person withdrew the arm") for t in withdrawn if t >= 0]
+    found += [Event(time_s=float(t), text="the person withdraws the arm") for t in withdrawn if t >= 0]
     return [event for event in found if event.time_s <= end]
 
 
-def gate_met_s(contact: Contact) -> float | None:
-    """When a trial that is a success became one [s]: the end of the shortest beginning that the gate passes.
+def _turn_text(turn_rad: float) -> str:
+    """Size and direction of a turn of the shoulder's abduction, in words."""
+    return f"{abs(np.degrees(turn_rad)):.0f}° {'away from' if turn_rad > 0 else 'toward'} the trunk"
 
-    Found by halving. Some progress is filtered over time, so the moment is good to a few hundredths of a second.
+
+def gate_met_s(contact: Contact) -> float | None:
+    """When a trial that is a success became one [s]: the end of a beginning of the trial that the gate passes, while
+    the beginning that is one physics step shorter does not pass.
+
+    Found by halving the trial. Where a gate has an upper end, a trial can pass, fail and pass again; then this is one
+    of the moments at which it began to pass. Some progress is filtered over time, so the moment is exact to a few
+    hundredths of a second.
     """
     if not judge(contact).success:
         return None
@@ -74,7 +89,8 @@ def gate_met_s(contact: Contact) -> float | None:
 
 
 def _beginning(recording: Recording, steps: int) -> Recording:
-    """The first physics steps alone. What else is counted by time is of no importance to a gate."""
+    """The recording of the first physics steps alone. Arrays over other units of time stay whole, since no gate reads
+    them."""
     described = ARRAYS | {path: row for path, row in OPTIONAL_ARRAYS.items() if path in recording.arrays}
     cut = {path: recording[path][:steps] for path in described if dimensions(path)[0] == "T"}
     return replace(recording, arrays=recording.arrays | cut)

@@ -19,7 +19,7 @@ MOST_PICTURES = 24
 """Pictures of all looks together that the page shows."""
 PICTURE_WIDTH = 400
 MAX_NOTE_CHARS = 12_000
-"""Of the notes of one look."""
+"""Longest text that the page shows of the notes of one look."""
 DEPTH_M = (0.3, 2.0)
 """Range of a depth image's colours."""
 
@@ -40,15 +40,15 @@ class Look:
     actions: str
     pictures: tuple[Picture, ...]
     headline: tuple[tuple[str, str], ...]
-    """What of the notes is short, by its name."""
+    """Name and text of each note that is short."""
     notes: str
-    """All of them as JSON; empty if there are none."""
+    """All notes as JSON; empty if there are none."""
     arrays: str
     """Arrays among the notes, with their shapes."""
 
 
 def looks_of(recording: Recording, notes: Sequence[Note]) -> tuple[list[Look], int]:
-    """The looks in their order, and how many stored pictures the page leaves out."""
+    """Return the looks in their order, and the number of stored pictures that the page leaves out."""
     times = recording["policy/observation_time_s"]
     took = recording.arrays.get("wall/act_s", np.zeros(0))
     answers = recording["actions/observation_index"]
@@ -141,7 +141,8 @@ class ActionTable:
 
 
 def action_table(recording: Recording) -> ActionTable:
-    """Every executed action: a place [m] in the robot's base, and what else it set."""
+    """Return a table of all executed actions: the target position in the robot's base [m], and what else each action
+    set."""
     pose, stiffness = recording["actions/pose_tcp_in_base"], recording["actions/stiffness"]
     joint, clipped = recording.arrays.get("actions/joint"), recording.arrays.get("actions/clipped")
     heads = [

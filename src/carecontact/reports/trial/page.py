@@ -30,7 +30,7 @@ FOLDER = "trial"
 
 
 def page_path(run_folder: Path, trial_id: str) -> Path:
-    """Where the page of a trial lies, whether it is there or not."""
+    """The place of a trial's page, whether the page exists or not."""
     return run_folder / FOLDER / f"{trial_id}.html"
 
 
@@ -109,7 +109,7 @@ def _policy(recording: Recording) -> dict[str, Any]:
 
 
 def _links(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:
-    """Words and address of what lies in the run's folder."""
+    """Words and address of each file in the run's folder to which the page links."""
     files = (
         ("report of the run", "report.html", f"../report.html#{trial_id}"),
         ("recording", f"{trial_id}.h5", f"../{trial_id}.h5"),

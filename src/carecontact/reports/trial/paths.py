@@ -18,7 +18,7 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Paths:
-    """P control periods. Places [m] in the region's frame, which goes along with the bone: x to the hand or the head,
+    """P control periods. Positions [m] are in the region's frame, which moves with the bone: x to the hand or the head,
     y across, z outward."""
 
     time_s: F64
@@ -34,7 +34,7 @@ class Paths:
 
 
 def paths(recording: Recording) -> Paths | None:
-    """None for a trial that ended before its first control period."""
+    """Return the paths of a trial; None if it ended before its first control period."""
     times = recording["scorer/period_time_s"]
     if not len(times) or not len(recording["scorer/time_s"]):
         return None
@@ -73,7 +73,7 @@ def noted_targets(recording: Recording, notes: list[Note], found: Paths) -> list
 
 
 def _is_place(value: object) -> bool:
-    """A policy can note anything."""
+    """Whether a note is a position: a policy can note anything."""
     if not isinstance(value, list) or len(value) != 3:  # pyright: ignore[reportUnknownArgumentType]
         return False
     return all(isinstance(v, int | float) and np.isfinite(v) for v in value)  # pyright: ignore[reportUnknownVariableType]

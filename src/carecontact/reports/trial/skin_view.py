@@ -21,7 +21,7 @@ from carecontact.scoring.region import points_in_region
 F64 = npt.NDArray[np.float64]
 WIDTH = 460
 FOOT = 24
-"""Height of the line under a view that holds its scale."""
+"""Height of the strip under a view that shows its scale."""
 AROUND_M, ABOVE_M, ASIDE_M = 0.05, 0.06, 0.035
 """Beyond the region along it, above the skin and beside it, that a view shows."""
 FINENESS = 2
@@ -128,7 +128,7 @@ def _near(points: F64, drawing: Drawing) -> list[tuple[float, float]]:
 
 
 def _touching(recording: Recording, found: Paths) -> list[slice]:
-    """Stretches of control periods with a force on any segment."""
+    """Ranges of consecutive control periods in which any segment bears a force."""
     from carecontact.scoring.contact import runs
 
     felt = np.any(recording["scorer/normal_force"] > 0, axis=1)

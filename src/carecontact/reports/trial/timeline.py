@@ -26,6 +26,8 @@ PANEL, TITLE, FOOT = 74, 22, 22
 OUT_M = 0.25
 """Places farther from the region's middle than this are cut off: far away, what matters at the skin would be flat."""
 
+LIMIT_NAMES = {"gate": "safety gate", "pain": "pain limit"}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
@@ -89,9 +91,8 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         axes.across("axis", 0.0)
     for style, value in panel.lines:
         axes.across(style, value)
-        drawing.text(
-            f"label {style}", axes.left + axes.width - 3, axes.py(value) - 3, f"{style} {value:g}", anchor="end"
-        )
+        label = f"{LIMIT_NAMES[style]} {value:g} N"
+        drawing.text(f"label {style}", axes.left + axes.width - 3, axes.py(value) - 3, label, anchor="end")
     for curve in panel.curves:
         kept = decimate(curve.time_s, np.clip(curve.values, panel.low, panel.high), buckets=int(axes.width))
         pairs = zip(*(k.tolist() for k in kept), strict=True)
@@ -117,7 +118,7 @@ def _draw_events(drawing: Drawing, rows: Sequence[Axes], events: Sequence[Event]
 
 
 def panels_of(recording: Recording, trace: ForceTrace, found: Paths | None) -> list[Panel]:
-    """What the recording has; the pose needs control periods."""
+    """Return the panels for which the recording has data. The panels of the pose need at least one control period."""
     steps = trace.time_s
     panels = [_force_panel(trace)]
     if found is not None:
@@ -152,7 +153,7 @@ def _force_panel(trace: ForceTrace) -> Panel:
 
 
 def _positive(title: str, least: float, curve: Curve) -> Panel:
-    """From 0 to the largest value, at least to ``least``."""
+    """A panel from 0 to the largest value of the curve, or to ``least`` if that is larger."""
     return Panel(title=title, curves=(curve,), low=0.0, high=1.08 * max(least, float(curve.values.max(initial=0.0))))
 
 

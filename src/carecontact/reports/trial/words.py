@@ -29,7 +29,7 @@ def outcome(score: TrialScore) -> str:
 
 
 def facts(score: TrialScore, recording: Recording, moment: Moment | None) -> list[tuple[str, str]]:
-    """Question and answer, in the order in which somebody asks them."""
+    """Return the facts about the trial as (question, answer), the most important first."""
     rows = [("Progress", progress(score))] if score.valid_contact else []
     if score.failure_mode:
         mode, cause = score.failure_mode.replace("_", " "), score.attribution or "unattributed"
@@ -46,7 +46,7 @@ def facts(score: TrialScore, recording: Recording, moment: Moment | None) -> lis
 
 
 def how_hard(score: TrialScore, recording: Recording, moment: Moment | None) -> str:
-    """The peak that is scored, against the limits of the segment that it was on."""
+    """Return a sentence that compares the scored peak force with the limits of the segment on which it occurred."""
     protocol = recording.header.spec.protocol
     if score.c1_peak_force_n is None or score.reported_segment is None:
         if moment is None:

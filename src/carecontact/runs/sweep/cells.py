@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -14,17 +14,20 @@ from pathlib import Path
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, did_you_mean
-from carecontact.protocols import load_protocol, overridden
+from carecontact.protocols import load_levels, load_protocol, overridden
 from carecontact.protocols.friction import SKIN_STATES
 from carecontact.runs.freeze import check_frozen
-from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials
+from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials, with_noise_salt
 from carecontact.runs.preflight import check_protocol, check_rows
 from carecontact.runs.salt import with_salt
 from carecontact.runs.sweep.factors import AXIS, factor_protocols
 from carecontact.runs.sweep.plan import AXES, Plan, Value
 
+CELLS = "cells"
+"""Folder of a sweep, below which every cell has its own."""
 NAME_CHARACTERS = 100
 DIGEST_CHARACTERS = 8
+NAME_LEVELS = 'name levels in axes.level, or each beside its protocol, such as "bathing-wide-draft L0"'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,8 +108,13 @@ def _bases(plan: Plan, named: str) -> list[tuple[dict[str, str], Protocol]]:
 def _loaded(name: str, place: str, *, level: str | None = None) -> Protocol:
     """A protocol as titles name it: its id or file, and its level after a space where it has levels."""
     whole, _, titled = name.partition(" ") if not name.endswith(".toml") else (name, "", "")
+    wanted = level or titled or None
     try:
-        return check_frozen(whole, load_protocol(whole, level=level or titled or None), unfrozen=False)
+        levels = ", ".join(filter(None, load_levels(whole)))
+        if bool(levels) != bool(wanted):
+            told = f"has the levels {levels}" if levels else f"has no levels, and so no {wanted}"
+            raise ConfigError(f"{whole} {told}; {NAME_LEVELS}")
+        return check_frozen(whole, load_protocol(whole, level=wanted), unfrozen=False)
     except ConfigError as error:
         raise ConfigError(f"{place}: {error}") from None
 
@@ -145,6 +153,21 @@ def cells_of(
         for place in places
         for number, (label, text, arguments, environment) in enumerate(policies)
     ]  # fmt: skip
+
+
+def with_noise(cells: Sequence[Cell], salt: str) -> list[Cell]:
+    """The cells with one salt of the sensor noise in all those whose protocol has any.
+
+    Raises ConfigError where none has, and as ``with_noise_salt``.
+    """
+    if not any(cell.place.protocol.variation.sensor_noise for cell in cells):
+        raise ConfigError("--noise-salt: no protocol of this plan has sensor noise; leave the option out")
+    return [
+        replace(cell, specs=tuple(with_noise_salt(list(cell.specs), salt, one_of_several=False)))
+        if cell.place.protocol.variation.sensor_noise
+        else cell
+        for cell in cells
+    ]
 
 
 def _along(protocol: Protocol, axis: str, value: Value, *, place: str) -> Protocol:

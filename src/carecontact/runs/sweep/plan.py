@@ -31,6 +31,10 @@ class PlannedPolicy(_Table):
     """As --policy-arg gives them."""
     environment: list[str] = []
     """As --policy-env names them."""
+    read: list[str] = []
+    """As --policy-read names them."""
+    write: list[str] = []
+    """As --policy-write names them."""
     language: str | None = None
     jobs: Annotated[int | None, Field(ge=1)] = None
     """Most trials of this policy at once, such as the connections that its server takes; default: no limit."""

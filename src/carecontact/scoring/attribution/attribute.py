@@ -22,7 +22,7 @@ NEAR_REGION_M = 0.030
 """Aimed farther beside the region than this is aimed elsewhere; the upper end of what localising a joint with these
 cameras leaves (p95 30 to 42 mm)."""
 MOST_SUBTASKS = 3
-"""Of those that a policy noted, how many its evidence repeats."""
+"""Most subtasks of a policy's notes that the evidence repeats."""
 VISION = ("rgb", "depth", "points", "masks", "landmarks")
 
 
@@ -96,7 +96,7 @@ def _requested(contact: Contact, path: CommandedPath) -> str | None:
 
 
 def _views(contact: Contact, seen: Sight) -> str:
-    """What the policy could see of the region, as far as that is recorded."""
+    """Return what the policy could see of the region, as far as the recording says."""
     region, asked = _region(contact), [m for m in modalities(contact) if m in VISION]
     if not asked:
         return "the policy asked for no images"
@@ -113,7 +113,7 @@ def _region(contact: Contact) -> str:
 
 
 def _losses(contact: Contact) -> list[int]:
-    """Steps at which the neighbourhood went off before the trial's end."""
+    """Steps at which contact with the neighbourhood ended before the end of the trial."""
     on = contact.neighbourhood_on
     return [stop for _, stop in runs(on).tolist() if stop < len(on)]
 

@@ -1,4 +1,4 @@
-"""Where a policy sent the tool: the path through its targets, against the named region as it then lay."""
+"""The commanded path of the tool through the policy's targets, relative to the named region as it lay at each time."""
 
 from __future__ import annotations
 
@@ -115,7 +115,8 @@ def target_poses(recording: Recording) -> F64:
 
 
 def commanded_contact(path: CommandedPath, reversal_m: float) -> CommandedContact:
-    """The contact that the commands alone would give; ``reversal_m``: opposite travel that counts as a reversal."""
+    """Return the contact of a tool that followed the commands exactly; ``reversal_m``: opposite travel that counts as a
+    reversal."""
     until = np.append(path.target_time_s[1:], max(path.end_s, path.target_time_s[-1]))
     best = CommandedContact()
     for start, stop in runs(path.target_distance <= 0.0).tolist():

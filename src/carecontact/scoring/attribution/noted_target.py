@@ -1,4 +1,4 @@
-"""What a policy noted of its own aim: the places of its targets and what it called them."""
+"""Reads the targets that a policy noted: their places, and the names that the policy gave them."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def noted_subtasks(contact: Contact) -> list[str]:
 
 
 def noted_reason(contact: Contact) -> str | None:
-    """Why a policy says that it ended."""
+    """The reason that a policy noted for ending the trial."""
     for note in reversed(read_notes(contact.recording)):
         for key in ("ended_because", "ended_without_touching"):
             if (text := short(note.content.get(key))) is not None:
@@ -73,7 +73,7 @@ def noted_reason(contact: Contact) -> str | None:
 
 
 def short(text: object) -> str | None:
-    """A policy's own words, on one line and not for long."""
+    """A policy's own words, shortened and on one line."""
     if not isinstance(text, str) or not text.split():
         return None
     line = " ".join(text.split())

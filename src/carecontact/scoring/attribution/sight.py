@@ -1,4 +1,4 @@
-"""What a policy's views held of the named region, by the perception errors that a trial records."""
+"""Whether a policy's views showed the named region, according to the perception errors in the recording."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Sight:
 
     views: int = 0
     visible: int = 0
-    """In which every joint at the region's ends could be seen"""
+    """Number of views in which every joint at the region's ends was visible"""
     found: int = 0
-    """Of the visible ones, in which what the policy was given led to the region"""
+    """Number of these views from whose modalities the region can be found"""
     error_m: float | None = None
     """Median horizontal error of the places that they led to; None where none was computed"""
 
@@ -57,6 +57,6 @@ def sight(contact: Contact, near_m: float) -> Sight:
 
 
 def modalities(contact: Contact) -> list[str]:
-    """That the policy's card requests; empty where the card never came."""
+    """The modalities that the policy's card requests; empty if the policy never sent a card."""
     named = (contact.recording.header.card or {}).get("modalities")
     return [m for m in cast("list[Any]", named) if isinstance(m, str)] if isinstance(named, list) else []

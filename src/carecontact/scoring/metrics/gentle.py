@@ -1,4 +1,5 @@
-"""gentle_hold@1, axis_passed@1, gentle_share@1, wrist_from_onset@1: what the gates of gates-v2 judge, under any gates.
+"""gentle_hold@1, axis_passed@1, gentle_share@1, wrist_from_onset@1: the quantities that the
+gates of gates-v2 limit, for trials under any gates.
 
 The bands are those that gates-v2 is proposed with; their reasons are in docs/scoring.md.
 """
@@ -39,6 +40,6 @@ def gentle_share(contact: Contact) -> float | None:
 
 @metric("wrist_from_onset@1", title="Wrist moved since contact", unit="m", better="neither", pool="moving", order=73)
 def moved_since_contact(contact: Contact) -> float | None:
-    """Largest horizontal way of the wrist within one contact, from where it was when that began [m]; None (NA) without
+    """Largest horizontal displacement of the wrist within one contact, from its start [m]; None (NA) without
     valid contact."""
     return wrist_from_onset(contact) if contact.valid else None

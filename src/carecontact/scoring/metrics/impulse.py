@@ -1,4 +1,4 @@
-"""impulse@1: how much pushing the person took in all."""
+"""impulse@1: the impulse of all contact forces on the person."""
 
 from __future__ import annotations
 

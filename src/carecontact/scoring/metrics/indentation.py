@@ -1,4 +1,4 @@
-"""beyond_calibrated@1: how much of the contact lies where the tissue was never measured."""
+"""beyond_calibrated@1: the share of the contact that is deeper than the measurements to which the tissue was fitted."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def deepest_indentation(contact: Contact) -> float:
     order=70,
 )
 def beyond_calibrated(contact: Contact) -> float | None:
-    """Share of the control periods with the target touched in which it was deeper than it was measured.
+    """Share of the control periods with the target touched in which it was pressed deeper than its tissue was measured.
 
     None (NA) if no control period has it touched, and on a rigid region.
     """

@@ -1,4 +1,4 @@
-"""shear_dose@1: how much the skin was pulled along its surface."""
+"""shear_dose@1: the friction force on the skin, integrated over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""shear_work@1: what rubbing does to the skin."""
+"""shear_work@1: the work that friction does on the skin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the recorded actions are ones that a policy can have sent."""
+"""Checks whether a policy can have sent the recorded actions."""
 
 from __future__ import annotations
 

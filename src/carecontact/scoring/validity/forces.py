@@ -1,4 +1,4 @@
-"""Whether a recording's force vectors, its normal sums and the way the trial ended fit together."""
+"""Checks whether a recording's force vectors, its sums of normal forces and its end agree with each other."""
 
 from __future__ import annotations
 

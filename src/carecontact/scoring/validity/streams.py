@@ -1,4 +1,4 @@
-"""What the scorer's streams must hold before a number is made of them."""
+"""The checks that the scorer's streams must pass before a score is computed from them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When things happened in a recording: one clock from t = 0 to the trial's end, and nothing outside it."""
+"""Checks the times in a recording: one clock runs from t = 0 to the end of the trial, and no time lies outside it."""
 
 from __future__ import annotations
 

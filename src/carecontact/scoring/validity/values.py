@@ -1,4 +1,4 @@
-"""Whether each value of a stream is one that can be: finite, within bounds, a rotation, a range."""
+"""Checks whether the values of a stream are possible: finite, within bounds, unit quaternions, valid ranges."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carecontact.recording import Recording
 QUAT_TOLERANCE = 1e-3
 ANGLE_ROUNDING_RAD = 1e-6
 ROOM_M = 5.0
-"""Nothing is farther from the world's origin, the robot's base or a joint's centre; real scenes reach about 1 m."""
+"""Largest distance of anything from the world's origin, the robot's base or a joint's centre; real scenes reach 1 m."""
 BOUNDS: dict[str, tuple[float, float, str]] = {
     "scorer/normal_force": (0.0, inf, "N, a sum of magnitudes"),
     "scorer/centroid_in_world": (-ROOM_M, ROOM_M, "m"),

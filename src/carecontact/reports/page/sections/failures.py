@@ -35,7 +35,7 @@ TEMPLATE = """\
 </table>
 </div>
 {% else %}
-<p>No trial failed: every one succeeded on the named region.</p>
+<p>No trial failed: every one succeeded on the named region.{% if unsafe %} But {{ unsafe }} of {{ n }} did not pass safely; the <a href="#trials">table of trials</a> says why.{% endif %}</p>
 {% endif %}
 {% if anatomy %}
 <h3 class="after">Where contact fell</h3>
@@ -61,6 +61,7 @@ def failures(page: Page) -> dict[str, Any] | None:
     return {
         "n": len(page.judged),
         "failed": sum(not score.region_correct for score in page.judged),
+        "unsafe": sum(not score.safety_gated for score in page.judged),
         "modes": failure_modes(page.judged),
         "causes": causes(page.judged),
         "anatomy": [] if only_crashes(page.judged) else anatomy(page.judged),

@@ -22,7 +22,7 @@ RATE_OF = {"Success": "success", "Region-correct": "region_correct", "Safety-gat
 TEMPLATE = """\
 <section id="funnel">
 <h2>From success to safe success</h2>
-<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}. {% endif %}Each bar is a part of the one above it{% if beside %}; the thin bars under it are other policies on the same protocol{% endif %}. {% if enough %}Whiskers are Wilson 95 % intervals over{% else %}There are no intervals, because the run has fewer than six seeds. Counts are over{% endif %} {{ n }} trial{{ "" if n == 1 else "s" }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.{% if why_none %} {{ why_none }}{% endif %}</p>
+<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}. {% endif %}Each bar is a part of the one above it{% if beside %}; the thin bars under it are other policies on the same protocol{% endif %}. {% if enough %}Whiskers are Wilson 95 % intervals over{% else %}There are no intervals, because the run has fewer than six seeds. Counts are over{% endif %} {{ n }} trial{{ "" if n == 1 else "s" }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.</p>
 {{ svg|safe }}
 </section>
 """
@@ -54,7 +54,6 @@ def funnel_section(page: Page) -> dict[str, Any] | None:
         "svg": funnel_svg(steps, intervals=enough),
         "enough": enough,
         "beside": page.baselines is not None,
-        "why_none": page.kept_scores,
         "n": len(page.judged),
         "n_tasks": n_tasks,
         "n_crashed": sum(score.is_crash for score in page.judged),

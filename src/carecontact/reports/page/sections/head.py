@@ -50,8 +50,19 @@ def head(page: Page) -> dict[str, Any]:
         "draft": any(not header.spec.protocol.frozen for header in page.headers.values()),
         "scene": page.kept["head"].get("scene"),
         "verdict": verdict(page.scores, missing=len(page.missing)),
-        "beside": beside_replay(page.baselines, enough=enough_seeds(page.judged)) or page.kept_scores,
+        "beside": beside_replay(page.baselines, enough=enough_seeds(page.judged)) or _nothing_beside(page),
     }
+
+
+def _nothing_beside(page: Page) -> str:
+    """What the reader can do where blind replay does not stand beside the run."""
+    if not page.judged or not page.kept_scores:
+        return page.kept_scores
+    return (
+        f"{page.kept_scores} To learn whether {page.judged[0].policy_title[:80]} is better than actions repeated "
+        "blindly, run carecontact run --policy replay with the same protocol, tasks and seeds, and then carecontact "
+        "report DIR --baseline with the folder of that run."
+    )
 
 
 def beside_replay(baselines: Baselines | None, *, enough: bool) -> str:

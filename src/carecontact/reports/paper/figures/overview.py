@@ -1,4 +1,4 @@
-"""Figure 1: what goes from where to where, and what no policy sees."""
+"""Figure 1: how data flows through the benchmark, and which of it no policy receives."""
 
 from __future__ import annotations
 

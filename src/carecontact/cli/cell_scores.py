@@ -1,0 +1,40 @@
+"""The scores of a cell of a sweep."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carecontact.errors import ConfigError, DependencyError
+
+if TYPE_CHECKING:
+    from carecontact.runs.run_scores import RunScores
+
+
+def stored(folder: Path) -> RunScores | None:
+    """What its results.json says; None where there is none that belongs to its recordings."""
+    from carecontact.runs.stored_scores import read_scores
+
+    try:
+        return read_scores(folder)
+    except (ConfigError, DependencyError):
+        return None
+
+
+def computed(folder: Path) -> RunScores | None:
+    """``stored``, or else the scores of the recordings that are there; nothing is written."""
+    from carecontact.runs import score_run
+    from carecontact.runs.stored_scores import beside_plan
+
+    if (found := stored(folder)) is not None or not any(folder.glob("*.h5")):
+        return found
+    return beside_plan(folder, score_run(folder))
+
+
+def store(folder: Path, *, anew: bool) -> None:
+    """Write the results of a cell; unless ``anew``, those that are there and belong to its recordings stay."""
+    from carecontact.runs import score_run, write_scores
+    from carecontact.runs.stored_scores import beside_plan
+
+    if anew or stored(folder) is None:
+        write_scores(folder, beside_plan(folder, score_run(folder)))

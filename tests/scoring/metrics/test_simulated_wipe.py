@@ -1,0 +1,148 @@
+"""Three passes of a round tool over a flat sheet, simulated, beside what a hand computes of Pasternak's foundation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+from scipy.special import k0, k1
+
+from carecontact.kernel.region import Mesh
+from carecontact.recording import Recording
+from carecontact.scoring import METRICS
+from carecontact.scoring.contact import find_contact
+from carecontact.scoring.touched_cells import MMHG_PA, SLID_M
+from tests.kernel.sheets import SPHERE, Sheet, sheet, tissue
+from tests.scoring.synthetic import make_recording
+
+CELL_M, ACROSS, PERIOD_STEPS, DT_S = 0.0075, 20, 10, 0.002
+WAY_M, SPEED_M_S, CLEAR_M = 0.060, 0.1, 0.004
+RADIUS_M, DEPTH_M = 0.12, 0.003
+"""Of the tool, and how deep it goes: so shallow that it presses straight down, as the computation has it."""
+LAW = tissue(coupling_length_m=0.0078, damping_ns_m3=1e3)
+"""On the shipped mesh of 5 mm, with the coupling of the shipped belly."""
+SPRING_N_M3 = 1 / (1 / LAW.a_n_m3 + 1 / LAW.contact_n_m3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hand:
+    """A ball at a depth: outside its contact the sheet falls as K0(r / l), without a corner at the rim."""
+
+    contact_m: float
+    """Radius."""
+    force_n: float
+
+    @property
+    def pressure_kpa(self) -> float:
+        return self.force_n / (np.pi * self.contact_m**2) / 1000
+
+    def swept_m2(self, slid_m: float) -> float:
+        """Area over which a straight way slides at least so far: at a distance y from its middle the contact is
+        2 sqrt(c^2 - y^2) long, and skin at either end of the way is slid over by less than that."""
+
+        def length(y: float) -> float:
+            chord = 2 * np.sqrt(self.contact_m**2 - y**2)
+            return WAY_M + chord - 2 * slid_m if chord > slid_m else 0.0
+
+        edge = np.sqrt(self.contact_m**2 - (slid_m / 2) ** 2)
+        return 2 * quad(length, 0, edge)[0]
+
+
+def by_hand() -> Hand:
+    length = LAW.coupling_length_m
+
+    def depth(r: float) -> float:
+        return DEPTH_M - (RADIUS_M - np.sqrt(RADIUS_M**2 - r**2))
+
+    def corner(c: float) -> float:
+        return depth(c) / length * k1(c / length) / k0(c / length) - c / np.sqrt(RADIUS_M**2 - c**2)
+
+    c = brentq(corner, 1e-3, np.sqrt(2 * RADIUS_M * DEPTH_M) - 1e-6)
+    beside = depth(c) * length * c * k1(c / length) / k0(c / length)
+    force = 2 * np.pi * SPRING_N_M3 * (quad(lambda r: depth(r) * r, 0, c)[0] + beside)
+    return Hand(contact_m=c, force_n=force)
+
+
+def bed() -> Mesh:
+    """A sheet under a square grid of cells."""
+    mesh = sheet(half_m=0.075)
+    middle = mesh.places[mesh.triangles].mean(1)[:, :2]
+    column = np.floor(middle / CELL_M + ACROSS / 2).astype(np.int64)
+    inside = ((column >= 0) & (column < ACROSS)).all(1)
+    return replace(mesh, cells=np.where(inside, column[:, 0] * ACROSS + column[:, 1], -1))
+
+
+def stroke() -> np.ndarray:
+    """(n, 2) down, over the sheet, up and back."""
+    down, steps = np.linspace(0.001, -DEPTH_M, 50), round(WAY_M / SPEED_M_S / DT_S)
+    over = np.linspace(-WAY_M / 2, WAY_M / 2, steps)
+    parts = ((-WAY_M / 2, down), (over, -DEPTH_M), (WAY_M / 2, down[::-1]), (over[::-6], CLEAR_M))
+    return np.concatenate([np.stack(np.broadcast_arrays(x, z), 1) for x, z in parts])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wiped:
+    """Three strokes."""
+
+    area_m2: np.ndarray
+    """(cells,)"""
+    sums: dict[str, np.ndarray]
+    """(periods, cells) of each period"""
+    force_n: np.ndarray
+    """(steps,)"""
+
+    def recording(self, *, strokes: int = 3) -> Recording:
+        """What a trial would record of the first strokes."""
+        periods = len(self.force_n) // PERIOD_STEPS * strokes // 3
+        arrays = {f"scorer/cell_{name}": rows[:periods].astype(np.float32) for name, rows in self.sums.items()}
+        arrays["scorer/cell_in_region"] = np.zeros((len(self.area_m2), 3), np.float32)
+        arrays["scorer/cell_area_m2"] = self.area_m2.astype(np.float32)
+        force = self.force_n[: periods * PERIOD_STEPS]
+        return make_recording(duration=len(force) * DT_S, normal={"right_forearm": force}, extra=arrays)
+
+
+@pytest.fixture(scope="module")
+def wiped() -> Wiped:
+    mesh = bed()
+    edge = mesh.places[mesh.triangles]
+    area = np.linalg.norm(np.cross(edge[:, 1] - edge[:, 0], edge[:, 2] - edge[:, 0]), axis=1) / 2
+    world = Sheet(LAW, mesh, bottom_m=RADIUS_M, type=SPHERE, size=[RADIUS_M, 0, 0])
+    path = np.concatenate([stroke()] * 3)
+    sums, force = [world.felt.cells(world.data)], []
+    for part in np.split(path, len(path) // PERIOD_STEPS):
+        force += [float(row["normal_n"]) for row in world.move(part)]
+        sums.append(world.felt.cells(world.data))
+    return Wiped(
+        area_m2=np.bincount(mesh.cells[mesh.cells >= 0], area[mesh.cells >= 0], minlength=ACROSS**2),
+        sums={
+            name: np.diff([getattr(one, name) for one in sums], axis=0)
+            for name in ("press_ns", "shear_ns", "slip_m3", "touch_m2s")
+        },
+        force_n=np.array(force),
+    )
+
+
+def value(metric: str, recording: Recording) -> float:
+    found = METRICS[metric].compute(find_contact(recording))
+    assert found is not None
+    return found
+
+
+def test_coverage_is_the_strip_that_a_hand_computes(wiped: Wiped) -> None:
+    for strokes in (1, 3):
+        covered = value("coverage@1", wiped.recording(strokes=strokes)) * wiped.area_m2.sum()
+        assert covered == pytest.approx(by_hand().swept_m2(SLID_M), rel=0.05)
+
+
+def test_pressure_is_what_a_hand_computes(wiped: Wiped) -> None:
+    assert value("pressure_mean@1", wiped.recording()) == pytest.approx(by_hand().pressure_kpa, rel=0.05)
+
+
+def test_three_passes_at_23_mmhg_clean_the_strip_and_two_do_not(wiped: Wiped) -> None:
+    assert 20 * MMHG_PA < 1000 * by_hand().pressure_kpa < 40 * MMHG_PA
+    clean = value("effective_wiping@1", wiped.recording()) * wiped.area_m2.sum()
+    assert clean == pytest.approx(by_hand().swept_m2(SLID_M), rel=0.05)
+    assert value("effective_wiping@1", wiped.recording(strokes=2)) == 0.0
