@@ -50,3 +50,10 @@ def test_too_few_trials_choose_nothing(tmp_path: Path) -> None:
     assert fit.terms == ("rise",)
     assert fit.tissue.b_n_m4 == 0.0
     assert fit.chosen == ("too few trials to choose the law's terms",)
+
+
+def test_where_no_law_follows_the_forces_stiffness_does_not_pay_for_it(tmp_path: Path) -> None:
+    """Hardly any law lets a ball meet a straight line. By forces alone, the tangent would be a fifth too high."""
+    errors = pooled(fitted(tmp_path / "t.csv", 1.05).agreement)
+    assert errors["tangent_error"] == pytest.approx(0.0, abs=0.1)
+    assert errors["peak_error"] == pytest.approx(0.0, abs=0.1)

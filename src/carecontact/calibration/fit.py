@@ -79,7 +79,8 @@ def fit_law(
             unloads = False
             reason = f"its interval is +-{half:.0%}: the loops between loading and unloading are too thin"
             found, chosen = _choose(problem, damping=False)
-            draws = _draws(problem, found)
+    found = problem.levelled(found)
+    draws = _draws(problem, found)
     replay.forget()
     final = problem.at(found.family.tissue(found.p))
     held = None

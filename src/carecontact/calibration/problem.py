@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.calibration.agreement import Agreement, agreement
+from carecontact.calibration.agreement import Agreement, agreement, tangent
 from carecontact.calibration.curve import Curve
 from carecontact.calibration.family import STEP, Family
 from carecontact.calibration.replay import Group, Replay, Replayed, on_trial
@@ -18,6 +18,8 @@ from carecontact.calibration.trial import Array
 from carecontact.contract.protocol import Tissue
 
 FOLDS = 5
+LEVELLINGS = 2
+"""Gauss-Newton steps of a single parameter in which forces are almost linear."""
 EVALUATIONS = 12
 """At most, of points that the solver tries; each has finite differences of its own."""
 
@@ -80,7 +82,9 @@ class Problem:
 
     def residuals(self, tissue: Tissue) -> tuple[Array, tuple[slice, ...]]:
         """Differences divided by the measured peak, and the rows of each trial; every trial weighs the same."""
-        replayed = self.at(tissue)
+        return self._differences(self.at(tissue))
+
+    def _differences(self, replayed: Sequence[Replayed | None]) -> tuple[Array, tuple[slice, ...]]:
         parts = []
         for index, curve in enumerate(self.curves):
             number = self.owner[index]
@@ -116,6 +120,34 @@ class Problem:
             method="dogbox",
         )  # fmt: skip
         return Solution(family=family, p=found.x, residual=found.fun, jacobian=found.jac, rows=rows)
+
+    def levelled(self, found: Solution) -> Solution:
+        """The same law, stiffer or softer as a whole, so that forces and stiffness err least: the squares of the
+        NRMSE and of both errors of ``stiffness_errors`` are added up over the trials.
+
+        Forces alone decide its shape. Where no law of the family follows them all the way, it is too soft early and too
+        stiff late; that the middle of both is right is worth less than that the stiffness is.
+        """
+        family, p, level = found.family, found.p.copy(), found.family.names.index("level")
+        by = STEP["level"]
+        for _ in range(LEVELLINGS):
+            errors = self._errors(family.tissue(p))
+            ahead = p.copy()
+            ahead[level] += by
+            slope = (self._errors(family.tissue(ahead)) - errors) / by
+            p[level] -= slope @ errors / (slope @ slope)
+        p = np.clip(p, family.low, family.high)
+        residual, rows = self.residuals(family.tissue(p))
+        jacobian = np.stack([self.difference(family, p, residual, k) for k in range(len(p))], 1)
+        return Solution(family=family, p=p, residual=residual, jacobian=jacobian, rows=rows)
+
+    def _errors(self, tissue: Tissue) -> Array:
+        """What ``residuals`` gives, and both errors of stiffness of every trial."""
+        replayed = self.at(tissue)
+        legs = [on_trial(one, self.replay.groups[n], self.curves[k])
+                for k, n in sorted(self.owner.items()) if (one := replayed[n]) is not None]  # fmt: skip
+        stiffness = [stiffness_errors(curve, *both) for curve, both in zip(self.curves, legs, strict=True)]
+        return np.r_[self._differences(replayed)[0], np.ravel(stiffness)]
 
     def difference(self, family: Family, p: Array, residual: Array, column: int) -> Array:
         """One column of the Jacobian, by a step that stays within the bounds."""
@@ -170,6 +202,21 @@ class Problem:
             slope.append((j[last] - j[last // 2]) * 2)
         delta = draws - found.p
         return np.stack([delta @ np.mean(secant, 0), delta @ np.mean(slope, 0)], 1)
+
+
+def stiffness_errors(curve: Curve, load: Array, back: Array) -> Array:
+    """(2,) errors of the simulated secant stiffness and of the tangent over the deeper half, relative.
+
+    Where a trial unloads, they are those of the mean of both ways, from which losses cancel, so that damping cannot
+    make up for stiffness. The tangent's reference is at least the secant, because one near zero has no relative error.
+    """
+    measured, simulated = curve.loading_n, load
+    if curve.trial.unloads:
+        measured, simulated = (curve.loading_n + curve.unloading_n) / 2, (load + back) / 2
+    both = np.isfinite(measured) & np.isfinite(simulated)
+    depth, measured, simulated = curve.grid_m[both], measured[both], simulated[both]
+    slope, secant = tangent(depth, measured), measured[-1] / depth[-1]
+    return np.array([simulated[-1] / measured[-1] - 1, (tangent(depth, simulated) - slope) / max(slope, secant)])
 
 
 def step_within(p: Array, normal: Array, gradient: Array, low: Array, high: Array) -> Array:

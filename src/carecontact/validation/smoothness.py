@@ -94,16 +94,16 @@ def dropouts(time_s: Array, force_n: Array) -> npt.NDArray[np.bool_]:
     return out
 
 
-def scrub(simulation: Simulation, newton: float, *, strokes: int) -> Scrub:
+def scrub(simulation: Simulation, newton: float, *, strokes: int, region: str = REGION) -> Scrub:
     """To and fro over the skin at a mean force.
 
     The target follows the skin's profile at rest under the tool; its depth is set by the measured force, slowly enough
     (about 1 Hz) to leave the noise alone.
     """
     stiffness = simulation.protocol.impedance.translational_n_m
-    along, across = axes(simulation, REGION)
-    top = surface_point(simulation, REGION)
-    skin = skin_points(simulation, REGION) - top
+    along, across = axes(simulation, region)
+    top = surface_point(simulation, region)
+    skin = skin_points(simulation, region) - top
     line = (np.abs(skin @ across) < 0.012) & (skin[:, 2] > -0.03)
     profile = np.polynomial.Polynomial.fit(skin[line] @ along, skin[line, 2], 3)
     period, dt = simulation.protocol.physics.target_period_s, simulation.model.opt.timestep
@@ -116,7 +116,7 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int) -> Scrub:
         goal = top + place * along + [0, 0, under - depth]
         simulation.set_goal(np.r_[in_base(simulation, goal), DOWN], period)
         samples = simulation.advance(round(period / dt))
-        depth += SERVO_RAD_S * period * (newton - force_norm(samples, REGIONS[REGION].segment).mean()) / stiffness
+        depth += SERVO_RAD_S * period * (newton - force_norm(samples, REGIONS[region].segment).mean()) / stiffness
         return samples
 
     for _ in range(round(SERVO_S / period)):
@@ -126,9 +126,9 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int) -> Scrub:
     place, direction = 0.0, 1.0
     for _ in range(round(strokes * 2 * HALF_STROKE_M / SPEED_M_S / period)):
         place += direction * SPEED_M_S * period
-        before = simulation.tissue[REGION].cells(simulation.data)
+        before = simulation.tissue[region].cells(simulation.data)
         new = go(place)
-        after = simulation.tissue[REGION].cells(simulation.data)
+        after = simulation.tissue[region].cells(simulation.data)
         samples += new
         if new[-1].tcp_speed[-1] > STEADY * SPEED_M_S:
             rubbed.append(sliding_friction(before, after, speed_m_s=float(new[-1].tcp_speed.mean())))
@@ -136,7 +136,7 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int) -> Scrub:
             direction = -np.sign(place)
     time, speed = (np.concatenate([getattr(s, name) for s in samples]) for name in ("time_s", "tcp_speed"))
     return Scrub(
-        time_s=time - time[0], force_n=force_norm(samples, REGIONS[REGION].segment), steady=speed > STEADY * SPEED_M_S,
+        time_s=time - time[0], force_n=force_norm(samples, REGIONS[region].segment), steady=speed > STEADY * SPEED_M_S,
         friction=np.array([friction for friction, _ in rubbed]), sliding=np.array([share for _, share in rubbed]),
     )  # fmt: skip
 
