@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from carecontact.cli import main
@@ -47,6 +49,26 @@ def trials(policy: str, seeds: int) -> list[TrialSpec]:
     return plan_trials(protocol=rules, policy=policy, tasks=["T1"], seeds=range(seeds))
 
 
+def runs_a_trial(node: Any, *, within_s: float) -> bool:
+    """Whether a trial's process is there on the node before the time is over."""
+    raylet, until = psutil.Process(node.all_processes["raylet"][0].process.pid), time.monotonic() + within_s
+    while time.monotonic() < until:
+        if any(is_trial(process) for process in raylet.children(recursive=True)):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def is_trial(process: psutil.Process) -> bool:
+    """Whether it was forked by a fork server, or is a trial's program."""
+    with suppress(psutil.Error):
+        line, parent = process.cmdline(), process.parent()
+        return "carecontact.trials.worker" in line or (
+            "carecontact.trials.fork_server" in line and parent is not None and parent.cmdline() == line
+        )
+    return False
+
+
 def hashes(folder: Path) -> dict[str, str]:
     return {path.stem: stored_sha256(path) for path in folder.glob("*.h5")}
 
@@ -58,9 +80,7 @@ def test_a_node_that_dies_costs_no_trial_and_changes_no_hash(cluster: Any, tmp_p
 
     def watch(event: TrialEvent) -> None:
         events.append(event)
-        if sum(each.kind == "started" for each in events) == 3 and len(nodes) == 2:
-            # Both nodes have a trial now, or its recording that nobody has fetched.
-            time.sleep(2)
+        if event.kind == "started" and len(nodes) == 2 and runs_a_trial(nodes[1], within_s=1.0):
             cluster.remove_node(nodes.pop(), allow_graceful=False)
 
     specs = trials("zero-action", 8)
