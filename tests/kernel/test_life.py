@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+import carecontact.kernel.life
 from carecontact.errors import SceneError
 from carecontact.kernel.life import Doings, Life, Move, Pull, add_life, breath
 from carecontact.kernel.readings import Readings
 from carecontact.kernel.region import add_region
+from carecontact.reports.trial.events import TENSE_S
+from carecontact.validation.alive import TENSES_S
 from tests.kernel.sheets import CYLINDER, sheet, tissue
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -250,3 +255,10 @@ def test_a_state_restored_in_the_middle_goes_on_bit_for_bit(when_s: float) -> No
 def test_a_model_without_it_is_told() -> None:
     with pytest.raises(SceneError, match="does nothing by itself"):
         Life(mujoco.MjSpec().compile())
+
+
+def test_pages_and_checks_know_when_muscles_tense() -> None:
+    source = Path(carecontact.kernel.life.__file__).with_name("c") / "life.c"
+    found = re.search(r"RISE = ([0-9.]+)", source.read_text())
+    assert found is not None
+    assert float(found[1]) == TENSE_S == TENSES_S
