@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from carecontact.kernel.readings import Readings
 from carecontact.regions import REGIONS, STANDARD_REGIONS
-from carecontact.sim.close_up import dent
+from carecontact.sim.close_up import dent, nearest
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
 
@@ -137,3 +137,13 @@ def test_shading_tilts_at_the_rim_of_the_dent(scene: Scene, data: mujoco.MjData,
     far = np.linalg.norm(before - place, axis=1) > 0.25
     assert turned[rim].max() > 10
     assert turned[far].max() < 0.1
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 40])
+def test_the_nearest_points_are_those_of_a_tree(count: int) -> None:
+    generator = np.random.default_rng(0)
+    places, points = generator.random((20, 3)), generator.random((count, 3))
+    order, distance = nearest(places, points)
+    wanted, found = cKDTree(points).query(places, k=list(range(1, min(4, count) + 1)))
+    assert (order == found).all()
+    assert distance == pytest.approx(wanted)

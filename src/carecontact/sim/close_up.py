@@ -88,7 +88,7 @@ def skin_shift(scene: Scene, data: mujoco.MjData) -> npt.NDArray[np.float64]:
             continue
         round_ = _within(points, bind[near], NEIGHBOURS_M)
         points, moved = points[round_], moved[round_]
-        order, d = _nearest(bind[near], points)
+        order, d = nearest(bind[near], points)
         weight = 1 / (d + 0.002) ** 2
         weight /= weight.sum(1, keepdims=True)
         fade = np.clip((REACH_M - d[:, 0]) / (REACH_M / 2), 0, 1)
@@ -96,11 +96,12 @@ def skin_shift(scene: Scene, data: mujoco.MjData) -> npt.NDArray[np.float64]:
     return total
 
 
-def _nearest(places: npt.NDArray[Any], points: npt.NDArray[Any]) -> tuple[npt.NDArray[np.int64], npt.NDArray[Any]]:
-    """The four points nearest to each place, nearest first, and how far they are; (n, 4) each."""
+def nearest(places: npt.NDArray[Any], points: npt.NDArray[Any]) -> tuple[npt.NDArray[np.int64], npt.NDArray[Any]]:
+    """The four points nearest to each place, or all where there are fewer, nearest first, and how far they are; (n, 4)
+    each."""
     x, y, z = (places[:, None, k] - points[None, :, k] for k in range(3))
     square = x * x + y * y + z * z
-    some = np.argpartition(square, 3, axis=1)[:, :4]
+    some = np.argpartition(square, min(3, len(points) - 1), axis=1)[:, :4]
     order = np.take_along_axis(some, np.argsort(np.take_along_axis(square, some, 1), axis=1), 1)
     return order, np.sqrt(np.take_along_axis(square, order, 1))
 
