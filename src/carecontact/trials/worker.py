@@ -33,8 +33,8 @@ SINGLE_THREAD = {
 """A sum split over threads depends on how many there are; and the supervisor already uses every core."""
 
 WITHOUT_WINDOWS = {"MUJOCO_GL": "disable"}
-"""Keeps MuJoCo from importing glfw, which it needs for windows alone: 0.1 s, and a process that asks for glfw's version.
-``sim.rendering`` chooses the backend for pictures itself. A user's own MUJOCO_GL stays."""
+"""Keeps MuJoCo from importing glfw, which it needs for windows alone: 0.1 s and a process of its
+own. ``sim.rendering`` chooses the backend for pictures itself. A user's own MUJOCO_GL stays."""
 
 WAITING = "waiting.txt"
 """File beside the recording in which the worker says that it waits for its policy."""
