@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -106,10 +107,19 @@ def test_the_table_says_tasks_worst_tenth_and_harder_band() -> None:
 
 def test_the_figure_has_a_point_and_an_interval_for_each_rate() -> None:
     svg = curve_svg(climbed(levels(a=("++++", "+++-"), blind=("+---", "----"), truth=("++++", "++++"))))
-    assert svg.count("<circle") == svg.count('class="whisker') == 6
+    assert svg.count('class="dot') == svg.count('class="whisker') == 6
     assert svg.count("<polyline") == 3
     assert ">L0<" in svg
     assert "wide L1: a 3 of 4, blind 0 of 4, truth 4 of 4" in svg
+
+
+def test_policies_of_one_colour_differ_by_their_marks() -> None:
+    """All blind baselines are grey."""
+    svg = curve_svg(climbed(levels(a=("++", "++"), blind=("+-", "--"), still=("--", "--"), truth=("++", "++"))))
+    marks = re.findall(r'class="dot [^"]+" d="M[-\d.]+ [-\d.]+(m[^"]+)"', svg)
+    assert len(marks) == 8
+    assert marks[0::2] == marks[1::2], "a policy keeps its mark on every level"
+    assert len(set(marks)) == 4
 
 
 def test_one_protocol_is_no_ladder_and_an_empty_sweep_neither() -> None:

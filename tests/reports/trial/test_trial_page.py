@@ -12,6 +12,7 @@ from carecontact.recording.schema import Failure, Recording
 from carecontact.reports.trial.events import Event, events
 from carecontact.reports.trial.page import write_trial_page
 from carecontact.reports.trial.paths import noted_targets, paths
+from carecontact.reports.trial.skin_view import FOOT
 from carecontact.scoring import score_recording
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.result import TrialScore
@@ -84,6 +85,21 @@ def test_paths_are_in_the_frame_of_the_region() -> None:
     base = np.array(recording.header.pose_base_in_world[:3])
     (noted,) = noted_targets(recording, read_notes(recording), found)
     assert noted == pytest.approx(base + [0.35, -0.42, 0.22] - MIDDLE, abs=1e-3)
+
+
+def test_no_path_runs_out_of_its_view_or_over_the_scale(tmp_path: Path) -> None:
+    """The tool comes from the side, far below the region's middle, and goes back there."""
+    recording = whole_trial()
+    away = np.linspace(0.3, 0, len(recording["scorer/time_s"])) ** 2
+    recording.arrays["scorer/pose_tcp_in_world"][:, 1] -= away
+    text, _ = written(tmp_path, recording)
+    views = re.findall(r'<svg class="skin" viewBox="0 0 460 (\d+)".*?</svg>', text, re.DOTALL)
+    drawn = re.findall(r'<svg class="skin".*?</svg>', text, re.DOTALL)
+    assert len(views) == len(drawn) == 2
+    for height, view in zip(map(int, views), drawn, strict=True):
+        places = [pair.split(",") for line in re.findall(r'points="([^"]+)"', view) for pair in line.split()]
+        assert len(places) > 10
+        assert all(0 <= float(x) <= 460 and 0 <= float(y) <= height - FOOT + 0.5 for x, y in places)
 
 
 def test_a_trial_without_a_touch_says_how_near_the_tool_came(tmp_path: Path) -> None:

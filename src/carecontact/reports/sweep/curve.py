@@ -1,6 +1,7 @@
 """The figure of success over levels.
 
-Classes used: ``tick``, ``label``, ``name``, and for policy number N of the figure ``lineN``, ``dotN`` and ``whiskerN``.
+Classes used: ``tick``, ``label``, ``name``, and ``line``, ``dot`` and ``whisker`` together with the classes of
+``style_of``.
 """
 
 from __future__ import annotations
@@ -11,6 +12,16 @@ from carecontact.reports.sweep.level_texts import level_name
 
 COLOURS = 6
 """Of the style sheet; a seventh policy has the first one's colour again."""
+MARKS = (
+    "m-3.2 0a3.2 3.2 0 1 0 6.4 0a3.2 3.2 0 1 0 -6.4 0z",
+    "m-3 -3h6v6h-6z",
+    "m0 -4.2l3.9 6.8h-7.8z",
+    "m0 -4.6l4.2 4.6l-4.2 4.6l-4.2 -4.6z",
+    "m0 4.2l3.9 -6.8h-7.8z",
+    "m-1.3 -4h2.6v2.7h2.7v2.6h-2.7v2.7h-2.6v-2.7h-2.7v-2.6h2.7z",
+    "m-3.6 -3.9h7.2l-7.2 7.8h7.2z",
+)
+"""Outlines [px] around a point: the figure's policies take turns. Lines of one colour differ by them."""
 BESIDE = 0.035
 """Of the way from level to level, between the points of neighbouring policies, so that their intervals stay apart."""
 
@@ -33,7 +44,7 @@ def curve_svg(found: Ladder) -> str:
         drawing.polyline(f"line {style}", [axes.point(x, estimate) for x, estimate, _ in rates])
         for x, estimate, rate in rates:
             drawing.path(f"whisker {style}", f"M{axes.px(x):.1f} {axes.py(rate.high):.1f}V{axes.py(rate.low):.1f}")
-            drawing.circle(f"dot {style}", *axes.point(x, estimate), 3.2)
+            drawing.path(f"dot {style}", mark(found, policy, *axes.point(x, estimate)))
     return drawing.svg()
 
 
@@ -42,6 +53,11 @@ def style_of(found: Ladder, policy: str) -> str:
     role = next(climb.role for climb in found.rungs[0].climbs if climb.policy == policy)
     coloured = [c.policy for c in found.rungs[0].climbs if c.role in ("method", "probe")]
     return f"{role} c{coloured.index(policy) % COLOURS}" if policy in coloured else role
+
+
+def mark(found: Ladder, policy: str, x: float, y: float) -> str:
+    """Path data of a policy's mark around a point [px]."""
+    return f"M{x:.1f} {y:.1f}{MARKS[found.policies.index(policy) % len(MARKS)]}"
 
 
 def short(value: str) -> str:

@@ -8,7 +8,8 @@ from typing import Any
 
 from carecontact import __version__
 from carecontact.recording.writer import replace_file
-from carecontact.reports.sweep.curve import curve_svg, style_of
+from carecontact.reports.sweep.curve import curve_svg, mark, style_of
+from carecontact.reports.sweep.ladder import Ladder
 from carecontact.reports.sweep.notes import NOTES
 from carecontact.reports.sweep.table import PASSED, SweepTable
 from carecontact.reports.sweep.texts import (
@@ -58,9 +59,14 @@ def _page(table: SweepTable) -> str:
         marginal_heads=marginal_heads(table),
         marginals=marginal_rows(table),
         curve=None if table.ladder is None else curve_svg(table.ladder),
-        legend=[] if table.ladder is None else [(name, style_of(table.ladder, name)) for name in table.ladder.policies],
+        legend=[] if table.ladder is None else _legend(table.ladder),
         level_tables=[(title, NOTES[title], *rest) for title, *rest in level_tables(table)],
         heads=heads(table),
         left=1 + len(table.axes),
         cells=[cells(row) for row in table.rows],
     )
+
+
+def _legend(ladder: Ladder) -> list[tuple[str, str, str]]:
+    """Name, classes and mark of each policy; the mark is in the middle of 26 x 12 pixels."""
+    return [(name, style_of(ladder, name), mark(ladder, name, 13, 6)) for name in ladder.policies]

@@ -15,6 +15,7 @@ from carecontact.errors import RecordingError
 from carecontact.recording.schema import Recording
 from carecontact.reports.moment.moment import Moment, ends_of, region_column, region_poses
 from carecontact.reports.svg import Drawing
+from carecontact.reports.trial.clip import inside
 from carecontact.reports.trial.paths import Paths
 from carecontact.scoring.region import points_in_region
 
@@ -25,7 +26,7 @@ FOOT = 24
 AROUND_M, ABOVE_M, ASIDE_M = 0.05, 0.06, 0.035
 """Beyond the region along it, above the skin and beside it, that a view shows."""
 FINENESS = 2
-"""Pixels of the skin's picture for each of the drawing."""
+"""Pixels of the skin's picture for one pixel of the drawing."""
 DARK, LIGHT = np.array([96, 118, 150.0]), np.array([196, 216, 236.0])
 """BGR of skin that lies along the line of sight, and of skin that faces the viewer."""
 DEEPEST_CELL = 0.85
@@ -68,6 +69,12 @@ class Frame:
         x = (points[:, 0] - self.low[0]) * self.scale
         return np.stack([x, self.height - (points[:, up] - self.low[1]) * self.scale], axis=1)
 
+    def shown(self, points: F64, up: int) -> list[tuple[float, float]]:
+        """(N, 3) -> the (x, y) [px] of those of them that lie in the view."""
+        px = self.px(points, up)
+        within = ((px >= 0) & (px <= [WIDTH, self.height])).all(axis=1)
+        return [(float(x), float(y)) for x, y in px[within]]
+
 
 def skin_views(
     recording: Recording, found: Paths, moment: Moment | None, noted: list[tuple[float, float, float]]
@@ -101,30 +108,18 @@ def _view(
     drawing = Drawing(width=WIDTH, height=round(frame.height) + FOOT, style="skin", title=title)
     drawing.image(_skin_uri(frame, side, skin, faces))
     _draw_cells(drawing, frame, side, recording)
-    commanded = frame.px(found.commanded_m, side.up)
-    drawing.polyline("commanded", _near(commanded, drawing))
-    reached = frame.px(found.reached_m, side.up)
-    drawing.polyline("reached", _near(reached, drawing))
-    for stretch in _touching(recording, found):
-        drawing.polyline("contact", _near(reached[stretch], drawing))
-    for place in noted:
-        x, y = frame.px(np.array([place]), side.up)[0].tolist()
+    touching = [found.reached_m[stretch] for stretch in _touching(recording, found)]
+    lines = [("commanded", found.commanded_m), ("reached", found.reached_m), *(("contact", line) for line in touching)]
+    for style, line in lines:
+        for part in inside(frame.px(line, side.up), WIDTH, frame.height):
+            drawing.polyline(style, part)
+    for x, y in frame.shown(np.array(noted).reshape(-1, 3), side.up):
         drawing.path("noted", f"M{x - 5:.1f} {y - 5:.1f}l10 10m0 -10l-10 10")
     if moment is not None:
-        x, y = frame.px(moment.centroid_in_region[None], side.up)[0].tolist()
-        drawing.circle("peak", x, y, 4.5)
+        for x, y in frame.shown(moment.centroid_in_region[None], side.up):
+            drawing.circle("peak", x, y, 4.5)
     _draw_scale(drawing, frame, recording)
     return drawing.svg()
-
-
-def _near(points: F64, drawing: Drawing) -> list[tuple[float, float]]:
-    """Every pixel or so, and no farther outside than a line into the drawing needs."""
-    inside = ((points > -200) & (points < [drawing.width + 200, drawing.height + 200])).all(axis=1)
-    kept: list[tuple[float, float]] = []
-    for x, y in points[inside].tolist():
-        if not kept or abs(x - kept[-1][0]) + abs(y - kept[-1][1]) > 0.7:
-            kept.append((x, y))
-    return kept
 
 
 def _touching(recording: Recording, found: Paths) -> list[slice]:
@@ -147,8 +142,8 @@ def _draw_cells(drawing: Drawing, frame: Frame, side: Side, recording: Recording
     shown = np.asarray(normal @ side.toward[1:] > 0) & (felt > 0.02 * felt.max())
     radius = 0.5 * 0.0075 * frame.scale
     for index in np.flatnonzero(shown):
-        x, y = frame.px(cells[index][None].astype(np.float64), side.up)[0].tolist()
-        drawing.circle("pressed", x, y, radius, opacity=DEEPEST_CELL * float(felt[index] / felt.max()))
+        for x, y in frame.shown(cells[index][None].astype(np.float64), side.up):
+            drawing.circle("pressed", x, y, radius, opacity=DEEPEST_CELL * float(felt[index] / felt.max()))
 
 
 def _draw_scale(drawing: Drawing, frame: Frame, recording: Recording) -> None:
