@@ -22,15 +22,16 @@ CONTROL = "scorer/force_human_from_robot_in_world"
 
 
 def without_noise(protocol: Protocol) -> Protocol:
-    """The protocol without sensor noise and errors of calibration, which are drawn from the seed by design and would
-    differ between the two worlds."""
+    """Return the protocol without sensor noise and errors of calibration: both are drawn from the seed by design, so
+    that they would differ between the two worlds.
+    """
     exact = {"depth_noise": "none", "encoder_noise_rad": 0.0, "calibration_m": 0.0, "calibration_deg": 0.0}
     quiet = protocol.variation.model_copy(update=exact)
     return protocol.model_copy(update={"variation": quiet})
 
 
 def other_hidden_values(spec: TrialSpec) -> TrialSpec:
-    """The same public trial with another seed, labels, thresholds, limits and tissue."""
+    """Return a trial that looks the same to a policy but has another seed, labels, thresholds, limits and tissue."""
     protocol, task = spec.protocol, spec.protocol.task(spec.task_id)
     renamed = task.model_copy(update={"id": "canary", "name": "Canary"})
     tissue = {
@@ -56,9 +57,11 @@ def other_hidden_values(spec: TrialSpec) -> TrialSpec:
 
 
 def other_arm_angle(spec: TrialSpec, *, own_deg: float) -> TrialSpec:
-    """The same trial with a seed that lays the person's arm at an angle far from ``own_deg``, where it lies now.
+    """Return the trial with a seed that lays the person's arm at an angle far from ``own_deg``, the angle of its own
+    seed.
 
-    The angle is not computed from the seed: where the robot is parked, the seed's first person may have been refused.
+    Where the protocol parks the robot, ``own_deg`` may differ from the seed's first draw, because that person may have
+    been refused.
     """
     region = spec.protocol.task(spec.task_id).region
 
@@ -70,8 +73,10 @@ def other_arm_angle(spec: TrialSpec, *, own_deg: float) -> TrialSpec:
 
 
 def audit_canary(one: Watched, twin: Watched) -> Part:
-    """``one`` and ``twin``: the same press in two worlds, recorded by ``watched.press``, with their observations still
-    in memory."""
+    """Compare the observations of the same press in two worlds.
+
+    ``one`` and ``twin``: what ``watched.press`` returned, with the observations still in memory.
+    """
     findings = [
         Finding(policy=trial.policy, place=place, told=f"could not be run in the {which} world: {trial.error}")
         for which, trial in (("first", one), ("other", twin))

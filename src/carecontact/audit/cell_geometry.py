@@ -1,5 +1,5 @@
-"""Computes where tool and cameras are from the cell's calibration and the encoders alone: a second way to the poses
-sent."""
+"""Computes where tool and cameras are from the cell's calibration and the encoders alone: a check of the poses that a
+policy is sent, by other code than that which made them."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from carecontact.contract.geometry import matrix_from_quat
 F64 = npt.NDArray[np.float64]
 
 SAME = 1e-12
-"""[1] and [m]: a hundred times what rounding leaves between two ways of multiplying the same matrices."""
+"""Largest difference that counts as none, in matrix entries [1] and lengths [m]: a hundred times what rounding leaves
+between two orders of multiplying the same matrices."""
 
 
 def pose_hand_in_base(joint_position: F64) -> F64:
-    """(7,) [rad] -> (4, 4), by the frames of the shipped arm; every joint turns about its frame's z."""
+    """Return the pose (4, 4) of the hand for joint angles (7,) [rad], by the frames of the shipped arm. Every joint
+    turns about the z axis of its frame.
+    """
     with (
         resources.as_file(resources.files("carecontact") / "assets" / "panda" / "panda.npz") as path,
         np.load(path) as asset,
@@ -34,7 +37,7 @@ def pose_hand_in_base(joint_position: F64) -> F64:
 
 
 def pose_camera_in_base(camera: dict[str, Any], cell: dict[str, Any], hand_in_base: F64) -> F64:
-    """(4, 4) camera -> base, OpenCV axes, of one camera of the protocol."""
+    """Return the pose (4, 4) of one camera of the protocol in the robot's base, with OpenCV's axes."""
     position = np.array(camera["position_m"], np.float64)
     forward = np.array(camera["look_at_m"]) - position
     forward /= np.linalg.norm(forward)
@@ -51,7 +54,7 @@ def pose_camera_in_base(camera: dict[str, Any], cell: dict[str, Any], hand_in_ba
 
 
 def intrinsics(camera: dict[str, Any]) -> F64:
-    """(3, 3) [px]"""
+    """Return the intrinsic matrix (3, 3) [px] of a camera of the protocol."""
     focal = camera["height"] / 2 / np.tan(np.radians(camera["fovy_deg"]) / 2)
     return np.array([[focal, 0, (camera["width"] - 1) / 2], [0, focal, (camera["height"] - 1) / 2], [0, 0, 1.0]])
 

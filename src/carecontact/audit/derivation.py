@@ -13,9 +13,11 @@ NAME, TITLE = "re-derivation", "observations recomputed without a simulator"
 
 
 def audit_derivation(logs: Path, pressed: list[Watched]) -> Part:
-    """``logs``: folder of raw logs of trials. ``pressed``: the trials among them in which contact must occur.
+    """Derive every logged message again and compare it with the one that was sent.
 
-    Raises CarecontactError if the re-deriving process itself breaks.
+    ``logs``: folder of raw logs of trials. ``pressed``: the trials among them in which contact must occur.
+
+    Raises CarecontactError if the process that derives the messages breaks.
     """
     said = said_by(BOOTSTRAP, logs)
     findings = [

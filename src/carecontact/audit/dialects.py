@@ -1,4 +1,4 @@
-"""The audit of messages to a dialect's server: each may have the keys on the dialect's exact list and no other."""
+"""Audits the messages to a dialect's server: each may have the keys on the dialect's exact list and no other."""
 
 from __future__ import annotations
 
@@ -24,17 +24,18 @@ from carecontact.hosting.dialects.profiles import (
 )
 
 Found = Iterator[tuple[str, str]]
-"""(place, what is wrong)"""
+"""Pairs of a place in a message and what is wrong there."""
 RANDOM_ID = re.compile(r"[0-9a-f]{8}-[0-9a-f]{4}-4[0-9a-f]{3}-[89ab][0-9a-f]{3}-[0-9a-f]{12}")
-"""A UUID of version 4: nothing but chance."""
+"""A UUID of version 4, which consists of random bits and can therefore reveal nothing."""
 NUMBERS = {JOINTS: (7,), GRIPPER: (1,), CARTESIAN: (6,)}
-"""Key of openpi's family -> shape of its ``<f8``."""
+"""Key of a message of openpi's family -> shape of its array of type ``<f8``."""
 
 
 def check_conversation(messages: Sequence[bytes], card: PolicyCard, *, instruction: str) -> list[tuple[str, str]]:
-    """
+    """Check all messages of one trial; return pairs of a place and what is wrong there.
+
     Args:
-        messages: everything that was sent in one trial, in its order.
+        messages: everything that was sent in one trial, in the order of sending.
         card: as the trial recorded it; its arguments name the dialect and what it sends.
         instruction: the trial's, the only text that may be sent.
     """
@@ -108,7 +109,7 @@ def _vla_eval(entries: dict[str, Any], card: PolicyCard, *, instruction: str, nu
 
 
 def _keys(entries: Mapping[str, object], allowed: Sequence[str], place: str) -> Found:
-    """Keys that are not on the list, or missing from a message."""
+    """Yield the keys of a message that are not on the list, and those on the list that the message lacks."""
     for key in sorted(entries.keys() - set(allowed)):
         secret = " and holds a word of privileged information" if any(word in key for word in PRIVILEGED) else ""
         yield f"{place}.{key}", f"this key is not on the dialect's list{secret}; no policy may receive it"
@@ -129,7 +130,7 @@ def _array(value: object, dtype: str, shape: tuple[int | None, ...], place: str)
 
 
 def _paths(value: Mapping[str, Any], place: str = "") -> dict[str, Any]:
-    """Every map and leaf of a map, by its path."""
+    """Return every map in a value, and every leaf of these maps, by its path."""
     out: dict[str, Any] = {}
     for key, inner in value.items():
         out[f"{place}{key}"] = inner

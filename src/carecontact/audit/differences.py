@@ -9,8 +9,10 @@ import numpy as np
 
 
 def differences(expected: Any, got: Any, place: str) -> list[tuple[str, str]]:
-    """(place, what differs) for every leaf of maps and lists: arrays, numbers, text. Empty where both are equal to the
-    last bit."""
+    """Return a pair of place and difference for every leaf of the maps and lists that differs: array, number or text.
+
+    The list is empty if both values are equal to the last bit.
+    """
     if isinstance(expected, dict) and isinstance(got, dict):
         out = [(f"{place}.{key}", "is present, but must not be") for key in sorted(got.keys() - expected.keys())]
         out += [(f"{place}.{key}", "is missing") for key in sorted(expected.keys() - got.keys())]

@@ -22,9 +22,9 @@ class Part:
     """What was examined, and how often. A part that examined nothing has shown nothing, and fails."""
     findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
-    """What it measured and does not judge."""
+    """What the part measured without judging it."""
     nothing_to_examine: bool = False
-    """Nothing that was there could have shown a leak; this is no fault, and the part does not fail."""
+    """Whether nothing was there that could have shown a leak. This is no fault, so the part does not fail."""
 
     @property
     def passed(self) -> bool:
@@ -32,7 +32,7 @@ class Part:
 
     @property
     def missing(self) -> list[str]:
-        """What the part should have examined and did not."""
+        """Return what the part should have examined and did not."""
         return [what for what, count in self.counts.items() if not count]
 
     def as_json(self) -> dict[str, Any]:

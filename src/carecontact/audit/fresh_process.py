@@ -17,10 +17,10 @@ LONGEST_S = 1800.0
 
 
 def said_by(code: str, logs: Path, *, environment: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Run ``code`` by ``python -c`` with the folder of the package and ``logs``; returns the JSON object that it prints
-    last.
+    """Run ``code`` by ``python -c`` with two arguments, the folder of the package and ``logs``; return the JSON object
+    that it prints last.
 
-    Raises CarecontactError if the process breaks or takes more than LONGEST_S.
+    Raises CarecontactError if the process fails or takes longer than LONGEST_S.
     """
     root = str(Path(carecontact.__file__).resolve().parents[1])
     try:

@@ -26,17 +26,20 @@ POSES = (
     "xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat",
     "cam_xpos", "cam_xmat", "light_xpos", "light_xdir", "bvh_aabb_dyn", "bvh_active", "mocap_pos", "mocap_quat",
 )  # fmt: skip
-"""Fields of MjData that are drawn; all others are hidden."""
+"""Fields of MjData that pictures depend on; all others are hidden from a policy."""
 HIDDEN_OF_MODEL = (
     "jnt_stiffness", "jnt_stiffnesspoly", "jnt_range", "jnt_solref", "qpos_spring", "dof_damping", "dof_armature",
     "dof_frictionloss", "body_mass", "body_inertia", "geom_friction", "geom_solref", "geom_solimp", "numeric_data",
     "actuator_gainprm", "actuator_biasprm",
 )  # fmt: skip
-"""Fields of MjModel: mechanics of person, tissue (``numeric_data``) and robot, none of which is drawn."""
+"""Fields of MjModel with the mechanics of person, tissue (``numeric_data``) and robot, on which no picture depends."""
 
 
 def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruction: str) -> Part:
-    """``simulation`` must be at a moment of contact. Its data and model stay as they were."""
+    """Scramble everything hidden in a world and compare the observations before and after.
+
+    ``simulation`` must be at a moment of contact. Its data and model are the same afterwards.
+    """
     findings: list[Finding] = []
     fields = changed = images = 0
     mujoco.mj_forward(simulation.model, simulation.data)
@@ -70,7 +73,7 @@ def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruc
                 findings += _named(
                     card.name, differences(before, after, "observation"), "images and encoders stayed the same"
                 )
-        # The images themselves: everything but what is drawn is scrambled.
+        # Here the images are rendered anew: everything is scrambled except what they depend on.
         visible = scrambled(simulation, np.random.default_rng(2), keep=lambda name: True if name in POSES else None)
         shown = sorted({(c, i) for card in cards for c in card.cameras for m in card.modalities
                         for i in builders.IMAGES_FOR[m] if i in ("rgb", "depth")})  # fmt: skip
@@ -89,7 +92,9 @@ def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruc
 
 
 def scrambled(simulation: Simulation, rng: np.random.Generator, *, keep: Callable[[str], Any]) -> mujoco.MjData:
-    """A copy of the data with new random numbers everywhere except where ``keep(field)`` indexes; True: all of it."""
+    """Return a copy of the data with random numbers everywhere except at the indices that ``keep(field)`` gives; True
+    keeps the whole field.
+    """
     data = copy.copy(simulation.data)
     for name, array in _arrays(data).items():
         kept = keep(name)
@@ -107,7 +112,7 @@ def scrambled(simulation: Simulation, rng: np.random.Generator, *, keep: Callabl
 
 
 def _encoders(model: mujoco.MjModel) -> Callable[[str], Any]:
-    """Where the robot's own readings and the calibrated cameras are."""
+    """Return which indices of each field hold the robot's own readings and the calibrated cameras."""
     joints = [model.joint(name) for name in PANDA.joints]
     base, tcp = model.body(PANDA.base_body).id, model.site(PANDA.tcp_site).id
     rows: dict[str, Any] = {
@@ -119,7 +124,7 @@ def _encoders(model: mujoco.MjModel) -> Callable[[str], Any]:
 
 
 def _arrays(data: mujoco.MjData) -> dict[str, np.ndarray]:
-    """Every array of numbers, by name; whole numbers are addresses and stay."""
+    """Return every array of real numbers by its name. Arrays of whole numbers are addresses and stay as they are."""
     found = {}
     for name in dir(data):
         if name.startswith("_"):
@@ -140,7 +145,7 @@ def _draw(array: np.ndarray, rng: np.random.Generator) -> None:
 
 
 class _Frames:
-    """Keeps the images of the first build and gives them to every later one, whatever the world is."""
+    """Keeps the images of the first observation and gives the same ones to every later observation."""
 
     def __init__(self) -> None:
         self._kept: dict[tuple[str, str], np.ndarray] = {}

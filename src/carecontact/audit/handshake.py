@@ -15,16 +15,19 @@ ONLY = "in trials that differ only in"
 
 
 def audit_handshake(one: Watched, twin: Watched) -> Part:
-    """``one`` and ``twin``: witnesses of trials with another seed, id, labels, thresholds and tissue."""
+    """Compare what reached two policy processes before their first observation.
+
+    ``one`` and ``twin``: witnesses of two trials that differ in seed, id, labels, thresholds and tissue.
+    """
     findings = _told_differently(one, twin, "seed, id, labels, thresholds and tissue")
     leaves = len(_leaves(one.told, "")) if twin.told else 0
     return Part(name=NAME, title=TITLE, counts={"facts that reached the process": leaves}, findings=tuple(findings))
 
 
 def audit_start(one: Watched, other: Watched) -> Part:
-    """``one`` and ``other``: blind witnesses of trials whose seeds lay the person's arm at different angles.
+    """Compare what two blind witnesses know at t = 0, first observation included: all of it must be the same.
 
-    What reaches them, and all of their first observation at t = 0, must be the same.
+    ``one`` and ``other``: witnesses without a camera, of trials whose seeds lay the person's arm at different angles.
     """
     what = "seed and the angle of the person's arm"
     findings = _told_differently(one, other, what)
@@ -50,7 +53,9 @@ def audit_start(one: Watched, other: Watched) -> Part:
 
 
 def _another_angle(one: Watched, other: Watched) -> bool:
-    """Whether the arm did lie at another angle; a protocol that fixes the angle has nothing to hide."""
+    """Whether the arm lay at different angles in the two trials. A protocol that fixes the angle has nothing to
+    hide.
+    """
     if one.recording is None or other.recording is None:
         return False
     low, high = one.recording.header.spec.protocol.randomization.comfort_arm_deg

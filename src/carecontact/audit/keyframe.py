@@ -23,46 +23,52 @@ F64 = npt.NDArray[np.float64]
 CONTROL_HZ = 20.0
 """Rate of the pressing motion."""
 PRESS_DEPTH_M = 0.020
-"""Commanded depth below the skin; with the default 400 N/m at most 8 N."""
+"""Commanded depth [m] below the skin; at the default 400 N/m it limits the force to 8 N."""
 CLEARANCE_M = 0.20
-"""Height over the skin on the way to the press."""
+"""Height [m] over the skin on the way to the press."""
 PRESS_SPEED_M_S = 0.06
 BEFORE_S, AFTER_S = 0.30, 0.45
-"""How long before the first contact the later keyframe lies, and how much of the press follows it."""
+"""How long [s] before the first contact the later keyframe lies, and how much [s] of the press follows that contact."""
 ATTEMPTS = 5
 NEAR_MIDDLE_M = 0.02
 STIFFER = 2.0
-"""How much stiffer the twin's tissue is."""
+"""Factor by which the twin's tissue is stiffer."""
 
 
 class Keyframe:
-    """One settled world of a task and seed. Every trial that begins from it begins from the same bits."""
+    """One settled world of a task and seed. All trials that begin from it begin from the same bits."""
 
     def __init__(self, protocol: Protocol, *, task_id: str, seed: int, salt: str = "") -> None:
-        """Builds, settles and presses once. Raises SceneError or SettleError as a trial does, and SceneError if the
-        robot cannot touch the region."""
+        """Build the world, let the person settle, and press once.
+
+        Raises SceneError or SettleError as a trial does, and SceneError if the robot cannot touch the region.
+        """
         simulation, self.settled, self.model_sha256 = settled_world(protocol, task_id=task_id, seed=seed, salt=salt)
         region = protocol.task(task_id).region
         self.laid_at_deg = draw(protocol, region=region, seed=seed, salt=salt).comfort_arm_deg
-        """Angle of the arm."""
+        """Angle [deg] at which the person's arm was laid."""
         self.scene = simulation.scene
         self._parked = simulation.integration_state()
         self.parked_pose = simulation.control.target_in_base
-        """(7,) of the TCP in base; as a goal it moves nothing."""
+        """(7,) pose of the tool centre point in the robot's base; a robot that is given it as target stays where it
+        is."""
         self._near, self.poses = self._approach(simulation, region=region)
-        """(n, 7) poses of the TCP in base at CONTROL_HZ that follow the later keyframe and end in contact."""
+        """(n, 7) poses of the tool centre point in the robot's base at CONTROL_HZ: they begin at the later keyframe and
+        end in contact."""
 
     def parked(self, spec: TrialSpec) -> tuple[Simulation, Settled, str]:
-        """As ``trials.prepare.settled_world``; usable as ``run_trial``'s ``prepare``."""
+        """Return the world with the robot parked; give this method to ``run_trial`` as ``prepare``."""
         return self._begin(Simulation(self.scene), self._parked)
 
     def near(self, spec: TrialSpec) -> tuple[Simulation, Settled, str]:
-        """With the tool BEFORE_S before its first contact."""
+        """Return the world with the tool BEFORE_S before its first contact; also for ``prepare``."""
         return self._begin(Simulation(self.scene), self._near)
 
     def twin(self, spec: TrialSpec) -> tuple[Simulation, Settled, str]:
-        """The same moment in a world with other hidden values: those of ``spec`` and stiffer tissue, which moves like
-        the other until contact, because tissue that nothing touches does nothing."""
+        """Return the same moment in a world with the hidden values of ``spec`` and stiffer tissue.
+
+        It moves like the other world until contact, because tissue that nothing touches has no effect.
+        """
         scene = replace(
             self.scene, model=copy.deepcopy(self.scene.model), protocol=like(spec.protocol, self.scene.protocol)
         )
@@ -77,8 +83,9 @@ class Keyframe:
         return simulation, self.settled, self.model_sha256
 
     def _approach(self, simulation: Simulation, *, region: str) -> tuple[F64, F64]:
-        """The state BEFORE_S before first contact, and the poses that follow it; the press is aimed again if the person
-        has moved meanwhile."""
+        """Return the state BEFORE_S before first contact and the poses (n, 7) that follow it. If the person has moved
+        meanwhile, the press is aimed again.
+        """
         simulation.start()
         steps = round(1 / CONTROL_HZ / simulation.model.opt.timestep)
         back, ahead = round(BEFORE_S * CONTROL_HZ), round(AFTER_S * CONTROL_HZ)
@@ -97,7 +104,9 @@ class Keyframe:
 
 
 def _press(simulation: Simulation, region: str) -> F64:
-    """(n, 7) poses of the TCP in base at CONTROL_HZ, from where the robot is to a press on the region as it lies."""
+    """Return poses (n, 7) of the tool centre point in the robot's base at CONTROL_HZ, from where the robot is to a
+    press on the region where it lies now.
+    """
     simulation.refresh()
     base = simulation.robot.in_base(simulation.data, _skin_in_world(simulation, region), np.eye(3))
     skin, start = base[:3, 3], simulation.control.target_in_base
@@ -113,7 +122,9 @@ def touches(samples: list[Samples]) -> bool:
 
 
 def _skin_in_world(simulation: Simulation, region: str) -> F64:
-    """(3,) the highest place of the shell near the region's middle, where the hand keeps clear of a large chest."""
+    """Return the highest place (3,) [m] of the shell near the region's middle, where the hand does not touch a large
+    chest.
+    """
     vertices = skin_points(simulation, region)
     middle = simulation.data.site(f"region_{region}").xpos
     near = np.linalg.norm(vertices[:, :2] - middle[:2], axis=1) < NEAR_MIDDLE_M

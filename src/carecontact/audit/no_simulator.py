@@ -1,4 +1,4 @@
-"""A process in which no simulator can be imported."""
+"""Makes a process in which no simulator can be imported."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from types import ModuleType
 
 CLOSED = ("mujoco", "carecontact.world", "carecontact.sim", "carecontact.trials", "carecontact.scoring")
-"""``carecontact.observation`` and the contract are enough to make an observation."""
+"""Packages that stay closed: ``carecontact.observation`` and the contract are enough to make an observation."""
 
 
 class NoSimulator:
@@ -28,10 +28,10 @@ def refuse_simulators() -> None:
 
 
 def within_reach() -> list[str]:
-    """Modules of CLOSED that are loaded or could be loaded.
+    """Return the modules of CLOSED that are loaded or could be loaded.
 
-    Where ``refuse_simulators`` was called this queries that same hook: it shows a hook that was forgotten or came too
-    late, not one that fails. The tests look from outside, at the interpreter's log of imports.
+    After ``refuse_simulators``, this function asks the hook that was installed: it can find that the hook was forgotten
+    or came too late, but not that the hook itself fails. The tests check that with the interpreter's log of imports.
     """
     loaded = {name for name in sys.modules if _closed(name)}
     return sorted(loaded | {name for name in CLOSED if _importable(name)})

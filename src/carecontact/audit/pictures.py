@@ -21,7 +21,9 @@ F64 = npt.NDArray[np.float64]
 
 
 class Pictures:
-    """Of one model, without shadows and multisampling as the cell's cameras are. MUJOCO_GL names the backend."""
+    """Draws pictures of one model without shadows and multisampling, as the cell's cameras do. MUJOCO_GL names the
+    backend.
+    """
 
     def __init__(self, model: mujoco.MjModel, cameras: dict[str, Camera]) -> None:
         self.model, self._cameras = model, cameras
@@ -38,13 +40,16 @@ class Pictures:
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
 
     def rgb(self, data: mujoco.MjData, camera: str) -> npt.NDArray[np.uint8]:
-        """(H, W, 3)"""
+        """Return the colour image (H, W, 3) of a camera."""
         image = np.empty((*self._size(camera), 3), np.uint8)
         self._draw(data, camera, None, image, None)
         return np.ascontiguousarray(image[::-1])
 
     def depth(self, data: mujoco.MjData, camera: str, *, group: int | None = None) -> npt.NDArray[np.float32]:
-        """(H, W) [m] along the optical axis, NaN beyond DEPTH_RANGE_M; with ``group`` of its geoms alone."""
+        """Return the depth (H, W) [m] along the optical axis, NaN beyond DEPTH_RANGE_M.
+
+        ``group``: the only group of geoms that is drawn; None draws all.
+        """
         buffer = np.empty(self._size(camera), np.float32)
         self._draw(data, camera, group, None, buffer)
         near, far = (self.model.stat.extent * clip for clip in (self.model.vis.map.znear, self.model.vis.map.zfar))
@@ -81,9 +86,10 @@ class Pictures:
 
 
 def cell_model(protocol: Protocol, *, like: mujoco.MjModel | None = None) -> mujoco.MjModel:
-    """Robot, furniture, light and cameras: the cell before anybody lay down. No person is in it.
+    """Return the model of the empty cell: robot, furniture, light and cameras, but no person.
 
-    ``like``: the whole world's model, from which pillow and arm board take their place and pictures their clip planes.
+    ``like``: the model with the person, from which pillow and arm board take their place and pictures their clip
+    planes.
     """
     spec, body = mujoco.MjSpec(), load_body(protocol.person.body)
     spec.compiler.degree = False

@@ -1,8 +1,8 @@
-"""Logs what an audited trial showed its policy, and what that was made of, for a process without a simulator.
+"""Logs what an audited trial showed its policy, and the readings behind it, for a process without a simulator.
 
 A trial is a folder: ``trial.json``, ``spec.json`` and a ``look-NNNN.npz`` for each observation. An ordinary trial
-writes none of it. ``spec.json`` and ``LoggedLook.state`` are for the process that draws again; the one that re-derives
-without a simulator uses neither.
+writes none of it. Only the process that draws the images again uses ``spec.json`` and ``LoggedLook.state``; the one
+that derives the messages again, without a simulator, uses neither.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ IMAGES = ("rgb", "depth", "robot_depth", "cell_depth")
 @dataclass(frozen=True, kw_only=True)
 class Meta:
     policy: str
-    """The policy that showed the card."""
+    """Name of the policy that showed the card."""
     instruction: str
     modalities: tuple[str, ...]
     cameras: tuple[str, ...]
     tcp_in_hand_m: tuple[float, float, float]
     cell: dict[str, Any]
-    """What the cell is: ``robot_base_m``, ``robot_yaw_deg`` and the ``cameras`` of the protocol."""
+    """The protocol's description of the cell: ``robot_base_m``, ``robot_yaw_deg`` and ``cameras``."""
     calibration: dict[str, list[list[float]]]
-    """Fixed camera -> (4, 4) error with which the cell knows its pose (``observation.calibration``); empty without
-    one."""
+    """Fixed camera -> (4, 4) error with which the cell knows its pose (``observation.calibration``); empty where the
+    cell knows the poses exactly."""
     arguments: dict[str, str] = field(default_factory=dict[str, str])
     """The card's arguments. For a dialect, they say how its messages are made."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldState:
-    """The simulator's own state at an observation (``state.StateReader``)."""
+    """The simulator's state at an observation, as ``state.StateReader`` reads it."""
 
     steps: int
     """Physics steps since t = 0."""
@@ -52,7 +52,7 @@ class WorldState:
     joint_velocity: npt.NDArray[np.float64]
     """(7,) of the robot [rad/s]"""
     vector: npt.NDArray[np.float64]
-    """(n,) everything that is drawn, in the order of ``state.DRAWN``."""
+    """(n,) everything that pictures depend on, in the order of ``state.DRAWN``."""
 
 
 @dataclass(frozen=True, kw_only=True)

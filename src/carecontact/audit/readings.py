@@ -14,7 +14,9 @@ NAME, TITLE = "readings", "time, encoders and images recomputed from the recorde
 
 
 def audit_readings(logs: Path, trials: list[Watched]) -> Part:
-    """``logs``: folder of raw logs. ``trials``: all trials that were run, also those whose observations are in no log.
+    """Compare the readings of every observation with the recorded state.
+
+    ``logs``: folder of raw logs. ``trials``: all trials that were run, also those whose observations are in no log.
 
     Raises CarecontactError if the process that draws again breaks.
     """
@@ -34,7 +36,7 @@ def audit_readings(logs: Path, trials: list[Watched]) -> Part:
 
 
 def _off_the_grid(trial: Watched) -> list[Finding]:
-    """Times sent or recorded that are not a whole number of physics steps, to the last bit."""
+    """Return the times, sent or recorded, that are not a whole number of physics steps to the last bit."""
     if trial.recording is None:
         return []
     dt_s = trial.recording.header.spec.protocol.physics.dt_s

@@ -26,11 +26,11 @@ refuse_simulators()
 from carecontact.audit.rederive import main
 main(sys.argv[2])
 """
-"""For ``python -c``, with the folder of the package and that of the trial logs (``raw_log``)."""
+"""Program for ``python -c``. Its arguments are the folder of the package and that of the trial logs (``raw_log``)."""
 
 
 def main(folder: str) -> None:
-    """Write one JSON object: ``looks`` of every trial (``rederive_trial``) and the ``simulators`` within reach."""
+    """Print one JSON object: ``looks`` of every trial (``rederive_trial``), and ``simulators``, those within reach."""
     keypoints = MediaPipePose()
     trials = sorted(path for path in Path(folder).iterdir() if path.is_dir())
     looks = [row for trial in trials for row in rederive_trial(trial, keypoints)]
@@ -39,7 +39,9 @@ def main(folder: str) -> None:
 
 
 def rederive_trial(folder: Path, keypoints: KeypointEstimator) -> list[dict[str, Any]]:
-    """One row per observation: trial, policy, time, bytes sent, and ``differences`` as (place, what differs)."""
+    """Return one row for each observation: trial, policy, time, bytes sent, and ``differences`` as pairs of a place and
+    what differs there.
+    """
     meta = read_meta(folder)
     return [
         {
@@ -54,7 +56,7 @@ def rederive_trial(folder: Path, keypoints: KeypointEstimator) -> list[dict[str,
 
 
 def _changed(look: LoggedLook, meta: Meta, keypoints: KeypointEstimator) -> list[tuple[str, str]]:
-    """Places where the message is not, bit for bit, what the logged readings give."""
+    """Return where the message differs, in any bit, from what the logged readings give."""
     try:
         observation = derive(
             look.raw,
@@ -70,14 +72,14 @@ def _changed(look: LoggedLook, meta: Meta, keypoints: KeypointEstimator) -> list
         return []
     dialect = dialect_of(meta.arguments)
     told = differences(unpacked(again, dialect), unpacked(look.sent, dialect), "message")
-    # Nothing may hide in the packing either, such as another order of keys.
+    # Nor may the packing hide anything, for example in the order of keys.
     return [(place.removeprefix("message."), what) for place, what in told] or [
         ("message", "the same values are packed in other bytes")
     ]
 
 
 def _misplaced(raw: RawReadings, meta: Meta) -> list[tuple[str, str]]:
-    """Poses and optics that are not what calibration and encoders give."""
+    """Return the poses and intrinsic matrices that differ from what calibration and encoders give."""
     hand, tcp_in_hand = pose_hand_in_base(raw.joint_position), np.eye(4)
     tcp_in_hand[:3, 3] = meta.tcp_in_hand_m
     rows = [("pose_tcp_in_base", raw.pose_tcp_in_base, hand @ tcp_in_hand)]

@@ -37,11 +37,13 @@ sys.path.insert(0, sys.argv[1])
 from carecontact.audit.redraw import main
 main(sys.argv[2])
 """
-"""For ``python -c``, with the folder of the package and that of the trial logs (``raw_log``)."""
+"""Program for ``python -c``. Its arguments are the folder of the package and that of the trial logs (``raw_log``)."""
 
 
 def main(folder: str) -> None:
-    """Write one JSON object: ``looks`` of every trial, as ``rederive.main``, and ``images``, how many were drawn."""
+    """Print one JSON object: ``looks`` of every trial, as ``rederive.main`` does, and ``images``, the number of images
+    drawn.
+    """
     worlds: dict[str, _World] = {}
     looks: list[dict[str, Any]] = []
     for trial in sorted(path for path in Path(folder).iterdir() if (path / SPEC).is_file()):
@@ -64,13 +66,13 @@ def main(folder: str) -> None:
 
 
 def _key(spec: TrialSpec) -> str:
-    """Equal for trials of one and the same world: how long a trial lasts and what its sensors add is not drawn."""
+    """Return a text that is equal for trials of the same world, whatever their length and sensor noise."""
     protocol = without_noise(spec.protocol).model_dump(mode="json", exclude={"phases"})
     return json.dumps([protocol, spec.task_id, spec.seed, spec.salt], sort_keys=True)
 
 
 class _World:
-    """Built here and now, as the protocol and the seed say; never the audited process's own."""
+    """A world that this process builds from protocol and seed, so that it shares nothing with the audited process."""
 
     def __init__(self, spec: TrialSpec) -> None:
         self._spec, self.images = spec, 0
@@ -79,8 +81,10 @@ class _World:
         self._cell = cell_model(self._drawn.protocol)
 
     def differences(self, look: LoggedLook, noise: SensorNoise, known: Calibration) -> list[tuple[str, str]]:
-        """(place, what differs) of all readings behind one message, to the last bit. ``known``: with which error the
-        cell knows its cameras."""
+        """Return pairs of a place and a difference, to the last bit, for all readings behind one message.
+
+        ``known``: the error with which the cell knows its cameras.
+        """
         state, raw = look.state, look.raw
         now_s = state.steps * self._spec.protocol.physics.dt_s
         angles = noise.joint_position(state.joint_position, sim_time_s=now_s)
@@ -141,7 +145,7 @@ class _World:
 
 
 def _at(model: mujoco.MjModel, angles: F64, known: Calibration) -> mujoco.MjData:
-    """The robot at its angles, and every fixed camera where the cell believes it to be."""
+    """Return a state with the robot at these joint angles and every fixed camera where the cell believes it to be."""
     data = mujoco.MjData(model)
     data.qpos[robot_addresses(model)[0]] = angles
     mujoco.mj_kinematics(model, data)
@@ -155,7 +159,9 @@ def _at(model: mujoco.MjModel, angles: F64, known: Calibration) -> mujoco.MjData
 
 
 def _in_base(data: mujoco.MjData, position: F64, rotation: F64) -> F64:
-    """World position (3,) and matrix (3, 3) or (9,) -> (4, 4) pose in the robot's base."""
+    """Turn a position (3,) [m] and a rotation matrix (3, 3) or (9,) in the world into a pose (4, 4) in the robot's
+    base.
+    """
     base, pose = data.body(PANDA.base_body), np.eye(4)
     to_base = base.xmat.reshape(3, 3).T
     pose[:3, :3] = to_base @ rotation.reshape(3, 3)

@@ -1,4 +1,4 @@
-"""All that the audit runs on one region of the person: the policies' own trials, presses, and what follows of them."""
+"""Everything that the audit runs on one region of the person: trials of the policies, presses, and checks of both."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from carecontact.hosting.setup import PolicySetup
 from carecontact.sim.simulation import Settled, Simulation
 
 QUICK_TRIAL_S = 0.1
-"""Length of the policies' own trials in the quick form: one observation, with the robot parked."""
+"""Length [s] of the policies' trials in the quick form: one observation, with the robot parked."""
 QUICK_ACTIONS_PER_LOOK = 3
 """In the quick form, presses with images observe every 0.15 s. All other presses observe at every action."""
 BLIND = PolicyCard(name="every policy", control_hz=CONTROL_HZ)
@@ -29,12 +29,12 @@ BLIND = PolicyCard(name="every policy", control_hz=CONTROL_HZ)
 
 @dataclass(kw_only=True)
 class RegionAudit:
-    """Runs its trials in the order of its methods; each hands what it found to ``add``."""
+    """Runs the trials of one region. Call the methods in their order; each passes its findings to ``add``."""
 
     spec: TrialSpec
-    """Of the region's task; the policy is filled in for each trial."""
+    """Trial spec of the region's task; each trial fills in its policy."""
     number: int
-    """Of the region, from 0."""
+    """Number of the region, from 0."""
     keyframe: Keyframe
     folder: Path
     quick: bool
@@ -61,13 +61,13 @@ class RegionAudit:
 
     @contextmanager
     def logs(self) -> Iterator[None]:
-        """Keep the folder of raw logs for as long as they are needed: they take hundreds of megabytes per region."""
+        """Keep the folder of raw logs until the block ends, because they take hundreds of megabytes for each region."""
         self._log.mkdir()
         yield
         shutil.rmtree(self._log)
 
     def try_policies(self, policies: Sequence[PolicySetup]) -> list[Watched]:
-        """One trial of every policy, whose messages are checked against its card."""
+        """Run one trial of every policy, and check its messages against its card."""
         for index, policy in enumerate(policies):
             self.on_event(f"running a trial of {policy.ref}")
             trial = watch(
@@ -80,7 +80,7 @@ class RegionAudit:
         return self._real
 
     def press_with(self, cards: Sequence[PolicyCard]) -> None:
-        """Two presses with each card in worlds that differ in hidden values, and two starts."""
+        """With each card, run two presses in worlds that differ in hidden values; also run two starts."""
         for index, card in enumerate(cards):
             self.on_event(f"running two presses on the {self._name} with the card of {card.name}")
             seldom, log = self.quick and bool(card.modalities), self._log / f"press-{self.number}-{index:02d}"
@@ -92,7 +92,7 @@ class RegionAudit:
             self.add(handshake.audit_handshake(one, twin))
             self._pressed.append(one)
             if seldom:
-                # Only images cost time: everything else is looked at as often as in the full form.
+                # Only images cost time, so that presses without images observe as often as in the full form.
                 blind = log.with_name(f"blind-{log.name}")
                 self._pressed.append(_blind_press(self._quiet, self.keyframe, folder=self._witness, log=blind))
             one.forget()
@@ -100,13 +100,13 @@ class RegionAudit:
         self.add(handshake.audit_start(*two_starts(self._quiet, self.keyframe, folder=self._witness)))
 
     def scramble(self, cards: Sequence[PolicyCard]) -> None:
-        """The world in contact, everything hidden in it scrambled."""
+        """Scramble everything hidden in a world in contact, and compare the observations."""
         self.on_event(f"scrambling the hidden state in contact with the {self._name}")
         prompt = self.spec.protocol.task(self.spec.task_id).prompt
         self.add(frozen.audit_frozen(_at_contact(self.keyframe, self.spec), cards, instruction=prompt))
 
     def make_again(self) -> None:
-        """Every logged observation made again, and all that it was made of read and drawn again."""
+        """Make every logged observation again, from readings and pictures that are read and drawn again."""
         self.on_event("recomputing all observations without a simulator")
         self.add(derivation.audit_derivation(self._log, self._pressed))
         self.on_event("recomputing time, encoders and images from the recorded state")
@@ -129,7 +129,9 @@ def _shortened(spec: TrialSpec, policy: PolicySetup, *, quick: bool) -> TrialSpe
 
 
 def cards_of(trials: Sequence[Watched], *, together: bool) -> list[PolicyCard]:
-    """One card for each different request, named after the policies that make it; or one card for all of them."""
+    """Return one card for each different request, named after the policies that make it, or one card for all
+    together.
+    """
     asked: dict[tuple[tuple[str, ...], tuple[str, ...]], list[str]] = {}
     for trial in trials:
         card = trial.card
@@ -154,7 +156,7 @@ def _in_order(wanted: set[str], order: Sequence[str]) -> tuple[str, ...]:
 def _pair(
     spec: TrialSpec, card: PolicyCard, keyframe: Keyframe, *, actions_per_look: int, folder: Path, log: Path
 ) -> tuple[Watched, Watched]:
-    """The same press in two worlds that differ in hidden values; the first one is logged."""
+    """Run the same press in two worlds that differ in hidden values, and log the first one."""
     poses = keyframe.poses
     one = press(
         spec, card=card, poses=poses, prepare=keyframe.near, actions_per_look=actions_per_look, folder=folder, log=log
@@ -172,9 +174,9 @@ def _blind_press(spec: TrialSpec, keyframe: Keyframe, *, folder: Path, log: Path
 
 
 def two_starts(spec: TrialSpec, keyframe: Keyframe, *, folder: Path) -> tuple[Watched, Watched]:
-    """One step of two trials whose seeds lay the person's arm at different angles.
+    """Run one step of two trials whose seeds lay the person's arm at different angles.
 
-    What a seed makes known to the policy, the robot's place and the overhead camera's, is the same in both.
+    What a policy may know of the draws, where robot and overhead camera stand, is the same in both.
     """
     poses = keyframe.parked_pose[None]
     one = press(spec, card=BLIND, poses=poses, prepare=keyframe.parked, actions_per_look=1, folder=folder)
@@ -188,7 +190,7 @@ def _settled(spec: TrialSpec) -> tuple[Simulation, Settled, str]:
 
 
 def _at_contact(keyframe: Keyframe, spec: TrialSpec) -> Simulation:
-    """A world at the end of the press."""
+    """Return a world at the end of the press."""
     simulation, _, _ = keyframe.near(spec)
     steps = round(1 / CONTROL_HZ / simulation.model.opt.timestep)
     for pose in keyframe.poses:

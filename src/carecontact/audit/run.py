@@ -39,7 +39,9 @@ class Audit:
         return all(part.passed for part in self.parts)
 
     def as_json(self) -> dict[str, Any]:
-        """Where everything passed, nothing in it depends on place, time or machine."""
+        """Return the content of ``audit.json``. If everything passed, nothing in it depends on place, time or
+        machine.
+        """
         return {
             "schema": SCHEMA, "passed": self.passed, "quick": self.quick, "policies": list(self.policies),
             "privileged": list(self.privileged),
@@ -63,7 +65,7 @@ def audit(
     every region of the protocol with each card, and lets the policies' own trials run to their end. ``salt``: the
     secret of a salted run, on whose person the audit then runs.
 
-    ``privileged``: policies that are left out, as the result names them.
+    ``privileged``: names of policies that are left out; the result names them.
 
     Raises SceneError or SettleError where no world can be made, CarecontactError if the audit itself breaks.
     """
@@ -99,7 +101,7 @@ def write(result: Audit, folder: Path) -> Path:
 
 
 def _merged(name: str, title: str, parts: Sequence[Part]) -> Part:
-    """Without any part there is nothing that could have passed."""
+    """Merge the results of one part over the regions; without any result the part has not passed."""
     counts: Counter[str] = Counter()
     for part in parts:
         counts.update(part.counts)

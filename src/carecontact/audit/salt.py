@@ -23,7 +23,7 @@ from carecontact.runs.salt import committed
 from carecontact.world.life import draw_shifts
 
 ARM_DEG = 3.0
-"""How far from the angle that was drawn an arm may come to rest (assumed)."""
+"""How far [deg] from the drawn angle an arm may come to rest (assumed)."""
 SAME = 1e-9
 
 
@@ -32,7 +32,7 @@ class Verified:
     sha256: str
     recordings: int
     draws: int
-    """What recordings hold of their draws and was drawn again: persons, calibrations, changes of posture."""
+    """Number of draws that recordings hold and that were drawn again: persons, calibrations, changes of posture."""
     faults: tuple[str, ...]
 
 
@@ -64,7 +64,7 @@ def verify_salt(run: Path) -> Verified:
 
 
 def drawn_again(recording: Recording, salt: str) -> Iterator[tuple[str, bool]]:
-    """What a recording holds of its draws, and whether the salt gives the same."""
+    """Yield the name of each draw that a recording holds, and whether the salt gives the same draw."""
     header, arrays = recording.header, recording.arrays
     protocol, seed = header.spec.protocol, header.spec.seed
     made = drawn(header.spec.model_copy(update={"salt": salt}))
@@ -83,7 +83,7 @@ def drawn_again(recording: Recording, salt: str) -> Iterator[tuple[str, bool]]:
 
 
 def _same_errors(recording: Recording, known: Calibration) -> bool:
-    """Whether every fixed camera was believed to be where its drawn error puts it."""
+    """Whether the recorded belief about every fixed camera's pose agrees with its drawn error."""
     for told, true in zip(recording[BELIEVED], recording[TRUE], strict=True):
         for name, error in known.items():
             believed, place = (row[CAMERAS.index(name)] for row in (told, true))

@@ -24,12 +24,12 @@ FIELDS_OF = {
     "masks": {"masks"},
     "landmarks": {"landmarks", "landmarks_in_base"},
 }
-"""Modality -> fields of a camera's view."""
+"""Modality -> fields of a camera's view that it fills."""
 ALWAYS = {"intrinsics", "pose_camera_in_base"}
 MESSAGE = {"type", "observation"}
 _REFUSED = re.compile(r"\b(observation(?:\.\w+)*): unknown key (\w+(?:, \w+)*)")
-"""Matches the codec's error at the policy's end. Such a message never comes back, so its keys are read from the
-error."""
+"""Matches the codec's error at the policy's end. The codec does not return the refused message, so its keys are read
+from the error."""
 
 
 def audit_schema(trials: list[Watched]) -> Part:
@@ -66,7 +66,7 @@ def failed_at(error: str) -> list[str]:
 
 
 def check_message(sent: bytes, card: PolicyCard | None) -> list[tuple[str, str]]:
-    """(place, what is wrong) of one act message."""
+    """Return pairs of a place and what is wrong there, for one message that asks the policy to act."""
     message = unpack(sent)
     if not isinstance(message, dict) or set(message) != MESSAGE:
         keys = sorted(message) if isinstance(message, dict) else type(message).__name__

@@ -13,8 +13,8 @@ DRAWN = int(
     mujoco.mjtState.mjSTATE_TIME | mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
     | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
 )  # fmt: skip
-"""Parts of the integration state from which every picture follows; sensor history, a hundred times as long, is left
-out."""
+"""The parts of MuJoCo's integration state that pictures depend on. The sensor history, a hundred times as long, is not
+among them."""
 
 
 class StateReader:
@@ -29,7 +29,7 @@ class StateReader:
         vector = np.zeros(mujoco.mj_stateSize(self._model, DRAWN))
         mujoco.mj_getState(self._model, self._data, vector, DRAWN)
         return WorldState(
-            # MuJoCo's clock adds up rounding errors, far less than a step in any trial.
+            # MuJoCo's clock accumulates rounding errors, which stay far below one step in any trial.
             steps=round((float(self._data.time) - self._begin_s) / self._model.opt.timestep),
             joint_position=self._data.qpos[self._qpos].copy(), joint_velocity=self._data.qvel[self._dof].copy(),
             vector=vector,
@@ -37,6 +37,6 @@ class StateReader:
 
 
 def robot_addresses(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
-    """Addresses of the seven joints in qpos and qvel."""
+    """Return the addresses of the robot's seven joints in qpos and in qvel."""
     joints = [model.joint(name) for name in PANDA.joints]
     return [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]

@@ -1,7 +1,7 @@
 """Part (g) tests whether the wall time between two acts, as recordings hold it, tells contact from no contact.
 
-Without a pace it does, because a period with contact takes longer to simulate: this is said and fails nothing. A run
-that claims a pace fails if its times tell contact all the same.
+In a run without a pace they do, because a period with contact takes longer to simulate: the audit reports this, and
+the run does not fail. A run that claims a pace fails if its times reveal contact nevertheless.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from carecontact.trials.pace import BETWEEN, PACED
 
 NAME, TITLE = "time", "wall time between two acts against contact"
 TELLS = 0.1
-"""Distance of an AUC from 0.5 from which on times count as telling: 0.6 is what a policy has by guessing right in 60 of
-100 pairs of periods."""
+"""Distance of the area under the curve (AUC) from 0.5 at which times count as revealing contact. At an AUC of 0.6, a
+policy guesses right in 60 of 100 pairs of periods."""
 SURE_Z = 3.3
-"""Standard errors by which it has to differ from 0.5 as well: by chance in 1 of 1,000 runs."""
+"""The AUC must also differ from 0.5 by so many standard errors, which happens by chance in 1 of 1,000 runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,20 +30,21 @@ class Times:
     """The intervals between two acts of one trial."""
 
     per_period_s: npt.NDArray[np.float64]
-    """(n,) wall time from an answer until the next observation left, for each of its control periods [s]."""
+    """(n,) wall time [s] for each control period: the time from an answer until the next observation was sent, divided
+    by the number of its control periods."""
     contact: npt.NDArray[np.bool_]
     """(n,) whether the robot touched the person meanwhile."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Separation:
-    """How well the times of many trials tell contact from no contact."""
+    """How well the wall times of many trials distinguish contact from no contact."""
 
     auc: float
     """Probability that, of two intervals of one trial, the one with contact took longer; NaN where no trial has
     both."""
     z: float
-    """Distance from 0.5 in standard errors, those of independent intervals."""
+    """Distance of ``auc`` from 0.5 in standard errors, computed as if the intervals were independent."""
 
     @property
     def tells(self) -> bool:
@@ -51,13 +52,13 @@ class Separation:
 
 
 def times_of(recording: Recording) -> Times:
-    """Return what a recording holds; nothing of one that an earlier release made."""
+    """Return the times that a recording holds; none for a recording of an earlier release."""
     between = recording.arrays.get(BETWEEN, np.zeros(0))
     shown, steps = recording["policy/observation_time_s"], recording["scorer/time_s"]
     count = min(len(between), max(len(shown) - 1, 0))
     periods = np.bincount(recording["actions/observation_index"], minlength=len(shown))[:count]
     touched = recording["scorer/normal_force"].max(1, initial=0.0) > 0.0
-    # Before each step; a sum over none is 0.
+    # Cumulative sums start before the first step, so that a sum over no steps is 0.
     before = np.concatenate([[0], np.cumsum(touched)])
     edges = before[np.searchsorted(steps, shown[: count + 1])]
     kept = periods > 0
@@ -65,7 +66,7 @@ def times_of(recording: Recording) -> Times:
 
 
 def separation(trials: Iterable[Times]) -> Separation:
-    """Compare intervals within each trial, and never those of two: machine and load differ between them."""
+    """Compare intervals within each trial only, because machine and load differ between trials."""
     wins = pairs = variance = 0.0
     for times in trials:
         with_, without = times.per_period_s[times.contact], times.per_period_s[~times.contact]
@@ -82,7 +83,7 @@ def separation(trials: Iterable[Times]) -> Separation:
 
 
 def audit_time(recordings: Iterable[Recording]) -> Part:
-    """``recordings``: of one run."""
+    """Audit the wall times of one run's recordings."""
     free: list[Times] = []
     paced: list[Times] = []
     policy, late = "", 0

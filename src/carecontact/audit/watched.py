@@ -31,8 +31,8 @@ from carecontact.trials.trial import Look, run_trial
 Prepare = Callable[[TrialSpec], tuple[Simulation, Settled, str]]
 
 MAX_KEPT_BYTES = 200_000_000
-"""Of one trial's messages that are kept and logged, some 20 observations of all modalities: a policy that looks
-at every step would fill memory and disk. Without images no trial comes near it."""
+"""Most bytes of one trial's messages that are kept and logged: about 20 observations of all modalities. A policy that
+looks at every step would otherwise fill memory and disk. Without images, no trial comes near this bound."""
 WITNESS = "audit_witness:witness"
 _WITNESS_SOURCE = """
 from pathlib import Path
@@ -57,18 +57,18 @@ class Watched:
     """Name of the policy whose card was shown."""
     recording: Recording | None = None
     error: str | None = None
-    """Why the harness could not run it, or why the policy's process failed."""
+    """Why the harness could not run the trial, or why the policy's process failed; None if neither happened."""
     looks: list[Message] = field(default_factory=list["Message"])
-    """The first MAX_KEPT_BYTES: see ``forget``."""
+    """The observations in the first MAX_KEPT_BYTES; ``forget`` frees them."""
     sent: list[bytes] = field(default_factory=list[bytes])
-    """Every message that left for the policy, in its order; what lies beyond MAX_KEPT_BYTES is empty."""
+    """Every message that was sent to the policy, in order; those beyond MAX_KEPT_BYTES are empty."""
     instruction: str = ""
     look_steps: list[int] = field(default_factory=list[int])
-    """Physics steps before each of all observations, counted by the simulator's own clock."""
+    """Number of physics steps before each observation, by the simulator's own clock; it covers all observations."""
     look_times_s: list[float] = field(default_factory=list[float])
     """Time of each observation, as it was sent."""
     told: dict[str, Any] = field(default_factory=dict[str, Any])
-    """For a witness: what had reached its process by its reset."""
+    """For a witness: everything that had reached its process by the time of its reset."""
 
     @property
     def card(self) -> PolicyCard | None:
@@ -77,21 +77,21 @@ class Watched:
 
     @property
     def force_n(self) -> npt.NDArray[np.float64]:
-        """(T,) largest force on any segment at each step."""
+        """(T,) largest force [N] on any segment at each step."""
         if self.recording is None:
             return np.zeros(0)
         return np.linalg.norm(self.recording["scorer/force_human_from_robot_in_world"], axis=2).max(1, initial=0.0)
 
     @property
     def looks_in_contact(self) -> int:
-        """How many observations came right after a step with a force in it."""
+        """Number of observations that came right after a step with contact."""
         if self.recording is None:
             return 0
         force_n = self.force_n
         return sum(0 < steps <= len(force_n) and bool(force_n[steps - 1]) for steps in self.look_steps)
 
     def forget(self) -> None:
-        """Free the memory of the observations; their times stay known."""
+        """Free the memory of the observations and keep their times."""
         self.looks.clear()
         self.sent.clear()
 
@@ -101,7 +101,7 @@ def watch(
 ) -> Watched:
     """Run one trial and keep what it showed; with ``log`` also on disk. A failure is kept in ``error``, never raised.
 
-    ``setup``: how the policy is reached; by default as its name in ``spec`` alone says.
+    ``setup``: how to start or reach the policy; by default, the policy's name in ``spec`` decides.
     """
     watched = Watched(policy=policy, instruction=spec.protocol.task(spec.task_id).prompt)
     readers: list[StateReader] = []
@@ -115,7 +115,7 @@ def watch(
         return world
 
     def on_sent(message: bytes) -> None:
-        # The same object that its look will hold: no second copy.
+        # The same object is stored in its look, so that no second copy is needed.
         watched.sent.append(message if kept + len(message) <= MAX_KEPT_BYTES else b"")
 
     def on_look(look: Look) -> None:
@@ -171,10 +171,10 @@ def press(
     folder: Path,
     log: Path | None = None,
 ) -> Watched:
-    """A trial of the witness: the card's modalities while the poses (n, 7) are played at CONTROL_HZ.
+    """Run a trial of the witness, which requests the card's modalities and plays poses (n, 7) at CONTROL_HZ.
 
-    ``folder``: where the witness's process looks for its task and writes what it was told; the same for trials that are
-    to be compared, since its path reaches the policy.
+    ``folder``: where the witness's process finds its task and writes what it was told. Trials that are to be compared
+    must have the same folder, since its path reaches the policy.
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{WITNESS.partition(':')[0]}.py").write_text(_WITNESS_SOURCE)

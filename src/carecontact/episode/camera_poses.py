@@ -17,14 +17,16 @@ BELIEVED, TRUE = "policy/believed_pose_camera_in_base", "scorer/pose_camera_in_b
 
 
 class CameraPoses:
-    """Rows of a recording, where the cell's calibration has an error; the true ones are for the scorer alone."""
+    """Collects told and true camera poses for a recording if the cell's calibration has an error; the true poses are
+    for the scorer alone.
+    """
 
     def __init__(self, renderer: SceneRenderer) -> None:
         self._renderer = renderer
         self._rows: dict[str, list[F64]] = {BELIEVED: [], TRUE: []}
 
     def add(self, data: mujoco.MjData, observation: Observation) -> None:
-        """``data`` is the state that the observation shows, and only read."""
+        """Add the poses of one observation. ``data``: the state that the observation shows; it is not changed."""
         if not self._renderer.calibration:
             return
         shown = {name: view.pose_camera_in_base for name, view in observation.cameras.items()}
@@ -36,5 +38,5 @@ class CameraPoses:
             self._rows[path].append(row)
 
     def arrays(self) -> dict[str, F64]:
-        """Nothing where the calibration has no error or no observation was answered."""
+        """Return the arrays by their path; none if the calibration has no error or no observation was answered."""
         return {path: np.array(rows, "<f8") for path, rows in self._rows.items() if rows}

@@ -17,15 +17,15 @@ SUMS = {f"scorer/cell_{field.name}": field.name for field in fields(Cells)}
 
 
 class CellLog:
-    """The sums of the compiled tissue as what was added in each period; nothing where the region is rigid."""
+    """Turns the running sums of the compiled tissue into the part of each control period; empty for a rigid region."""
 
     def __init__(self, simulation: Simulation, region: str) -> None:
-        """The first period begins now."""
+        """Begin the first period now."""
         self._simulation, self._region = simulation, region
         self._before = self._sums()
 
     def constants(self) -> dict[str, npt.NDArray[np.float32]]:
-        """Centres (C, 3) in the region's frame and areas (C,), by their path."""
+        """Return the centres (C, 3) [m] in the region's frame and the areas (C,) [m²] of the cells, by their path."""
         scene = self._simulation.scene
         if self._region not in scene.regions:
             return {}
@@ -36,7 +36,7 @@ class CellLog:
         }
 
     def period(self) -> Rows:
-        """(C,) sums since the last call, by their path."""
+        """Return what each cell (C,) felt since the last call, by the path of the array."""
         now = self._sums()
         added = {path: now[path] - self._before[path] for path in now}
         self._before = now

@@ -1,4 +1,4 @@
-"""What a trial's seed draws before its world is built, as a protocol in which nothing of it is left to draw."""
+"""What a trial's seed draws before its world is built, expressed as a protocol that fixes all of these draws."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from carecontact.world.place import Place, place_of
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """Of one trial."""
+    """The draws of one trial."""
 
     protocol: Protocol
-    """The trial's, with its body, the turn of its arm, the robot's base and the overhead camera: what the world is
-    built from. Its id, level and everything that is judged are the trial's."""
+    """The protocol that the world is built from: the trial's protocol with the drawn body, turn of the arm, base of the
+    robot and overhead camera. Its id, its level and everything that is judged are unchanged."""
     comfort_arm_deg: float
     place: Place
 
 
 def drawn_facts(protocol: Protocol, place: Place) -> dict[str, Any]:
-    """What was drawn of a trial's world (``Drawn``), for the recording and never for a policy."""
+    """Return what was drawn for a trial's world (``Drawn``), for the recording and never for a policy."""
     person, furniture, overhead = protocol.person, protocol.scene, protocol.cameras["overhead"]
     return {
         "body": person.body,
@@ -38,7 +38,7 @@ def drawn_facts(protocol: Protocol, place: Place) -> dict[str, Any]:
 
 
 def drawn(spec: TrialSpec) -> Drawn:
-    """What the seed of a trial draws of body, posture, place, base and overhead camera.
+    """Draw body, posture, place, base of the robot and overhead camera from the seed of a trial.
 
     Raises SceneError where no person of the seed suits the robot (``episode.parking``).
     """
@@ -46,9 +46,9 @@ def drawn(spec: TrialSpec) -> Drawn:
 
 
 def draw(protocol: Protocol, *, region: str, seed: int, salt: str = "") -> Drawn:
-    """As ``drawn``, for a task on a region."""
+    """Like ``drawn``, for any task on a region, without a trial spec."""
     if protocol.variation.parking is None:
-        # Nobody has to be refused: the first draw is taken.
+        # This protocol refuses no person, so that the first draw is taken.
         posture = posture_of(protocol, seed, salt, 0)
         laid = posed(protocol, body_of(protocol, seed, salt), posture)
         return Drawn(
@@ -66,7 +66,7 @@ def draw(protocol: Protocol, *, region: str, seed: int, salt: str = "") -> Drawn
 
 
 def like(protocol: Protocol, other: Protocol) -> Protocol:
-    """A protocol with what was drawn in another: body and arm, base and cameras."""
+    """Return a protocol with the body, arm, base and cameras that were drawn for another one."""
     person = other.person
     update = {name: getattr(person, name) for name in ("body", "shoulder_rotation_deg", "palm_deg")}
     return protocol.model_copy(update={
@@ -75,7 +75,7 @@ def like(protocol: Protocol, other: Protocol) -> Protocol:
 
 
 def settled_draws(protocol: Protocol) -> Protocol:
-    """A drawn protocol (``Drawn.protocol``) from which no seed draws another body, base or camera."""
+    """Return a drawn protocol (``Drawn.protocol``) in a form from which no seed draws another body, base or camera."""
     defaults = {name: Variation.model_fields[name].default for name in DRAWN}
     return protocol.model_copy(update={"variation": protocol.variation.model_copy(update=defaults)})
 

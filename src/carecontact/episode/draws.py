@@ -12,44 +12,44 @@ from carecontact.contract.protocol import Camera, Protocol
 
 STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
            "withdrawal", "calibration", "tissue", "body", "pose", "park", "camera", "bed_height")  # fmt: skip
-"""In the order of the seed's children: a new one goes to the end."""
+"""The names of the streams, in the order of the seed's children; a new one has to go to the end."""
 
 
 def streams(protocol: Protocol, seed: int, salt: str) -> dict[str, np.random.Generator]:
-    """One generator a stream; they depend on ``Protocol.drawn_as``, seed and salt only, so
-    trials are paired over tasks, methods and levels.
+    """Return one generator for each stream. They depend on ``Protocol.drawn_as``, seed and salt only, so that trials
+    are paired over tasks, methods and levels.
 
     Args:
         salt: the trial's secret (``TrialSpec.salt``), without which nobody can tell from a published seed what it
             draws; empty for a run on published seeds.
     """
     if salt:
-        # A hash for each stream, not a seed for all: whoever found out one stream from what it drew would know neither
-        # the salt nor another stream.
+        # Each stream has a hash of its own: whoever inferred one stream from its draws would know neither the salt nor
+        # another stream.
         return {name: np.random.default_rng(words(f"{salt} {protocol.drawn_as} {seed} {name}")) for name in STREAMS}
     children = np.random.SeedSequence([*words(protocol.drawn_as), seed]).spawn(len(STREAMS))
     return {name: np.random.default_rng(child) for name, child in zip(STREAMS, children, strict=True)}
 
 
 def words(text: str) -> list[int]:
-    """Eight numbers of 32 bits, from which a text seeds a generator."""
+    """Return eight numbers of 32 bits that a text gives for seeding a generator."""
     return np.frombuffer(hashlib.sha256(text.encode()).digest(), "<u4").tolist()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Posture:
-    """How a person is laid."""
+    """How a person is laid on the bed."""
 
     comfort_arm_deg: float
     shoulder_rotation_deg: float
     palm_deg: float
     place: tuple[float, float, float]
-    """Shares in -1 to 1 of the protocol's ranges of place, along, across and yaw (``world.place``), so that a person
-    lies farther out on a level with wider ranges, and on the same side."""
+    """Place along, across and yaw as shares, from -1 to 1, of the protocol's ranges (``world.place``). On a level with
+    wider ranges, the same person therefore lies farther out on the same side."""
 
 
 def posture_of(protocol: Protocol, seed: int, salt: str, number: int) -> Posture:
-    """The posture of a seed's ``number``-th draw of a person, from 0."""
+    """Return the posture of draw ``number``, from 0, of a seed's person."""
     drawn, variation, person = streams(protocol, seed, salt), protocol.variation, protocol.person
     angles = drawn["comfort_arm"].uniform(*protocol.randomization.comfort_arm_deg, number + 1)
     turns = drawn["pose"].uniform(0.0, 1.0, (number + 1, 2))[number]
@@ -65,7 +65,7 @@ def posture_of(protocol: Protocol, seed: int, salt: str, number: int) -> Posture
 
 
 def body_of(protocol: Protocol, seed: int, salt: str) -> str:
-    """The body of a seed: bodies are strata, so that each block of seeds has every one of them once."""
+    """Return the body of a seed. Bodies are strata: each block of consecutive seeds has every body once."""
     bodies = protocol.variation.bodies
     if not bodies:
         return protocol.person.body
@@ -74,7 +74,7 @@ def body_of(protocol: Protocol, seed: int, salt: str) -> str:
 
 
 def overhead_of(protocol: Protocol, seed: int, salt: str) -> Camera:
-    """The overhead camera where it really is."""
+    """Return the overhead camera at its true pose."""
     camera, variation = protocol.cameras["overhead"], protocol.variation
     shift, turn = streams(protocol, seed, salt)["camera"].uniform(-1.0, 1.0, (2, 3))
     if not (variation.overhead_shift_m or variation.overhead_turn_deg):
@@ -83,7 +83,7 @@ def overhead_of(protocol: Protocol, seed: int, salt: str) -> Camera:
     ahead = (look - at) / np.linalg.norm(look - at)
     right = np.cross(ahead, up)
     right /= np.linalg.norm(right)
-    # Columns: the camera's axes x right, y up and z back, as MuJoCo has them.
+    # Columns are the camera's axes in MuJoCo's convention: x right, y up, z back.
     axes = np.stack([right, np.cross(right, ahead), -ahead], 1)
     turned = axes @ _rotation(np.radians(variation.overhead_turn_deg) * turn)
     place = at + variation.overhead_shift_m * shift
@@ -94,7 +94,7 @@ def overhead_of(protocol: Protocol, seed: int, salt: str) -> Camera:
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
-    """(3, 3) about a vector by its length [rad]."""
+    """Return the rotation (3, 3) about the direction of a vector (3,) by its length [rad]."""
     angle = float(np.linalg.norm(vector))
     axis = vector / angle if angle else np.array([0.0, 0.0, 1.0])
     return matrix_from_quat(np.array([np.cos(angle / 2), *(np.sin(angle / 2) * axis)]))

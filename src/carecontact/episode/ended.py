@@ -15,17 +15,20 @@ from carecontact.recording.schema import SEGMENTS, EndReason, Failure
 class Ended:
     reason: EndReason
     failure: Failure | None = None
-    """What went wrong, where something did."""
+    """What went wrong; None where nothing did."""
 
 
 class ForceCut:
-    """Ends a trial once any segment bears more than the protocol's multiple of its pain limit."""
+    """Ends a trial as soon as any segment bears more than the protocol's multiple of its pain limit."""
 
     def __init__(self, protocol: Protocol) -> None:
         self._limit_n = np.array([protocol.phases.truncation_over_pain * protocol.f_pain(s) for s in SEGMENTS])
 
     def cut(self, force_n: npt.NDArray[np.float64]) -> Ended | None:
-        """``force_n``: (n, S) norms; None while every one of them is allowed."""
+        """Return how the trial ends, or None while every force is allowed.
+
+        ``force_n``: (n, S) magnitudes [N] of the forces on S segments in n steps.
+        """
         over = force_n > self._limit_n
         if not over.any():
             return None
@@ -35,7 +38,10 @@ class ForceCut:
 
 
 def cut_by_solver(warnings: list[str]) -> Ended | None:
-    """None without warnings. What a period that diverged left in the sensors is not a measurement."""
+    """Return how a trial with warnings of the solver ends; None without warnings.
+
+    The sensor values of a period that diverged are no measurement.
+    """
     if not warnings:
         return None
     failure = Failure(kind="solver", message=f"MuJoCo warning {', '.join(warnings)}")
@@ -43,10 +49,10 @@ def cut_by_solver(warnings: list[str]) -> Ended | None:
 
 
 def cut_by_speed(fastest: tuple[int, float] | None) -> Ended | None:
-    """Return how the trial ends where a robot would have stopped; None while no joint was too fast.
+    """Return how a trial ends in which a real robot would have stopped itself; None while no joint was too fast.
 
     Args:
-        fastest: number of the joint and its speed [rad/s].
+        fastest: number of the fastest joint and its speed [rad/s]; None if no joint exceeded its limit.
     """
     if fastest is None:
         return None

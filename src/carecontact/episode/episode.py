@@ -1,6 +1,6 @@
 """One trial without a policy: give it actions, and it gives observations and a recording.
 
-A trial's process, an environment for learning, the audit and a plain loop all stand on it::
+A trial's worker process, an environment for learning, the audit and your own loop all use it::
 
     with Episode(spec, card=card) as episode:
         observation = episode.reset()
@@ -55,20 +55,21 @@ from carecontact.sim.simulation import lengths
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """What one action led to."""
+    """The result of one action."""
 
     observation: Observation | None
-    """None where none was requested, and once the episode has ended."""
+    """None if none was requested or the episode has ended."""
     terminated: bool
-    """The policy said that it is done, or the benchmark stopped the trial because of a force or diverging physics."""
+    """Whether the policy said that it is done, or the benchmark stopped the trial because of a force or diverging
+    physics."""
     truncated: bool
-    """The time limit was reached."""
+    """Whether the time limit was reached."""
     reason: EndReason | None
     """How the episode ended; None while it goes on."""
 
 
 class Episode:
-    """Use it as a context manager: it holds a renderer, which has to be closed."""
+    """One trial without a policy. Use it as a context manager, because it holds a renderer that has to be closed."""
 
     def __init__(
         self,
@@ -86,8 +87,8 @@ class Episode:
             card: what the policy requests; may be set later, but before ``reset``.
             prepare: gives the world at t = 0; by default ``settled_world`` builds it.
             weights: folder with the weights of the protocol's segmenter.
-            digest: (32,) bytes that the recording keeps for an observation that was sent nowhere; by default zeros.
-                With ``hosting.wire.messages.observation_sha256`` they are those of a trial.
+            digest: gives the 32 bytes that the recording keeps for an observation that was not sent over a wire; by
+                default zeros. With ``hosting.wire.messages.observation_sha256`` they are those of a trial.
 
         Raises:
             ConfigError: the protocol has no such task.
@@ -100,7 +101,7 @@ class Episode:
             raise ConfigError(f"no task {spec.task_id!r} in {spec.protocol.id}; valid: {', '.join(ids)}")
         self.task = spec.protocol.task(spec.task_id)
         self.simulation, self._settled, self._model_sha256 = (prepare or _world)(spec)
-        # From here on with what was drawn: where robot and camera are in this trial.
+        # From here on, the protocol is the drawn one: it says where robot and camera are in this trial.
         self.protocol = like(spec.protocol, self.simulation.protocol)
         self._weights, self._digest = weights, digest or (lambda observation: bytes(32))
         self._wall_s = [started, time.monotonic()]
@@ -120,7 +121,7 @@ class Episode:
         self._equip()
 
     def _equip(self) -> None:
-        """Make what belongs to one compiled world: log, renderer and the memory of the peak. t = 0."""
+        """Make what belongs to one compiled world at t = 0: the log, the renderer and the memory of the peak force."""
         self._cells, self._life = CellLog(self.simulation, self.task.region), LifeLog(self.simulation)
         self.log = TrialLog(
             human_joints=len(self.simulation.joint_names),
@@ -150,7 +151,7 @@ class Episode:
 
     @property
     def card(self) -> PolicyCard | None:
-        """What the policy requests. Raises ConfigError if it is set after ``reset``."""
+        """The policy's card. Setting it after ``reset`` raises ConfigError."""
         return self._card
 
     @card.setter
@@ -161,12 +162,12 @@ class Episode:
 
     @property
     def instruction(self) -> str:
-        """What the policy is asked to do."""
+        """The sentence that the policy receives."""
         return self.task.prompt
 
     @cached_property
     def session(self) -> Session:
-        """What a policy learns before its first observation: limits and cameras, the same in every trial."""
+        """What a policy learns before its first observation: limits and cameras."""
         return Session(
             action_bounds=_bounds_of(self.protocol),
             joint_low_rad=PANDA.joint_low_rad,
@@ -177,18 +178,18 @@ class Episode:
 
     @property
     def space(self) -> ActionSpace:
-        """The card's action space. Raises ConfigError before there is a card."""
+        """The card's action space. Raises ConfigError while the episode has no card."""
         if self.card is None:
             raise ConfigError("Episode: set the card before the action space is used")
         return ACTION_SPACES[self.card.action_space]
 
     @property
     def raw(self) -> RawReadings | None:
-        """What the last observation was made of: for the audit, never for a policy. None before ``reset``."""
+        """The readings behind the last observation, for the audit and never for a policy; None before ``reset``."""
         return None if self._builder is None else self._builder.raw
 
     def reset(self) -> Observation:
-        """The first observation. An episode can be reset once: the world has been consumed then."""
+        """Return the first observation. An episode can be reset only once, because a trial uses up its world."""
         if self.card is None or self._perception is not None:
             raise ConfigError(
                 "Episode.reset: set the card first, and call reset() once; make a new Episode for another trial"
@@ -211,7 +212,7 @@ class Episode:
         return self._observe()
 
     def answered(self, *, sent_sha256: bytes | None = None, notes: Mapping[str, object] | None = None) -> None:
-        """Keep the pending observation as one that the policy has answered; ``step`` does so by itself.
+        """Record that the policy has answered the pending observation; ``step`` does so by itself.
 
         Args:
             sent_sha256: (32,) digest of the message that carried it; by default the episode's ``digest``.
@@ -235,7 +236,7 @@ class Episode:
             observe: whether the next observation is wanted; a chunk of actions needs one only after its last.
 
         Raises:
-            ActionError: it is not an action, or one outside its space; the episode has not moved.
+            ActionError: ``action`` is no action or lies outside its space; the episode is unchanged.
             ConfigError: before ``reset``, after the end, or outside the episode's ``with``.
         """
         if self._perception is None or self._ended is not None or self._closed:
@@ -264,7 +265,10 @@ class Episode:
         return self._outcome(observe=observe)
 
     def _wait(self) -> Step | None:
-        """Let the protocol's latency pass, with the last target in force; returns how the trial ended in it, if so."""
+        """Simulate the protocol's latency while the last target stays in force.
+
+        Returns how the trial ended meanwhile; None if it goes on.
+        """
         steps = round(self.protocol.phases.latency_s / self.protocol.physics.dt_s)
         if steps:
             self._run(steps)
@@ -290,16 +294,18 @@ class Episode:
         )
 
     def fail(self, error: PolicyError) -> None:
-        """End the episode because its policy failed; keeps what the policy was shown last and what it noted of it."""
+        """End the episode because its policy failed; keep the policy's last observation and its notes on it."""
         if self._pending is not None:
             self.log.add_frames(self._pending)
-        # Notes of a step that failed are a courtesy; how it failed is what counts.
+        # If the notes of the failed step cannot be kept either, the policy's first failure is the one to report.
         with suppress(PolicyError):
             self.log.add_notes(error.notes, failed=True)
         self._ended = Ended(reason="process_failure", failure=Failure(kind=error.kind, message=str(error)))
 
     def finish(self) -> Recording:
-        """The recording, with two pictures for its report. Raises ConfigError while the episode has not ended."""
+        """Return the recording, which includes two pictures for the report. Raises ConfigError before the episode has
+        ended.
+        """
         if self._ended is None:
             raise ConfigError("Episode.finish: the episode has not ended; step until it has, or fail() it")
         extra, renders = self.log.extra, self._renderer.renders.copy()
@@ -333,7 +339,7 @@ class Episode:
         return self._pending
 
     def _advance(self, steps: int) -> Ended | None:
-        """Run ``steps`` physics steps; returns why the benchmark stops the trial, if it does."""
+        """Run ``steps`` physics steps. Returns why the benchmark stops the trial; None if it goes on."""
         simulation, physics = self.simulation, self.protocol.physics
         period = round(physics.target_period_s / physics.dt_s)
         while steps > 0:
@@ -357,7 +363,7 @@ class Episode:
 
 
 def _bounds_of(protocol: Protocol) -> ActionBounds:
-    """The workspace and the stiffness that a protocol allows."""
+    """Return the workspace and the range of stiffness that a protocol allows."""
     impedance = protocol.impedance
     return ActionBounds(
         workspace_low_m=impedance.workspace_low_m,

@@ -14,7 +14,7 @@ from carecontact.episode.episode import Episode
 def first_look(
     protocol: Protocol, *, task_id: str, seed: int, card: PolicyCard, weights: Path | None = None, salt: str = ""
 ) -> Observation:
-    """The first observation of a trial, for the modalities and cameras of the card.
+    """Return the first observation of a trial, with the modalities and cameras of the card.
 
     Args:
         weights: folder with the weights of the protocol's segmenter.

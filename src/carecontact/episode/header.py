@@ -26,8 +26,11 @@ def header_of(
     control: str | None,
     privileged: bool = False,
 ) -> Header:
-    """``card``, ``control``: None where the policy never showed its card. ``privileged``: it was given the
-    simulation."""
+    """Return the header of a recording.
+
+    ``card``, ``control``: None if the policy never showed its card. ``privileged``: whether the policy was given the
+    simulation.
+    """
     warnings = simulation.solver_warnings()
     if simulation.normal_sum_truncated:
         warnings.append("normal-force sensor full: normal sums are too small")

@@ -1,4 +1,4 @@
-"""What the person of a trial did by itself, for its recording and never for its policy."""
+"""What the person of a trial did on their own, for the recording and never for the policy."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ F64 = npt.NDArray[np.float64]
 
 
 class LifeLog:
-    """Every method gives arrays by their path; none where the person does nothing by itself."""
+    """Collects the person's own movements. Every method returns arrays by their path; none if the person never moves on
+    their own.
+    """
 
     def __init__(self, simulation: Simulation) -> None:
         self._life, self._data = simulation.life, simulation.data
 
     def constants(self) -> dict[str, npt.NDArray[Any]]:
-        """When the arm changes its place, and by how much, as it was drawn before the trial."""
+        """Return when the arm moves to another place, and by how much, as it was drawn before the trial."""
         if self._life is None:
             return {}
         moves = self._life.moves()
@@ -29,7 +31,7 @@ class LifeLog:
         }
 
     def period(self) -> dict[str, F64]:
-        """What holds at the end of a period."""
+        """Return the values at the end of a control period."""
         if self._life is None:
             return {}
         life, data = self._life, self._data
@@ -39,5 +41,5 @@ class LifeLog:
         }  # fmt: skip
 
     def ended(self) -> dict[str, npt.NDArray[Any]]:
-        """When the arm was withdrawn."""
+        """Return when the person withdrew the arm."""
         return {} if self._life is None else {"scorer/withdrawal_s": self._life.pulls_s(self._data).astype("<f8")}

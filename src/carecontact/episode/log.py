@@ -19,7 +19,8 @@ Arrays = dict[str, npt.NDArray[Any]]
 MAX_LOSSLESS_FRAMES = 64
 MAX_NOTES_BYTES = 32 << 20
 MAX_STEP_NOTES, MAX_NOTES = 64, 4096
-"""Entries of a step's notes, and datasets of all notes of a trial: each costs milliseconds to write, however empty."""
+"""Most entries in the notes of one step, and most datasets in all notes of a trial: each takes milliseconds to write,
+even if it is empty."""
 STATE_PERIOD_S = 1.0
 
 STREAMS = {
@@ -39,14 +40,14 @@ STREAMS = {
 
 
 class Samples(Protocol):
-    """One entry a physics step; the fields are those that STREAMS names."""
+    """Sensor values with one entry for each physics step; STREAMS names the fields."""
 
     @property
     def time_s(self) -> F64: ...
 
 
 class TrialLog:
-    """Every method adds rows; ``arrays`` may be read at any time and ends nothing."""
+    """Collects the streams of one trial: every method adds rows. ``arrays`` may be called at any time."""
 
     def __init__(self, *, human_joints: int, regions: int, constants: Mapping[str, npt.NDArray[Any]]) -> None:
         """
@@ -76,13 +77,13 @@ class TrialLog:
         target_in_base: F64,
         cells: Mapping[str, F64] | None = None,
     ) -> None:
-        """One control period: its samples, and what held at its end, ``time_s``.
+        """Add one control period: its samples, and the values at its end, ``time_s``.
 
         Args:
             indentation_m: (R,) largest indentation of each region.
             target_in_base: (7,) position [m] and quat_wxyz of the impedance target.
-            cells: array path -> what else belongs to the period, such as what each cell felt in it (C,); the same paths
-                in every period of a trial.
+            cells: array path -> further values of the period, such as what each cell felt in it (C,); a trial has the
+                same paths in every period.
         """
         self._cells.append(cells or {})
         self._samples.extend(samples)
@@ -93,16 +94,18 @@ class TrialLog:
         return not self._states or time_s - self._states[-1][0] >= STATE_PERIOD_S - 1e-9
 
     def add_state(self, time_s: float, state: F64) -> None:
-        """``state``: (n,) the simulator's integration state."""
+        """Add a state. ``state``: (n,) the simulator's integration state."""
         self._states.append((time_s, state))
 
     def add_observation(self, observation: Observation, sent_sha256: bytes) -> None:
-        """``sent_sha256``: (32,) digest of the message that carried the observation."""
+        """Add the time of an observation. ``sent_sha256``: 32 bytes, the digest of the message that carried it."""
         self.add_frames(observation)
         self._observations.append((observation.sim_time_s, sent_sha256))
 
     def add_frames(self, observation: Observation) -> None:
-        """Keep the images of the next observation; alone where the policy failed at that step."""
+        """Keep the images of the next observation. If the policy fails at that step, they are all that is kept of
+        it.
+        """
         index = len(self._observations)
         for name, view in observation.cameras.items():
             for modality in ("rgb", "depth"):
@@ -111,7 +114,7 @@ class TrialLog:
                     self._frames[f"policy/frames/{index:04d}/{name}/{modality}"] = image
 
     def add_notes(self, notes: Mapping[str, object], *, failed: bool = False) -> None:
-        """Keep what the policy noted of its latest step; ``failed``: of the step at which it failed.
+        """Keep the policy's notes on its latest step. ``failed``: whether the policy failed at that step.
 
         Raises:
             PolicyError: ``oversize`` for too many entries, arrays or bytes; ``garbage`` for what JSON cannot hold.
@@ -138,7 +141,7 @@ class TrialLog:
         self.extra |= {**arrays, f"{place}/json": np.frombuffer(text, "u1")}
 
     def add_action(self, time_s: float, row: Mapping[str, F64]) -> None:
-        """The action that became the target at ``time_s``.
+        """Add the action that became the target at ``time_s``.
 
         Args:
             row: array path -> its entry; the same paths at every action of a trial.
@@ -146,7 +149,7 @@ class TrialLog:
         self._actions.append((time_s, len(self._observations) - 1, row))
 
     def arrays(self) -> Arrays:
-        """All arrays of the recording so far."""
+        """Return all arrays of the recording so far."""
         out = self._empty | self._constants
         for path, (field, dtype) in STREAMS.items():
             if self._samples:

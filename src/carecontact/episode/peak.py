@@ -1,4 +1,4 @@
-"""The moment of a trial that its report shows: two pictures of it, and the skin as it lay then."""
+"""The moment of a trial that its report shows: two pictures, and the shape of the skin at that moment."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ from carecontact.sim.true_skin import skin_in_world
 
 F64 = npt.NDArray[np.float64]
 MARGIN_M = (0.08, 0.06, 0.06)
-"""How far beyond a region its skin is kept: along it, across it and outward."""
+"""How far [m] beyond a region the skin is kept: along it, across it and outward."""
 
 
 class Peak:
-    """Remembers the state with the largest force on the target, or on anything while the target was never touched."""
+    """Remembers the state with the largest force on the target; while the target has not been touched, on any
+    segment.
+    """
 
     def __init__(self, simulation: Simulation, *, target: int) -> None:
         """``target``: column of the target's segment in the forces."""
@@ -29,7 +31,7 @@ class Peak:
         self._state: F64 | None = None
 
     def look(self, force_n: F64) -> None:
-        """``force_n``: (n, S) norms of the forces of the period that has just ended."""
+        """Consider the period that has just ended. ``force_n``: (n, S) magnitudes [N] of its forces."""
         best = force_n.max(0)
         on_target = bool(best[self._target] > 0)
         segment = self._target if on_target else int(best.argmax())
@@ -39,8 +41,10 @@ class Peak:
             self._time_s, self._state = self._simulation.time_s, self._simulation.integration_state()
 
     def pictures(self, renderer: SceneRenderer, *, region: str) -> Mapping[str, npt.NDArray[Any]]:
-        """The room, the contact from near and the region's skin, at the peak or at the end of a trial without contact,
-        as ``report/*``."""
+        """Return the pictures of the room and of the contact from near, and the region's skin, as ``report/*``.
+
+        They show the peak, or the end of a trial without contact.
+        """
         model = self._simulation.model
         data = mujoco.MjData(model)
         state = self._simulation.integration_state() if self._state is None else self._state
@@ -58,7 +62,7 @@ class Peak:
         }
 
     def _skin(self, data: mujoco.MjData, region: str, shift: F64) -> Mapping[str, npt.NDArray[Any]]:
-        """The skin round the region, dented by ``shift`` (V, 3) [m] as it was then."""
+        """Return the skin around the region, indented by ``shift`` (V, 3) [m] as it was at that moment."""
         scene, model = self._simulation.scene, self._simulation.model
         frame = scene.frames[region]
         bind = np.asarray(model.skin_vert, np.float64).reshape(-1, 3)

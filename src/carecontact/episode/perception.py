@@ -1,4 +1,4 @@
-"""Perception measured against the simulator's truth, beside a trial and out of the policy's sight."""
+"""Measures a trial's perception against the simulator's truth, hidden from the policy."""
 
 from __future__ import annotations
 
@@ -27,11 +27,14 @@ SEGMENT_AT = {
     "shoulder": "upper_arm", "elbow": "forearm", "wrist": "hand", "hip": "thigh", "knee": "shank", "ankle": "foot"
 }  # fmt: skip
 OWN_LIMB_M = 0.16
-"""A surface that much before a joint centre is still its own: the hip joint of the heaviest bodies lies 0.14 m deep."""
+"""A surface up to this distance [m] in front of a joint's centre belongs to the joint's own limb: the hip joint of the
+heaviest bodies lies 0.14 m deep."""
 
 
 class PerceptionLog:
-    """Rows for ``recording.perception``: one render a camera at observations with landmarks or masks, else none."""
+    """Collects rows for ``recording.perception``. It renders each camera once for observations with landmarks or
+    masks.
+    """
 
     def __init__(self, model: mujoco.MjModel, renderer: SceneRenderer) -> None:
         self._model, self._renderer, self._robot = model, renderer, Proprioception(model)
@@ -39,7 +42,7 @@ class PerceptionLog:
         self._seen = 0
 
     def add(self, data: mujoco.MjData, observation: Observation) -> None:
-        """``data`` is the state that the observation shows, and only read."""
+        """Add an observation. ``data``: the state that it shows; it is not changed."""
         index, self._seen = self._seen, self._seen + 1
         looked = {n: v for n, v in observation.cameras.items() if v.landmarks is not None or v.masks is not None}
         if not looked:
@@ -48,7 +51,7 @@ class PerceptionLog:
         skin = self.skin_in_base(data) if any(_finds_targets(view) for view in looked.values()) else None
         for name, view in looked.items():
             truth = self._renderer.truth(data, name)
-            # With encoder noise the policy's camera pose is not the true one.
+            # With noise on the encoders, the camera pose that the policy knows is not the true one.
             pose = self._renderer.pose_camera_in_base(data, name)
             visible, error = landmark_error_px(view, joints, pose, truth)
             self._rows.append(
@@ -61,14 +64,14 @@ class PerceptionLog:
             )  # fmt: skip
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Nothing if no row was added."""
+        """Return the arrays by their path; none if no row was added."""
         if not self._rows:
             return {}
         columns = {path: [row[path.partition("/")[2]] for row in self._rows] for path in ARRAYS}
         return {path: np.array(columns[path], np.dtype(dtype)) for path, (dtype, _, _) in ARRAYS.items()}
 
     def joints_in_base(self, data: mujoco.MjData) -> dict[str, F64]:
-        """JOINTS -> (3,) true centre."""
+        """Return the true centre (3,) [m] of each of JOINTS in the robot's base."""
         found = {}
         for name in JOINTS:
             side, joint = name.split()
@@ -93,21 +96,23 @@ class PerceptionLog:
         return errors
 
     def skin_in_base(self, data: mujoco.MjData) -> F64:
-        """(V, 3) true vertices; faces are the model's."""
+        """Return the true vertices (V, 3) [m] of the skin in the robot's base; their faces are the model's."""
         placed = skin_in_world(self._model, data)
         to_base = self._robot.in_base(data, np.zeros(3), np.eye(3))
         return placed @ to_base[:3, :3].T + to_base[:3, 3]
 
 
 def _finds_targets(view: CameraView) -> bool:
-    """Whether the state machine could look for regions in it."""
+    """Whether a view has what the state machine needs to look for regions."""
     return all(image is not None for image in (view.depth, view.points, view.masks, view.landmarks))
 
 
 def landmark_error_px(
     view: CameraView, joints_in_base: dict[str, F64], pose_camera_in_base: F64, truth: TrueView
 ) -> tuple[Bool, F32]:
-    """(12,) whether the camera really sees each joint's limb there, and (12,) [px] error, NaN where not."""
+    """Return (12,) whether the camera truly sees each joint's limb at its place, and the errors (12,) [px] of the
+    landmarks, NaN where it does not.
+    """
     height, width = truth.human.shape
     visible, error = np.zeros(len(JOINTS), bool), np.full(len(JOINTS), np.nan, np.float32)
     for row, (name, index) in enumerate(JOINTS.items()):
@@ -125,13 +130,15 @@ def landmark_error_px(
 
 
 def iou(found: Bool, true: Bool) -> float:
-    """Intersection over union; 1 where both are empty."""
+    """Return the intersection over union of two masks; 1 if both are empty."""
     union = int((found | true).sum())
     return int((found & true).sum()) / union if union else 1.0
 
 
 def middle_share(model: mujoco.MjModel, region: str) -> float:
-    """Share of a limb's line at which the middle of its region lies; 0 for a region that is not found by a limb."""
+    """Return the share of a limb's line at which the middle of its region lies; 0 for a region that is not on a
+    limb.
+    """
     row = REGIONS[region]
     if not isinstance(row.sight, LimbSight):
         return 0.0
@@ -143,11 +150,11 @@ def true_target(
     region: str, joints_in_base: dict[str, F64], skin_in_base: F64, faces: npt.NDArray[np.integer], *,
     least_share: float = 0.0,
 ) -> tuple[F64, F64]:  # fmt: skip
-    """(3,) the skin above the region's middle and (3,) the horizontal direction of its limb.
+    """Return the place (3,) [m] of the skin above the region's middle and the horizontal direction (3,) of its limb.
 
-    The middle is the one that the shipped policies look for, in the true joint centres: what is measured is perception,
-    not anatomy. On a body whose chest crowds the arm, it is no nearer to the trunk than ``least_share`` of the limb
-    (``middle_share``). Raises ConfigError for a region whose row does not say between which joints it lies.
+    The middle is defined by joint centres, here the true ones, as the shipped policies define it: perception is
+    measured, and not anatomy. On a body whose chest crowds the arm, it is no nearer to the trunk than ``least_share``
+    of the limb (``middle_share``). Raises ConfigError for a region whose row does not say between which joints it lies.
     """
     row = REGIONS[region]
     match row.sight:

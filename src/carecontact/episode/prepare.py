@@ -35,8 +35,8 @@ def settled_world(protocol: Protocol, *, task_id: str, seed: int, salt: str = ""
     region = protocol.task(task_id).region
     drawn = draw(protocol, region=region, seed=seed, salt=salt)
     scene = replace(build_scene(drawn.protocol, target=region), place=drawn.place)
-    # Before anything is changed: looks and place are the seed's, settling writes the seed's rest angles, a policy its
-    # stiffness.
+    # Hash the model before anything changes it: dressing, laying and settling write what the seed draws, and a policy
+    # writes its stiffness.
     model_sha256 = scene.model_sha256
     dress(scene, seed, salt=salt)
     lay(scene, drawn.place)
@@ -73,7 +73,9 @@ def constants_of(simulation: Simulation, settled: Settled) -> Mapping[str, npt.N
 
 
 def _own_law(simulation: Simulation) -> dict[str, npt.NDArray[np.float64]]:
-    """The compiled laws, where any differs from its row in the protocol: by the body's build, or by the seed's draw."""
+    """Return the compiled laws if any differs from its row in the protocol, by the body's build or by the seed's
+    draw.
+    """
     rows = simulation.protocol.person.tissue
     law = np.zeros((len(simulation.protocol.regions), len(fields(Law))))
     declared = law.copy()

@@ -1,4 +1,5 @@
-"""What a seed does to a world: looks, light, place, doings and noise. What it draws before is in ``drawn``."""
+"""What a seed changes in a compiled world: appearance, light, place, movements of the person, noise. ``drawn`` has what
+it draws before."""
 
 from __future__ import annotations
 
@@ -19,15 +20,17 @@ __all__ = ["STREAMS", "calibration", "comfort_arm_deg", "dress", "lay", "sensor_
 
 
 def comfort_arm_deg(protocol: Protocol, seed: int, *, salt: str = "") -> float:
-    """The angle of the seed's first draw of a person; a protocol that parks the robot may refuse it (``drawn``)."""
+    """Return the arm's angle [deg] of the seed's first draw of a person; a protocol that parks the robot may reject
+    that person (``drawn``).
+    """
     low, high = protocol.randomization.comfort_arm_deg
     return float(streams(protocol, seed, salt)["comfort_arm"].uniform(low, high))
 
 
 def dress(scene: Scene, seed: int, *, salt: str = "") -> None:
-    """Give a compiled scene the appearance and light that its protocol varies with the seed; physics stays.
+    """Give a compiled scene the appearance and light that its protocol varies with the seed; the physics is unchanged.
 
-    Once, and before the first image.
+    Call it once, before the first image.
     """
     protocol, stream = scene.protocol, streams(scene.protocol, seed, salt)
     if protocol.variation.appearance == "varied-v1":
@@ -39,7 +42,7 @@ def dress(scene: Scene, seed: int, *, salt: str = "") -> None:
 def lay(scene: Scene, place: Place) -> None:
     """Put the person of a compiled scene where the seed's draw says (``episode.drawn``).
 
-    Once, and before the person settles.
+    Call it once, before the person settles.
     """
     if place != UNMOVED:
         move_person(scene.model, place)
@@ -48,7 +51,8 @@ def lay(scene: Scene, place: Place) -> None:
 def soften(simulation: Simulation, seed: int, *, salt: str = "") -> None:
     """Give the soft regions of a settled world the stiffness that its protocol varies with the seed.
 
-    Once. Nothing touches a soft region while the person settles, so that all draws of a person lie in the same way.
+    Call it once. Nothing touches a soft region while the person settles, so that the stiffness does not change how
+    the person lies.
     """
     scene = simulation.scene
     if scene.protocol.variation.tissue == "published-v1":
@@ -58,7 +62,7 @@ def soften(simulation: Simulation, seed: int, *, salt: str = "") -> None:
 
 
 def wake(simulation: Simulation, seed: int, *, salt: str = "") -> None:
-    """Let the person of a settled world begin what its protocol lets it do by itself; nothing where it does nothing."""
+    """Start the movements that a protocol lets the person of a settled world make on their own, if there are any."""
     protocol = simulation.protocol
     if simulation.life is None or protocol.person.alive == Alive():
         return
@@ -70,15 +74,17 @@ def wake(simulation: Simulation, seed: int, *, salt: str = "") -> None:
 
 
 def calibration(protocol: Protocol, seed: int, *, salt: str = "") -> Calibration:
-    """The error with which the cell of one trial knows its fixed cameras."""
+    """Return the error with which the cell of one trial knows its fixed cameras."""
     return draw_calibration(streams(protocol, seed, salt)["calibration"], protocol)
 
 
 def sensor_noise(protocol: Protocol, seed: int, *, salt: str = "", noise_salt: str = "") -> SensorNoise:
-    """Of one trial; passes everything through where the protocol names no noise. ``noise_salt``: the trial's own,
-    without which, and without a ``salt``, the noise reveals the seed."""
+    """Return the sensor noise of one trial, which changes nothing if the protocol names no noise.
+
+    ``noise_salt``: the trial's own. Without it, and without a ``salt``, the noise would reveal the seed.
+    """
     key = streams(protocol, seed, salt)["sensor_noise"].integers(2**32, size=4).tolist()
     if noise_salt:
-        # One way: not even the whole noise of a trial gives salt or seed back.
+        # A hash works one way: not even the whole noise of a trial reveals salt or seed.
         key = words(f"{noise_salt} {key}")
     return SensorNoise(protocol.variation, key=key, dt_s=protocol.physics.dt_s)

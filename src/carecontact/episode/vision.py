@@ -12,9 +12,12 @@ from carecontact.observation.weights import weights_sha256
 
 
 def person_segmenter(protocol: Protocol, weights: Path | None = None) -> PersonSegmenter | None:
-    """Return None for mediapipe, whose key-point estimator segments as well. ``weights``: folder of the other's.
+    """Return the protocol's segmenter; None for mediapipe, whose key-point estimator segments as well.
 
-    Raises ConfigError for missing weights, broken ones, or others than the protocol's; DependencyError.
+    ``weights``: folder with the weights of any other segmenter.
+
+    Raises ConfigError for weights that are missing, broken or not the protocol's, and DependencyError for a missing
+    package.
     """
     wanted = protocol.vision
     if wanted.segmenter == "mediapipe":

@@ -11,14 +11,14 @@ from carecontact.policies.motion import CONTROL_HZ
 F64 = npt.NDArray[np.float64]
 
 RAMP_S = 2.0
-"""From the start, over which the followed movement is taken on: the arm begins at rest."""
+"""Time [s] after the start in which the robot takes on the movement that it follows, because it begins at rest."""
 SMOOTHING = 0.3
-"""Share of the newest velocity of the skin in its running mean."""
+"""Share of the newest velocity of the skin in the exponential running mean of this velocity."""
 MOST_LEAD_M = 0.03
 
 
 class Follower:
-    """Of one region. ``follow`` is called once in every control period."""
+    """Follows one region of the person. Call ``follow`` once in every control period."""
 
     def __init__(self, truth: Truth) -> None:
         impedance = truth.simulation.protocol.impedance
@@ -30,7 +30,7 @@ class Follower:
         self._count = 0
 
     def follow(self, place: F64) -> F64:
-        """Where a target (3,) belongs now that was planned when this object was made."""
+        """Return where a target (3,) [m], planned when this object was made, belongs now that the region has moved."""
         now = self._truth.frame()
         moved, before = (displaced(place, self._first, frame) for frame in (now, self._last))
         self._last = now

@@ -21,16 +21,16 @@ F64 = npt.NDArray[np.float64]
 TILTS_RAD = (0.0, 0.2, 0.4)
 YAWS_DEG = (0, 45, -45, 90, 135)
 CLEAR_M = 0.03
-"""Enough: twice the deepest breath's movement of the chest, 15 mm."""
+"""Enough room [m]: twice the 15 mm by which the deepest breath moves the chest."""
 PRESSED_M = 0.010
-"""The tool is looked at this far below the skin, about where a press of 3 N holds it."""
+"""Depth [m] below the skin at which the tool is tried: about where a press of 3 N holds it."""
 POSE_ERROR_M = 3e-3
 JOINT_MARGIN_RAD = 0.05
 STEPS = (14, 5)
-"""Points of the way to the first place and between two places at which a posture is found."""
+"""Number of points at which a posture is computed: on the way to the first place, and between two places."""
 ITERATIONS = 3
 POSTURE_GAIN = 0.1
-"""Share by which each iteration goes back to the parked posture in the null space, as the impedance's posture does."""
+"""Share by which each iteration returns to the parked posture in the null space, as the robot's impedance does."""
 LINKS = ("hand", "link7", "link6", "link5")
 
 
@@ -40,7 +40,7 @@ class Held:
 
     quat_wxyz: F64
     reached: bool
-    """Whether a posture within the joints' ranges exists all the way."""
+    """Whether the joints can stay within their ranges along the whole way."""
     clear_m: float
     """Least distance of hand and wrist from the rest of the person, at most CLEAR_M."""
 
@@ -50,8 +50,11 @@ class Held:
 
 
 def hold(simulation: Simulation, region: str, places: F64) -> Held:
-    """Return the first way of holding the hand that reaches (n, 3) ``places`` of the skin in base with CLEAR_M around,
-    the least turned and leant ones first; if none has that much room, the one with most."""
+    """Return how to hold the hand for touching (n, 3) ``places`` of the skin [m], given in the robot's base.
+
+    Ways of holding are tried from the least turned and leant one on. The first that reaches all places and keeps
+    CLEAR_M from the rest of the person is returned; if none keeps so far away, the one that keeps farthest.
+    """
     arm = _Arm(simulation, region)
     found: list[Held] = []
     for quat in _ways(simulation, places[0]):
@@ -62,7 +65,7 @@ def hold(simulation: Simulation, region: str, places: F64) -> Held:
 
 
 def _ways(simulation: Simulation, place: F64) -> Iterator[F64]:
-    """(4,) orientations of the tool, pointing down or leant away from the trunk, the shoulder or the bed."""
+    """Yield orientations (4,) of the tool that point down or lean away from the trunk, the shoulder or the bed."""
     data, robot = simulation.data, simulation.robot
 
     def from_body(name: str) -> F64:
@@ -79,7 +82,7 @@ def _ways(simulation: Simulation, place: F64) -> Iterator[F64]:
 
 
 class _Arm:
-    """Postures of the robot among the person, in a copy of the state."""
+    """Tries postures of the robot beside the person, in a copy of the simulation's state."""
 
     def __init__(self, simulation: Simulation, region: str) -> None:
         model = self._model = simulation.model

@@ -29,20 +29,22 @@ from carecontact.sim.simulation import Simulation
 F64 = npt.NDArray[np.float64]
 
 AGAIN = 0.6
-"""Share of a trial's time in which a motion that lost the person is planned once more where the person lies then."""
+"""If a motion loses the person before this share of the trial's time, the oracle plans it once more for where the
+person lies then."""
 DWELL_S = 0.8
-"""At the end of a stroke: twice the time constant of the impedance, so that the tool gets there."""
+"""Wait [s] at the end of a stroke: twice the time constant of the impedance, so that the tool arrives."""
 ROOM_M = 0.020
-"""Most room before the near end of a short region: 3 N of friction take 8 mm from a stroke, at 400 N/m."""
+"""Largest distance [m] by which a stroke begins before the near end of a short region. At 400 N/m, 3 N of friction
+shorten a stroke by 8 mm."""
 STROKES = 2
-"""Times back and forth: five passes with the one before them, where three are needed, because a person who moves the
-arm takes the skin from under one or two."""
+"""Times back and forth. With the pass before them they make five passes, where three are needed: a person who moves the
+arm spoils one or two."""
 
 
 class Oracle:
-    """Knows where skin, limbs and board are, and the contact force; chooses a motion once and follows the person.
+    """Is given the true skin, limbs, arm board and contact force; chooses a motion once and follows the person with it.
 
-    It ends the trial without touching where no primitive reaches the region, and says why in its notes.
+    Where no primitive reaches the region, it ends the trial without touching and gives the reason in its notes.
     """
 
     card = PolicyCard(name="oracle", cameras=(), control_hz=CONTROL_HZ)
@@ -50,9 +52,9 @@ class Oracle:
     def __init__(self, simulation: Simulation, task: Task, bounds: ActionBounds) -> None:
         """
         Args:
-            simulation: of the trial, at t = 0. It is read and never changed.
+            simulation: the trial's, at t = 0. The oracle reads it and never changes it.
             task: the region and the action that the instruction means.
-            bounds: workspace of the targets.
+            bounds: the workspace that every target must lie in.
         """
         self._simulation, self._task, self._bounds = simulation, task, bounds
         self._motion: Press | Push | None = None
@@ -74,7 +76,7 @@ class Oracle:
         return replace(inside, done=motion.ended)
 
     def take_notes(self) -> dict[str, object]:
-        """Return how the hand is held, or why nothing was touched."""
+        """Return the notes: how the hand is held, or why the oracle touched nothing."""
         notes, self._notes = self._notes, {}
         return notes
 
@@ -94,7 +96,7 @@ class Oracle:
         return Press(truth, plan, rests=self._task.action == "touch")
 
     def _held(self, contact: Sequence[Leg]) -> list[Leg]:
-        """The motion at the person with the hand turned clear of the rest of the person."""
+        """Turn the hand of a motion so that it keeps clear of the rest of the person."""
         held = hold(self._simulation, self._task.region, _places(contact))
         self._notes |= {
             "hand_quat_wxyz": held.quat_wxyz.round(4).tolist(), "hand_clear_mm": round(1000 * held.clear_m, 1),
@@ -106,7 +108,7 @@ class Oracle:
 
 
 def _pressed(geometry: RegionGeometry, action: str) -> list[Leg]:
-    """On the skin and not below it: the depth is what the force wants (``oracle.press``)."""
+    """Put the motion on the skin instead of below it, because the force control adds the depth (``oracle.press``)."""
     if action == "touch":
         return touch(geometry, key_point=0.5, depth_m=0.0, speed_m_s=fixed.TOUCH_SPEEDS_M_S[0])
     legs = scrub(_with_room(geometry), key_point=0.5, depth_m=0.0, speed_m_s=fixed.SCRUB_SPEEDS_M_S[0])
@@ -115,8 +117,9 @@ def _pressed(geometry: RegionGeometry, action: str) -> list[Leg]:
 
 
 def _with_room(geometry: RegionGeometry) -> RegionGeometry:
-    """The region, and where it is short, some of what lies before its near end: friction ends a stroke early, and at
-    the far end there is a joint."""
+    """Lengthen a short region at its near end. Friction ends a stroke early, and the far end has no room because a
+    joint lies there.
+    """
     whole = fixed.SCRUB_HALF_STROKE_M + fixed.SCRUB_END_MARGIN_M
     room = float(np.clip(whole - geometry.half_length_m, 0.0, ROOM_M / 2))
     return replace(
@@ -139,7 +142,7 @@ def _pushed(geometry: RegionGeometry) -> list[Leg]:
 
 
 def _places(contact: Sequence[Leg]) -> F64:
-    """(n, 3) where the tool comes down, and both ends of every stroke."""
+    """Return the places (n, 3) [m] where the tool comes down, and both ends of every stroke."""
     down, *strokes = contact[1:-1]
     ends = [leg.points[[0, -1]] for leg in strokes[:2]]
     return np.vstack([down.points[-1:], *ends])

@@ -1,4 +1,4 @@
-"""Touch and scrub as the oracle does them: the state machine's way, carried along by the skin, pressed to a force."""
+"""How the oracle touches and scrubs: on the state machine's path, which moves with the skin, at a chosen force."""
 
 from __future__ import annotations
 
@@ -18,24 +18,25 @@ F64 = npt.NDArray[np.float64]
 FORCE_N = 3.0
 """A light, clear press: the middle, as a ratio, of the 1 to 8 N in which people wash (design of gates-v2)."""
 LEAST_N = 1.5
-"""With less, the way along the skin waits until the press is back."""
+"""Below this force [N], the tool stops along the skin until it presses again."""
 MOST_N = 5.0
-"""With more, a touch is not steady."""
+"""Above this force [N], a touch does not count as steady."""
 STEADY_S = 1.3
-"""A touch rests until it was steady for so long without interruption; 1 s is asked for."""
+"""A touch lasts until it was steady for this time [s] without interruption; the gate asks for 1 s."""
 PATIENCE_S = 5.0
-"""How long it waits in all; then it goes on as it is."""
+"""Longest time [s] that it waits for a steady touch; then it goes on without one."""
 GAIN_M_NS = 0.006
-"""Change of depth per second and newton. With 400 N/m and soft tissue, 1 N is about 3.5 mm: the loop closes in 0.6 s,
-twice the time that the impedance lags behind its target."""
+"""Rate of change of the depth [m/s] for each newton that the force is off. At 400 N/m on soft tissue, 1 N is about
+3.5 mm, so that the loop has a time constant of 0.6 s, twice the lag of the impedance behind its target."""
 DEEPEST_M = 0.06
-"""At most 24 N at 400 N/m, whatever the force is believed to be."""
+"""Largest depth [m] of the target. At 400 N/m it limits the force to 24 N, whatever force was measured."""
 MOST_LEAD_M = 0.008
-"""Of a target ahead of a tool that rubs: the friction of 3 N on a dry belly, at 400 N/m."""
+"""Largest lead [m] of the target over a tool that rubs: at 400 N/m, what the friction of a 3 N press on dry skin
+takes."""
 SMOOTHING = 0.3
-"""Share of the newest value in the running mean of that friction."""
+"""Share of the newest value in the exponential running mean of that lead."""
 FIRST_IN_CONTACT = 3
-"""Number of the leg that comes down; the two before the last go up and away."""
+"""Index of the leg that brings the tool down; the two legs before the last one take it up and away."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,12 +44,12 @@ class Stage:
     """One control period of a plan."""
 
     pose: F64
-    """(7,) in base where the person lay when it was planned."""
+    """(7,) target pose in the robot's base, for where the person lay at the time of planning."""
     presses: bool
 
 
 def stages(legs: Sequence[Leg], start_pose: F64) -> list[Stage]:
-    """The whole way of a touch or a scrub; it presses from where it has come down until it goes up."""
+    """Return all control periods of a touch or a scrub. The tool presses between coming down and going up."""
     out: list[Stage] = []
     at = start_pose
     for number, leg in enumerate(legs):
@@ -64,10 +65,10 @@ def stages(legs: Sequence[Leg], start_pose: F64) -> list[Stage]:
 
 
 class Press:
-    """Gives one target after another; ``ended`` after the last."""
+    """Gives one target for each control period; ``ended`` is true after the last one."""
 
     def __init__(self, truth: Truth, plan: Sequence[Stage], *, rests: bool) -> None:
-        """``rests``: whether the tool stays where it came down until the force was steady."""
+        """``rests``: whether the tool stays where it came down until the force has been steady."""
         self._truth, self._plan, self._follower = truth, plan, Follower(truth)
         self._rests_until = max(k for k, stage in enumerate(plan) if stage.presses) if rests else -1
         self._at, self._depth_m, self._waited = 0, 0.0, 0
@@ -76,7 +77,7 @@ class Press:
 
     @property
     def succeeded(self) -> bool:
-        """Whether the skin was always there to press on within its patience."""
+        """Whether all waits for the skin together stayed below PATIENCE_S."""
         return self._waited < PATIENCE_S * CONTROL_HZ
 
     @property
@@ -84,7 +85,7 @@ class Press:
         return self._at >= len(self._plan)
 
     def act(self) -> Action:
-        """The target for the next control period."""
+        """Return the target for the next control period."""
         stage, force = self._plan[self._at], self._truth.force_n()
         place = self._follower.follow(stage.pose[:3])
         waits = False
@@ -101,7 +102,7 @@ class Press:
         return Action(pose_tcp_in_base=np.concatenate([place, stage.pose[3:]]))
 
     def _ahead(self) -> F64:
-        """(3,) level way from the target by which friction keeps the tool back [m]."""
+        """Return the horizontal vector (3,) [m] by which friction holds the tool back from its target."""
         wanted = self._truth.force() * [1, 1, 0] / self._truth.simulation.protocol.impedance.translational_n_m
         wanted *= min(1.0, MOST_LEAD_M / max(float(np.linalg.norm(wanted)), 1e-9))
         self._lead_m += SMOOTHING * (wanted - self._lead_m)

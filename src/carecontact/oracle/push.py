@@ -1,4 +1,4 @@
-"""A push as the oracle does it: beside the limb where it lies now, then on until the wrist has moved."""
+"""How the oracle pushes: it brings the tool beside the limb, then pushes until the wrist has moved."""
 
 from __future__ import annotations
 
@@ -16,28 +16,31 @@ F64 = npt.NDArray[np.float64]
 
 SPEED_M_S = 0.06
 BACK_M_S = FREE_SPEED_M_S
-"""As fast as the impedance's target may go: a person who moves the arm against the tool is given way to."""
+"""Speed [m/s] of retreat, the fastest that the impedance's target may have: the tool gives way to a person who moves
+the arm against it."""
 WRIST_M = 0.030
-"""Between the 20 mm that a push must move the wrist by and the 100 mm that would be rough."""
+"""Distance [m] by which the oracle moves the wrist: a push needs at least 20 mm, and more than 100 mm is rough."""
 MOST_WRIST_M = 0.075
-"""Where a person who moves the arm as well takes the wrist so far, the tool lets go before the 100 mm."""
+"""Displacement [m] of the wrist at which the tool lets go, because the person moves the arm as well: less than 100
+mm."""
 HOLDS_N = 4.0
-"""Over the 3 N that count as a push."""
+"""Force [N] of the push, above the 3 N from which contact counts as a push."""
 MOST_N = 18.0
-"""Under the 20 N at which a person may withdraw the arm."""
+"""Largest force [N], below the 20 N at which a person may withdraw the arm."""
 TOUCHES_N = 0.5
 HOLD_S = 1.2
 FARTHEST_M = 0.20
-"""Of the target past where the limb's side was: then the tool goes back, whatever was reached."""
+"""Largest distance [m] of the target beyond the place where the limb's side was; from there the tool always goes
+back."""
 PUSHES = 4
-"""Number of the leg that pushes."""
+"""Index of the leg that pushes."""
 
 
 class Push:
-    """Gives one target after another; ``ended`` after the last."""
+    """Gives one target for each control period; ``ended`` is true after the last one."""
 
     def __init__(self, truth: Truth, legs: Sequence[Leg], start_pose: F64) -> None:
-        """``legs``: a whole way whose push ends where the tool just touches the limb."""
+        """``legs``: all legs of a push that ends where the tool just touches the limb."""
         self._truth, self._follower = truth, Follower(truth)
         low, touching = legs[PUSHES - 1].points[-1], legs[PUSHES].points[-1]
         self._way = (touching - low) / np.linalg.norm(touching - low)
@@ -47,12 +50,12 @@ class Push:
         self._after = list(sample(legs[PUSHES + 1 :], at, control_hz=CONTROL_HZ))
         self._low = low
         self._from: F64 | None = None
-        """Where the push began, once it has."""
+        """Place where the push began; None before it."""
         self._on_m, self._held, self._wrist, self._went_too_far = 0.0, 0, None, False
 
     @property
     def succeeded(self) -> bool:
-        """Whether the push was held; otherwise the limb went where the tool did not follow."""
+        """Whether the push kept its force for long enough; if not, the limb moved where the tool did not follow."""
         return self._held >= HOLD_S * CONTROL_HZ
 
     @property
@@ -60,14 +63,14 @@ class Push:
         return not self._ahead and not self._after
 
     def act(self) -> Action:
-        """The target for the next control period."""
+        """Return the target for the next control period."""
         if self._ahead:
             pose = self._ahead.pop(0)
             return Action(pose_tcp_in_base=np.concatenate([self._follower.follow(pose[:3]), pose[3:]]))
         return Action(pose_tcp_in_base=self._beside())
 
     def _beside(self) -> F64:
-        """(7,) target from where the push begins."""
+        """Return the target pose (7,) from which the push begins."""
         if self._from is None:
             # From here on the limb moves because it is pushed: the target no longer follows it.
             self._from = self._follower.follow(self._low)

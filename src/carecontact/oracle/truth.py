@@ -1,4 +1,4 @@
-"""What the oracle knows and no policy may: where skin, limbs and board really are, and the contact force."""
+"""What the oracle knows and no other policy may know: the true skin, limbs and arm board, and the contact force."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ BOARD = "bed_armboard"
 PROFILE = np.linspace(0.1, 0.9, 17)
 """Shares of the region's length at which the top surface is read, as ``sight.region`` does."""
 COLUMN_M = 0.010
-"""Half width of the patch whose highest point is the top: the shell's vertices are at most 10 mm apart there."""
+"""Half width [m] of the patch whose highest vertex counts as the top of the skin. The shell's vertices there are at
+most 10 mm apart."""
 HARD_M = 0.005
-"""Before the end of the shell, beyond which a tool meets bone."""
+"""Distance [m] that is kept from the end of the shell, beyond which a tool meets bone."""
 FORCE_WINDOW = 10
-"""Physics steps whose mean is the force now: one period of the impedance's target."""
+"""Number of physics steps over which the contact force is averaged: one update period of the impedance's target."""
 
 
 class Truth:
-    """Of one region in one simulation that runs. Poses are in the robot's base."""
+    """The truth about one region in a running simulation. All poses and places are in the robot's base [m]."""
 
     def __init__(self, simulation: Simulation, region: str) -> None:
         """Raises ContractError for a region without a soft shell or whose joints are unknown."""
@@ -38,16 +39,16 @@ class Truth:
         self._net = simulation.history.columns(f"net_{REGIONS[region].segment}")
 
     def frame(self) -> F64:
-        """(4, 4) pose of the region's frame, which moves with the bone and, on a trunk that breathes, with it."""
+        """(4, 4) pose of the region's frame, which moves with the bone and with breathing."""
         site = self.simulation.data.site(f"region_{self.region}")
         return self.simulation.robot.in_base(self.simulation.data, site.xpos, site.xmat)
 
     def wrist(self) -> F64:
-        """(3,) of the right wrist."""
+        """(3,) place of the right wrist."""
         return self._in_base(self.simulation.data.body(body_name("right_hand")).xpos[None])[0]
 
     def force(self) -> F64:
-        """(3,) the robot's force on the region's segment, on its shell and on its core [N]."""
+        """(3,) the robot's force [N] on the region's segment: on its soft shell and its rigid core together."""
         if self.simulation.time_s == 0.0:
             return np.zeros(3)
         rigid = self.simulation.history.last(self.simulation.data, FORCE_WINDOW)[1][:, self._net][:, :3]
@@ -56,7 +57,7 @@ class Truth:
         return to_base[:3, :3] @ (rigid + soft).mean(0)
 
     def force_n(self) -> float:
-        """Its size."""
+        """Magnitude of ``force`` [N]."""
         return float(np.linalg.norm(self.force()))
 
     def surface(self) -> F64:
@@ -70,7 +71,7 @@ class Truth:
         return self._in_base(skin_in_world(self.simulation.model, self.simulation.data))
 
     def support_height(self) -> float:
-        """Top of the arm board."""
+        """Height [m] of the top of the arm board."""
         board = self.simulation.model.geom(BOARD)
         top = self.simulation.data.geom(BOARD).xpos + [0.0, 0.0, board.size[2]]
         return float(self._in_base(top[None])[0, 2])
@@ -103,8 +104,9 @@ class Truth:
         )  # fmt: skip
 
     def _line(self) -> tuple[F64, F64]:
-        """(3,) and (3,) places on the skin over the ends of the region's axis, as the scorer measures it and as far as
-        it is soft, nearer the trunk (abdomen: the feet) first."""
+        """Return two places (3,) on the skin above the ends of the region's axis, as the scorer measures this axis, but
+        only as far as the region is soft. The end nearer to the trunk (abdomen: to the feet) comes first.
+        """
         frame, (length, _, outward) = self.frame(), self.simulation.scene.frames[self.region].size_m
         soft = (self.surface() - frame[:3, 3]) @ frame[:3, 0]
         low, high = max(-length / 2, soft.min() + HARD_M), min(length / 2, soft.max() - HARD_M)
@@ -122,13 +124,15 @@ def _top(points: F64, along: F64, across: F64) -> float:
 
 
 def displaced(points: F64, before: F64, now: F64) -> F64:
-    """Where (n, 3) points of a frame lie after it moved from pose ``before`` (4, 4) to ``now`` (4, 4)."""
+    """Return where (n, 3) points lie after the frame that they belong to moved from pose ``before`` (4, 4) to
+    ``now``.
+    """
     moved = now @ np.linalg.inv(before)
     return points @ moved[:3, :3].T + moved[:3, 3]
 
 
 def copy_of_robot(simulation: Simulation) -> mujoco.MjData:
-    """A state like the simulation's, for trying postures of the robot in it."""
+    """Return a copy of the simulation's state in which postures of the robot can be tried."""
     data = mujoco.MjData(simulation.model)
     data.qpos[:] = simulation.data.qpos
     mujoco.mj_kinematics(simulation.model, data)

@@ -1,4 +1,4 @@
-"""Targets for the Cartesian impedance: a pose of the tool and, if the policy likes, how compliant the tool is."""
+"""Targets for the Cartesian impedance: a pose of the tool and, if the action has it, the tool's compliance."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ class CartesianPose(Driver):
         self._used: set[str] = set()
 
     def check(self, action: Action) -> None:
-        """Raises ActionError for an axis with neither a spring nor a feedforward: nothing would hold the tool there."""
+        """Raise ActionError for an axis with neither stiffness nor feedforward, because nothing would hold the tool
+        there.
+        """
         stiffness = self._stiffness if action.stiffness is None else _per_axis(action.stiffness)
         wrench = self._wrench if action.wrench_in_tcp is None else action.wrench_in_tcp
         loose = [axis for axis, k, w in zip(AXES, stiffness, wrench, strict=True) if k == 0 and w == 0]
@@ -60,7 +62,7 @@ class CartesianPose(Driver):
             "actions/pose_tcp_in_base": (
                 np.full(7, np.nan) if action.pose_tcp_in_base is None else action.pose_tcp_in_base
             ),
-            # Of six axes the stiffest: what a metric that knows two numbers should see.
+            # Metrics know two numbers: each is that of the stiffest of its three axes.
             "actions/stiffness": np.array([self._stiffness[:3].max(), self._stiffness[3:].max()]),
             PER_AXIS: self._stiffness,
             DAMPING: np.array(self._damping_ratio),
@@ -73,5 +75,5 @@ class CartesianPose(Driver):
 
 
 def _per_axis(stiffness: tuple[float, ...]) -> npt.NDArray[np.float64]:
-    """(2,) or (6,) -> (6,)"""
+    """Expand stiffness (2,), translational and rotational, to one value for each axis (6,); (6,) stays as it is."""
     return np.repeat(stiffness, 3) if len(stiffness) == 2 else np.array(stiffness)

@@ -37,7 +37,9 @@ class Driver(ABC):
 
     @property
     def unused(self) -> frozenset[str]:
-        """Paths of ``apply`` that no action has used so far: a recording that ends now leaves them out."""
+        """Return the paths of ``apply`` that no action has used so far; a recording that ends now leaves these arrays
+        out.
+        """
         return frozenset()
 
 

@@ -14,8 +14,8 @@ from carecontact.episode.drivers.driver import Driver
 F64 = npt.NDArray[np.float64]
 
 DROID_STEP_RAD = 0.2
-"""Change of the target per control period at a normalised velocity of 1 (relative_max_joint_delta in DROID's
-droid/robot_ik/robot_ik_solver.py)."""
+"""Change of the target [rad] in one control period at a normalised velocity of 1 (``relative_max_joint_delta`` in
+DROID's droid/robot_ik/robot_ik_solver.py)."""
 
 
 class JointDriver(Driver):
@@ -33,7 +33,7 @@ class JointDriver(Driver):
 
     @abstractmethod
     def _target(self, joint: F64) -> F64:
-        """(7,) numbers of an action -> (7,) joint target [rad]."""
+        """Turn the numbers (7,) of an action into joint targets (7,) [rad]."""
 
 
 class JointPosition(JointDriver):
@@ -42,7 +42,9 @@ class JointPosition(JointDriver):
 
 
 class DroidJointVelocity(JointDriver):
-    """The target starts from the measured angles, not from the last target: pushing does not wind it up."""
+    """Adds each velocity to the measured angles and not to the last target, so that the target does not run away while
+    the robot pushes.
+    """
 
     def _target(self, joint: F64) -> F64:
         return self.simulation.robot.joint_position(self.simulation.data) + DROID_STEP_RAD * joint / max(

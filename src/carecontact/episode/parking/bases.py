@@ -1,4 +1,4 @@
-"""Draws bases until one serves."""
+"""Draws places for the robot's base until one serves."""
 
 from __future__ import annotations
 
@@ -12,21 +12,24 @@ from carecontact.contract.protocol import Parking
 from carecontact.episode.parking.grounds import Base, Ground, Refusal
 
 NEAREST_STEP = 0.005
-"""``nearest``: the share of the spread by which the draws reach farther with each of them."""
+"""For parking ``nearest``: with each further draw, the range of the draws grows by this share of the whole range."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Search:
     base: Base | None
-    """None: no draw served."""
+    """The base that serves; None if no draw served."""
     refused: tuple[Refusal, ...]
-    """Why each draw before it was refused."""
+    """Why each earlier draw was refused."""
 
 
 def search(
     ground: Ground, region: str, parking: Parking, *, place: np.random.Generator, height: np.random.Generator
 ) -> Search:
-    """Judge draws until one serves the region. ``place``, ``height``: streams; each draw uses its own part of both."""
+    """Judge draws of a base until one serves the region.
+
+    ``place``, ``height``: random streams; each draw uses its own part of both.
+    """
     refused: list[Refusal] = []
     for base in draws(parking, region, place=place, height=height):
         reason = ground.refusal(base, region)
@@ -37,7 +40,7 @@ def search(
 
 
 def draws(parking: Parking, region: str, *, place: np.random.Generator, height: np.random.Generator) -> Iterator[Base]:
-    """As many bases as the protocol tries, in their order."""
+    """Yield as many bases as the protocol tries, in their order."""
     level, upright = _of_region(place, region), _of_region(height, region)
     middle, spread = np.array(parking.centre_m), np.array(parking.spread_m)
     for number in range(parking.tries):
@@ -52,6 +55,8 @@ def draws(parking: Parking, region: str, *, place: np.random.Generator, height: 
 
 
 def _of_region(stream: np.random.Generator, region: str) -> np.random.Generator:
-    """A region's own generator, so that no region's draws depend on how many another one needed."""
+    """Return a generator for one region alone, so that its draws do not depend on how many draws another region
+    needed.
+    """
     words = np.frombuffer(hashlib.sha256(region.encode()).digest(), "<u4").tolist()
     return np.random.default_rng([*stream.integers(2**32, size=4).tolist(), *words])

@@ -1,4 +1,4 @@
-"""Whether the robot may stand at a place: the checks on one base beside one person, from the cheapest on."""
+"""Whether the robot may stand at a place: the checks of one base beside one person, beginning with the cheapest."""
 
 from __future__ import annotations
 
@@ -25,62 +25,65 @@ cannot follow the straight way to a target; a joint comes to the end of its rang
 HOVER_M, PRESS_M = 0.07, -0.02
 """Heights over the skin that the tool must reach: above every hover of the shipped policies, and as deep as a press."""
 WRIST_M, MOVED_WRIST_M = (0.30, 0.695), (0.26, 0.712)
-"""Of the wrist from the robot's shoulder. The second is the state machine's comfortable range, and holds once the
-person has moved the arm. What a policy sees is off by some millimetres, so that less is allowed at first."""
+"""Least and largest distance [m] of the person's wrist from the robot's shoulder. The second pair is the state
+machine's comfortable range and holds after the person has moved the arm. The first is narrower, because what a policy
+sees is off by some millimetres."""
 SHOULDER_HEIGHT_M, WRIST_OFFSET_M, WRIST_TO_TCP_M = 0.333, 0.088, 0.107 + 0.117
-"""Of the Panda (data sheet), with this tool: ``policies.state_machine.fixed_values``."""
+"""Dimensions [m] of the Panda (data sheet) with this tool, as in ``policies.state_machine.fixed_values``."""
 INSIDE_M = 0.02
-"""Of the workspace: no target is nearer to its sides."""
+"""Least distance [m] of every target from the sides of the workspace."""
 BED_HALF_WIDTH_M, BED_GAP_M = 0.45, 0.10
 BOARD_GAP_M, LIMB_GAP_M, MOVED_LIMB_GAP_M = 0.09, 0.22, 0.17
-"""From the pedestal's axis, to the middle of the limb, and to that of a limb that the person has moved. The pedestal
-has a radius of 0.09 m, and its plate 0.125 m."""
+"""Least distance [m] of the pedestal's axis from the arm board, from the middle of the limb, and from the middle of a
+limb that the person has moved. The pedestal has a radius of 0.09 m, and its plate one of 0.125 m."""
 TOOL_GAP_M = 0.10
-"""From the parked tool to the person's skin, also of a moved arm, and in the picture to the middle of the limb."""
+"""Least distance [m] of the parked tool from the person's skin, also after the arm has moved, and in the picture from
+the middle of the limb."""
 LINK_SHADOW_M, BODY_SHADOW_M = 0.14, 0.27
-"""In the overhead image, at the height of the limb: from the line of a link to the line of the limb (half a link, half
-a limb and 20 mm), and to the middle of the pelvis, so that the trunk is seen."""
+"""Least distance [m] in the overhead image, measured at the height of the limb: of a link's line from the limb's line
+(half a link, half a limb and 20 mm), and from the middle of the pelvis, so that the trunk is visible."""
 LIMB_OVER_BED_M = 0.08
 PUSH_OVER_BOARD_M = 0.018
-"""Height of a tool that pushes a limb aside."""
+"""Height [m] over the arm board of a tool that pushes a limb aside."""
 PATH_STEPS, PATH_ERROR = 16, 3e-3
-"""Steps of the straight way, and the largest error in it: [m] and [rad] in one norm."""
+"""Number of steps of the straight path, and the largest error along it: one norm of [m] and [rad]."""
 LEAST_MARGIN, LEAST_MANIPULABILITY = 0.05, 0.025
-"""Share of half a joint's range; sqrt(det(J J^T)), of which the worst target of the fixed base has 0.05."""
+"""Least distance of a joint from the end of its range, as a share of half the range, and least manipulability
+sqrt(det(J J^T)). At the fixed base, the worst target has a manipulability of 0.05."""
 ARM = Arm()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Base:
-    """World."""
+    """A place of the robot's base in the world."""
 
     position_m: Vec3
     yaw_deg: float
 
     @property
     def turn(self) -> Array:
-        """(3, 3) base -> world."""
+        """(3, 3) rotation from the base to the world."""
         cos, sin = np.cos(np.radians(self.yaw_deg)), np.sin(np.radians(self.yaw_deg))
         return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """One person in one place."""
+    """One person in one place, and what the robot must keep clear of."""
 
     protocol: Protocol
     laid: Laid
     moved: tuple[Laid, ...]
-    """The same person after the arm has been moved as far as any level moves it, either way."""
+    """The same person after moving the arm as far as any level allows, in either direction."""
     overhead: Camera
     board_turn: Array
-    """(3, 3) of the arm board in the world."""
+    """(3, 3) rotation of the arm board in the world."""
     board_middle: Array
-    """(3,)"""
+    """(3,) middle of the arm board in the world [m]."""
 
     @cached_property
     def _limb(self) -> Array:
-        """(n, 3) points along the limb."""
+        """(n, 3) points along the limb in the world [m]."""
         return _points_along(self.laid.limb)
 
     @cached_property
@@ -93,11 +96,11 @@ class Ground:
 
     @cached_property
     def _parked(self) -> Array:
-        """(9, 4, 4) links of the parked arm in base."""
+        """(9, 4, 4) poses of the parked arm's links in the robot's base."""
         return ARM.links(np.array([self.protocol.scene.parked_joint_rad]))[0]
 
     def targets(self, region: str, laid: Laid) -> Array:
-        """(n, 3) where the tool centre point must be able to be."""
+        """Return the places (n, 3) [m] in the world that the tool centre point must be able to reach."""
         skin = laid.skin[self.protocol.regions.index(region)]
         levels = [skin + [0.0, 0.0, HOVER_M], skin + [0.0, 0.0, PRESS_M]]
         shape = REGIONS[region].shape
@@ -107,7 +110,7 @@ class Ground:
         return np.concatenate(levels)
 
     def refusal(self, base: Base, region: str) -> Refusal | None:
-        """Why the robot may not stand there for a task on a region; None where it may."""
+        """Return why the robot may not stand at a base for a task on a region; None if it may."""
         at, turn = np.array(base.position_m), base.turn
         targets = self.targets(region, self.laid)
         found = self._in_the_way(at) or self._out_of_reach((targets - at) @ turn, WRIST_M)
@@ -131,7 +134,9 @@ class Ground:
         return None
 
     def _out_of_reach(self, local: Array, wrist_m: tuple[float, float]) -> Refusal | None:
-        """``local``: targets in base, for a tool that points down and away from the base."""
+        """Check that targets are within reach. ``local``: targets (n, 3) [m] in the robot's base, for a tool that
+        points down and away from the base.
+        """
         level = np.hypot(local[:, 0], local[:, 1]) - WRIST_OFFSET_M
         distance = np.hypot(level, local[:, 2] + WRIST_TO_TCP_M - SHOULDER_HEIGHT_M)
         if distance.min() < wrist_m[0] or distance.max() > wrist_m[1]:
@@ -159,7 +164,7 @@ class Ground:
         return "shadow" if hides else None
 
     def _awkward(self, base: Base, targets: Array) -> Refusal | None:
-        """The straight ways from parked to the targets, as the impedance would take them."""
+        """Check the straight paths from the parked pose to the targets, which the impedance would take."""
         start = base.turn @ self._parked[8, :3, :3]
         yaw = np.arctan2(start[1, 0], start[0, 0])
         out = targets - np.array(base.position_m)
@@ -177,6 +182,6 @@ class Ground:
 
 
 def _points_along(line: Array) -> Array:
-    """(n, 3) points on a line through (k, 3) corners."""
+    """Return points (n, 3) on a line through corners (k, 3)."""
     share = np.linspace(0.0, 1.0, 6)[:, None]
     return np.concatenate([a + share * (b - a) for a, b in pairwise(line)])

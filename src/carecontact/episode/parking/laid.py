@@ -18,19 +18,19 @@ from carecontact.world.scene import build_scene
 Array = npt.NDArray[np.float64]
 
 ALONG_M = 0.06
-"""Of a region, either way from its middle: the ends of a scrub (``policies.state_machine.fixed_values``)."""
+"""Distance [m] of both ends of a scrub from the middle of a region (``policies.state_machine.fixed_values``)."""
 NEAR_M = 0.025
-"""The skin's height at a place is that of the highest vertex nearer than this."""
+"""The height of the skin at a place is that of the highest vertex within this horizontal distance [m]."""
 EVERY = 12
-"""One of so many of the body's vertices stands for the body: about 1,000, some 30 mm apart."""
+"""Every twelfth vertex stands for the body: about 1,000 vertices, some 30 mm apart."""
 ARM = ("right_upper_arm", "right_forearm", "right_hand")
 OUT_OF_THE_WAY_M = (0.0, 4.0, 0.55)
-"""Base of the robot while the person settles."""
+"""Place [m] of the robot's base while the person settles, far away from the bed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Laid:
-    """All points are in the world [m]."""
+    """A person who has settled. All points are in the world [m]."""
 
     skin: Array
     """(R, 3, 3) highest skin over the axis of each region, at its middle and ALONG_M either way"""
@@ -39,16 +39,19 @@ class Laid:
     cloud: Array
     """(n, 3) vertices of the body"""
     on_arm: npt.NDArray[np.bool_]
-    """(n,) which of them are the right arm's"""
+    """(n,) whether each of these vertices belongs to the right arm"""
     pelvis: Array
-    """(3,)"""
+    """(3,) middle of the pelvis"""
 
     def at(self, place: Place) -> Laid:
-        """The same person elsewhere on the bed."""
+        """Return the same person at another place on the bed."""
         return replace(self, **{name: place.moved(getattr(self, name)) for name in ("skin", "limb", "cloud", "pelvis")})
 
     def repositioned(self, wrist_m: float, regions: tuple[str, ...]) -> Laid:
-        """With the arm turned about the vertical through the shoulder until the wrist is so far along the board."""
+        """Return the person with the arm turned about the vertical axis through the shoulder.
+
+        ``wrist_m``: how far [m] along the board this moves the wrist.
+        """
         shoulder = self.limb[0]
         angle = wrist_m / float(np.hypot(*(self.limb[2] - shoulder)[:2]))
         cos, sin = np.cos(angle), np.sin(angle)
@@ -70,7 +73,7 @@ class Laid:
 
 
 def lay_down(protocol: Protocol, comfort_arm_deg: float) -> Laid:
-    """The person of a protocol in the protocol's own place, settled with the robot away; nothing is drawn.
+    """Let the person of a protocol settle in the protocol's own place with the robot far away; nothing is drawn.
 
     Raises SceneError or SettleError as a trial's world does.
     """
@@ -95,7 +98,7 @@ def lay_down(protocol: Protocol, comfort_arm_deg: float) -> Laid:
 
 
 def _skin(simulation: Simulation, region: str) -> Array:
-    """(3, 3)"""
+    """Return three places (3, 3) [m] of the skin above a region's axis: its middle, and ALONG_M either way."""
     site = simulation.data.site(f"region_{region}")
     along = site.xmat.reshape(3, 3)[:, 0]
     places = site.xpos + np.array([-ALONG_M, 0.0, ALONG_M])[:, None] * along

@@ -20,17 +20,20 @@ from carecontact.world.furniture import BED_HALF_M
 from carecontact.world.place import place_of
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Of the regions, in their order (Okabe and Ito's, for every kind of colour vision)."""
+"""Colours of the regions, in their order (those of Okabe and Ito, which people with any colour vision can
+distinguish)."""
 REASONS = dict(zip(REFUSALS, ("#bbbbbb", "#8c6d31", "#e377c2", "#7f7f7f", "#bcbd22", "#17becf", "#000000", "#9467bd",
                               "#d62728", "#ff9896"), strict=True))  # fmt: skip
 ARROW_M = 0.09
 MOST_REFUSED = 40
-"""Refused draws that are shown of one search: the last before the one that serves."""
+"""Most refused draws that the map shows for one search: the last ones before the draw that serves."""
 
 
 def draw_map(path: Path, rows: Sequence[tuple[Protocol, Sequence[Surveyed]]]) -> None:
-    """Write a picture with one row of panels for each level, PNG or SVG by the file's name: places that serve on the
-    left, places that were refused beside the people who were taken on the right."""
+    """Write a PNG or SVG picture, by the file's name, with one row of panels for each level.
+
+    The left panel shows the places that serve, the right one the places that were refused beside the same people.
+    """
     figure = Figure(figsize=(12, 5.6 * len(rows)), layout="constrained")
     panels = np.atleast_2d(figure.subplots(len(rows), 2))
     for (protocol, found), (taken, refused) in zip(rows, panels, strict=True):

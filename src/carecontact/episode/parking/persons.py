@@ -1,4 +1,4 @@
-"""Draws a seed's person until the robot can serve every region of it on every level, and keeps what was found."""
+"""Draws a seed's person until the robot can serve all their regions on every level, and keeps what was found."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from carecontact.world.kept import Arrays, kept
 from carecontact.world.place import place_of
 
 MOST_PERSONS = 40
-"""Drawn for one seed before it counts as not feasible."""
+"""Most persons that are drawn for one seed; after them, the seed counts as not feasible."""
 DECIDES = ("place_along_m", "place_across_m", "place_yaw_deg", "place_toward_head_m", "overhead_shift_m",
            "overhead_turn_deg", "parking")  # fmt: skip
 """Fields of a level's variation that decide whether a base serves."""
@@ -32,35 +32,35 @@ DECIDES = ("place_along_m", "place_across_m", "place_yaw_deg", "place_toward_hea
 
 @dataclass(frozen=True, kw_only=True)
 class Rejected:
-    """A person who was drawn and not taken."""
+    """A person who was drawn and rejected."""
 
     posture: Posture
     region: str
-    """Without a base on one of the levels; empty where the person did not come to rest."""
+    """The region for which no base was found on one of the levels; empty if the person did not come to rest."""
     refused: tuple[Refusal, ...]
     """Why each draw of a base for that region was refused."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parked:
-    """Of one seed: the person who was taken and, for one level, where the robot stands for each region."""
+    """The result for one seed: the accepted person and, for one level, where the robot stands for each region."""
 
     body: str
     posture: Posture
     rejected: tuple[Rejected, ...]
-    """The persons before this one."""
+    """The persons who were drawn before this one."""
     laid: Laid
-    """The person in the protocol's own place, settled with the robot away."""
+    """The person, settled in the protocol's own place with the robot far away."""
     bases: dict[str, Base]
     refused: dict[str, tuple[Refusal, ...]]
-    """Why each draw of a base before the one that serves was refused, by region."""
+    """Region -> why each draw of a base before the one that serves was refused."""
 
 
 def parked(protocol: Protocol, seed: int, *, salt: str = "") -> Parked:
-    """The person of a seed and the robot's bases beside it, for a protocol whose variation parks the robot.
+    """Return a seed's person and the robot's bases beside them, for a protocol whose variation parks the robot.
 
-    The person is the same on every level of the protocol: whoever leaves one of them without a base for one region,
-    also after the arm has been moved as far as any level moves it, is drawn anew.
+    A seed has the same person on every level of the protocol. A person is therefore rejected if, on any level, some
+    region has no base, also after the arm has moved as far as any level allows.
 
     Raises SceneError, naming the seed, if none of MOST_PERSONS persons suits.
     """
@@ -96,7 +96,7 @@ def parked(protocol: Protocol, seed: int, *, salt: str = "") -> Parked:
 
 
 def grounds_of(protocol: Protocol, seed: int, salt: str, laid: Laid, posture: Posture) -> Ground:
-    """What a person who was laid in the protocol's own place leaves to the robot on this level."""
+    """Return the surroundings of a person on this level, for a person who was laid in the protocol's own place."""
     place = place_of(posture.place, protocol.variation)
     here = laid.at(place)
     wrist = max((level.reposition_m for level in protocol.levels.values()), default=0.0)
@@ -110,9 +110,12 @@ def grounds_of(protocol: Protocol, seed: int, salt: str, laid: Laid, posture: Po
 
 
 def _search(protocol: Protocol, variations: Sequence[Variation], seed: int, salt: str) -> Arrays:
-    """``taken``, the number of the person or -1; of that person ``bases`` (V, R, 4), ``refused`` (V, R, n) and the
-    fields of ``Laid``; of the persons who were drawn before, ``rejected_region`` (k,) and ``rejected_refused`` (k, n).
-    Reasons are numbers in REFUSALS, then -1."""
+    """Search a seed's person and bases, and return them as arrays that can be stored.
+
+    ``taken`` is the number of the accepted person or -1. Of that person there are ``bases`` (V, R, 4), ``refused``
+    (V, R, n) and the fields of ``Laid``; of the k persons before, ``rejected_region`` (k,) and ``rejected_refused``
+    (k, n). V counts levels and R regions. Reasons are indices into REFUSALS, padded with -1.
+    """
     lost: list[tuple[str, Search]] = []
     body = body_of(protocol, seed, salt)
     for number in range(MOST_PERSONS):
@@ -146,7 +149,7 @@ def _lost(persons: Sequence[tuple[str, Search]]) -> Arrays:
 
 
 def _numbers(refused: Sequence[Sequence[Sequence[Refusal]]]) -> npt.NDArray[np.int8]:
-    """(V, R, n)"""
+    """Return indices (V, R, n) into REFUSALS, padded with -1."""
     longest = max((len(reasons) for row in refused for reasons in row), default=0)
     out = np.full((len(refused), max(len(row) for row in refused), longest), -1, np.int8)
     for v, row in enumerate(refused):
@@ -160,7 +163,7 @@ def _reasons(numbers: npt.NDArray[np.int8]) -> tuple[Refusal, ...]:
 
 
 def _bases(protocol: Protocol, seed: int, salt: str, laid: Laid, posture: Posture) -> list[Search]:
-    """One for each region, up to the first that has no base."""
+    """Return one search for each region, up to the first region that has no base."""
     ground, out = grounds_of(protocol, seed, salt, laid, posture), []
     parking = protocol.variation.parking
     assert parking is not None
@@ -173,7 +176,7 @@ def _bases(protocol: Protocol, seed: int, salt: str, laid: Laid, posture: Postur
 
 
 def posed(protocol: Protocol, body: str, posture: Posture) -> Protocol:
-    """The protocol with a body and a turn of its arm."""
+    """Return the protocol with this body and the turn of the arm of this posture."""
     person = protocol.person.model_copy(update={
         "body": body, "shoulder_rotation_deg": posture.shoulder_rotation_deg, "palm_deg": posture.palm_deg
     })  # fmt: skip
@@ -185,7 +188,9 @@ def _still(protocol: Protocol) -> Protocol:
 
 
 def _variations(protocol: Protocol) -> list[Variation]:
-    """Of all levels that park the robot, and this one's, each once, with what decides about bases and no more."""
+    """Return the variations of this level and of all levels that park the robot, each once, reduced to the fields that
+    decide about bases.
+    """
     every = [*(level.variation for level in protocol.levels.values()), protocol.variation]
     found = [_decisive_part(variation) for variation in every if variation.parking is not None]
     return [variation for number, variation in enumerate(found) if variation not in found[:number]]
@@ -196,7 +201,7 @@ def _decisive_part(variation: Variation) -> Variation:
 
 
 def _decisive(protocol: Protocol, variations: Sequence[Variation]) -> dict[str, object]:
-    """Everything of a protocol that decides who is drawn and which bases serve."""
+    """Return everything in a protocol that decides who is drawn and which bases serve."""
     sections = ("physics", "phases", "scene", "impedance", "cameras")
     wrist = max((level.reposition_m for level in protocol.levels.values()), default=0.0)
     return {
@@ -211,7 +216,7 @@ def _decisive(protocol: Protocol, variations: Sequence[Variation]) -> dict[str, 
 
 @cache
 def _source_sha256() -> str:
-    """Of this folder and of all that shapes a person or the arm."""
+    """Return the hash of this folder's source and of all source that shapes a person or the robot's arm."""
     world = Path(__file__).parents[2] / "world"
     files = [*sorted(Path(__file__).parent.glob("*.py")), *sorted(world.rglob("*.py"))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

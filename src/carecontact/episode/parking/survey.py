@@ -12,22 +12,22 @@ from carecontact.errors import SceneError
 
 @dataclass(frozen=True, kw_only=True)
 class Surveyed:
-    """One seed on one level."""
+    """The result for one seed on one level."""
 
     seed: int
     salt: str
     found: Parked | None
-    """None: not feasible."""
+    """The person and the bases; None if the seed is not feasible."""
     why: str = ""
 
     @property
     def draws(self) -> dict[str, int]:
-        """Region -> draws of a base, with the one that serves."""
+        """Region -> number of draws of a base, including the one that serves."""
         return {} if self.found is None else {name: len(row) + 1 for name, row in self.found.refused.items()}
 
     @property
     def refused(self) -> Counter[str]:
-        """Why bases were refused beside the person who was taken."""
+        """Reason -> number of bases that were refused for it beside the accepted person."""
         rows = () if self.found is None else self.found.refused.values()
         return Counter(reason for row in rows for reason in row)
 
