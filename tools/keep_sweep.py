@@ -26,7 +26,7 @@ TOP = """# {protocol}: results
 
 Seeds {seeds}, {trials} trials of each policy on each level. [What it means](README.md);
 [the protocol](../bathing-wide.md); [the baselines](../baselines.md); [intervals and orders](../statistics.md). The plan
-is [examples/cluster/results.toml](../../examples/cluster/results.toml). `tools/keep_sweep.py` wrote this page, and keeps
+is [examples/cluster/results.toml](../../examples/cluster/results.toml). `tools/keep_sweep.py` wrote it, and keeps
 the scores of every trial beside it.
 """
 
