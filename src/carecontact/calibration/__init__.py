@@ -1,1 +1,1 @@
-"""Real to sim: measured indentation trials in, fitted tissue with a certificate out."""
+"""Turns measured indentation trials into a fitted tissue row with a certificate."""

@@ -1,4 +1,4 @@
-"""How well a simulated press agrees with a measured one, and in stiffness and damping."""
+"""How well a simulated press agrees with a measured one, in force, stiffness and lost work."""
 
 from __future__ import annotations
 
@@ -21,13 +21,15 @@ class Agreement:
     peak_error: float
     """Simulated divided by measured force at the deepest common point, minus 1."""
     tangent_error: float
-    """The same for the slope over the deeper half of the loading."""
+    """Relative error of the slope over the deeper half of the loading."""
     loop_error: float | None
-    """The same for the work lost between loading and unloading; None without unloading."""
+    """Relative error of the work lost between loading and unloading; None without unloading."""
 
 
 def agreement(depth: Array, measured: tuple[Array, Array], simulated: tuple[Array, Array]) -> Agreement:
-    """Loading and unloading forces at ``depth``; nan where a leg has none."""
+    """Compare forces at depths (n,) [m]. ``measured``, ``simulated``: loading and unloading forces (n,) [N], nan where
+    there are none.
+    """
     both = np.isfinite(measured[0]) & np.isfinite(simulated[0])
     d, m, s = depth[both], measured[0][both], simulated[0][both]
     back = np.isfinite(measured[1]) & np.isfinite(simulated[1])
@@ -51,13 +53,13 @@ def agreement(depth: Array, measured: tuple[Array, Array], simulated: tuple[Arra
 
 
 def tangent(depth: Array, force: Array) -> float:
-    """Slope of force over the deeper half [N/m]."""
+    """Return the slope of the force over the deeper half of the depths [N/m]."""
     upper = depth >= UPPER * depth[-1]
     return float(np.polyfit(depth[upper], force[upper], 1)[0])
 
 
 def pooled(rows: list[Agreement]) -> dict[str, float | None]:
-    """Pools trials: the root mean square of nrmse and the means of all others."""
+    """Pool the agreement of trials: the root mean square of ``nrmse`` and the means of all other values."""
     out: dict[str, float | None] = {}
     for field in fields(Agreement):
         values = np.array([v for row in rows if (v := getattr(row, field.name)) is not None])

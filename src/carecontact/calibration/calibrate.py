@@ -1,4 +1,4 @@
-"""From a trials file to a certificate, a tissue row and a figure."""
+"""Makes a certificate, a tissue row and a figure from a file of trials."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def calibrate(
     """Read the trials, identify a simple law, fit the tissue row, and write all three files into ``out``.
 
     Args:
-        region: a soft one of the protocol.
-        body: whose surface is pressed.
+        region: name of a soft region of the protocol.
+        body: name of the body whose surface is pressed.
         rules: the protocol whose mesh, mass and thickness the tissue keeps.
 
-    Raises ConfigError for what the user can fix.
+    Raises ConfigError for every fault that the user can fix.
     """
     file = read_trials(trials, region=region)
     curves = [make_curve(trial) for trial in file.trials]

@@ -22,7 +22,7 @@ class Part(BaseModel):
 
 class Value(Part):
     value: float | None
-    """None where it is not identified; the notes say why."""
+    """None if the data do not identify it; the notes say why."""
     ci95: tuple[float, float] | None
     """Percentiles 2.5 and 97.5 over resampled trials; None for a single trial."""
 
@@ -55,22 +55,22 @@ class Content(Part):
     base_tissue_set: str
     """Mesh, mass, friction and thickness come from this set."""
     synthetic: bool
-    """Whether the site of every trial says so."""
+    """Whether the column ``site`` of every trial says that the trial is synthetic."""
     tissue: Tissue
-    """The row as written; its damping is the fitted one only where ``law`` has it."""
+    """The tissue row as written; its damping is fitted only if ``law`` contains it."""
     law: dict[str, Value]
     terms: list[str]
-    """What was found of each term that the law could have: whether it lowered the error on held-out trials."""
+    """One line for each term that the law could have: whether it lowered the error on held-out trials."""
     damping: str
     """Where the damping comes from."""
     stiffness: dict[str, Value]
-    """Of the calibrated simulation, mean over trials [N/mm]."""
+    """Stiffness of the calibrated simulation, mean over trials [N/mm]."""
     measured_stiffness: dict[str, float]
     identified: list[Model]
-    """Best first, by AICc."""
+    """Identified models, the best by AICc first."""
     agreement: dict[str, Value]
     held_out: dict[str, Value] | None
-    """Every trial under a law that was fitted without the trial's fold."""
+    """Agreement of every trial with a law that was fitted without the trial's fold."""
     trials: int
     subjects: int
     measured_depth_mm: float
@@ -81,7 +81,7 @@ class Content(Part):
     gate_is_extrapolated: bool
     responses: list[Response]
     band: dict[str, float]
-    """What ``--verify`` allows."""
+    """Largest differences that ``--verify`` allows."""
     hashes: dict[str, str]
     versions: dict[str, str]
     notes: list[str]
@@ -93,7 +93,7 @@ class Certificate(Part):
     sha256: str
     """Of ``content`` as canonical JSON: sorted keys, no spaces."""
     made: str
-    """Date and time, outside the hash."""
+    """Date and time of the calibration; the hash does not cover it."""
 
 
 def content_sha256(content: Content) -> str:
@@ -108,7 +108,9 @@ def write_certificate(path: Path, content: Content, *, made: str) -> Certificate
 
 
 def read_certificate(path: Path) -> Certificate:
-    """Raises ConfigError where the file is missing, is not a certificate or was changed after it was written."""
+    """Read a certificate. Raises ConfigError if the file is missing, is no certificate or was changed after it was
+    written.
+    """
     try:
         certificate = Certificate.model_validate_json(path.read_bytes())
     except FileNotFoundError:
@@ -125,7 +127,9 @@ def read_certificate(path: Path) -> Certificate:
 
 
 def tissue_set_toml(region: str, tissue: Tissue, *, base: str, description: str, digest: str) -> str:
-    """A tissue set with one row of its own, every field of Tissue in its order; other regions are the base set's."""
+    """Return the TOML text of a tissue set with one row of its own, which has every field of Tissue in order; all other
+    regions come from the base set.
+    """
     lines = [
         f'id = "calibrated-{region.replace("_", "-")}-{digest[:8]}"',
         f"description = {json.dumps(description)}",

@@ -1,4 +1,4 @@
-"""From columns to trials: checks what a file of presses must satisfy, and names each fault by line and column."""
+"""Makes trials from columns: checks what a file of presses must satisfy, and names each fault by line and column."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from carecontact.errors import ConfigError
 
 CONSTANT = ("site", "subject", "indenter_shape", "filter", "speed_mm_s", "indenter_size_mm", "preload_N", "along_mm",
             "across_mm", "tilt_deg")  # fmt: skip
-"""Columns with one value per trial."""
+"""Columns that must have one value for each trial."""
 MIN_SAMPLES = 12
 MAX_SAMPLES = 2000
-"""Per trial; more are averaged in blocks before anything is computed."""
+"""Most samples of a trial; more are averaged in blocks before anything is computed."""
 LIMITS = {
     "speed_mm_s": (0.05, 500.0), "indenter_size_mm": (1.0, 100.0), "preload_N": (0.0, 20.0),
     "along_mm": (-300.0, 300.0), "across_mm": (-300.0, 300.0), "tilt_deg": (-45.0, 45.0),
@@ -34,7 +34,7 @@ class TrialFile:
 
 
 def read_trials(path: Path, *, region: str) -> TrialFile:
-    """Trials of one region: rows whose ``site`` begins with the region's name.
+    """Read the trials of one region: the rows whose ``site`` begins with the region's name.
 
     Raises ConfigError naming file, line, column and what would be valid.
     """
@@ -114,7 +114,7 @@ def _trial(columns: Columns, rows: npt.NDArray[np.int64], name: str) -> Trial:
 
 @dataclass(frozen=True, kw_only=True)
 class _Fault:
-    """Makes the error for one row of a trial."""
+    """Makes the error message for one row of a trial."""
 
     path: Path
     lines: npt.NDArray[np.int64]
@@ -126,7 +126,7 @@ class _Fault:
 
 
 def _constants(columns: Columns, rows: npt.NDArray[np.int64], fault: _Fault) -> tuple[dict[str, str], dict[str, float]]:
-    """Text and numbers that must have one value per trial, each checked."""
+    """Return the checked texts and numbers of the columns in CONSTANT."""
     for column in CONSTANT:
         values = (columns.text if column in columns.text else columns.number)[column][rows]
         other = np.flatnonzero(values != values[0])
@@ -162,7 +162,7 @@ def _phases(words: npt.NDArray[np.object_], fault: _Fault) -> npt.NDArray[np.int
 
 
 def _check_units(trials: list[Trial], path: Path) -> None:
-    """Magnitudes that only another unit or sign can explain. Raises ConfigError."""
+    """Raise ConfigError for magnitudes that only another unit or sign can explain."""
     depth_mm = 1000 * max(float(np.ptp(trial.indentation_m)) for trial in trials)
     if depth_mm < 0.2:
         raise ConfigError(
@@ -190,7 +190,7 @@ def _check_units(trials: list[Trial], path: Path) -> None:
             raise ConfigError(f"{where}, column force_N: it rises by {rise:.2g} N during load; is it in newtons?")
         if rise > 1000:
             raise ConfigError(f"{where}, column force_N: it rises by {rise:.4g} N during load; is it in newtons?")
-        # A trial may wait before it moves: the speed is that of the moving part.
+        # A trial may wait before it moves, so that only the moving part gives the speed.
         moving = (depth > depth[0] + 0.1 * travel) & (depth < depth[0] + 0.9 * travel)
         if moving.sum() < 3:
             raise ConfigError(f"{where}: fewer than 3 samples while moving in; record faster")
@@ -203,7 +203,7 @@ def _check_units(trials: list[Trial], path: Path) -> None:
 
 
 def _averaged(trial: Trial) -> Trial:
-    """Blocks of equal length within each phase, so that at most MAX_SAMPLES are left."""
+    """Average a trial in blocks of equal length within each phase, so that at most MAX_SAMPLES samples are left."""
     if len(trial.time_s) <= MAX_SAMPLES:
         return trial
     block = int(np.ceil(len(trial.time_s) / (MAX_SAMPLES - len(PHASES))))

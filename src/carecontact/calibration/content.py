@@ -1,4 +1,4 @@
-"""What a calibration found, as the content of its certificate: values with intervals, and notes for people."""
+"""The content of a certificate: the values that a calibration found, with intervals, and notes for people."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from carecontact.contract.protocol import Protocol
 from carecontact.kernel.found import sha256 as kernel_sha256
 
 LOOSE = 4.0
-"""A parameter whose interval spans more than this factor is called hardly identified."""
+"""A parameter is called hardly identified if the ends of its interval differ by more than this factor."""
 
 
 def make_content(
@@ -34,7 +34,7 @@ def make_content(
     gate = rules.limits.gamma * rules.f_pain(region)
     counted = count_of(curves, facts["synthetic"])
     source = f"carecontact calibrate on the kernel, {counted}, data sha256 {file.sha256[:12]}"
-    # A recording's results count how deep the anchors go, not how far the tool travels.
+    # Scores count the deflection of the anchors and not the travel of the tool.
     reached = np.repeat([one.press.anchor_m.max() for one in fit.replayed], [len(g.members) for g in groups])
     tissue = fit.tissue.model_copy(update={"measured_depth_m": float(np.median(reached)), "source": source})
     law = _law_values(fit)
@@ -77,12 +77,12 @@ def make_content(
 
 
 def count_of(curves: Sequence[Curve], synthetic: bool = False) -> str:
-    """``3 synthetic trials``."""
+    """Return the number of trials in words, such as ``3 synthetic trials``."""
     return f"{len(curves)} {'synthetic ' if synthetic else ''}trial{'s' * (len(curves) != 1)}"
 
 
 def hardly_identified(law: dict[str, Value]) -> list[str]:
-    """A note for each stiffness parameter that is 0 or has an interval wider than LOOSE."""
+    """Return a note for each stiffness parameter that is 0 or whose interval is wider than LOOSE."""
     notes = []
     for name, one in law.items():
         if name in LAW and one.value == 0.0:
@@ -135,7 +135,7 @@ def _stiffness_values(means: dict[str, float], fit: Fit) -> dict[str, Value]:
 
 
 def _agreement_values(rows: Sequence[Agreement]) -> dict[str, Value]:
-    """Pooled over trials, with percentile intervals over resampled trials."""
+    """Pool agreements over trials, with percentile intervals over resampled trials."""
     rng = np.random.default_rng(BOOTSTRAP_SEED)
     whole = pooled(list(rows))
     draws = rng.integers(len(rows), size=(BOOTSTRAPS // 4, len(rows)))

@@ -1,4 +1,5 @@
-"""From a trial's samples to force over depth: without the baseline, zeroed at touch, on a grid of depths."""
+"""Makes force over depth from a trial's samples: without the baseline, with depth zero at touch, on a grid of
+depths."""
 
 from __future__ import annotations
 
@@ -11,10 +12,10 @@ from carecontact.calibration.trial import Array, Trial
 from carecontact.errors import ConfigError
 
 GRID = np.linspace(0.025, 1.0, 40)
-"""Shares of a trial's deepest point at which forces are compared."""
+"""Depths at which forces are compared, as shares of a trial's deepest point."""
 TOUCH_SHARE = 0.02
-"""Touch is where the force first exceeds the largest of this share of the peak, the preload and three times the
-noise."""
+"""Touch is where the force first exceeds the largest of three values: this share of the peak, the preload, and three
+times the noise."""
 MIN_FREE_SAMPLES = 5
 PATH_STEP_S = 0.002
 SPIKE_SHARE = 0.1
@@ -22,8 +23,9 @@ SPIKE_SHARE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """One trial with its depth counted from touch. Simulations of it are zeroed at the same force, so that both share
-    the rule's bias."""
+    """One trial with its depth counted from touch. Its simulations count from the same force, so that measurement and
+    simulation share the bias of this rule.
+    """
 
     trial: Trial
     touch_force_n: float
@@ -32,22 +34,22 @@ class Curve:
     """Standard deviation about the baseline, or of second differences where nothing was recorded out of contact."""
     drift_n_s: float
     depth_m: Array
-    """(n,) of every sample"""
+    """(n,) depth of every sample"""
     force_n: Array
-    """(n,) of every sample, baseline off"""
+    """(n,) force of every sample without the baseline"""
     deepest_m: float
     loading_n: Array
-    """(40,) at GRID * deepest_m"""
+    """(40,) force at GRID * deepest_m"""
     unloading_n: Array
-    """(40,) likewise; nan where the trial does not unload"""
+    """(40,) force while unloading; nan if the trial does not unload"""
     path_s: Array
-    """(p,) even times of the smoothed path"""
+    """(p,) evenly spaced times of the smoothed path"""
     path_m: Array
-    """(p,) depth past touch"""
+    """(p,) depth of the path past touch"""
     loading_m_s: Array
     """(40,) speed of the path at GRID * deepest_m"""
     unloading_m_s: Array
-    """(40,) negative; nan where the trial does not unload"""
+    """(40,) the same while unloading, negative; nan if the trial does not unload"""
 
     @property
     def grid_m(self) -> Array:
@@ -59,14 +61,14 @@ class Curve:
 
 
 def make_curve(trial: Trial) -> Curve:
-    """Raises ConfigError where a trial never rises clearly above its own noise."""
+    """Make the curve of a trial. Raises ConfigError if its force never rises clearly above its own noise."""
     load, unload = trial.phase == 0, trial.phase == 2
     free = _free_samples(trial)
     time, raw = trial.time_s, despiked(trial.force_n)
-    # Second differences see noise alone; taken where nothing was recorded out of contact.
+    # Second differences contain noise alone; they are used if nothing was recorded out of contact.
     offset, drift, noise = 0.0, 0.0, float(np.std(np.diff(trial.force_n[load], 2)) / np.sqrt(6))
     if free.sum() >= MIN_FREE_SAMPLES:
-        # A slope fitted over a small part of the trial would grow large over the rest.
+        # A slope that is fitted to a small part of the trial would give large errors in the rest.
         slope = np.ptp(time[free]) > 0.3 * np.ptp(time)
         fit = np.polyfit(time[free], raw[free], 1 if slope else 0)
         drift, offset = (float(fit[0]), float(fit[1])) if slope else (0.0, float(fit[0]))
@@ -107,7 +109,9 @@ def make_curve(trial: Trial) -> Curve:
 
 
 def despiked(force: Array) -> Array:
-    """Spikes of one or two samples, further than a tenth of the range from the median of five, become that median."""
+    """Replace spikes of one or two samples, which differ from the median of five by more than a tenth of the range, by
+    that median.
+    """
     out = force.copy()
     middle = np.median(np.lib.stride_tricks.sliding_window_view(force, 5), axis=1)
     low, high = np.percentile(force, [2, 98])
@@ -116,7 +120,9 @@ def despiked(force: Array) -> Array:
 
 
 def _smooth_path(trial: Trial, zero: float) -> tuple[Array, Array]:
-    """Depth past touch at even times, smoothed over a twelfth of the loading; replays move along this path."""
+    """Return evenly spaced times and the depth past touch, smoothed over a twelfth of the loading: the path of
+    replays.
+    """
     from scipy.signal import savgol_filter
 
     loading_s = float(np.ptp(trial.time_s[trial.phase == 0]))
@@ -128,7 +134,9 @@ def _smooth_path(trial: Trial, zero: float) -> tuple[Array, Array]:
 
 
 def _free_samples(trial: Trial) -> npt.NDArray[np.bool_]:
-    """Samples out of contact: before a hinge fitted to the foot of the loading, and after release at the same depth."""
+    """Return which samples are out of contact: those before the corner of a hinge fitted to the beginning of the
+    loading, and those after release at the same depth.
+    """
     load = np.flatnonzero(trial.phase == 0)
     time, depth, force = trial.time_s[load], trial.indentation_m[load], despiked(trial.force_n)[load]
     start = float(np.median(force[: max(3, len(force) // 50)]))
@@ -145,7 +153,7 @@ def _free_samples(trial: Trial) -> npt.NDArray[np.bool_]:
         error = float(np.sum((force[:upto] - basis @ np.linalg.lstsq(basis, force[:upto], rcond=None)[0]) ** 2))
         if error < best:
             best, hinge = error, candidate
-    # The hinge is straight and the foot is curved: true touch lies a little before it.
+    # The hinge is straight and the real curve bent, so that the true touch lies a little before the corner.
     clear = hinge - 0.25 * (depth[upto - 1] - hinge)
     out[load] = (trial.indentation_m[load] < clear) & (time < time[upto - 1])
     after = np.flatnonzero(trial.phase == 2)
@@ -154,11 +162,11 @@ def _free_samples(trial: Trial) -> npt.NDArray[np.bool_]:
 
 
 def _crossing(depth: Array, force: Array, threshold: float) -> float:
-    """Depth at which the force passes the threshold for good: by a parabola through the samples about it."""
+    """Return the depth from which the force stays above the threshold, by a parabola through the samples around it."""
     below = np.flatnonzero(force <= threshold)
     if not len(below):
         return float(depth[0])
-    # Noise crosses many times: the middle between the first sample above and the last below.
+    # Noise crosses the threshold many times: take the middle of the first sample above it and the last below it.
     first, last = int(np.argmax(force > threshold)), int(below[-1])
     guess = float((depth[first] + depth[last]) / 2)
     above = depth[np.argmax(force > 3 * threshold)]
@@ -174,7 +182,7 @@ def _crossing(depth: Array, force: Array, threshold: float) -> float:
 
 
 def _on_grid(depth: Array, force: Array, grid: Array) -> Array:
-    """Means of the samples nearest to each depth of an even grid; interpolated where there are none."""
+    """Return the means of the samples nearest to each depth of an even grid, interpolated where there are none."""
     step = grid[1] - grid[0]
     index = np.rint((depth - grid[0]) / step).astype(int)
     inside = (index >= 0) & (index < len(grid))

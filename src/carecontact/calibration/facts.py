@@ -1,4 +1,4 @@
-"""What a certificate states that needs no fit, so that ``verify`` can compute it again."""
+"""The statements of a certificate that need no fit, so that ``verify`` can compute them again."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from carecontact.world.human.library import load_body
 
 
 def measured_facts(file: TrialFile, curves: Sequence[Curve]) -> dict[str, Any]:
-    """What a certificate states about its data alone, by the names of Content's fields."""
+    """Return the statements about the data alone, by the names of Content's fields."""
     return {
         "synthetic": all("synthetic" in trial.site.lower() for trial in file.trials),
         "trials": len(curves),
@@ -34,7 +34,9 @@ def measured_facts(file: TrialFile, curves: Sequence[Curve]) -> dict[str, Any]:
 
 
 def simulated_stiffness(groups: Sequence[Group], replayed: Sequence[Replayed]) -> dict[str, float]:
-    """Secant to the deepest point and tangent over the deeper half [N/mm], each the mean over all trials."""
+    """Return the secant stiffness to the deepest point and the tangent stiffness over the deeper half [N/mm], each as
+    the mean over all trials.
+    """
     weight = np.array([len(g.members) for g in groups], float)
     secants = [one.loading_n[-1] / g.deepest_m / 1000 for g, one in zip(groups, replayed, strict=True)]
     tangents = [tangent(GRID * g.deepest_m, one.loading_n) / 1000 for g, one in zip(groups, replayed, strict=True)]
@@ -45,7 +47,7 @@ def simulated_stiffness(groups: Sequence[Group], replayed: Sequence[Replayed]) -
 
 
 def responses(curves: Sequence[Curve], groups: Sequence[Group], replayed: Sequence[Replayed]) -> list[Response]:
-    """The replayed forces of every group, rounded to what a certificate stores."""
+    """Return the replayed forces of every group, rounded as a certificate stores them."""
     return [
         Response(
             trials=[curves[k].trial.trial_id for k in group.members],
@@ -62,7 +64,9 @@ def responses(curves: Sequence[Curve], groups: Sequence[Group], replayed: Sequen
 
 
 def model_hashes(replay: Replay, body: str, tissue: Tissue) -> dict[str, str]:
-    """sha256 of the body's archive, of the shell's mesh, and of the benches compiled with this law."""
+    """Return the sha256 of the body's archive, of the shell's mesh, and of the benches that are compiled with this
+    law.
+    """
     shell = next(iter(replay.benches.values())).shell
     mesh = hashlib.sha256(np.ascontiguousarray(shell.vertices).tobytes())
     mesh.update(np.ascontiguousarray(shell.triangles).tobytes())

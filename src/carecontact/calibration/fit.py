@@ -1,9 +1,9 @@
 """Fits the anchor law to replayed trials: bounded least squares, terms chosen by held-out error, intervals from
 resampled trials.
 
-scipy's least_squares rather than mujoco.sysid: sysid fits recorded control and sensor sequences of equal time stamps
-and needs packages of its own; here the residual is force over depth past a touch that both sides find by force, the
-rollout is a prescribed motion, and the Jacobian is wanted afterwards for the intervals.
+It uses scipy's least_squares and not mujoco.sysid, which fits recorded sequences of controls and sensors with equal
+time stamps and needs further packages. Here, the residual is force over depth past touch, which both sides find by
+force; the rollout is a prescribed motion; and the intervals need the Jacobian afterwards.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ BOOTSTRAP_SEED = 20250101
 MIN_LOOP = 0.5
 """Damping counts as identified if half the width of its interval is below this share of its value."""
 LEAST_TRIALS = 3
-"""Fewer cannot choose terms: the law keeps ``UNCHOSEN``."""
+"""With fewer trials, no term can be chosen, and the law keeps ``UNCHOSEN``."""
 UNCHOSEN = ("rise",)
 LEAST_GAIN = 0.02
-"""A term lowers the held-out squared error by at least this share."""
+"""A term is added only if it lowers the held-out squared error by at least this share."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
     tissue: Tissue
     terms: tuple[str, ...]
-    """Of ``family.TERMS``, in the order in which they entered."""
+    """Chosen terms of ``family.TERMS``, in the order in which they were added."""
     chosen: tuple[str, ...]
-    """One line for each choice of a term."""
+    """One line in words for each choice of a term."""
     damping_identified: bool
     damping_reason: str
     replayed: list[Replayed]
     agreement: list[Agreement]
-    """One per trial, in their order, under the law that was fitted to all trials."""
+    """Agreement of each trial, in their order, with the law that was fitted to all trials."""
     held_out: list[Agreement] | None
-    """One per trial, simulated under a law that was fitted without the trial's fold; None for a single trial."""
+    """Agreement of each trial with a law that was fitted without the trial's fold; None for a single trial."""
     draws: list[Tissue] | None
     """Laws fitted to resampled trials; None for a single trial."""
     secant_draws: Array | None
@@ -61,10 +61,10 @@ def fit_law(
     replay: Replay,
     on_progress: Callable[[str], None] = lambda line: None,
 ) -> Fit:
-    """Fit stiffness and, where trials unload, damping; their terms are those that lower the error on held-out trials.
+    """Fit stiffness and, if trials unload, damping, with those terms that lower the error on held-out trials.
 
-    Where no trial unloads, or the trials do not pin the damping down, it keeps its ratio to stiffness, and the reason
-    is given.
+    If no trial unloads, or the trials do not determine the damping, damping keeps its ratio to stiffness, and the
+    result says why.
     """
     problem = Problem(curves, replay, on_progress)
     unloads = any(curve.trial.unloads for curve in curves)
@@ -103,9 +103,9 @@ def fit_law(
 
 
 def _choose(problem: Problem, *, damping: bool) -> tuple[Solution, tuple[str, ...]]:
-    """Terms enter one by one while the error on held-out trials falls by more than its standard error.
+    """Add terms one by one while the error on held-out trials falls by more than its standard error.
 
-    Which term is tried next is judged from a Gauss-Newton step; whether it enters, from its own fit.
+    A Gauss-Newton step decides which term is tried next, and a fit of its own whether it is added.
     """
     family = Family(base=problem.base, depth_m=problem.depth, damping=damping)
     found = problem.solve(family, problem.start(family))
@@ -133,7 +133,7 @@ def _choose(problem: Problem, *, damping: bool) -> tuple[Solution, tuple[str, ..
 
 
 def _draws(problem: Problem, found: Solution) -> Array | None:
-    """(BOOTSTRAPS, n) parameters of trials resampled with replacement, each by one Gauss-Newton step."""
+    """Return the parameters (BOOTSTRAPS, n) for trials resampled with replacement, each by one Gauss-Newton step."""
     count = len(problem.curves)
     if count == 1:
         return None
@@ -143,6 +143,6 @@ def _draws(problem: Problem, found: Solution) -> Array | None:
 
 
 def _half_width(logs: Array) -> float:
-    """Half of the interval of a parameter whose logarithms are given, as a share of its value."""
+    """Return half the width of a parameter's interval as a share of its value, from logarithms of its draws."""
     low, high = np.percentile(logs, [2.5, 97.5])
     return float(np.expm1((high - low) / 2))

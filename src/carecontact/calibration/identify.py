@@ -12,7 +12,7 @@ from carecontact.calibration.curve import Curve
 from carecontact.calibration.trial import Array
 
 MAX_FOLDS = 20
-"""Up to this many trials are left out one by one; more are left out in this many groups."""
+"""Up to this number, trials are left out one by one; more trials are left out in this number of groups."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,24 +48,25 @@ LAWS = (
 class Identified:
     law: Law
     parameters: Array
-    """In scaled units, followed by the depth at touch (share of depth_scale_m): the touch force is not zero."""
+    """Parameters in scaled units, followed by the depth at touch as a share of depth_scale_m, because the force at
+    touch is not zero."""
     depth_scale_m: float
     force_scale_n: float
     speed_scale_m_s: float
     rms: float
-    """Root mean square of residual over each trial's peak."""
+    """Root mean square of the residuals, each divided by its trial's peak force."""
     aicc: float
     left_out_rms: float | None
     """The same for trials left out of the fit; None for a single trial."""
 
     def force_n(self, depth_m: Array, speed_m_s: Array | float) -> Array:
-        """At depths past touch; speed is negative while unloading."""
+        """Return the force [N] at depths past touch [m]; the speed [m/s] is negative while unloading."""
         u = depth_m / self.depth_scale_m + self.parameters[-1]
         v = speed_m_s / self.speed_scale_m_s + np.zeros_like(u)
         return self.force_scale_n * self.law.force(self.parameters[:-1], u, v)
 
     def physical(self) -> dict[str, float]:
-        """Parameters in N, mm and s; the name carries the unit."""
+        """Return the parameters in N, mm and s, by names that contain the unit."""
         d, f, v = 1000 * self.depth_scale_m, self.force_scale_n, 1000 * self.speed_scale_m_s
         p = self.parameters
         match self.law.name:
@@ -81,10 +82,10 @@ class Identified:
 
 
 def identify(curves: Sequence[Curve]) -> tuple[Identified, ...]:
-    """All candidates on all samples, unloading included, best first by AICc.
+    """Fit all candidates to all samples, unloading included, and return them with the best by AICc first.
 
     AICc (Burnham and Anderson 2002, eq. 2.4) counts grid points as independent, which neighbours on a smooth curve are
-    not: it favours the richer law; leave-one-trial-out stands beside it for that reason.
+    not. It therefore favours laws with more parameters, so that the error on left-out trials is given as well.
     """
     rows = [_rows(curve) for curve in curves]
     depth_scale = float(np.median([curve.deepest_m for curve in curves]))
@@ -124,7 +125,7 @@ def identify(curves: Sequence[Curve]) -> tuple[Identified, ...]:
 
 
 def _rows(curve: Curve) -> Array:
-    """(n, 4) depth, force, speed, one over peak: every other grid point of both legs."""
+    """Return (n, 4) depth, force, speed and 1 / peak at every other grid point, loading and unloading."""
     legs = [np.stack([curve.grid_m, curve.loading_n, curve.loading_m_s], 1)]
     fine = np.isfinite(curve.unloading_n)
     legs.append(np.stack([curve.grid_m, curve.unloading_n, curve.unloading_m_s], 1)[fine])

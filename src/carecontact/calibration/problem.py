@@ -1,5 +1,5 @@
-"""The least-squares problem of a calibration: residuals of replayed trials, its solution, and what other weights or
-fewer trials would make of it by one Gauss-Newton step."""
+"""The least-squares problem of a calibration: the residuals of replayed trials, the solution, and the change of the
+solution by one Gauss-Newton step for other weights or fewer trials."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from carecontact.contract.protocol import Tissue
 
 FOLDS = 5
 LEVELLINGS = 2
-"""Gauss-Newton steps of a single parameter in which forces are almost linear."""
+"""Number of Gauss-Newton steps for the single parameter of ``levelled``, in which forces are almost linear."""
 EVALUATIONS = 12
-"""At most, of points that the solver tries; each has finite differences of its own."""
+"""Most points that the solver tries; each needs finite differences of its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class Solution:
     residual: Array
     jacobian: Array
     rows: tuple[slice, ...]
-    """Of each trial, in their order."""
+    """Rows of the residual that belong to each trial, in their order."""
 
     def step(self, weight: Array) -> Array:
         """One Gauss-Newton step from the optimum with each trial weighted, within the bounds."""
@@ -44,13 +44,14 @@ class Solution:
         return step_within(self.p, normal, gradient, self.family.low, self.family.high)
 
     def resampled(self, weight: Array) -> Array:
-        """As ``step``, less the step that all trials together would make: the optimum is found to a tolerance, and the
-        rest of the way to it belongs to no resample."""
+        """Return ``step`` minus the step of all trials with equal weight: the optimum is known only to a tolerance, and
+        the remaining step to it is no effect of the resampling.
+        """
         rest = self.step(np.ones(len(self.rows))) - self.p
         return moved_back(self.step(weight), rest, self.family.low, self.family.high)
 
     def squares(self, p: Array | None = None) -> Array:
-        """Sum of each trial's squared residuals, at the optimum or, by the Jacobian, at ``p``."""
+        """Return the sum of each trial's squared residuals at the optimum or, by the Jacobian, at ``p``."""
         residual = self.residual if p is None else self.residual + self.jacobian @ (p - self.p)
         return np.array([np.sum(residual[rows] ** 2) for rows in self.rows])
 
@@ -68,7 +69,7 @@ class Problem:
         return self.replay.run(tissue, only)
 
     def start(self, family: Family) -> Array:
-        """The base law, scaled so that its forces are the measured ones on average."""
+        """Return the base law, scaled so that its forces equal the measured ones on average."""
         scale = 1.0
         for _ in range(2):
             replayed = self.at(family.tissue(family.start(scale)))
@@ -81,7 +82,9 @@ class Problem:
         return family.start(scale)
 
     def residuals(self, tissue: Tissue) -> tuple[Array, tuple[slice, ...]]:
-        """Differences divided by the measured peak, and the rows of each trial; every trial weighs the same."""
+        """Return the differences of force divided by the measured peak, and the rows of each trial; all trials weigh
+        the same.
+        """
         return self._differences(self.at(tissue))
 
     def _differences(self, replayed: Sequence[Replayed | None]) -> tuple[Array, tuple[slice, ...]]:
@@ -122,11 +125,11 @@ class Problem:
         return Solution(family=family, p=found.x, residual=found.fun, jacobian=found.jac, rows=rows)
 
     def levelled(self, found: Solution) -> Solution:
-        """The same law, stiffer or softer as a whole, so that forces and stiffness err least: the squares of the
-        NRMSE and of both errors of ``stiffness_errors`` are added up over the trials.
+        """Return the same law, scaled so that forces and stiffness err least together.
 
-        Forces alone decide its shape. Where no law of the family follows them all the way, it is too soft early and too
-        stiff late; that the middle of both is right is worth less than that the stiffness is.
+        Least is the sum, over all trials, of the squares of the NRMSE and of both errors of ``stiffness_errors``.
+        Forces alone decide the law's shape. If no law of the family follows them at every depth, it is too soft at
+        first and too stiff later; the right stiffness then matters more than the right force halfway.
         """
         family, p, level = found.family, found.p.copy(), found.family.names.index("level")
         by = STEP["level"]
@@ -142,7 +145,7 @@ class Problem:
         return Solution(family=family, p=p, residual=residual, jacobian=jacobian, rows=rows)
 
     def _errors(self, tissue: Tissue) -> Array:
-        """What ``residuals`` gives, and both errors of stiffness of every trial."""
+        """Return the residuals together with both errors of stiffness of every trial."""
         replayed = self.at(tissue)
         legs = [on_trial(one, self.replay.groups[n], self.curves[k])
                 for k, n in sorted(self.owner.items()) if (one := replayed[n]) is not None]  # fmt: skip
@@ -150,13 +153,15 @@ class Problem:
         return np.r_[self._differences(replayed)[0], np.ravel(stiffness)]
 
     def difference(self, family: Family, p: Array, residual: Array, column: int) -> Array:
-        """One column of the Jacobian, by a step that stays within the bounds."""
+        """Return one column of the Jacobian, by a finite difference that stays within the bounds."""
         by, step = np.zeros(len(p)), STEP[family.names[column]]
         by[column] = -step if p[column] + step > family.high[column] else step
         return (self.residuals(family.tissue(p + by))[0] - residual) / by[column]
 
     def with_term(self, found: Solution, term: str) -> Solution:
-        """The same law in the family with one more term, whose parameter is 0: not yet that family's optimum."""
+        """Return the same law in the family with one more term, whose parameter is 0; it is not yet that family's
+        optimum.
+        """
         family, p = found.family.plus(term), np.r_[found.p, 0.0]
         column = self.difference(family, p, found.residual, len(found.p))
         return Solution(
@@ -164,15 +169,16 @@ class Problem:
         )
 
     def folds(self) -> Array:
-        """(trials,) number of the fold of each; trials of one replay are spread over the folds."""
+        """Return the number of each trial's fold (trials,); trials that share a replay are spread over the folds."""
         out = np.zeros(len(self.curves), int)
         order = [k for group in self.replay.groups for k in group.members]
         out[order] = np.arange(len(order)) % min(FOLDS, len(order))
         return out
 
     def held_out_squares(self, found: Solution) -> Array:
-        """(trials,) squared error of each under the law of the other folds, one Gauss-Newton step away; by the Jacobian
-        and not simulated anew."""
+        """Return the squared error (trials,) of each trial under the law of the other folds, one Gauss-Newton step
+        away; the Jacobian gives it without another simulation.
+        """
         folds, out = self.folds(), np.zeros(len(self.curves))
         for fold in np.unique(folds):
             gone = folds == fold
@@ -180,7 +186,9 @@ class Problem:
         return out
 
     def held_out(self, found: Solution) -> list[Agreement]:
-        """Every trial once: the law comes from the other folds (one Gauss-Newton step), the press is simulated anew."""
+        """Return the agreement of every trial with the law of the other folds, one Gauss-Newton step away; each press
+        is simulated again.
+        """
         folds = self.folds()
         out: dict[int, Agreement] = {}
         for fold in np.unique(folds):
@@ -193,7 +201,7 @@ class Problem:
         return [out[k] for k in range(len(self.curves))]
 
     def stiffness_change(self, found: Solution, draws: Array) -> Array:
-        """(draws, 2) linearised relative change of the mean simulated secant and tangent stiffness."""
+        """Return the relative change (draws, 2) of the mean simulated secant and tangent stiffness, linearised."""
         secant, slope = [], []
         for curve, rows in zip(self.curves, found.rows, strict=True):
             j = found.jacobian[rows] * np.sqrt(rows.stop - rows.start)
@@ -205,10 +213,11 @@ class Problem:
 
 
 def stiffness_errors(curve: Curve, load: Array, back: Array) -> Array:
-    """(2,) errors of the simulated secant stiffness and of the tangent over the deeper half, relative.
+    """Return the relative errors (2,) of the simulated secant stiffness and of the tangent over the deeper half.
 
-    Where a trial unloads, they are those of the mean of both ways, from which losses cancel, so that damping cannot
-    make up for stiffness. The tangent's reference is at least the secant, because one near zero has no relative error.
+    If a trial unloads, they are computed from the mean of loading and unloading, in which losses cancel, so that
+    damping cannot compensate for stiffness. The error of the tangent is relative to the tangent or the secant,
+    whichever is larger, because the error relative to a tangent near zero has no meaning.
     """
     measured, simulated = curve.loading_n, load
     if curve.trial.unloads:
@@ -220,7 +229,9 @@ def stiffness_errors(curve: Curve, load: Array, back: Array) -> Array:
 
 
 def step_within(p: Array, normal: Array, gradient: Array, low: Array, high: Array) -> Array:
-    """One Newton step; a parameter that would leave its bounds stops at them, and the others make up for it."""
+    """Return the parameters after one Newton step; a parameter that would leave its bounds stops there, and the others
+    are solved for again.
+    """
     out, free = p.copy(), np.ones(len(p), bool)
     for _ in range(len(p)):
         fixed = out - p
@@ -239,7 +250,7 @@ def step_within(p: Array, normal: Array, gradient: Array, low: Array, high: Arra
 
 
 def moved_back(stepped: Array, rest: Array, low: Array, high: Array) -> Array:
-    """``stepped`` less ``rest``; what a step held at a bound stays there, and nothing leaves the bounds."""
+    """Return ``stepped`` minus ``rest`` within the bounds; a parameter that the step stopped at a bound stays there."""
     held: npt.NDArray[np.bool_] = (stepped <= low) | (stepped >= high)
     return np.where(held, stepped, np.clip(stepped - rest, low, high))
 
@@ -247,7 +258,7 @@ def moved_back(stepped: Array, rest: Array, low: Array, high: Array) -> Array:
 def agreements(
     curves: Sequence[Curve], groups: Sequence[Group], replayed: Sequence[Replayed | None]
 ) -> list[Agreement]:
-    """In the order of the trials, without those whose group was not replayed."""
+    """Return the agreement of the trials, in their order, without those whose group was not replayed."""
     out: dict[int, Agreement] = {}
     for group, one in zip(groups, replayed, strict=True):
         if one is None:

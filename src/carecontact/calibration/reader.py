@@ -27,7 +27,7 @@ CHUNK_ROWS = 20_000
 class Columns:
     path: Path
     sha256: str
-    """Of the file's bytes."""
+    """Hash of the file's bytes."""
     text: dict[str, npt.NDArray[np.object_]]
     number: dict[str, Array]
     line: npt.NDArray[np.int64]
@@ -35,7 +35,8 @@ class Columns:
 
 
 def read_columns(path: Path) -> Columns:
-    """Read a CSV file with a header line; commas, semicolons or tabs, ``#`` lines before the header, any column order.
+    """Read a CSV file with a header line. It may use commas, semicolons or tabs, have ``#`` lines before the header,
+    and have its columns in any order.
 
     Raises ConfigError naming the file, the line and the column, and what would be valid.
     """
@@ -67,7 +68,7 @@ def read_columns(path: Path) -> Columns:
                 raise ConfigError(f"{path}, between lines {before + 1} and {last}: a quoted field holds a line break")
             numbered = range(before + 1, last + 1)
             before = last
-            # Spreadsheets save rows that hold nothing but delimiters.
+            # Spreadsheets also save rows that consist of delimiters only.
             if set(map(len, chunk)) != {len(names)} or not all(map(itemgetter(0), chunk)):
                 kept = [k for k, row in enumerate(chunk) if "".join(row).strip()]
                 numbered, chunk = [numbered[k] for k in kept], [chunk[k] for k in kept]
@@ -130,7 +131,7 @@ def _check_widths(lines: Sequence[int], rows: list[list[str]], names: list[str],
 
 
 def _numbers(values: tuple[str, ...], name: str, lines: Sequence[int], path: Path, *, decimal_comma: bool) -> Array:
-    """(n,) finite. Raises ConfigError naming the first line that holds anything else."""
+    """Return a column as finite numbers (n,). Raises ConfigError naming the first line that holds anything else."""
     if decimal_comma:
         values = tuple(value.replace(",", ".") for value in values)
     try:

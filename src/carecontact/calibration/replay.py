@@ -1,4 +1,5 @@
-"""Measured trials replayed on the bench: same indenter, place, direction, speed, depth and touch rule."""
+"""Replays measured trials on the tissue bench, with the same indenter, place, direction, speed, depth and rule of
+touch."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ DEPTH_CLASS = 0.06
 TURN_TOLERANCE_M = 5e-5
 """Largest error of the depth past its own touch at which a replay turns round."""
 TIME_STEP_S = 0.002
-"""The scene's: half of it changes forces by less than 0.4 % of the peak, and the work lost by at most 2.5 %."""
+"""Physics step of the bench, which is that of the scene. Half of it changes forces by less than 0.4 % of the peak, and
+the work lost by at most 2.5 %."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,24 +36,24 @@ class Group:
     path_m: Array
     """(p,) depth past touch of the member of median depth: the path that the indenter takes in the replay"""
     deepest_m: float
-    """Of that path."""
+    """Deepest point of that path."""
     touch_force_n: float
     unloads: bool
 
 
 @dataclass(frozen=True, kw_only=True)
 class Replayed:
-    """One simulated press on its group's grid; nan where the group has no such leg."""
+    """One simulated press on its group's grid of depths; nan where the group has no loading or unloading."""
 
     press: Press
     zero_m: float
-    """Indentation at which its force passed the group's touch force."""
+    """Indentation at which the simulated force passed the group's touch force."""
     loading_n: Array
     unloading_n: Array
 
 
 def group_curves(curves: Sequence[Curve]) -> tuple[Group, ...]:
-    """Trials of one condition, of nearly one depth and duration, in a fixed order."""
+    """Group trials of the same condition and of nearly the same depth and duration, in a fixed order."""
     keyed: dict[tuple[Condition, bool, int], list[int]] = {}
     for index, curve in enumerate(curves):
         held = curve.trial.time_s[curve.trial.phase == 1]
@@ -80,7 +82,7 @@ def group_curves(curves: Sequence[Curve]) -> tuple[Group, ...]:
 
 
 class Replay:
-    """Replays all groups on benches that are compiled once, one per indenter."""
+    """Replays all groups on benches that are compiled once, one for each indenter."""
 
     def __init__(self, *, body: Body, region: str, tissue: Tissue, groups: Sequence[Group]) -> None:
         self.groups, self.tissue = tuple(groups), tissue
@@ -100,11 +102,11 @@ class Replay:
         self._zero = [0.0] * len(self.groups)
 
     def forget(self) -> None:
-        """Begin the next run as a new Replay would, so that its result does not depend on the runs before."""
+        """Let the next run begin as in a new Replay, so that its result does not depend on earlier runs."""
         self._zero = [0.0] * len(self.groups)
 
     def run(self, tissue: Tissue, only: Sequence[int] | None = None) -> list[Replayed | None]:
-        """One press per group under this law; None for groups not in ``only``."""
+        """Simulate one press for each group under this law; None for groups that are not in ``only``."""
         for bench in self.benches.values():
             bench.set_law(tissue)
         wanted = range(len(self.groups)) if only is None else only
@@ -113,7 +115,8 @@ class Replay:
     def _run(self, number: int) -> Replayed:
         group, bench = self.groups[number], self.benches[_indenter_key(self.groups[number].condition)]
         c = group.condition
-        # Touch depends on the law, and where to turn on touch: start from the last answer and repeat if it has moved.
+        # Touch depends on the law, and the turning point on touch: start from the last result, and repeat if it has
+        # moved.
         stride = max(1, round(np.ptp(group.path_s) / 300 / bench.model.opt.timestep))
         for _ in range(6):
             guess = self._zero[number]
@@ -140,14 +143,18 @@ class Replay:
 
 
 def on_trial(replayed: Replayed, group: Group, curve: Curve) -> tuple[Array, Array]:
-    """Simulated loading and unloading forces on one trial's own grid; nan past the depth that the replay reached."""
+    """Return simulated loading and unloading forces on one trial's own grid; nan beyond the depth that the replay
+    reached.
+    """
     grid = np.where(curve.grid_m <= group.deepest_m * 1.0001, curve.grid_m, np.nan)
     depth = GRID * group.deepest_m
     return np.interp(grid, depth, replayed.loading_n), np.interp(grid, depth, replayed.unloading_n)
 
 
 def _from_outside(time: Array, depth: Array) -> tuple[Array, Array]:
-    """The path without its wait before touch, begun a little outside at the speed it has there."""
+    """Return the path without its wait before touch: it begins a little outside the skin, at the speed of first
+    touch.
+    """
     inside = int(np.argmax(depth > 0.0))
     slow = max(inside, 5)
     speed = max((depth[slow] - depth[slow - 5]) / (time[slow] - time[slow - 5]), 1e-4)

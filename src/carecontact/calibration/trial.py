@@ -18,7 +18,7 @@ class Condition:
 
     indenter_shape: str
     indenter_size_m: float | None
-    """Radius; None for the cap, whose size is the shipped tool's."""
+    """Radius [m]; None for the cap, which has the size of the shipped tool."""
     speed_m_s: float
     along_m: float
     across_m: float
@@ -36,7 +36,7 @@ class Trial:
     time_s: Array
     """(n,) increasing"""
     indentation_m: Array
-    """(n,) as recorded; its zero is the user's"""
+    """(n,) as recorded; the user chose its zero"""
     force_n: Array
     """(n,) as recorded, compression positive"""
     phase: npt.NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""Run a certificate's simulation again, here and on the same data, and compare."""
+"""Runs a certificate's simulation again on the same data, and compares the results."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ class Check:
     here: str
     fine: bool
     decides: bool = True
-    """False: shown only, since another version may give the same forces."""
+    """Whether the check decides. One that does not is only shown, since another version may give the same forces."""
 
 
 def verify(trials: Path, certificate: Certificate) -> list[Check]:
-    """Compute again what the data say and what forces the law gives; returns the checks, the deciding ones first.
+    """Compute the facts about the data and the forces of the law again. Returns the checks, the deciding ones first.
 
     Held-out errors, intervals and the identified formulas are not checked: they would need the fit again.
 
-    Raises ConfigError where the data are not the certificate's, or where the certificate contradicts itself: its hash
-    shows that nobody changed it by accident, not who wrote it.
+    Raises ConfigError if the data are not the certificate's or the certificate contradicts itself. A certificate's hash
+    shows that it was not changed by accident, but not who wrote it.
     """
     content = certificate.content
     _check_consistent(content)
@@ -68,7 +68,7 @@ def verify(trials: Path, certificate: Certificate) -> list[Check]:
 def _check_replay(
     content: Content, curves: Sequence[Curve], groups: Sequence[Group], replay: Replay
 ) -> Iterator[Check]:
-    # The row differs from the fitted one in measured_depth and source alone; its law is the certificate's.
+    # The row differs from the fitted one only in measured_depth and source; its law is the certificate's.
     replayed = [one for one in replay.run(content.tissue) if one is not None]
     allowed, change = BAND["response_share_of_peak"], BAND["error_change"]
     worst = _largest_difference(responses(curves, groups, replayed), content.responses)
@@ -82,7 +82,7 @@ def _check_replay(
 
 
 def _largest_difference(here: Sequence[Response], certified: Sequence[Response]) -> float:
-    """Of the replayed forces, as a share of the certified peak."""
+    """Return the largest difference of the replayed forces, as a share of the certified peak."""
     worst = 0.0
     for mine, theirs in zip(here, certified, strict=True):
         if [len(mine.loading_n), mine.unloading_n is None] != [len(theirs.loading_n), theirs.unloading_n is None]:
@@ -115,7 +115,7 @@ def _show_versions(content: Content, hashes: dict[str, str]) -> Iterator[Check]:
 
 
 def _check_facts(content: Content, facts: dict[str, object]) -> None:
-    """Raise ConfigError where the certificate states something about its data that the data contradict."""
+    """Raise ConfigError if the data contradict a statement of the certificate about them."""
     for name, here in facts.items():
         stated = getattr(content, name)
         if isinstance(here, dict):
@@ -124,7 +124,7 @@ def _check_facts(content: Content, facts: dict[str, object]) -> None:
             same = bool(np.isclose(stated, here, rtol=1e-6)) if isinstance(here, float) else stated == here
         if not same:
             raise ConfigError(f"the certificate states {name} {stated}, its data give {here}")
-    # A vertex may lead its triangles' middles, which carry the contact, by a little.
+    # Contact acts on the middles of triangles, and a vertex may lie a little deeper than they do.
     if not 0 < content.tissue.measured_depth_m <= 1.1 * content.measured_depth_mm / 1000:
         raise ConfigError(
             f"the certificate's row has measured_depth_m {content.tissue.measured_depth_m:g}, but no anchor went "
@@ -139,7 +139,7 @@ def _check_facts(content: Content, facts: dict[str, object]) -> None:
 
 
 def _check_consistent(content: Content) -> None:
-    """Raise ConfigError where the row is not the stated law, the band is not BAND, or something is missing."""
+    """Raise ConfigError if the row has another law than stated, the band is not BAND, or something is missing."""
     for name, stated in content.law.items():
         row = getattr(content.tissue, name, None)
         if stated.value is not None and stated.value != row:

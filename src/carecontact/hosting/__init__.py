@@ -1,1 +1,1 @@
-"""Where a policy runs and how it is spoken to: its process, wire and import wall, and serving it to other hosts."""
+"""Where a policy runs and how trials reach it: its process, wire and import wall, and servers for other hosts."""

@@ -30,9 +30,9 @@ class Parameter:
 
     name: str
     annotation: object
-    """``inspect.Parameter.empty`` for none, and its text where it cannot be evaluated."""
+    """The type annotation; ``inspect.Parameter.empty`` if there is none, and its text if it cannot be evaluated."""
     default: object
-    """``inspect.Parameter.empty`` if the argument is required."""
+    """The default value; ``inspect.Parameter.empty`` if the argument is required."""
 
     @property
     def required(self) -> bool:
@@ -46,8 +46,10 @@ class Parameter:
 
 
 def load_factory(target: str) -> Factory:
-    """Import ``module:Class`` or ``module:function``. Raises ImportError naming the classes that the module has, and
-    whatever the import raises."""
+    """Import ``module:Class`` or ``module:function``.
+
+    Raises ImportError if the module lacks that name, naming the classes that it has, and whatever the import raises.
+    """
     module, _, name = target.partition(":")
     loaded = importlib.import_module(module)
     try:
@@ -58,7 +60,9 @@ def load_factory(target: str) -> Factory:
 
 
 def parameters_of(factory: Factory) -> tuple[Parameter, ...]:
-    """Return what can be given by name, in the order of the signature; without ``*args`` and ``**kwargs``."""
+    """Return the parameters that can be given by name, in the order of the signature, without ``*args`` and
+    ``**kwargs``.
+    """
     return tuple(
         Parameter(name=p.name, annotation=_evaluated(p.annotation, factory), default=p.default)
         for p in _signature(factory).parameters.values()
@@ -69,7 +73,8 @@ def parameters_of(factory: Factory) -> tuple[Parameter, ...]:
 def bind(factory: Factory, given: Mapping[str, str]) -> dict[str, object]:
     """Convert texts to keyword arguments. A name that only ``**kwargs`` takes stays a text.
 
-    Raises ArgumentError for an argument that does not exist, lacks or cannot be converted; it lists those that exist.
+    Raises ArgumentError for an argument that does not exist, is missing or cannot be converted; the message lists the
+    arguments that exist.
     """
     parameters = {p.name: p for p in parameters_of(factory)}
     open_ended = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in _signature(factory).parameters.values())
@@ -99,7 +104,7 @@ def bind(factory: Factory, given: Mapping[str, str]) -> dict[str, object]:
 def convert(text: str, annotation: object) -> object:
     """Convert to int, float, bool, str, Path, a Literal's value, or one of a union of these; else return the text.
 
-    ``none`` gives None where the annotation allows None and no text. Raises ValueError.
+    ``none`` becomes None if the annotation allows None and no text. Raises ValueError if the conversion fails.
     """
     if annotation is bool:
         return _truth(text)
@@ -113,7 +118,9 @@ def convert(text: str, annotation: object) -> object:
 
 
 def described(annotation: object) -> str:
-    """Return ``Path``, ``a | b`` for a Literal, ``int | str`` and so on. Of a union, name what a text can become."""
+    """Return words for an annotation: ``Path``, ``a | b`` for a Literal, ``int | str`` and so on. Of a union, only the
+    types that a text can become are named.
+    """
     if annotation is inspect.Parameter.empty:
         return "str"
     if get_origin(annotation) is Literal:
@@ -141,7 +148,7 @@ def _choice(text: str, choices: tuple[object, ...]) -> object:
 def _first_that_fits(text: str, parts: tuple[object, ...]) -> object:
     if NoneType in parts and str not in parts and text.lower() == "none":
         return None
-    # A text fits str and every annotation that is not known here, so the others come first.
+    # Any text fits str and every annotation that is unknown here, so that the other types are tried first.
     exact = [part for part in parts if part is not NoneType and _convertible(part) and part is not str]
     for part in exact:
         try:
@@ -161,7 +168,7 @@ def _signature(factory: Factory) -> inspect.Signature:
     try:
         return inspect.signature(factory)
     except (TypeError, ValueError):
-        # Of a type written in C nothing is known.
+        # The signature of a type that is written in C is unknown.
         return inspect.Signature()
 
 
@@ -172,5 +179,5 @@ def _evaluated(annotation: Any, factory: Factory) -> object:
     try:
         return eval(annotation, getattr(function, "__globals__", {}))
     except Exception:
-        # For example a name that is imported for type checkers only.
+        # An annotation may, for example, be a name that is imported for type checkers only.
         return annotation

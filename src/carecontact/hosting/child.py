@@ -1,5 +1,5 @@
-"""What the policy's isolated process does: raise the wall, construct the policy, report the port, serve, end with its
-parent."""
+"""What the policy's isolated process does: it raises the import wall, constructs the policy, reports the port, serves,
+and ends with its parent."""
 
 from __future__ import annotations
 
@@ -27,34 +27,35 @@ class Options(TypedDict):
     """``module:Class`` or ``module:function``."""
     search_path: list[str]
     arguments: dict[str, str]
-    """Of the constructor or factory; these stand in the card."""
+    """Arguments of the constructor or factory; the card shows them."""
     language: dict[str, str]
-    """The arguments ``language`` and ``record``, which do not: the card's language backend names the model."""
+    """The arguments ``language`` and ``record``, which the card does not show: its language backend names the model."""
     environment: list[str]
-    """Names, for the card, of the variables that --policy-env let pass."""
+    """Names of the variables that --policy-env let pass; the card shows them."""
     report_fd: int
-    """Where this process writes two JSON lines: ``{"isolation": text}`` before anything of the policy is imported, so
-    that the policy cannot say something else, then ``{"port": n}`` or ``{"error": text, "kind": kind}``."""
+    """File descriptor to which this process writes two JSON lines. ``{"isolation": text}`` comes before anything of the
+    policy is imported, so that the policy cannot change it; then ``{"port": n}`` or
+    ``{"error": text, "kind": kind}``."""
     lifeline_fd: int
-    """Ends when the parent does."""
+    """File descriptor that reaches its end when the parent ends."""
     parent: int
-    """Process id."""
+    """Process id of the parent."""
     harness_port: int
-    """Of the loopback interface: from there the harness connects, and every other connection is refused."""
+    """Port of the loopback interface from which the harness connects; connections from any other port are refused."""
     readable: list[str]
     writable: list[str]
-    """What the user opened to the isolated process."""
+    """Files and folders that the user opened to the isolated process for writing."""
     closed: list[str]
-    """What must stay closed to it."""
+    """Folders that must stay closed to it."""
     isolated: bool
     isolation: NotRequired[str]
     """How far this process isolated itself, as recordings hold it."""
     stack_fd: int
-    """Where this process writes its stack when it is asked to, and when the interpreter crashes."""
+    """File descriptor to which this process writes its stack on request and when the interpreter crashes."""
 
 
 RECEIVED: dict[str, object] = {}
-"""The options of this process; the audit's witness reports them."""
+"""The options that this process received; the audit's witness reports them."""
 
 
 def main(options: Options) -> None:
@@ -102,6 +103,8 @@ def _construct(target: str, arguments: Mapping[str, str]) -> Policy:
 
 
 def _end_with_parent(lifeline_fd: int) -> None:
-    """The parent never writes; the read returns when the parent is gone, even if the policy hangs."""
+    """End this process when its parent is gone, even if the policy hangs: the parent never writes, so that the read
+    returns only then.
+    """
     os.read(lifeline_fd, 1)
     os._exit(1)

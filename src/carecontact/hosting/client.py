@@ -1,4 +1,4 @@
-"""The harness's end of a conversation with a policy, whatever its server speaks."""
+"""The harness's end of a conversation with a policy, whichever wire format its server uses."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from carecontact.hosting.wire.connection import Connection
 @dataclass(frozen=True, kw_only=True)
 class ActReply:
     actions: list[Action]
-    """1 to MAX_CHUNK as they came; each passes the check of the card's action space, after its ``clip`` if the card
-    requests that."""
+    """1 to MAX_CHUNK actions in the order of the answer. Each has passed the check of the card's action space, after
+    clipping if the card requests it."""
     sent: bytes
-    """The message that carried the observation: everything the policy was shown at this step."""
+    """The message that carried the observation: everything that the policy was shown at this step."""
     sent_sha256: bytes
-    """(32,) digest of ``sent``; of a message with a random session id, the digest of the same message without it, so
-    that equal trials have equal digests."""
+    """Digest of ``sent``, 32 bytes. A random session id is left out of the digest, so that equal trials have equal
+    digests."""
     notes: dict[str, object] = field(default_factory=dict[str, object])
-    """What the policy wants to be kept of this step; empty for most."""
+    """The policy's notes on this step; most policies take none."""
 
 
 class Client(ABC):
-    """One trial's conversation. Every failure is a PolicyError whose kind says what the policy did."""
+    """One trial's conversation with a policy. Every failure is a PolicyError, and its kind says what the policy did."""
 
     _session: Session | None = None
     _space: ActionSpace = ACTION_SPACES["cartesian_pose"]
@@ -43,7 +43,7 @@ class Client(ABC):
 
     @abstractmethod
     def card(self, *, deadline_s: float) -> PolicyCard:
-        """What the policy requests. Call it once, first."""
+        """Return the policy's card. Call it once, before the other methods."""
 
     def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
         """Begin the trial."""
@@ -51,13 +51,16 @@ class Client(ABC):
         self._begin(instruction, session, deadline_s=deadline_s)
 
     def act(self, observation: Observation, *, deadline_s: float) -> ActReply:
-        """Raises ObservationError if the observation breaks the contract, which is the harness's fault."""
+        """Send an observation and return the answer.
+
+        Raises ObservationError if the observation breaks the contract, which is the harness's fault.
+        """
         if self._session is None:
             raise ContractError(f"{type(self).__name__}.act: expected reset before it, got none")
         return self._act(observation, deadline_s=deadline_s)
 
     def say_goodbye(self, *, deadline_s: float) -> None:
-        """Ask the policy to end; a policy that is gone already has."""
+        """Ask the policy to end. A policy that is gone has ended already."""
         with suppress(PolicyError):
             self._end(deadline_s=deadline_s)
 
@@ -74,12 +77,14 @@ class Client(ABC):
     def _end(self, *, deadline_s: float) -> None: ...
 
     def _shows(self, card: PolicyCard) -> PolicyCard:
-        """Keep what the card says of actions, and pass it on."""
+        """Keep what the card says about actions, and return the card."""
         self._clips, self._space = card.out_of_bounds == "clip", ACTION_SPACES[card.action_space]
         return card
 
     def _checked(self, actions: Sequence[Action]) -> list[Action]:
-        """Raises ActionError naming the first action that is not within the contract."""
+        """Clip the actions if the card requests it, and check them. Raises ActionError naming the first that breaks the
+        contract.
+        """
         session, space = self._session, self._space
         assert session is not None
         for i, action in enumerate(actions):

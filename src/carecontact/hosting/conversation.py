@@ -1,5 +1,5 @@
-"""One trial's conversation with a policy, wherever it runs: the order of the calls, their deadlines, what is told when
-one fails."""
+"""One trial's conversation with a policy, wherever it runs: the order of the calls, their deadlines, and the messages
+when one fails."""
 
 from __future__ import annotations
 
@@ -18,25 +18,26 @@ from carecontact.errors import PolicyError
 from carecontact.hosting.client import ActReply, Client
 
 GRACE_S = 1.0
-"""Between being asked to end and being cut off."""
+"""Time [s] that a policy has for ending after it was asked to."""
 EVIDENCE_CHARS = 4000
 GONE = ("died", "killed")
-"""Kinds of failure of a policy that is there no more."""
+"""Kinds of failure of a policy whose process is gone."""
 WAIT_REPORT_S = 10.0
-"""How often a silent policy is reported."""
+"""Interval [s] at which a silent policy is reported."""
 BUDGET_S = 3600.0
 """Wall time that a policy may take in one trial, all calls together: 2.4 s for each of the 1,500 calls that 30 s at
-50 Hz can hold. In code and in no protocol: it only keeps a trial from ending by the supervisor's limit, which would be
-nobody's fault."""
+50 Hz can hold. It is in the code and in no protocol, because it only keeps a trial from reaching the supervisor's
+limit, which would count as a harness error."""
 
 T = TypeVar("T")
 Left = Callable[[], float]
-"""Seconds until the deadline of a call, never below 0."""
+"""Returns the seconds until the deadline of a call, never below 0."""
 
 
 def readable(text: str) -> str:
-    """What came from a policy, for a terminal, a log or a page: control characters, but for line ends and tabs, are
-    escaped."""
+    """Return text of a policy in a form that is safe for a terminal, a log or a page: control characters other than
+    line ends and tabs are escaped.
+    """
     return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text.replace("\r\n", "\n"))
 
 
@@ -50,10 +51,11 @@ class PolicyConversation(ABC):
     on_wait: Callable[[str], None] | None = None
     """Called every WAIT_REPORT_S seconds while the policy is silent, with one line; another thread calls it."""
     isolation: str | None = None
-    """How far the policy's process is isolated (``isolation.fence``); None before its start and on another host."""
+    """How far the policy's process is isolated (``isolation.fence``); None before its start and for a policy on another
+    host."""
     patient = False
-    """Whether the calls before the first answer wait, within their deadline, for a server that takes no connection or
-    lost it."""
+    """Whether the calls before the first answer wait, within their deadline, for a server that accepts no connection or
+    has lost it."""
 
     on_sent: Callable[[bytes], None] | None = None
     """Called with every message that has been sent to the policy."""
@@ -62,8 +64,11 @@ class PolicyConversation(ABC):
     """Called with every frame that the policy sends as an answer, before it is decoded."""
 
     def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S) -> None:
-        """``first_deadline_s`` holds for the start, each reset and the first act, when models load; ``deadline_s`` for
-        every later act; ``budget_s`` for all of them together."""
+        """Prepare a conversation without starting it.
+
+        ``first_deadline_s`` [s] applies to the start, each reset and the first act, when models load; ``deadline_s`` to
+        every later act; ``budget_s`` to all of them together.
+        """
         self.policy = policy
         self._first_deadline_s, self._deadline_s = first_deadline_s, deadline_s
         self._budget_s = self._left_s = budget_s
@@ -80,12 +85,17 @@ class PolicyConversation(ABC):
 
     @property
     def printed(self) -> str:
-        """The end of what the policy wrote to stdout and stderr, where it can be known; complete once it is closed."""
+        """The last part of what the policy wrote to stdout and stderr, if that can be known; complete after
+        ``close``.
+        """
         return ""
 
     def start(self) -> PolicyCard:
-        """Connect; returns the policy's card. Raises UnreachableError where no server takes a connection, as ``reset``
-        and the first ``act`` do if it is ``patient``."""
+        """Connect, and return the policy's card.
+
+        Raises UnreachableError if no server accepts a connection; so do ``reset`` and the first ``act`` of a
+        conversation that is ``patient``.
+        """
         with self._evidence("start"), self._within(self._first_deadline_s) as left:
             return self._carried_out(self._connect, left)
 
@@ -97,7 +107,9 @@ class PolicyConversation(ABC):
             self._carried_out(step, left)
 
     def act(self, observation: Observation) -> ActReply:
-        """One observation, one checked chunk. ObservationError and ContractError are the harness's own mistakes."""
+        """Send one observation and return one checked chunk. ObservationError and ContractError are mistakes of the
+        harness.
+        """
 
         def step(left: Left) -> ActReply:
             return self._connected().act(observation, deadline_s=left())
@@ -108,7 +120,7 @@ class PolicyConversation(ABC):
         return reply
 
     def close(self) -> None:
-        """End the conversation, gracefully if the policy still answers. Idempotent."""
+        """End the conversation, gracefully if the policy still answers. Further calls do nothing."""
         if self._client is not None:
             self._client.say_goodbye(deadline_s=GRACE_S)
         self._drop()
@@ -132,26 +144,28 @@ class PolicyConversation(ABC):
         return readable(text)
 
     def _hint(self, message: str) -> str:
-        """To follow the message of a failure whose remedy is known."""
+        """Return what to append to the message of a failure whose remedy is known."""
         return ""
 
     def _kind(self, error: PolicyError) -> str:
-        """What kind of failure it is, where more is known than the line tells."""
+        """Return the kind of a failure, which may be known better than from the connection alone."""
         return error.kind
 
     def _how_it_ended(self) -> str:
-        """In place of the message of a policy that is gone, where more is known than that."""
+        """Return how a policy that is gone ended, to replace the message of its failure; empty if that is unknown."""
         return ""
 
     def _where(self, kind: str) -> str:
-        """To follow the message of a failure of this kind: the stack of a policy that hangs or crashed."""
+        """Return what to append to the message of a failure of this kind: the stack of a policy that hangs or has
+        crashed.
+        """
         return ""
 
     def _drop(self) -> None:
-        """Leave nothing open, whatever state the other end is in."""
+        """Close everything, whatever state the other end is in."""
         client, self._client = self._client, None
         if client is not None:
-            # Its other end may be gone, and websockets may trip over what a dying process left on the line.
+            # The other end may be gone, and websockets may fail at the bytes that a dying process sent last.
             with suppress(Exception):
                 client.disconnect()
 
@@ -162,7 +176,9 @@ class PolicyConversation(ABC):
 
     @contextmanager
     def _within(self, deadline_s: float) -> Generator[Left, None, None]:
-        """Gives the seconds that are left for a call, and takes those that it took off the budget."""
+        """Yield the function that returns the seconds left for a call; afterwards, subtract the call's time from the
+        budget.
+        """
         started, allowed_s = time.monotonic(), min(deadline_s, self._left_s)
         try:
             with self._reported_wait(allowed_s):
@@ -198,7 +214,9 @@ class PolicyConversation(ABC):
 
     @contextmanager
     def _evidence(self, doing: str) -> Generator[None, None, None]:
-        """Whatever goes wrong inside ends it all; a PolicyError leaves with what is known about why."""
+        """End the conversation if anything fails inside the block; add to a PolicyError what is known about its
+        cause.
+        """
         try:
             yield
         except PolicyError as error:

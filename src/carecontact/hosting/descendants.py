@@ -1,4 +1,4 @@
-"""Every process that a policy started, those that left its process group and session too. Linux only."""
+"""Finds every process that a policy started, also those that left its process group and session. Linux only."""
 
 from __future__ import annotations
 
@@ -13,37 +13,37 @@ from pathlib import Path
 MARK = "CARECONTACT_POLICY_MARK"
 """Variable in a policy's environment, which every process that it starts inherits."""
 PATIENCE_S = 2.0
-"""For processes that start others while they are being killed."""
+"""Time [s] for ending processes that start others while they are being killed."""
 
 _PROC = Path("/proc")
 
 
 def new_mark() -> str:
-    """Of one policy of this process."""
+    """Return a mark for one policy of this process."""
     return f"{marks_of(os.getpid())}{secrets.token_hex(8)}"
 
 
 def marks_of(harness_pid: int) -> str:
-    """How the marks of all policies of one process begin."""
+    """Return the beginning of the marks of all policies that one harness process started."""
     return f"{harness_pid}."
 
 
 def kill_marked(beginning: str) -> None:
-    """SIGKILL for the processes whose mark begins so and for what they started, until there are none.
+    """Kill, by SIGKILL, the processes whose mark begins so and their descendants, until there are none.
 
-    One that threw the variable away is found while the process that started it is alive, and no later.
+    A process that removed the variable can be found only as long as the process that started it is alive.
     """
     _kill(lambda mark, process: mark.startswith(beginning))
 
 
 def kill_abandoned() -> None:
-    """SIGKILL for the processes that a policy left whose harness is gone, and for what they started."""
+    """Kill, by SIGKILL, the processes of policies whose harness is gone, and their descendants."""
     here = (_PROC / "self").resolve()
     if not here.is_dir():
         return
 
     def abandoned(mark: str, process: Path) -> bool:
-        # The process ids of a container on this machine mean nothing here.
+        # Process ids inside a container on this machine have no meaning outside it.
         ours = (process / "ns" / "pid").readlink() == (here / "ns" / "pid").readlink()
         return ours and not (_PROC / mark.partition(".")[0]).is_dir()
 
@@ -62,7 +62,10 @@ def _kill(wanted: Callable[[str, Path], bool]) -> None:
 
 
 def _marked(wanted: Callable[[str, Path], bool]) -> set[int]:
-    """Ids of the living processes whose mark is wanted (mark, folder in /proc), and of all that descend from them."""
+    """Return the ids of the living processes for which ``wanted`` is true, and of all their descendants.
+
+    ``wanted`` receives a process's mark and its folder in /proc.
+    """
     parent_of: dict[int, int] = {}
     found = set[int]()
     for folder in _PROC.glob("[0-9]*"):

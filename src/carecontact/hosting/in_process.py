@@ -1,4 +1,4 @@
-"""A policy object of this very process, served on the loopback interface to trials that run beside it."""
+"""Serves a policy object of this process, on the loopback interface, to trials in other processes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def served(policy: Policy, *, port: int) -> Iterator[str]:
         policy: an object with a card and the methods reset and act.
         port: port to listen on; 0 chooses a free one.
 
-    Raises ConfigError where nothing can listen.
+    Raises ConfigError if the server cannot listen.
     """
     turn = threading.Lock()
 

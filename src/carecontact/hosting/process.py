@@ -1,4 +1,4 @@
-"""A policy in a process of its own: started, spoken to under deadlines, always reaped."""
+"""A policy in a process of its own: this module starts it, talks to it under deadlines, and always ends it."""
 
 from __future__ import annotations
 
@@ -33,20 +33,23 @@ if TYPE_CHECKING:
     from carecontact.hosting.child import Options
 
 REPORT_BYTES = 1 << 20
-"""Of what the process says about its start; a traceback is its longest part."""
+"""Most bytes of what the process reports about its start; a traceback is its longest part."""
 OUTPUT_BYTES = 8192
-"""Of what the policy printed, the end that is kept as evidence."""
+"""Number of bytes of the policy's output that are kept as evidence: its last ones."""
 
 ENVIRONMENT = (
     "PATH", "HOME", "TMPDIR", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "CUDA_VISIBLE_DEVICES", "SSL_CERT_FILE",
     "HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY", "http_proxy", "https_proxy", "no_proxy",
 )  # fmt: skip
 SECRET_CHARS = 6
-"""A value of --policy-env that is at least as long is taken out of what the policy printed. Shorter ones are words."""
+"""A value of --policy-env of at least this length is removed from the policy's output. Shorter values may be ordinary
+words."""
 ENVIRONMENT_PREFIXES = ("OMP_", "OPENBLAS_")
-"""Nothing else but what --policy-env names reaches the policy: no variable of the harness can carry a seed or label."""
+"""Besides these, only variables that --policy-env names reach the policy, so that no variable of the harness can carry
+a seed or a label."""
 LANGUAGE_PREFIX = "OPENAI_"
-"""Address and key of a language model, for a policy that the user has asked to use one: ``live:MODEL``."""
+"""Variables with the address and key of a language model; only a policy that the user lets use ``live:MODEL`` gets
+them."""
 
 _MISSING_KEY = re.compile(r"KeyError: '([A-Za-z_][A-Za-z0-9_]*)'")
 _BOOTSTRAP = """
@@ -54,7 +57,7 @@ import json, sys
 options = json.load(sys.stdin)
 if options["root"] not in sys.path:
     sys.path.insert(0, options["root"])
-# Before numpy is imported, which starts threads: what isolates a process does not reach those that run already.
+# Isolate before importing numpy, which starts threads: isolation does not reach threads that already run.
 from carecontact.hosting.isolation.fence import isolate
 isolate(options)
 from carecontact.hosting.child import main
@@ -63,12 +66,12 @@ main(options)
 
 
 class PolicyProcess(PolicyConversation):
-    """A conversation with a policy whose process it starts, and leaves no process behind."""
+    """A conversation with a policy in a process that this object starts; it leaves no process behind."""
 
     def __init__(
         self, setup: PolicySetup, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S
     ) -> None:
-        """``setup``: of a registered or importable policy. Raises UnknownNameError."""
+        """``setup``: the setup of a registered or importable policy. Raises UnknownNameError for an unknown one."""
         super().__init__(setup.ref.text, first_deadline_s=first_deadline_s, deadline_s=deadline_s, budget_s=budget_s)
         self._target = policy_target(setup.ref)
         self._setup = setup
@@ -86,7 +89,8 @@ class PolicyProcess(PolicyConversation):
         return self._shown(self._output.decode(errors="replace")).strip()
 
     def launch(self) -> socket.socket:
-        """Return a connection to the policy, for whoever speaks to it instead of this object, and closes it.
+        """Start the process and return a connection to its policy; the caller then talks to the policy and closes the
+        connection.
 
         Raises PolicyError as ``start`` does.
         """
@@ -94,7 +98,9 @@ class PolicyProcess(PolicyConversation):
             return self._reached(self._launch(left), left)
 
     def hung(self) -> str:
-        """Where a launched policy stands that does not end although nobody speaks to it any more; empty if it ends."""
+        """Return the stack of a launched policy that does not end although its connection is closed; empty if it
+        ends.
+        """
         with suppress(subprocess.TimeoutExpired):
             if self._child is not None:
                 self._child.wait(GRACE_S)
@@ -108,12 +114,12 @@ class PolicyProcess(PolicyConversation):
         self._drop()
 
     def _open(self, left: Left) -> PolicyClient:
-        """Launch, import, connect."""
+        """Launch the process, let it import the policy, and connect."""
         port = self._launch(left)
         return PolicyClient(Connection.open(port=port, deadline_s=left(), line=self._reached(port, left)))
 
     def _reached(self, port: int, left: Left) -> socket.socket:
-        """The line to the port where the policy listens, from the one port that it listens to."""
+        """Connect to the port where the policy listens, from the only port that it accepts."""
         line, self._line = self._line, None
         assert line is not None
         line.settimeout(left())
@@ -126,7 +132,7 @@ class PolicyProcess(PolicyConversation):
         return line
 
     def _launch(self, left: Left) -> int:
-        """Return the port on which the child listens."""
+        """Start the child process and return the port on which it listens."""
         try:
             self._folder = private_folder()
         except OSError as error:
@@ -178,12 +184,12 @@ class PolicyProcess(PolicyConversation):
                     return int(told["port"])
                 kind, why = told["kind"], str(told["error"])
             except (ValueError, TypeError, KeyError, RecursionError):
-                # Only code of the policy can have written there; what it breaks is its own failure.
+                # Only code of the policy can have written this, so that it counts as the policy's failure.
                 raise PolicyError("garbage", "its process reported neither a port nor why it did not start") from None
         raise PolicyError(kind if kind in ("argument", "start") else "start", why)
 
     def _report_lines(self, report: io.FileIO, left: Left) -> Iterator[bytes]:
-        """What the process says about its start, line by line; never the end of it."""
+        """Yield the lines that the process reports about its start; raise if it ends before the last one."""
         written = b""
         while True:
             line, end, rest = written.partition(b"\n")
@@ -214,7 +220,7 @@ class PolicyProcess(PolicyConversation):
         return super()._shown(text)
 
     def _kind(self, error: PolicyError) -> str:
-        """``killed`` if somebody sent the process SIGKILL, which tells nothing about who."""
+        """Return ``killed`` if the process received SIGKILL; nobody can tell who sent it."""
         if self._child is None or error.kind not in ("died", "start", "handshake"):
             return error.kind
         with suppress(subprocess.TimeoutExpired):
@@ -244,7 +250,7 @@ class PolicyProcess(PolicyConversation):
         return f"\nit {'hung' if hangs else 'crashed'} here (most recent call last):\n{frames}" if frames else ""
 
     def _hint(self, message: str) -> str:
-        """A policy that misses a variable or a file cannot know that the caller has it."""
+        """Explain a missing variable or file that the harness has: the policy cannot know that it was withheld."""
         missing = _MISSING_KEY.search(message)
         passes = {*_environment(self._setup), *self._setup.environment}
         if missing is None or missing[1] not in os.environ or missing[1] in passes:
@@ -252,9 +258,10 @@ class PolicyProcess(PolicyConversation):
         return f"; {missing[1]} is set here, but reaches the policy only with --policy-env {missing[1]}"
 
     def _kill(self) -> None:
-        """Nothing that the policy started outlives it."""
+        """Kill the process and everything that the policy started."""
         if self._child is not None:
-            # First, while parents live by whom their children are known; the group is for systems without /proc.
+            # First the marked processes, as long as their parents live, by which they are found; the process group
+            # is for systems without /proc.
             kill_marked(self._mark)
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._child.pid, signal.SIGKILL)

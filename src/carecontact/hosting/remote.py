@@ -15,18 +15,22 @@ from carecontact.hosting.wire.client import PolicyClient, basic_authorization
 from carecontact.hosting.wire.connection import Connection
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
-"""Between two attempts at a server that is away; each pause is twice the one before."""
+"""First and longest pause [s] between attempts to reach a server that is away; each pause is twice the one before."""
 MOST_LOSSES = 3
-"""Connections that a call may lose. A server that starts anew loses one and refuses the others for a while; one that
-takes and loses them again and again dies of what it is sent."""
+"""Most connections that a call may lose. A server that restarts loses one connection and refuses others for a while; a
+server that accepts and loses connections repeatedly crashes because of what it is sent."""
 HIDDEN = "***"
 
 
 class RemotePolicy(PolicyConversation):
-    """A policy that somebody else started. What it prints and how it ends stay unknown; each trial is a connection."""
+    """A conversation with a policy that somebody else started. Each trial is one connection. What the policy prints and
+    how it ends stay unknown.
+    """
 
     def __init__(self, setup: PolicySetup, *, first_deadline_s: float, deadline_s: float) -> None:
-        """``setup``: of a remote policy. Its credentials become HTTP basic authorization, or a dialect's key."""
+        """``setup``: the setup of a remote policy. Its credentials become HTTP basic authorization or a dialect's
+        key.
+        """
         super().__init__(setup.ref.text, first_deadline_s=first_deadline_s, deadline_s=deadline_s)
         self._ref = setup.ref
         self._card: PolicyCard | None = None
@@ -47,7 +51,9 @@ class RemotePolicy(PolicyConversation):
         return card
 
     def _carried_out(self, step: Callable[[Left], T], left: Left) -> T:
-        """Before the first answer nothing has been executed: with a server that was away, the trial begins anew."""
+        """Carry out a step, and begin the trial anew if the server was away: before the first answer, nothing was
+        executed.
+        """
         if self._acted or not self.patient:
             return step(left)
         pause_s, losses, again = FIRST_PAUSE_S, 0, list[Callable[[Left], object]]()
@@ -88,7 +94,7 @@ def _authorization(ref: PolicyRef) -> str:
 def _client(ref: PolicyRef, connection: Connection) -> Client:
     if ref.scheme == "ws":
         return PolicyClient(connection)
-    # Imported where they are needed: they bring Pillow and SciPy.
+    # These imports are local because they load Pillow and SciPy.
     from carecontact.hosting.dialects.openpi import OpenpiClient
     from carecontact.hosting.dialects.vla_eval import VlaEvalClient
 

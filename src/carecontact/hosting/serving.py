@@ -1,4 +1,4 @@
-"""A policy for trials on other hosts: each connection is led to a policy process of its own, as a local trial has."""
+"""Serves a policy to trials on other hosts: each connection gets a policy process of its own, as a local trial does."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
 
 LOAD_DEADLINE_S = 600.0
-"""For a policy to load; the trial at the other end has its own, shorter one."""
+"""Time [s] for a policy to load; the trial at the other end has a shorter deadline of its own."""
 KEEPALIVE_S = 60
-"""A trial's host that vanished without a word is given up after about twice that."""
+"""Interval [s] of the checks whether a trial's host is still there; one that vanished is given up after about twice
+this."""
 
 
 def serve_trials(
@@ -29,9 +30,10 @@ def serve_trials(
 ) -> NoReturn:
     """Serve until the process ends.
 
-    ``on_port`` learns the port once it listens, ``on_event`` what becomes of each trial; several threads call it.
+    ``on_port`` is called with the port once the server listens, ``on_event`` with a line about each trial, from several
+    threads.
 
-    Raises ConfigError where nothing can listen.
+    Raises ConfigError if the server cannot listen.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
@@ -52,7 +54,7 @@ def serve_trials(
         while True:
             slots.acquire()
             connection, (address, number, *_) = listener.accept()
-            # A daemon: when this process ends the policies end too, by the pipe that holds them.
+            # A daemon thread: when this process ends, the policies end too, by the pipe that they watch.
             threading.Thread(target=serve_one, args=(connection, f"{address} port {number}"), daemon=True).start()
 
 
@@ -71,7 +73,7 @@ def _serve_one(connection: socket.socket, peer: str, *, setup: PolicySetup, on_e
 
 
 def _relay(outer: socket.socket, inner: socket.socket) -> None:
-    """Both ways until one end closes."""
+    """Pass bytes both ways until one end closes."""
     for one in (outer, inner):
         one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     outer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -87,7 +89,7 @@ def _pump(source: socket.socket, sink: socket.socket) -> None:
     with suppress(OSError):
         while piece := source.recv(1 << 16):
             sink.sendall(piece)
-    # Either end gone is the end of both; what was sent already still arrives.
+    # If either end is gone, both are closed; what was sent before still arrives.
     for one in (source, sink):
         with suppress(OSError):
             one.shutdown(socket.SHUT_RDWR)

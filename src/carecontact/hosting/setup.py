@@ -19,20 +19,21 @@ class PolicySetup:
     search_path: tuple[str, ...] = ()
     """Folders in which ``module:Class`` is looked for before the installed packages."""
     arguments: Mapping[str, str] = field(default_factory=dict[str, str])
-    """For the constructor or factory, as text; its annotations say what each becomes (``hosting.arguments``)."""
+    """Texts for the constructor or factory, whose annotations decide what each becomes (``hosting.arguments``)."""
     environment: Mapping[str, str] = field(default_factory=dict[str, str], repr=False)
-    """Variables that the process has besides the usual ones (``hosting.process``)."""
+    """Environment variables of the process besides the usual ones (``hosting.process``)."""
     language: str | None = None
-    """For the argument ``language``: rules-v1, replay:FILE.jsonl or live:MODEL. It is not one of ``arguments``, which
-    stand in recordings: the card's ``language_backend`` names it, by a file's content and not by its place."""
+    """Value of the argument ``language``: rules-v1, replay:FILE.jsonl or live:MODEL. It is not in ``arguments``, which
+    recordings hold; instead, the card's ``language_backend`` names it, a file by its content and not by its path."""
     record: str | None = None
-    """For the argument ``record``: file to which the completions of a live model are added. In no recording either."""
+    """Value of the argument ``record``: the file to which the completions of a live model are added. No recording holds
+    it either."""
     readable: tuple[str, ...] = ()
-    """Files and folders that its isolated process may read besides what programs need and what belongs to it."""
+    """Files and folders that its isolated process may read, besides what programs need and the policy's own files."""
     writable: tuple[str, ...] = ()
     """Files and folders that it may read and write besides its own temporary folder."""
     closed: tuple[str, ...] = ()
-    """Folders that stay closed to it wherever they lie: those of runs."""
+    """Folders that stay closed to it even inside one that it may read: those of runs."""
     isolated: bool = True
     """False only to measure what isolation costs and closes."""
 
@@ -42,7 +43,9 @@ class PolicySetup:
         return cls(ref=PolicyRef.parse(policy), search_path=tuple(search_path), arguments=arguments or {})
 
     def __post_init__(self) -> None:
-        """Raises ConfigError for a remote policy that is given anything, and for unknown options of its address."""
+        """Raise ConfigError for a remote policy that is given anything of this, and for unknown options in its
+        address.
+        """
         given = self.arguments or self.environment or self.language or self.record or self.readable or self.writable
         if self.ref.kind == "remote" and given:
             where = "`carecontact serve` there" if self.ref.scheme == "ws" else "the server itself"

@@ -1,4 +1,4 @@
-"""Where a policy's process stands: its Python stack, which the interpreter writes on a signal and when it crashes."""
+"""The Python stack of a policy's process, which the interpreter writes on a signal and when it crashes."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from pathlib import Path
 import carecontact
 
 ASK = signal.SIGQUIT
-"""As elsewhere, for example in Java and Go: the signal that asks a process for its stack."""
+"""The signal that asks a process for its stack, as in Java and Go."""
 PATIENCE_S = 1.0
-"""Until the stack comes; a process that somebody stopped gives none."""
+"""Longest wait [s] for the stack; a process that was stopped by a signal gives none."""
 PAUSE_S = 0.1
-"""Without a further line, after which the stack is complete."""
+"""If no further line comes for this time [s], the stack is complete."""
 MOST_BYTES = 65536
 PLUMBING = tuple(f"{Path(carecontact.__file__).parent / folder}{os.sep}" for folder in ("hosting", "contract"))
-"""Folders whose code calls every policy, or refuses its values, and explains none of its mistakes."""
+"""Folders whose code calls every policy or checks its values, and therefore explains no mistake of a policy."""
 _FRAME = re.compile(r'  File "(.+)", line (\d+) in (.+)')
 _BEGINS = "(most recent call first)"
 
 
 def is_plumbing(file: str) -> bool:
-    """Whether a frame of this file is no policy's: it calls the policy, checks its values or imports its module."""
+    """Whether frames of this file belong to the harness, which calls the policy, checks its values or imports its
+    module.
+    """
     return file.startswith((*PLUMBING, "<frozen importlib")) or file in (importlib.__file__, "<string>")
 
 
@@ -38,7 +40,7 @@ def give_stack(fd: int) -> None:
 
 
 def read_stack(fd: int, *, patience_s: float) -> str:
-    """Return the frames that came through the pipe, one a line, most recent call last; empty if none came.
+    """Return the frames that came through the pipe, one on each line, most recent call last; empty if none came.
 
     Args:
         patience_s: how long to wait for the first of them.
@@ -49,7 +51,7 @@ def read_stack(fd: int, *, patience_s: float) -> str:
         if not piece:
             break
         written, wait_s = written + piece, PAUSE_S
-    # Without the lines of source: the process chose these names, and what they name may block whoever reads it.
+    # Lines of source are left out: the process chose these file names, and reading such a file might block.
     last = written.decode(errors="replace").rpartition(_BEGINS)[2]
     frames = [found.groups() for line in last.splitlines() if (found := _FRAME.fullmatch(line))]
     return "\n".join(

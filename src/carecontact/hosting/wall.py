@@ -17,7 +17,7 @@ OPEN = (
     "carecontact.policies",
     "carecontact.hosting",
 )
-"""All of carecontact that a policy may import; whatever is added later is closed until it is named here."""
+"""The modules of carecontact that a policy may import; a new module is closed until it is named here."""
 
 
 def _closed(name: str) -> bool:
@@ -31,7 +31,9 @@ class ImportWall(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None, /
     ) -> ModuleSpec | None:
-        """Raises ImportError for mujoco and for every part of carecontact that is not OPEN; otherwise passes."""
+        """Raise ImportError for mujoco and for every part of carecontact that is not in OPEN; leave the rest to other
+        finders.
+        """
         if _closed(fullname):
             raise ImportError(
                 f"{fullname} is closed to policies: a policy sees only its observations, never the simulation or the "
@@ -42,7 +44,9 @@ class ImportWall(MetaPathFinder):
 
 
 def raise_wall() -> None:
-    """Raises RuntimeError if a closed module is already loaded, because then the wall would be a promise only."""
+    """Install the wall. Raises RuntimeError if a closed module is already loaded, because the wall could not close
+    it.
+    """
     wall = ImportWall()
     for name in list(sys.modules):
         try:

@@ -1,4 +1,5 @@
-"""The audit's own policy: requests what another one requests, plays a given motion, and notes all that reaches it."""
+"""The audit's own policy: it requests what another policy requests, plays a given motion, and notes all that reaches
+it."""
 
 from __future__ import annotations
 
@@ -24,15 +25,15 @@ from carecontact.hosting.isolation.fence import CACHES
 from carecontact.hosting.wire import codec
 
 TASK, TOLD = "witness.json", "told.json"
-"""In the witness's folder: what it shall do, and what it was told."""
+"""Files in the witness's folder: what it shall do, and what it was told."""
 CHANCE_OPTIONS = ("report_fd", "lifeline_fd", "stack_fd", "parent", "harness_port")
 CHANCE_VARIABLES = (MARK, "TMPDIR", *CACHES)
 CHANCE_HEADERS = ("host", "sec-websocket-key")
-"""Numbers that the operating system or a random generator gave: no trial chooses them."""
+"""Headers whose values the operating system or a random generator chooses, and no trial."""
 
 
 class Witness:
-    """Shows the card in TASK and plays its poses, ``actions_per_look`` at a time; the last one is done.
+    """Shows the card in TASK and plays its poses, ``actions_per_look`` at a time; then it says that it is done.
 
     At ``reset`` it writes to TOLD everything that has reached its process by then.
     """
@@ -55,7 +56,7 @@ class Witness:
         (self._folder / TOLD).write_text(json.dumps(told))
 
     def act(self, observation: Observation) -> list[Action]:
-        """Looks at nothing: the same motion whatever is seen."""
+        """Return the next part of the motion, whatever the observation shows."""
         first, self._next = self._next, self._next + self._actions_per_look
         poses = self._poses[first : self._next]
         if not poses:
@@ -68,7 +69,7 @@ class Witness:
 
 def everything_here() -> dict[str, object]:
     """Return command line, options, environment, folder, open files and the connection's opening request."""
-    # Not isinstance: it asks a weak proxy for its dead object's class.
+    # isinstance would fail here: it asks a weak proxy for the class of an object that is gone.
     request = next((o.request for o in gc.get_objects() if issubclass(type(o), ServerConnection)), None)
     headers = [] if request is None else sorted(request.headers.raw_items())
     return {
@@ -85,7 +86,7 @@ def everything_here() -> dict[str, object]:
 
 
 def _open_files() -> list[str]:
-    """Paths of the regular files that this process holds open; empty where the system does not list them."""
+    """Return the paths of the regular files that this process has open; empty if the system does not list them."""
     folder = Path("/proc/self/fd")
     if not folder.is_dir():
         return []

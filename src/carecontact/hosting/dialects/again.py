@@ -1,4 +1,4 @@
-"""The messages of every dialect made again and read again, for an audit that has a card's arguments and no server."""
+"""Makes and reads the messages of every dialect again, for an audit that has a card's arguments but no server."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from carecontact.hosting.wire.messages import act_message
 
 
 def dialect_of(arguments: Mapping[str, str]) -> str:
-    """``openpi``, ``roboarena`` or ``vla-eval``; empty for a card of the native wire."""
+    """Return ``openpi``, ``roboarena`` or ``vla-eval``; empty for a card of the native wire."""
     return arguments.get("dialect", "")
 
 
 def unpacked(message: bytes, dialect: str) -> object:
-    """Raises ContractError for what is no message of the dialect."""
+    """Decode a message of a dialect. Raises ContractError if it is none."""
     if dialect in ("openpi", "roboarena"):
         return packing_openpi.unpack(message, max_bytes=packing.MAX_MESSAGE_BYTES)
     return packing.unpack(message)
@@ -27,11 +27,12 @@ def unpacked(message: bytes, dialect: str) -> object:
 def observation_again(
     observation: Observation, arguments: Mapping[str, str], cameras: tuple[str, ...], *, sent: bytes
 ) -> bytes:
-    """The message that carries an observation.
+    """Make the message that carries an observation again.
 
     Args:
-        arguments: of the policy's card, as ``cameras``.
-        sent: the message as it was sent, from which a random session id and the number in the connection are taken.
+        arguments: those of the policy's card.
+        cameras: those of the policy's card.
+        sent: the message as it was sent; its random session id and its number in the connection are reused.
 
     Raises:
         ContractError: ``sent`` is no message of the dialect, or the observation does not fit the card.

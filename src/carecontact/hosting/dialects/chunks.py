@@ -1,4 +1,4 @@
-"""From the array that a server answers to joint actions: all of it is checked, and the gripper is ignored."""
+"""Turns the array that a server answers into joint actions. All of it is checked; gripper commands are ignored."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ JOINTS = 7
 WIDTH = JOINTS + 1
 """Seven joints and the gripper."""
 GRIPPER_SLACK = 0.5
-"""By how much a gripper command may lie outside 0 to 1. What a network regresses overshoots by some hundredths; -1 to 1
-and 0 to 255, the other conventions, lie beyond."""
+"""How far a gripper command may lie outside 0 to 1. The output of a network exceeds this range by some hundredths; the
+other conventions, -1 to 1 and 0 to 255, exceed it by more than this."""
 
 
 def joint_actions(chunk: object, *, horizon: int | None, space: str, grips: bool = True) -> list[Action]:
-    """The actions to execute, index by index those of the chunk.
+    """Return the actions to execute, in the order of the chunk.
 
     Args:
         chunk: (N, 8) numbers: seven joints and a gripper command, which is checked and ignored, since the hand is
             closed.
-        horizon: how many are executed; None: all.
+        horizon: number of actions that are executed; None executes all.
         grips: whether the gripper command has to be 0 (open) to 1 (closed).
         space: the action space. Velocities are clipped to [-1, 1], as the clients of openpi and RoboArena do.
 
     Raises:
-        ActionError: says what was expected and what may help.
+        ActionError: the chunk is not such an array; the message says what was expected and what may help.
     """
     expected = f"actions: expected an array of numbers (steps, {WIDTH}): {JOINTS} joints and the gripper"
     if not is_array(chunk):
         raise ActionError(f"{expected}, got {type(chunk).__name__} {chunk!r:.80}")
     if chunk.dtype.kind not in "fiu" or chunk.ndim != 2 or chunk.shape[1] != WIDTH or not 1 <= len(chunk) <= MAX_CHUNK:
         raise ActionError(f"{expected}, 1 to {MAX_CHUNK} steps, got {chunk.dtype} {chunk.shape}{_hint(chunk.shape)}")
-    # A NaN of another width may signal when it is widened; it is named below.
+    # Converting a NaN to another width may raise a floating-point warning; the check below names the NaN.
     with np.errstate(invalid="ignore"):
         values = chunk.astype(np.float64)
     if not np.isfinite(values).all():

@@ -9,7 +9,7 @@ from PIL import Image
 U8 = npt.NDArray[np.uint8]
 
 CAPTURED_HW = (288, 512)
-"""Size to which RoboArena's client brings every captured picture before anything else."""
+"""Height and width [px] to which RoboArena's client first resizes every captured picture."""
 
 
 def cropped_16_9(image: U8) -> U8:
@@ -23,8 +23,8 @@ def cropped_16_9(image: U8) -> U8:
 def padded(image: U8, hw: tuple[int, int]) -> U8:
     """Resize an (H, W, 3) picture without distortion and centre it on black: openpi's ``resize_with_pad``.
 
-    PIL's bilinear filter averages over the pixels that it leaves out, other than that of OpenCV, and sizes are rounded
-    down; both show in every pixel, so that no other function will do.
+    It must be PIL's bilinear filter, which averages over the pixels that it leaves out and OpenCV's does not, with
+    sizes rounded down: both choices affect every pixel.
     """
     height, width = hw
     if image.shape[:2] == hw:
@@ -38,7 +38,8 @@ def padded(image: U8, hw: tuple[int, int]) -> U8:
 
 
 def stretched(image: U8, hw: tuple[int, int] | None) -> U8:
-    """Resize an (H, W, 3) picture to the captured size and from there to ``hw``, whatever its shape: RoboArena's way.
+    """Resize an (H, W, 3) picture to the captured size and then to ``hw`` without regard to its shape, as RoboArena
+    does.
 
     ``hw``: None for a server that takes pictures as they were captured.
     """

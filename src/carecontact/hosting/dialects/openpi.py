@@ -1,8 +1,10 @@
-"""The client of openpi's servers, of RoboArena's and of vllm-omni's: one wire, told apart by what a server says first.
+"""The client of the servers of openpi, RoboArena and vllm-omni. They share one wire format and differ in what they send
+first.
 
-A server sends its metadata as soon as the connection is open. openpi's own are empty or describe no action space, so
-that the address has to name a profile; RoboArena's and vllm-omni's describe what they want. Then every request is one
-map, and its answer one frame. An error is a text frame (openpi, RoboArena) or ``{"type": "error"}`` (vllm-omni).
+A server sends its metadata as soon as the connection is open. Those of openpi are empty or describe no action space, so
+that the address has to name a profile; those of RoboArena and vllm-omni describe what the server needs. After that,
+every request is one map and its answer one frame. An error is a text frame (openpi, RoboArena) or ``{"type": "error"}``
+(vllm-omni).
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from carecontact.hosting.wire.packing import is_array, is_map
 LATE = "; an openpi server sends its metadata first, unasked; other servers need another scheme in the address"
 PACKED = "send one binary message, packed as openpi_client.msgpack_numpy does"
 ERROR_WORDS = ("Traceback", "Error")
-"""Beginnings of a text that answers a reset and is not a confirmation of it."""
+"""If a text that answers a reset begins so, it is an error and no confirmation."""
 
 
 class OpenpiClient(Client):
@@ -43,7 +45,7 @@ class OpenpiClient(Client):
         """
         Args:
             scheme: ``openpi`` or ``roboarena``.
-            options: those of the address.
+            options: the options in the server's address.
         """
         super().__init__(connection)
         self._scheme, self._options = scheme, dict(options)
@@ -51,7 +53,10 @@ class OpenpiClient(Client):
         self._profile: Profile | None = None
 
     def card(self, *, deadline_s: float) -> PolicyCard:
-        """Receive the metadata. Raises PolicyError ``handshake`` where they and the address decide nothing together."""
+        """Receive the metadata and return the card.
+
+        Raises PolicyError ``handshake`` if the metadata and the address together do not determine a profile.
+        """
         frame = self.connection.receive("metadata", deadline_s=deadline_s, late=LATE)
         metadata = _decoded(frame, "metadata")
         if not is_map(metadata):
@@ -82,7 +87,7 @@ class OpenpiClient(Client):
         return profile
 
     def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None:
-        """Openpi's servers know no reset; the others forget what they keep of the trial's session."""
+        """Ask for a reset. openpi's servers have none; the others then forget what they keep of the session."""
         if self._known.endpoint:
             frame = self.connection.ask(pack(reset_request(self._session_id)), "reset", deadline_s=deadline_s)
             _confirmed(frame)
@@ -102,7 +107,7 @@ class OpenpiClient(Client):
         return ActReply(actions=actions, sent=message, sent_sha256=digest(request))
 
     def _end(self, *, deadline_s: float) -> None:
-        """A server may keep what belongs to a session until it is told; it need not answer any more."""
+        """Tell the server that the session has ended, so that it can forget it; no answer is needed."""
         if self._profile is not None and self._profile.endpoint:
             self.connection.send(pack(reset_request(self._session_id)), deadline_s=deadline_s)
 
@@ -114,12 +119,16 @@ class OpenpiClient(Client):
 
 
 def digest(request: Mapping[str, object]) -> bytes:
-    """(32,) of a request without its session id, which is random, so that equal trials have equal digests."""
+    """Return the digest, 32 bytes, of a request without its random session id, so that equal trials have equal
+    digests.
+    """
     return sha256(pack({name: value for name, value in request.items() if name != SESSION}))
 
 
 def _decoded(frame: bytes | str, what: str) -> object:
-    """Raises PolicyError ``exception`` for an error that the server tells, ``garbage`` for what is no message."""
+    """Decode a frame. Raises PolicyError ``exception`` for an error that the server reports, ``garbage`` for any other
+    frame that is no message.
+    """
     if isinstance(frame, str):
         raise PolicyError("exception", _told(frame))
     try:
@@ -138,7 +147,7 @@ def _told(error: object) -> str:
 
 
 def _confirmed(frame: bytes | str) -> None:
-    """RoboArena confirms a reset with a text, which is no error there, and vllm-omni with a map."""
+    """Check the answer to a reset: RoboArena confirms it with a text, vllm-omni with a map."""
     answer = frame if isinstance(frame, str) else _decoded(frame, "reset")
     if isinstance(answer, str):
         if not answer.strip() or answer.lstrip().startswith(ERROR_WORDS):
@@ -148,9 +157,9 @@ def _confirmed(frame: bytes | str) -> None:
 
 
 def _chunk(answer: object, *, single: bool) -> object:
-    """The array of actions. Raises PolicyError ``garbage``.
+    """Return the array of actions in an answer. Raises PolicyError ``garbage`` if there is none.
 
-    ``single``: whether an array of one axis is one action, as RoboArena's client takes it.
+    ``single``: whether an array with one axis counts as one action, as for RoboArena's client.
     """
     if is_map(answer):
         if "actions" not in answer:

@@ -1,4 +1,4 @@
-"""Names in the address of a dialect's server, checked before anything is connected."""
+"""Checks the options in the address of a dialect's server before anything is connected."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from carecontact.hosting.dialects.profiles import SPACES, named_profile
 
 
 def check_options(ref: PolicyRef) -> None:
-    """Raises ConfigError for a profile or action space that nobody knows; says which are known."""
+    """Check the options. Raises ConfigError for an unknown profile or action space; the message lists the known
+    ones.
+    """
     options = dict(ref.options)
     if "profile" in options:
         try:

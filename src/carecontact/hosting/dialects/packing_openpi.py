@@ -27,7 +27,7 @@ from carecontact.hosting.wire.packing import (
 
 ARRAY, SCALAR = b"__ndarray__", b"__npgeneric__"
 KEYS = {ARRAY: {ARRAY, b"data", b"dtype", b"shape"}, SCALAR: {SCALAR, b"data", b"dtype"}}
-"""Marker -> keys of a map that stands for an array or a scalar of numpy."""
+"""Marker -> the keys of a map with this marker, which stands for an array or a scalar of numpy."""
 
 _packb = cast(Callable[..., bytes], msgpack.packb)  # pyright: ignore[reportUnknownMemberType]
 

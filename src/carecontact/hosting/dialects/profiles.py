@@ -1,5 +1,4 @@
-"""What a server of the openpi family is sent and how its answer is meant: by name, or by what the server says of
-itself."""
+"""What a server of the openpi family receives and what its answers mean: chosen by name or by the server's metadata."""
 
 from __future__ import annotations
 
@@ -13,17 +12,17 @@ from carecontact.errors import ConfigError, PolicyError, did_you_mean
 from carecontact.hosting.wire.packing import is_list
 
 EXTERIOR = "observation/exterior_image_{}_left"
-"""Key of an exterior camera's picture. "Left" is the left one of a stereo camera's two pictures."""
+"""Key of an exterior camera's picture. "Left" means the left picture of a stereo camera."""
 WRIST, JOINTS = "observation/wrist_image_left", "observation/joint_position"
 GRIPPER, CARTESIAN = "observation/gripper_position", "observation/cartesian_position"
 PROMPT, ENDPOINT, SESSION = "prompt", "endpoint", "session_id"
 
 EXTERIOR_CAMERAS = ("exterior", "bedside")
-"""Ours, in the order in which a server that asks for one or two exterior cameras gets them."""
+"""Our exterior cameras, in the order in which they serve a server that asks for one or two."""
 RATE_HZ = 15.0
-"""Rate of DROID's data and of its clients."""
+"""Control rate [Hz] of DROID's data and of its clients."""
 SPACES = {"joint_velocity": "droid_joint_velocity", "joint_position": "joint_position"}
-"""RoboArena's name of an action space -> ours. The dialects execute no other one."""
+"""RoboArena's name of an action space -> our name. The dialects execute no other action space."""
 FIELDS = (
     "image_resolution", "needs_wrist_camera", "n_external_cameras", "needs_stereo_camera", "needs_session_id",
     "action_space",
@@ -34,31 +33,31 @@ FIELDS = (
 @dataclass(frozen=True, kw_only=True)
 class Profile:
     name: str
-    """Stands in the card, and so in every table."""
+    """Name of the profile, which the card and therefore every table shows."""
     action_space: str
     control: str
-    """Controller with which the policy's targets are followed."""
+    """Name of the controller that follows the policy's targets."""
     resize: Literal["pad", "stretch"] = "pad"
-    """``pad``: openpi's resize without distortion; ``stretch``: RoboArena's."""
+    """``pad``: resize without distortion, as openpi does; ``stretch``: as RoboArena does."""
     image_hw: tuple[int, int] | None = (224, 224)
-    """Height and width of every picture [px]; None: as it was captured, 288 by 512."""
+    """Height and width of every picture [px]; None sends pictures as they were captured, 288 by 512."""
     exterior_cameras: int = 1
     wrist: bool = True
     first_exterior: int = 1
     """Number of the first exterior camera in its key: 0 or 1."""
     horizon: int | None = 8
-    """Number of actions of a chunk that are executed before the next query; None: all."""
+    """Number of actions of a chunk that are executed before the next query; None executes all."""
     endpoint: bool = False
-    """Whether requests name an endpoint, carry the Cartesian position, and resets are sent, as RoboArena has it."""
+    """Whether requests name an endpoint and carry the Cartesian position, and resets are sent, as for RoboArena."""
     session: bool = False
-    """Whether requests carry a random id of the trial."""
+    """Whether requests carry a random session id."""
     rate_hz: float = RATE_HZ
     closed_gripper: float = 1.0
-    """What the server's gripper position is when the gripper is closed. Ours is 0."""
+    """The value by which the server denotes a closed gripper. Ours is 0."""
 
     @property
     def exterior_keys(self) -> dict[str, str]:
-        """Our camera -> key of its picture."""
+        """Name of our camera -> key of its picture."""
         cameras = EXTERIOR_CAMERAS[: self.exterior_cameras]
         return {camera: EXTERIOR.format(self.first_exterior + i) for i, camera in enumerate(cameras)}
 
@@ -82,11 +81,13 @@ PROFILES = {
     ),
 }
 """``pi05-droid`` follows openpi's examples/droid/main.py, ``pi05-droid-jointpos`` the client of PolaRiS. Both send the
-keys of openpi's policies/droid_policy.py. Their servers do not say which of the two they serve."""
+keys of openpi's policies/droid_policy.py. A server's metadata do not say which of the two it expects."""
 
 
 def named_profile(options: Mapping[str, str]) -> Profile:
-    """The profile that an address names, with its other options. Raises ConfigError for an unknown name."""
+    """Return the profile that an address names, with its other options applied. Raises ConfigError for an unknown
+    name.
+    """
     name = options["profile"]
     if name not in PROFILES:
         raise ConfigError(f"no profile named {name!r}{did_you_mean(name, PROFILES)}; valid: {', '.join(PROFILES)}")
@@ -99,7 +100,7 @@ def named_profile(options: Mapping[str, str]) -> Profile:
 
 
 def told_profile(metadata: Mapping[str, object], options: Mapping[str, str]) -> Profile:
-    """The profile that a server's metadata describe in RoboArena's words.
+    """Return the profile that a server's metadata describe in RoboArena's terms.
 
     Raises PolicyError ``handshake`` for a field that is missing, is not what RoboArena defines, or asks for what this
     benchmark does not have.
@@ -134,12 +135,12 @@ def told_profile(metadata: Mapping[str, object], options: Mapping[str, str]) -> 
 
 
 def describes_itself(metadata: Mapping[str, object]) -> bool:
-    """Whether metadata are those of RoboArena, which openpi's own servers do not send."""
+    """Whether metadata have RoboArena's fields, which openpi's own servers do not send."""
     return "action_space" in metadata
 
 
 def contradiction(profile: Profile, metadata: Mapping[str, object]) -> str:
-    """The first field in which metadata say something else than a profile that was named; empty if none does."""
+    """Return the first field in which metadata contradict the named profile; empty if none does."""
     known: dict[str, object] = {
         "action_space": {ours: theirs for theirs, ours in SPACES.items()}[profile.action_space],
         "image_resolution": list(profile.image_hw or ()),
@@ -154,7 +155,7 @@ def contradiction(profile: Profile, metadata: Mapping[str, object]) -> str:
 
 
 def card_of(profile: Profile, *, dialect: str) -> PolicyCard:
-    """The card of a server that shows none. Its arguments say all that decides what is sent (``profile_of``)."""
+    """Make the card of a server that sends none. Its arguments hold all that decides what is sent (``profile_of``)."""
     return PolicyCard(
         name=f"{dialect} {profile.name}" if dialect != profile.name else dialect,
         action_space=profile.action_space,
@@ -162,14 +163,16 @@ def card_of(profile: Profile, *, dialect: str) -> PolicyCard:
         modalities=("rgb",) if profile.cameras else (),
         cameras=profile.cameras or ("exterior",),
         control_hz=profile.rate_hz,
-        # The simulations of these clients leave a target beyond a joint's limit to the limit itself.
+        # The simulations of these clients accept a target beyond a joint's limit, and the limit stops the joint.
         out_of_bounds="clip" if profile.action_space == "joint_position" else "error",
         arguments=_arguments(profile, dialect),
     )
 
 
 def profile_of(given: Mapping[str, str]) -> Profile:
-    """The profile of a card that ``card_of`` made, by its arguments, so that an audit can make its messages again."""
+    """Return the profile of a card that ``card_of`` made, from its arguments, so that an audit can make its messages
+    again.
+    """
     if "told" in given:
         return told_profile(cast(dict[str, object], json.loads(given["told"])), given)
     return named_profile(given)

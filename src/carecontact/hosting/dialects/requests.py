@@ -1,4 +1,4 @@
-"""The requests of the openpi family: what an observation becomes, key by key."""
+"""Makes the requests of the openpi family from an observation, key by key."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from carecontact.hosting.dialects.profiles import (
 )
 
 HAND_TURN_RAD = -np.pi / 4
-"""Of the hand about the flange's axis, as the franka description package mounts it."""
+"""Angle of the hand about the flange's axis, as the franka description package mounts it."""
 
 
 def new_session_id() -> str:
-    """A random id of one trial: a version-4 UUID of the operating system's generator, which no seed reaches."""
+    """Return a random session id: a version-4 UUID of the operating system's generator, which depends on no seed."""
     return str(uuid.uuid4())
 
 
 def infer_request(observation: Observation, profile: Profile, *, session_id: str) -> dict[str, object]:
-    """``session_id``: sent only where the profile asks for it.
+    """Make the request for one observation. ``session_id``: sent only if the profile asks for it.
 
     Raises ObservationError if a picture that the profile's card requests is missing.
     """
@@ -60,8 +60,9 @@ def reset_request(session_id: str) -> dict[str, object]:
 
 
 def cartesian_position(pose_tcp_in_base: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """(7,) pose of our tool -> (6,) DROID's pose of the flange (panda_link8): position [m] and Euler angles [rad] about
-    the fixed axes x, y, z."""
+    """Turn the pose (7,) of our tool into DROID's pose (6,) of the flange (panda_link8): position [m] and Euler angles
+    [rad] about the fixed axes x, y, z.
+    """
     hand = Rotation.from_quat(pose_tcp_in_base[3:], scalar_first=True)
     position = pose_tcp_in_base[:3] - PANDA.tcp_z_m * hand.as_matrix()[:, 2]
     flange = hand * Rotation.from_euler("z", -HAND_TURN_RAD)
@@ -69,7 +70,7 @@ def cartesian_position(pose_tcp_in_base: npt.NDArray[np.float64]) -> npt.NDArray
 
 
 def _theirs(opening: npt.NDArray[np.float64], profile: Profile) -> npt.NDArray[np.float64]:
-    """Our opening, 0 where closed, in the server's polarity."""
+    """Convert our gripper opening, where 0 is closed, to the server's convention."""
     return profile.closed_gripper + (1.0 - 2.0 * profile.closed_gripper) * opening
 
 

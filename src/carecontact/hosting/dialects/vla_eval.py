@@ -1,9 +1,10 @@
-"""The client of vla-eval's model servers, protocol 1: HELLO both ways, the episode's start, an action an observation.
+"""The client of vla-eval's model servers, protocol 1: HELLO both ways, the episode's start, one action for each
+observation.
 
 Arrays travel as on the native wire, so that its strict decoder serves here too. Pictures are sent as such arrays, which
-a server takes as well as PNG, and whose bytes do not depend on a library's version. What the original client tells a
-server about the episode (the task with its number, metrics at the end) is not sent: the start holds the instruction
-only, the end nothing. The time stamp of every message is 0.
+a server accepts as well as PNG, and whose bytes do not depend on a library's version. Unlike the original client, this
+one tells a server neither the task's number nor metrics: the start message holds the instruction only, the end message
+nothing. The time stamp of every message is 0.
 """
 
 from __future__ import annotations
@@ -27,12 +28,12 @@ from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, is_array, is_map, 
 PROTOCOL = 1
 HELLO: dict[str, object] = {"harness_version": "carecontact", "protocol_version": PROTOCOL}
 EXTERIOR, WRIST = "exo_camera_1", "wrist_camera"
-"""Names of the two pictures, which are those of vla-eval's DROID benchmark; servers go by their order."""
+"""Names of the two pictures, as in vla-eval's DROID benchmark; servers use their order."""
 FORMATS = {
     "joint_position": ("joint_pos_abs", "joint_positions"),
     "droid_joint_velocity": (),
 }
-"""Action space of ours -> formats of a DimSpec of seven joints that mean the same. A server's ``joint_velocity`` says
+"""Our action space -> formats of a DimSpec of seven joints with the same meaning. A server's ``joint_velocity`` states
 neither rad/s nor a normalisation, so that the address has to name the space."""
 KEYS = {
     "hello": ("harness_version", "protocol_version"),
@@ -43,14 +44,14 @@ KEYS = {
 """Type of a message that is sent -> every key of its payload."""
 ENVELOPE = ("type", "payload", "seq", "timestamp")
 WANTS = ("send_wrist_image", "send_state")
-"""What a server may ask for in its HELLO beside the exterior picture and the instruction."""
+"""What a server may request in its HELLO besides the exterior picture and the instruction."""
 
 
 class VlaEvalClient(Client):
     """One trial with a model server of vla-eval."""
 
     def __init__(self, connection: Connection, *, options: Mapping[str, str]) -> None:
-        """``options``: those of the address."""
+        """``options``: the options in the server's address."""
         super().__init__(connection)
         self._options = dict(options)
         self._seq = 0
@@ -58,7 +59,9 @@ class VlaEvalClient(Client):
         self._card: PolicyCard | None = None
 
     def card(self, *, deadline_s: float) -> PolicyCard:
-        """Exchange HELLO. Raises PolicyError ``handshake`` for another protocol or an action space nobody knows."""
+        """Exchange HELLO and return the card. Raises PolicyError ``handshake`` for another protocol or an unknown
+        action space.
+        """
         payload = self._ask("hello", HELLO, "hello", deadline_s=deadline_s)
         if payload.get("protocol_version") != PROTOCOL:
             version = payload.get("protocol_version")
@@ -67,7 +70,7 @@ class VlaEvalClient(Client):
         return self._card
 
     def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None:
-        """A server does not confirm the start; if it fails, the error answers the first observation."""
+        """Send the start. A server does not confirm it; if it fails, an error answers the first observation."""
         self._instruction = instruction
         self.connection.expect_silence()
         self.connection.send(self._message("episode_start", {"task": {"name": instruction}}), deadline_s=deadline_s)
@@ -76,7 +79,7 @@ class VlaEvalClient(Client):
         if self._card is None:
             raise ContractError("VlaEvalClient: expected card before act, got none")
         if (early := self.connection.waiting()) is not None:
-            # An error is how a server refuses an episode's start; nothing else may come unasked.
+            # A server refuses an episode's start with an error; nothing else may come unasked.
             _payload(early, "action", seq=0)
         payload = observation_payload(observation, self._card.cameras, state=self._card.arguments["state"] == "yes")
         answer = self._ask("observation", payload, "action", deadline_s=deadline_s)
@@ -100,15 +103,15 @@ class VlaEvalClient(Client):
 
 
 def message(kind: str, payload: Mapping[str, object], *, seq: int) -> bytes:
-    """``seq``: number of the message in its connection, from 1."""
+    """Encode a message. ``seq``: its number in the connection, from 1."""
     return pack({"type": kind, "payload": dict(payload), "seq": seq, "timestamp": 0.0})
 
 
 def observation_payload(observation: Observation, cameras: Sequence[str], *, state: bool) -> dict[str, object]:
-    """What a server is shown.
+    """Return what a server is shown of an observation.
 
     Args:
-        cameras: ours, those of the card.
+        cameras: names of our cameras, as in the card.
         state: whether the joint angles and the gripper are sent.
 
     Raises:
@@ -124,7 +127,7 @@ def observation_payload(observation: Observation, cameras: Sequence[str], *, sta
         images[name] = cropped_16_9(view.rgb)
     payload: dict[str, object] = {"images": images, "task_description": observation.instruction}
     if state:
-        # 1 is closed, as in DROID's data.
+        # 1 means closed, as in DROID's data.
         closed = 1.0 - np.asarray(observation.gripper_position, np.float64)
         payload["states"] = np.concatenate([observation.joint_position, closed]).astype("<f8")
     return payload
@@ -156,7 +159,9 @@ def _card(hello: Mapping[str, object], options: Mapping[str, str]) -> PolicyCard
 
 
 def _space(spec: object) -> str:
-    """Our action space for the specification of a server's actions. Raises PolicyError ``handshake``."""
+    """Return our action space for a server's specification of its actions. Raises PolicyError ``handshake`` if none
+    fits.
+    """
     remedy = f"name the space in the address: ?space={' or ?space='.join(FORMATS)}"
     if not is_map(spec) or not spec:
         raise PolicyError("handshake", f"the server does not say what its actions mean; {remedy}")
@@ -198,9 +203,9 @@ def _payload(frame: bytes | str, kind: str, *, seq: int) -> Mapping[str, object]
 
 
 def _row(answer: Mapping[str, object]) -> object:
-    """The one action of an answer as an array (1, 8). Raises ActionError.
+    """Return the one action of an answer as an array (1, 8). Raises ActionError if there is none.
 
-    A server of seven columns commands no gripper; the benchmark has none either.
+    A server with seven columns commands no gripper, which this benchmark ignores anyway.
     """
     chunk = answer.get("actions")
     if not is_array(chunk):

@@ -21,18 +21,19 @@ SYSTEM = (
         "protocols",
     )),
 )  # fmt: skip
-"""Programs, libraries, hardware, certificates and the names of hosts. Never /home, /root, /tmp, /run or all of /etc."""
+"""What programs need to read: programs, libraries, hardware, certificates and names of hosts. Never /home, /root, /tmp,
+/run or all of /etc."""
 PROCESS = (
     "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/uptime", "/proc/loadavg", "/proc/version",
     "/proc/filesystems", "/proc/devices", "/proc/modules", "/proc/sys", "/proc/driver",
 )  # fmt: skip
-"""Of /proc, what describes the machine. Of the processes in it, a policy sees itself only."""
+"""The parts of /proc that describe the machine. Of the processes in it, a policy sees only its own."""
 CACHES = ("~/.cache",)
-"""Where libraries keep the weights that they downloaded."""
+"""Folders in which libraries keep downloaded weights."""
 KEYS = ("~/.cache/huggingface/token", "~/.cache/huggingface/stored_tokens")
-"""Secrets of the user among them."""
+"""Secrets of the user inside these folders."""
 SOCKETS = ("/run/systemd/resolve", "/run/nscd", "/run/nvidia-persistenced")
-"""Where daemons listen that tell the addresses of hosts and keep graphics cards awake."""
+"""Sockets of the daemons that resolve names of hosts and keep graphics cards initialised."""
 DEVICES = (
     "/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom", "/dev/nvidia*", "/dev/dri", "/dev/kfd",
     "/dev/dxg", "/dev/infiniband",
@@ -50,14 +51,14 @@ def rights(
     closed: Sequence[str],
     record: str | None = None,
 ) -> dict[str, int]:
-    """Return path -> rights, for ``landlock.restrict``.
+    """Return path -> rights, as ``landlock.restrict`` takes them.
 
     Args:
         search_path: folders of the policy's modules, besides those of ``sys.path``.
-        target: ``module:Class``; its package may lie elsewhere, as an editable installation has it.
-        given: arguments and values of variables; each that is a path, or a list of paths, may be read.
-        readable, writable: what the user opened besides.
-        record: file to which the policy may add.
+        target: ``module:Class``; its package may lie elsewhere, as with an editable installation.
+        given: arguments and values of variables; every path in them, alone or in a list, may be read.
+        readable, writable: files and folders that the user opened in addition.
+        record: file to which the policy may append.
         closed: folders that stay closed even inside one that may be read. Only ``readable`` opens them.
     """
     found: dict[str, int] = {}
@@ -75,7 +76,7 @@ def rights(
         allow(path, READ | DEVICE)
     for place in SOCKETS:
         allow(os.path.realpath(place), RESOLVE_SOCKET)
-    # CUDA names its threads there, and does not start without emptying the file that it writes the name to.
+    # CUDA names its threads there and does not start unless it may truncate the file to which it writes a name.
     allow(f"/proc/{os.getpid()}", READ | WRITE_FILE | TRUNCATE)
     for place in (tempfile.gettempdir(), SHARED_MEMORY):
         if list(without(place, shut)) == [place]:
@@ -90,7 +91,9 @@ def rights(
 
 
 def without(folder: str, closed: Sequence[str]) -> Iterator[str]:
-    """Yield ``folder``; or, where a closed one lies inside, what else does; or nothing where it is closed itself."""
+    """Yield ``folder``; if closed folders lie inside it, yield its other content instead; if it is closed, yield
+    nothing.
+    """
     if any(_inside(folder, shut) for shut in closed):
         return
     if not any(_inside(shut, folder) for shut in closed):
@@ -99,7 +102,7 @@ def without(folder: str, closed: Sequence[str]) -> Iterator[str]:
     with suppress(OSError):
         for entry in sorted(os.listdir(folder)):
             path = os.path.join(folder, entry)
-            # A link may lead back to a folder above, for ever.
+            # A link to a parent folder would make the walk endless.
             if not os.path.islink(path):
                 yield from without(path, closed)
             elif not any(_inside(a, b) for shut in closed for a, b in _both(shut, os.path.realpath(path))):
@@ -119,8 +122,7 @@ def _interpreter() -> list[str]:
 
 
 def _package(search_path: Sequence[str], target: str) -> list[str]:
-    """Where the policy's module lies, as the import system finds it. A module of the top level is found without being
-    run."""
+    """Return where the import system finds the policy's module. A top-level module is found without running it."""
     sys.path[:0] = search_path
     try:
         spec = importlib.util.find_spec(target.partition(":")[0].partition(".")[0])
@@ -134,7 +136,7 @@ def _package(search_path: Sequence[str], target: str) -> list[str]:
 
 
 def _paths(given: Iterable[str]) -> Iterator[str]:
-    """A text alone, after a ``name:``, and the parts of a list."""
+    """Yield what may be a path in each text: the text, what follows a ``name:`` in it, and the parts of a list."""
     for text in given:
         for part in {text, text.partition(":")[2], *text.split(os.pathsep)}:
             place = os.path.expanduser(part)

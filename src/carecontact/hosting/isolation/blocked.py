@@ -1,4 +1,4 @@
-"""What a policy's error says about a file that isolation closes to it."""
+"""Recognises errors of a policy about a file that isolation closes to it."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ _DENIED = re.compile(r"Permission denied: *['\"]([^'\"\n]+)|(/[^'\"\n:]+)['\"]?:
 
 
 def remedy(message: str, *, isolation: str | None) -> str:
-    """Return what follows a failure whose reason is a path that the harness can use and its policy cannot, or nothing.
+    """Return what to append to a failure caused by a path that the harness can use and its policy cannot; otherwise
+    empty.
 
-    ``isolation``: of the policy's process, as recordings hold it.
+    ``isolation``: the isolation of the policy's process, in the words of recordings.
     """
     denied = _DENIED.search(message)
     if denied is None or not isolation or isolation.startswith("none"):

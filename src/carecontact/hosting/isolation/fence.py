@@ -1,4 +1,4 @@
-"""Isolates the policy's process, as far as this system can: called before anything else is imported there."""
+"""Isolates the policy's process as far as this system can. It is called before anything else is imported there."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ CACHES = (
     "TRITON_HOME", "TRITON_CACHE_DIR", "CUPY_CACHE_DIR", "CUDA_CACHE_PATH", "MPLCONFIGDIR", "NUMBA_CACHE_DIR",
     "HF_TOKEN_PATH",
 )  # fmt: skip
-"""Variables that say where libraries keep what they compiled, and the last where one looks for a key of the user: else
-in the home folder, and some fail where they cannot write or read there."""
+"""Variables that name folders in which libraries keep compiled files and, in the last one, look for a key of the user.
+By default these lie in the home folder, and some libraries fail if they cannot use it."""
 NAME_FILES = ("LD_LIBRARY_PATH", "SSL_CERT_FILE")
 
 
 def level(kernel: int, *, limits: bool) -> str:
-    """Describe the isolation that a version of Landlock gives; 0 for a kernel without it. The first word is the level:
-    full, partial or none.
+    """Describe the isolation that a version of Landlock gives; version 0 is a kernel without it.
+
+    The first word of the description is the level: full, partial or none.
 
     ``limits``: whether the limits of the harness's processes are closed as well.
     """
@@ -46,14 +47,14 @@ def level(kernel: int, *, limits: bool) -> str:
 
 
 def available() -> str:
-    """Return the level that this system can give a policy."""
+    """Return the description (``level``) of the isolation that this system can give a policy."""
     return level(version(), limits=can_close_limits())
 
 
 def isolate(options: Options) -> None:
-    """Give up all rights that a policy does not need, and end with the process that started this one.
+    """Give up all rights that a policy does not need, and arrange that this process ends with its parent.
 
-    The level reached, and what the user opened, are then ``options["isolation"]``, as recordings hold them.
+    Afterwards, ``options["isolation"]`` describes the level and what the user opened, in the words of recordings.
     """
     die_with_parent(options["parent"])
     options["isolation"] = _enclose(options) if options["isolated"] else "none: switched off"
@@ -62,7 +63,7 @@ def isolate(options: Options) -> None:
 def _enclose(options: Options) -> str:
     search_path, record = options["search_path"], options["language"].get("record")
     if record is not None:
-        # A file alone can be opened to the policy only where it exists.
+        # A single file can be opened to the policy only if it exists.
         with suppress(OSError):
             open(record, "ab").close()
     allowed = rights(
@@ -87,7 +88,7 @@ def _enclose(options: Options) -> str:
 
 
 def _variables(names: Sequence[str]) -> list[str]:
-    """Values of those that --policy-env let pass, and of the usual ones that name files."""
+    """Return the values of the variables that --policy-env let pass, and of the usual variables that name files."""
     return [os.environ[name] for name in (*names, *NAME_FILES) if name in os.environ]
 
 

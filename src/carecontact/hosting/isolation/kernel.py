@@ -1,4 +1,4 @@
-"""What a process asks of the kernel about itself. Each request is passed over where there is no such kernel."""
+"""Requests of a process to the kernel about itself. Each does nothing on a system whose kernel lacks it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KEPT_CAPABILITIES = 1 << 1
 def die_with_parent(parent: int) -> None:
     """Let the kernel kill this process as soon as the one that started it is gone; end now if it is gone already.
 
-    ``parent``: its process id. The kernel means the thread that started this process.
+    ``parent``: the id of that process. The kernel watches the thread that started this process.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(SET_PARENT_DEATH_SIGNAL, int(signal.SIGKILL), 0, 0, 0)
@@ -32,18 +32,19 @@ def die_with_parent(parent: int) -> None:
 
 
 def hide_memory() -> None:
-    """Close memory, variables, open files and tracing of this process to other processes of the same user.
+    """Hide memory, environment and open files of this process from other processes of the same user, and forbid
+    tracing.
 
-    Root is not kept out. A debugger is: it cannot attach, and the process leaves no core file.
+    Root is not affected. A debugger cannot attach any more, and the process leaves no core file.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(SET_DUMPABLE, 0, 0, 0, 0)
 
 
 def drop_capabilities() -> None:
-    """Give up for good what root may do beyond any other user, but for KEPT_CAPABILITIES.
+    """Give up, permanently, what root may do beyond other users, except KEPT_CAPABILITIES.
 
-    For good, because a process without new privileges gets none by starting a program either.
+    It is permanent because a process with no_new_privs gains nothing by starting another program.
     """
     number = CAPSET.get(os.uname().machine) if sys.platform == "linux" else None
     if number is not None and os.geteuid() == 0:
@@ -53,8 +54,8 @@ def drop_capabilities() -> None:
 
 
 def hide_options(arguments: Sequence[str]) -> None:
-    """Blank the first option of this process and all that follows it where the system shows command lines, to every
-    user, in /proc: options name tasks and seeds.
+    """Erase the options of this process from /proc, where every user can read command lines: options name tasks and
+    seeds.
 
     ``arguments``: the end of this process's command line.
     """

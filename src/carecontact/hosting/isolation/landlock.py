@@ -1,5 +1,5 @@
-"""Landlock: a process gives up rights on files and signals, for itself and for all that it starts, and needs no
-privilege for it. Numbers are those of linux/landlock.h."""
+"""Landlock: a process gives up rights to files and signals for itself and its descendants, without needing a privilege.
+Numbers are those of linux/landlock.h."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ EXECUTE, WRITE_FILE, READ_FILE, READ_DIR = 1 << 0, 1 << 1, 1 << 2, 1 << 3
 REMOVE_AND_MAKE = sum(1 << bit for bit in range(4, 13))
 """Remove a directory or file; make a device, directory, file, socket, pipe or link."""
 REFER, TRUNCATE, IOCTL_DEVICE, RESOLVE_SOCKET = 1 << 13, 1 << 14, 1 << 15, 1 << 16
-"""The last: connect to a socket with a path that another process made."""
+"""Rights of later versions. The last one is to connect to a socket with a path that another process made."""
 SINCE = {2: REFER, 3: TRUNCATE, 5: IOCTL_DEVICE, 9: RESOLVE_SOCKET}
-"""Version of Landlock -> the right that it learnt to take away."""
+"""Version of Landlock -> the right that this version is the first to control."""
 SCOPES_SINCE, ABSTRACT_SOCKETS, SIGNALS = 6, 1 << 0, 1 << 1
 
 READ = EXECUTE | READ_FILE | READ_DIR
 WRITE = WRITE_FILE | REMOVE_AND_MAKE | REFER | TRUNCATE
 DEVICE = READ_FILE | WRITE_FILE | IOCTL_DEVICE
 OF_A_FILE = EXECUTE | WRITE_FILE | READ_FILE | TRUNCATE | IOCTL_DEVICE | RESOLVE_SOCKET
-"""Rights that a rule about something other than a directory may have."""
+"""Rights that a rule about anything other than a directory may contain."""
 
 _PINNED: list[int] = []
-"""Open descriptors of places in /proc: the kernel may otherwise forget and make anew what a rule is about."""
+"""Open descriptors of the places in /proc that rules name. Without them, the kernel may recreate such a place, and the
+rule would no longer apply to it."""
 
 
 def version() -> int:
@@ -44,18 +45,18 @@ def version() -> int:
 
 
 def restrict(rights: Mapping[str, int]) -> int:
-    """Take from this process every right on files that ``rights`` (path -> rights beneath it) does not give it, and
-    signals and abstract sockets to processes that it did not start.
+    """Take from this process every right to files that ``rights`` (path -> rights beneath it) does not give.
 
-    It holds for the calling thread and for those that it starts, so call it before there is another one. Paths that do
-    not exist are passed over. Return the kernel's version; 0: nothing was restricted.
+    It also takes signals and abstract sockets to processes that this process did not start. The restriction applies to
+    the calling thread and to those that it starts, so call it before there is another thread. Paths that do not exist
+    are skipped. Returns the kernel's version of Landlock; 0 means that nothing was restricted.
     """
     kernel = version()
     if not kernel:
         return 0
     handled = READ | WRITE_FILE | REMOVE_AND_MAKE | sum(right for since, right in SINCE.items() if kernel >= since)
     scopes = ABSTRACT_SOCKETS | SIGNALS if kernel >= SCOPES_SINCE else 0
-    # An older kernel refuses fields that it does not know, unless they are 0.
+    # An older kernel refuses unknown fields unless they are 0.
     attributes = struct.pack("=QQQ", handled, 0, scopes)
     ruleset = _call(CREATE_RULESET, attributes, len(attributes), 0)
     if ruleset < 0:
@@ -85,7 +86,7 @@ def _add(ruleset: int, path: str, allowed: int) -> None:
 
 
 def _call(number: int, *arguments: int | bytes | None) -> int:
-    """A number is passed as a long: the kernel reads all 64 bits of some."""
+    """Make a system call. A number is passed as a long, because the kernel reads all 64 bits of some arguments."""
     passed = [ctypes.c_long(a) if isinstance(a, int) else a for a in arguments]
     libc = ctypes.CDLL(None)
     libc.syscall.restype = ctypes.c_long

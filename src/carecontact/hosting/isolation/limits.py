@@ -1,5 +1,6 @@
-"""A filter of system calls (seccomp) that closes what Landlock leaves open: setting the limits of another process of
-the same user. With them a policy could let the kernel kill the trial's process, or keep it from writing its recording.
+"""A filter of system calls (seccomp) against what Landlock leaves open: setting the resource limits of another process
+of the same user, by which a policy could have the kernel kill the trial's process or keep it from writing its
+recording.
 
 Numbers are those of linux/seccomp.h, linux/filter.h, linux/audit.h and of each architecture's table of system calls."""
 
@@ -20,7 +21,7 @@ PRLIMIT = {
     "x86_64": ((0xC000003E, 302), (0xC000003E, 302 | 1 << 30), (0x40000003, 340)),
     "aarch64": ((0xC00000B7, 261), (0x40000028, 369)),
 }
-"""Machine -> architectures whose programs it runs, and their number of ``prlimit64``. The second is x32."""
+"""Machine -> the architectures whose programs it runs, with their number of ``prlimit64``. The second one is x32."""
 LOAD, EQUAL, RETURN = 0x20, 0x15, 0x06
 CALL_AT, ARCHITECTURE_AT, FIRST_ARGUMENT_AT = 0, 4, 16
 """Offsets in ``struct seccomp_data``."""
@@ -35,9 +36,9 @@ def can_close_limits() -> bool:
 
 
 def close_limits() -> bool:
-    """Refuse ``prlimit`` for any process but the one that calls it, which it names as 0. Return whether that worked.
+    """Refuse ``prlimit`` for every process other than the caller, which calls itself 0. Return whether that worked.
 
-    It holds for the calling thread and for all that it starts, so call it before there is another thread.
+    The filter applies to the calling thread and to all that it starts, so call this before there is another thread.
     """
     if not can_close_limits():
         return False
@@ -49,7 +50,10 @@ def close_limits() -> bool:
 
 
 def _block(architecture: int, number: int) -> bytes:
-    """Seven steps that refuse one call with a first argument other than 0; else the steps behind them follow."""
+    """Return the seven instructions that refuse one system call if its first argument is not 0.
+
+    Otherwise, the instructions after them are executed.
+    """
     return b"".join(
         (
             _step(LOAD, ARCHITECTURE_AT), _step(EQUAL, architecture, otherwise=5),
@@ -60,5 +64,5 @@ def _block(architecture: int, number: int) -> bytes:
 
 
 def _step(code: int, value: int, *, then: int = 0, otherwise: int = 0) -> bytes:
-    """``then``, ``otherwise``: how many steps to pass over after a comparison."""
+    """Return one instruction. ``then``, ``otherwise``: number of instructions to skip after a comparison."""
     return struct.pack("=HBBI", code, then, otherwise, value)

@@ -17,7 +17,7 @@ PREFIX = "carecontact-policy-"
 class PrivateFolder:
     path: Path
     lock: int
-    """Descriptor; the kernel gives the lock back when this process is gone, however it ended."""
+    """Descriptor of the lock, which the kernel releases when this process ends in any way."""
 
     def remove(self) -> None:
         shutil.rmtree(self.path, ignore_errors=True)
@@ -25,11 +25,11 @@ class PrivateFolder:
 
 
 def private_folder() -> PrivateFolder:
-    """Make one, after removing those whose harness is gone. Raises OSError where none can be made."""
+    """Make a folder, after removing those whose harness is gone. Raises OSError if none can be made."""
     remove_abandoned_folders()
     while True:
         path = Path(tempfile.mkdtemp(prefix=PREFIX))
-        # Between the two lines another harness may have taken it for an abandoned one.
+        # Between making and locking the folder, another harness may have removed it as an abandoned one.
         with suppress(FileNotFoundError, BlockingIOError):
             made = PrivateFolder(path=path, lock=_locked(path))
             if path.is_dir():
@@ -45,7 +45,7 @@ def remove_abandoned_folders() -> None:
 
 
 def _locked(path: Path) -> int:
-    """Raises BlockingIOError while another process holds it."""
+    """Lock a folder and return the descriptor. Raises BlockingIOError while another process holds the lock."""
     lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,5 +1,5 @@
-"""Sockets with a path, which Landlock closes from Linux 7.1 only: programs of the user listen there, and some start
-others for whoever asks, without isolation: systemd for the user's session, Docker, tmux."""
+"""Sockets with a path, which Landlock can close only from Linux 7.1 on. Programs of the user listen there, and some
+start other programs, unisolated, for anyone who connects: the user's systemd, Docker, tmux."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ LISTENS = 1 << 16
 
 
 def open_sockets(table: Path = Path("/proc/net/unix")) -> list[str]:
-    """Return the paths at which somebody listens and to which this user may connect and not everybody may, where an
-    isolated policy may connect too."""
+    """Return the paths of listening sockets that this user may connect to and not every user may.
+
+    An isolated policy may connect to them as well.
+    """
     if version() >= min(since for since, right in SINCE.items() if right == RESOLVE_SOCKET):
         return []
     found: set[str] = set()

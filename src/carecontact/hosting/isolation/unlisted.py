@@ -1,4 +1,4 @@
-"""Imports from a folder that may not be listed, because something in it is closed to the policy."""
+"""Makes imports work from a folder that may not be listed because something in it is closed to the policy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from types import ModuleType
 
 
 class UnlistedFolders(MetaPathFinder):
-    """Last on ``sys.meta_path``. Python's own finder lists a folder first; this one asks for the file alone."""
+    """A finder for the end of ``sys.meta_path``. Python's own finder lists a folder first; this one asks for one
+    file.
+    """
 
     def __init__(self, folders: Sequence[str]) -> None:
         self._folders = folders
@@ -19,7 +21,7 @@ class UnlistedFolders(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None, /
     ) -> ModuleSpec | None:
-        """Find a module of the top level, or nothing. What lies in a package, the usual finder sees."""
+        """Find a top-level module; None for others, because Python's own finder sees what lies in a package."""
         for folder in self._folders if path is None else ():
             package = os.path.join(folder, fullname)
             if os.path.isfile(start := os.path.join(package, "__init__.py")):

@@ -1,4 +1,4 @@
-"""What a policy that shows no card or answers with no action may have meant, and what to write instead."""
+"""Hints for a policy whose card or answer is of a wrong type: what it may have meant, and what to write instead."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ CARD = 'PolicyCard(name="my-policy", modalities=("rgb",), cameras=("overhead",))
 
 
 def object_hint(answer: object) -> str:
-    """For what ``act`` returned in Python: a clause with its semicolon, empty where the answer may hold Actions."""
+    """Return a hint for what ``act`` returned in Python: a clause after a semicolon; empty if the answer may hold
+    Actions.
+    """
     if isinstance(answer, Mapping):
         return f"; return {OBJECT} in place of the dict"
     if isinstance(answer, list | tuple) and any(isinstance(item, Mapping) for item in cast(list[object], answer)):
@@ -30,7 +32,9 @@ def object_hint(answer: object) -> str:
 
 
 def plain_hint(answer: object) -> str:
-    """For the ``actions`` of a message: a clause with its semicolon, empty where they may be a list of maps."""
+    """Return a hint for the ``actions`` of a message: a clause after a semicolon; empty if they may be a list of
+    maps.
+    """
     if isinstance(answer, Mapping):
         return f"; put each action into a list, as in {PLAIN}"
     shape = _shape(answer)
@@ -40,12 +44,12 @@ def plain_hint(answer: object) -> str:
 
 
 def pose_hint(value: object) -> str:
-    """For what stands in the place of a pose: a clause with its semicolon, or empty."""
+    """Return a hint for a value in the place of a pose: a clause after a semicolon, or empty."""
     return pose_shape_hint(_shape(value))
 
 
 def card_hint(card: object) -> str:
-    """For what stands in the place of a PolicyCard."""
+    """Return a hint for a value in the place of a PolicyCard."""
     if isinstance(card, Mapping):
         given = cast(Mapping[object, object], card)
         same = ", ".join(f"{key}={value!r}" for key, value in given.items())
@@ -54,17 +58,17 @@ def card_hint(card: object) -> str:
 
 
 def _width(count: int) -> str:
-    """What a row of so many numbers looks like, where it is neither a pose nor seven joints."""
+    """Say what a row of so many numbers may be, if it is neither a pose nor seven joint values."""
     if count == 8:
         return "; eight numbers look like seven joints and a gripper: give the last one as gripper"
     return pose_shape_hint((count,)) if count == 6 else ""
 
 
 def _shape(value: object) -> tuple[int, ...]:
-    """Of numbers alone; () for anything else, numbers of unequal rows included."""
+    """Return the shape of a value that consists of numbers; () for anything else, also for rows of unequal length."""
     try:
         array = np.asarray(value)
     except Exception:
-        # What a policy answers may be of any class, and its conversion may raise anything.
+        # An answer may be of any class, and converting it may raise anything.
         return ()
     return array.shape if array.dtype.kind in "fiu" else ()

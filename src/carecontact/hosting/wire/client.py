@@ -44,12 +44,12 @@ class PolicyClient(Client):
 
 
 def basic_authorization(credentials: str) -> str:
-    """``USER:PASSWORD``, or nothing -> value of the header ``Authorization``."""
+    """Return the value of the header ``Authorization`` for ``USER:PASSWORD``; empty for empty credentials."""
     return f"Basic {base64.b64encode(credentials.encode()).decode()}" if credentials else ""
 
 
 def _decoded(frame: bytes | str, kind: str, field: str | None) -> dict[str, object]:
-    """A message, which has to be of type ``kind`` and to have ``field``; with actions notes may come."""
+    """Decode a message that must be of type ``kind`` and have ``field``; a message with actions may also have notes."""
     if isinstance(frame, str):
         raise PolicyError("garbage", f"expected a binary message, got text {frame!r:.200}; {instead(kind)}")
     try:
@@ -71,7 +71,7 @@ def _decoded(frame: bytes | str, kind: str, field: str | None) -> dict[str, obje
 
 
 def _notes(entries: dict[str, object]) -> dict[str, object]:
-    """Raises PolicyError ``garbage``."""
+    """Return the notes of a message. Raises PolicyError ``garbage`` if they are no map."""
     notes = entries.get("notes", {})
     if not is_map(notes) or not all(NOTE_KEY.fullmatch(key) for key in notes):
         raise PolicyError("garbage", f"notes: expected a map with plain names as keys, got {notes!r:.200}")

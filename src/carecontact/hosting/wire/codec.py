@@ -1,4 +1,4 @@
-"""Contract objects <-> plain values. One table says what each field must be, and it holds in both directions."""
+"""Converts contract objects to plain values and back. One table says what each field must be, in both directions."""
 
 from __future__ import annotations
 
@@ -36,22 +36,24 @@ CAMERA_ARRAYS: dict[str, tuple[str, Shape]] = {
     "landmarks": ("<f4", (33, 3)),
     "landmarks_in_base": ("<f4", (33, 3)),
 }
-"""Field -> dtype and shape; equal letters within a camera are equal sizes."""
+"""Field -> dtype and shape; equal letters within one camera stand for equal sizes."""
 MOST_UNKNOWN = 4
-"""Unknown keys of one map that a message names."""
+"""Most unknown keys of one map that an error message names."""
 VECTORS = {
     "pose_tcp_in_base": "a list or array of 7 numbers (x y z [m], quaternion w x y z) or None",
     "joint": "a list or array of 7 numbers, one for each joint, or None",
     "wrench_in_tcp": "a list or array of 6 numbers (force [N], torque [N m]) or None",
 }
-"""Fields of an action that are arrays -> what they have to be."""
+"""Fields of an action that are arrays -> what each must be."""
 _ALWAYS = ("pose_tcp_in_base", "stiffness", "gripper", "done")
-"""Fields that an encoded action has even where they are None, as it always had."""
+"""Fields that an encoded action has even if they are None; older clients expect them."""
 _MASK: tuple[str, Shape] = ("|b1", ("H", "W"))
 
 
 def encode_observation(observation: Observation) -> Plain:
-    """Raises ObservationError if a field does not fit its table row, or a mask or camera has an unknown name."""
+    """Encode an observation. Raises ObservationError if a field does not fit its row in the table, or a mask or camera
+    has an unknown name.
+    """
     plain = _fields(observation, Observation, ObservationError)
     plain["cameras"] = {
         name: _fields(observation.cameras[name], CameraView, ObservationError) for name in sorted(observation.cameras)
@@ -61,7 +63,7 @@ def encode_observation(observation: Observation) -> Plain:
 
 
 def decode_observation(plain: object) -> Observation:
-    """Raises ObservationError naming the field, what was expected and what was got."""
+    """Decode an observation. Raises ObservationError naming the field, what was expected and what came instead."""
     entries = _known(plain, Observation, "observation", ObservationError)
     for name in OBSERVATION_ARRAYS:
         _check_array(entries[name], OBSERVATION_ARRAYS[name], f"observation.{name}", {})
@@ -99,7 +101,7 @@ def _decode_camera(plain: object, place: str) -> CameraView:
 
 
 def encode_actions(answer: object) -> list[object]:
-    """What ``act`` returned, one Action or a sequence of 1 to MAX_CHUNK.
+    """Encode what ``act`` returned: one Action or a sequence of 1 to MAX_CHUNK.
 
     Raises ActionError when it is neither, or when a field is of a wrong type.
     """
@@ -111,7 +113,7 @@ def encode_actions(answer: object) -> list[object]:
     plain: list[object] = []
     for i, action in enumerate(cast(Sequence[object], actions)):
         entries = _fields(action, Action, ActionError, place=f"act[{i}]")
-        # What a policy does not use is left out: chunks are long, and most are poses only.
+        # Unused fields are left out: chunks are long, and most consist of poses only.
         entries = {name: value for name, value in entries.items() if value is not None or name in _ALWAYS}
         for name, expected in VECTORS.items():
             if entries.get(name) is not None:
@@ -134,7 +136,10 @@ def _vector(value: object, place: str, expected: str) -> npt.NDArray[np.float64]
 
 
 def decode_actions(plain: object) -> list[Action]:
-    """Types only; values are for ``check_action``. Raises ActionError naming index, field, expected and got."""
+    """Decode actions and check their types; ``check_action`` checks the values.
+
+    Raises ActionError naming index and field, what was expected and what came instead.
+    """
     hint = plain_hint(plain)
     if hint or not is_list(plain):
         _wrong(ActionError, "actions", "a list of maps", plain, hint=hint)
@@ -165,7 +170,7 @@ def _decode_action(plain: object, place: str) -> Action:
 
 
 def _numeric_array(value: object, place: str, expected: str) -> npt.NDArray[np.float64]:
-    """An array of the wire, or a plain list of numbers, as clients of other languages send it."""
+    """Return an array of the wire, or a plain list of numbers as clients in other languages send it, as an array."""
     if is_list(value) and not any(isinstance(v, bool) or not isinstance(v, int | float) for v in value):
         return np.array(value, np.float64)
     if not is_array(value) or value.dtype.kind not in "fiu":
@@ -175,7 +180,7 @@ def _numeric_array(value: object, place: str, expected: str) -> npt.NDArray[np.f
 
 
 def encode_card(card: object) -> Plain:
-    """Raises PolicyError ``handshake``."""
+    """Encode a card. Raises PolicyError ``handshake`` if it is no valid PolicyCard."""
     if not isinstance(card, PolicyCard):
         said = f"card: expected a PolicyCard, got {type(card).__name__} {card!r:.80}"
         raise PolicyError("handshake", f"{said}; {card_hint(card)}")
@@ -185,7 +190,7 @@ def encode_card(card: object) -> Plain:
 
 
 def decode_card(plain: object) -> PolicyCard:
-    """Raises PolicyError ``handshake`` naming the field, what was expected and what was got."""
+    """Decode a card. Raises PolicyError ``handshake`` naming the field, what was expected and what came instead."""
     try:
         entries = _known({"arguments": {}, **plain} if is_map(plain) else plain, PolicyCard, "card", ContractError)
         for name in ("name", "action_space", "control", "language_backend", "out_of_bounds"):
@@ -213,7 +218,7 @@ def encode_session(session: Session) -> Plain:
 
 
 def decode_session(plain: object) -> Session:
-    """Raises ContractError naming the field, what was expected and what was got."""
+    """Decode a session. Raises ContractError naming the field, what was expected and what came instead."""
     entries = _known(plain, Session, "session", ContractError)
     bounds = _known(entries["action_bounds"], ActionBounds, "session.action_bounds", ContractError)
     lengths = {name: 3 if name.startswith("workspace") else 2 for name in bounds}
@@ -246,7 +251,9 @@ def _fields(value: object, kind: type[Any], error: type[ContractError], *, place
 
 
 def _known(plain: object, kind: type[Any], place: str, error: type[ContractError]) -> Plain:
-    """A copy of the map with every field of ``kind`` and no other key; fields with a plain default may be absent."""
+    """Return a copy of a map that has every field of ``kind`` and no other key; fields with a plain default may be
+    absent.
+    """
     if not is_map(plain):
         _wrong(error, place, "a map", plain)
     fields = {f.name: f for f in dataclasses.fields(kind)}
@@ -290,7 +297,7 @@ def _number(value: object, place: str, error: type[ContractError]) -> float:
 
 
 def _numbers(value: object, count: int, place: str) -> tuple[float, ...]:
-    """``value``: a tuple when encoding, a list when decoding."""
+    """Return a value as ``count`` numbers. ``value``: a tuple when encoding, a list when decoding."""
     items: object = list(cast(tuple[object, ...], value)) if isinstance(value, tuple) else value
     if not is_list(items) or len(items) != count:
         _wrong(ContractError, place, f"{count} numbers", items)
@@ -301,7 +308,7 @@ def _numbers(value: object, count: int, place: str) -> tuple[float, ...]:
 
 
 def _wrong(error: type[ContractError], place: str, expected: str, got: object, *, hint: str = "") -> NoReturn:
-    """``hint``: what to send instead, as a clause with its semicolon."""
+    """Raise ``error`` for a wrong value. ``hint``: what to send instead, as a clause after a semicolon."""
     said = f"an array {got.dtype} {got.shape}" if is_array(got) else f"{type(got).__name__} {_in_one_line(got)}"
     raise error(f"{place}: expected {expected}, got {said}{hint}")
 

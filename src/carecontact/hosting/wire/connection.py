@@ -17,22 +17,22 @@ from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
 from carecontact.hosting.wire.refusals import absent, closed
 
 CLOSE_S = 1.0
-"""For closing a connection, beside the deadline of the call that failed."""
+"""Time [s] for closing a connection, in addition to the deadline of the call that failed."""
 MAX_UNREAD_FRAMES = 1
-"""When more frames than this wait to be read, nothing is read from the line until they are. A peer that floods with the
-largest frames fills no more memory than some four of them; a peer that answers what it is asked sends one at a time."""
+"""If more frames than this are unread, nothing more is read from the line. A peer that sends many of the largest frames
+can therefore fill the memory of about four of them; a peer that answers requests sends one frame at a time."""
 _UNHEARD = logging.getLogger(__name__)
-"""For what websockets logs about a line that was cut: tracebacks of its own."""
+"""A logger that nobody reads, for the tracebacks that websockets logs about a line that was cut."""
 _UNHEARD.addHandler(logging.NullHandler())
 
 
 class Connection:
-    """What every dialect stands on. It knows frames and deadlines, and nothing of what they mean."""
+    """The WebSocket below every dialect. It handles frames and deadlines without knowing their meaning."""
 
     on_sent: Callable[[bytes], None] | None = None
-    """Called with every message that has been sent: for the audit."""
+    """Called with every message that has been sent; the audit uses it."""
     on_received: Callable[[bytes | str], None] | None = None
-    """Called with every frame that was awaited, before anybody decodes it."""
+    """Called with every awaited frame before it is decoded."""
     _sent_bytes = 0
     """Length of the last message."""
 
@@ -52,17 +52,18 @@ class Connection:
         authorization: str = "",
         line: socket.socket | None = None,
     ) -> Self:
-        """Connect and read nothing yet.
+        """Connect without reading anything.
 
         Args:
-            authorization: value of the header of that name, or nothing.
-            line: connected already; this object then owns it.
+            authorization: value of the header ``Authorization``; empty sends none.
+            line: a socket that is already connected; this object then owns it.
 
-        Raises UnreachableError if nothing there takes a connection, PolicyError ``handshake`` or ``timeout``.
+        Raises UnreachableError if nothing accepts a connection there, PolicyError ``handshake`` or ``timeout`` if the
+        WebSocket cannot be opened.
         """
         place, until = f"[{host}]:{port}" if ":" in host else f"{host}:{port}", time.monotonic() + deadline_s
         try:
-            # A socket of our own: no proxy from the environment may come between the harness and the policy.
+            # Connect the socket here, so that no proxy of the environment is used between harness and policy.
             sock = line or socket.create_connection((host, port), timeout=deadline_s)
         except TimeoutError:
             raise UnreachableError("timeout", f"{place} took no connection within {deadline_s:.3g} s") from None
@@ -104,23 +105,27 @@ class Connection:
             ) from None
 
     def waiting(self, *, deadline_s: float = CLOSE_S) -> bytes | str | None:
-        """A frame that has come already."""
+        """Return a frame that has already come; None if there is none."""
         try:
             with cut_off(self._websocket.socket, deadline_s):
                 return self._websocket.recv(timeout=0)
         except Exception:
-            # Nothing there, as it should be; or the line is closed, which the request itself will tell.
+            # Nothing has come, as expected; or the line is closed, which the next request will report.
             return None
 
     def expect_silence(self, *, deadline_s: float = CLOSE_S) -> None:
-        """An answer that is there before its question would count for an observation that it never saw."""
+        """Raise PolicyError if a frame has already come: an answer before its request would count for an observation
+        that the policy has not seen.
+        """
         frame = self.waiting(deadline_s=deadline_s)
         if frame is None:
             return
         raise PolicyError("garbage", f"expected no message before the next request, got one of {len(frame)} bytes")
 
     def send(self, message: bytes, *, deadline_s: float) -> None:
-        """A peer that does not read can block a send for ever; closing our end of the line unblocks it."""
+        """Send a message. A peer that does not read could block this forever; at the deadline, closing our end of the
+        line ends the wait.
+        """
         self._sent_bytes = len(message)
         try:
             with cut_off(self._websocket.socket, deadline_s) as expired:
@@ -133,11 +138,11 @@ class Connection:
             self.on_sent(message)
 
     def receive(self, what: str, *, deadline_s: float, late: str = "") -> bytes | str:
-        """The next frame, of at most MAX_REPLY_BYTES.
+        """Return the next frame, of at most MAX_REPLY_BYTES.
 
         Args:
-            what: name of the message that is awaited.
-            late: what may help if it does not come.
+            what: name of the awaited message.
+            late: what to append to the error message if no frame comes.
 
         Raises:
             PolicyError: ``timeout``, ``oversize``, ``garbage`` or ``died``.
@@ -145,7 +150,7 @@ class Connection:
         deadline_s = max(deadline_s, 0.0)
         try:
             with cut_off(self._websocket.socket, deadline_s) as expired:
-                # The cut ends the wait, because only a line that is closed tells why websockets had given it up.
+                # Cut the line to end the wait: only after it is closed does websockets report why it gave the line up.
                 frame = self._websocket.recv(timeout=deadline_s + CLOSE_S)
         except Exception as error:
             failure = closed(error, sent_bytes=self._sent_bytes)
@@ -169,14 +174,14 @@ class Connection:
             raise PolicyError("timeout", f"no {what} message within {deadline_s:.3g} s") from None
 
     def close(self) -> None:
-        """Ends within CLOSE_S, whether or not the other end answers."""
+        """Close the connection within CLOSE_S, whether or not the other end answers."""
         with cut_off(self._websocket.socket, CLOSE_S):
             self._stack.close()
 
 
 @contextmanager
 def cut_off(line: socket.socket, deadline_s: float) -> Generator[threading.Event]:
-    """Shut a line down at the deadline, whatever then blocks on it; yields what is set when that has happened.
+    """Shut a line down at the deadline, whatever blocks on it; yield an event that is set if this happens.
 
     The deadlines of websockets do not hold against a peer that does not read. Its receiving thread answers pings, and
     while it waits to send a pong it keeps the lock that sending and closing need.

@@ -17,12 +17,14 @@ def reset_message(instruction: str, session: Session) -> bytes:
 
 
 def act_message(observation: Observation) -> bytes:
-    """Raises ObservationError if the observation breaks the contract."""
+    """Return the message that carries an observation. Raises ObservationError if the observation breaks the
+    contract.
+    """
     return pack({"type": "act", "observation": codec.encode_observation(observation)})
 
 
 def observation_sha256(observation: Observation) -> bytes:
-    """Return the (32,) digest of the message that carries an observation, as recordings keep it.
+    """Return the digest, 32 bytes, of the message that carries an observation, as recordings keep it.
 
     Give it to ``Episode`` as ``digest``, so that a loop of your own makes the recording that a trial would make.
     """

@@ -1,4 +1,5 @@
-"""Bytes <-> plain msgpack values and numeric arrays; everything that arrives is bounded and typed before it is used.
+"""Converts plain msgpack values and numeric arrays to bytes and back. Whatever arrives is checked for size and type
+before it is used.
 
 An array travels as the map ``{"__ndarray__": true, "dtype": "<f4", "shape": [480, 640], "data": <bin>}``: C order,
 little endian.
@@ -20,17 +21,17 @@ DTYPES = ("|b1", "|u1", "|i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", 
 MAX_DEPTH = 8
 """The deepest message of the wire, an array of a camera of an observation, has five levels."""
 MAX_ITEMS = 4096
-"""Entries of one list or map: above MAX_CHUNK actions, far below what would exhaust memory."""
+"""Most entries of one list or map: above MAX_CHUNK actions, far below what would exhaust memory."""
 MAX_VALUES = 1 << 18
-"""Lists, maps and their entries in one message: four times those of MAX_CHUNK actions. As objects of Python, the 4
-million values that fit into MAX_REPLY_BYTES would fill 500 MB and take four seconds."""
+"""Most lists, maps and entries in one message: four times those of MAX_CHUNK actions. Without this bound, the 4 million
+values that fit into MAX_REPLY_BYTES would take 500 MB and four seconds as Python objects."""
 MAX_TEXT_BYTES = 65536
 MAX_RANK = 4
 MAX_ELEMENTS = 1 << 26
 MAX_MESSAGE_BYTES = 256 << 20
-"""Harness to policy: four cameras of 1280x720 with every modality are about 90 MB."""
+"""Largest message from harness to policy: four cameras of 1280x720 with every modality take about 90 MB."""
 MAX_REPLY_BYTES = 4 << 20
-"""Policy to harness: a chunk of MAX_CHUNK actions is about 0.4 MB."""
+"""Largest message from policy to harness: a chunk of MAX_CHUNK actions takes about 0.4 MB."""
 
 _ARRAY_KEYS = {"__ndarray__", "dtype", "shape", "data"}
 
@@ -41,7 +42,7 @@ _unpackb = cast(Callable[..., object], msgpack.unpackb)  # pyright: ignore[repor
 
 
 def is_map(value: object) -> TypeGuard[dict[str, object]]:
-    """Keys of anything unpacked are text."""
+    """Whether an unpacked value is a map; the keys of every unpacked map are text."""
     return isinstance(value, dict)
 
 
@@ -79,7 +80,7 @@ def msgpack_of(
     """Decode msgpack within the bounds of the wire, but leave arrays as the maps in which they travel.
 
     Args:
-        pairs: makes a map of its entries; it raises ContractError for keys that are not allowed.
+        pairs: turns the entries of a map into a dict; it raises ContractError for keys that are not allowed.
 
     Raises:
         ContractError: not msgpack, trailing bytes, or a size or count over its bound.
@@ -111,8 +112,9 @@ def msgpack_of(
     except ContractError:
         raise
     except Exception as error:
-        # msgpack raises its own classes beside ValueError, UnicodeDecodeError and RecursionError; all mean bad bytes.
-        # The repr of some of them holds the message itself.
+        # msgpack raises classes of its own besides ValueError, UnicodeDecodeError and RecursionError; all of them mean
+        # bad bytes.
+        # The repr of some of these errors contains the message itself.
         told = f"{type(error).__name__}: {error}"
         raise ContractError(f"message: expected msgpack, got {len(data)} bytes that are not: {told:.200}") from None
 

@@ -1,4 +1,4 @@
-"""What is said of a message or a connection that is not what the wire allows, and what to send instead."""
+"""Error messages about a message or connection that the wire does not allow, with what to send instead."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ EXAMPLES = {
     "ready": '{"type": "ready"}',
     "actions": '{"type": "actions", "actions": [{"pose_tcp_in_base": [x, y, z, qw, qx, qy, qz]}]}',
 }
-"""What a policy's server may send in place of what was refused; docs/wire.md describes every message."""
+"""Kind of message -> an example that a policy's server may send instead; docs/wire.md describes every message."""
 LATE = {"card": "; a server sends its card first, unasked; if it serves one trial at a time, run with --jobs 1"}
-"""Kind of a message that did not come -> what may help."""
+"""Kind of message that did not come -> what may help."""
 MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA, INTERNAL_ERROR = 1009, 1002, 1007, 1011
 GOING_AWAY, RESTART, TRY_AGAIN = 1001, 1012, 1013
 """Close codes of RFC 6455, section 7.4.1, and of IANA's registry of them."""
@@ -61,8 +61,10 @@ def closed(error: Exception, *, sent_bytes: int) -> PolicyError:
 
 
 def absent(error: Exception) -> str:
-    """Return how a failed handshake shows that only a tunnel or a proxy took the connection, as it does while the
-    server behind it is away; empty where a server answered."""
+    """Return how a failed handshake shows that only a tunnel or proxy answered because the server behind it is away.
+
+    Empty if a server answered.
+    """
     if isinstance(error, InvalidStatus) and error.response.status_code in PROXY_ALONE:
         return f"a proxy there answers HTTP {error.response.status_code}"
     if isinstance(error, ConnectionResetError) or isinstance(error.__cause__, EOFError | ConnectionResetError):
@@ -71,7 +73,7 @@ def absent(error: Exception) -> str:
 
 
 def _refused(code: int, sent_bytes: int) -> str:
-    """Why the policy's server closed the connection, by its close code."""
+    """Return why the policy's server closed the connection, by the close code."""
     if code == MESSAGE_TOO_BIG:
         return (
             f"the policy's server refused a message of {sent_bytes} bytes (close code {code}): raise its limit, in "

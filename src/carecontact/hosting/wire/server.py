@@ -1,4 +1,4 @@
-"""The policy's end: one policy object, one connection, one conversation."""
+"""The policy's end of the wire: one policy object, one connection, one conversation."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def serve_policy(
     arguments: Mapping[str, str] | None = None,
     environment: tuple[str, ...] = (),
 ) -> None:
-    """Serve one client on the loopback interface until it closes; ``on_port`` learns the port once it listens.
+    """Serve one client on the loopback interface until it closes; ``on_port`` is called with the port once it listens.
 
-    ``client_port``: from which alone a client may connect, since any process of the machine can connect, and the first
-    one would have the policy; None: from any.
+    ``client_port``: the only port from which a client may connect, since otherwise any process of the machine could
+    take the policy's only connection; None accepts any port.
 
     The card that the client receives is the policy's own with ``arguments`` and ``environment`` added.
 
-    The policy runs in the calling thread, because GPU, GUI and asyncio libraries are happiest there. The messages:
+    The policy runs in the calling thread, because libraries for GPU, GUI and asyncio often require it. The messages:
     ``card`` to the client; then ``reset`` -> ``ready``, ``act`` -> ``actions``, in any number, and ``close``; ``error``
     instead of an answer ends the conversation. ``actions`` and ``error`` may carry the policy's notes.
     """
@@ -62,7 +62,9 @@ def serve_policy(
 def converse(
     policy: Policy, connection: ServerConnection, arguments: Mapping[str, str], environment: tuple[str, ...]
 ) -> None:
-    """Show the card and answer until the client closes, or until the policy fails, which the client is told."""
+    """Send the card and answer requests until the client closes or the policy fails; the client is told of a
+    failure.
+    """
     try:
         card: object = getattr(policy, "card", None)
         if isinstance(card, PolicyCard):
@@ -82,10 +84,10 @@ def converse(
     except PolicyError as error:
         _report(connection, policy, error.kind, str(error))
     except (ActionError, LanguageError, ProgramError) as error:
-        # No traceback: what went wrong is in the message, and none of the policy's lines is to blame.
+        # No traceback: the message says what went wrong, and no line of the policy caused it.
         _report(connection, policy, _KINDS[type(error)], str(error))
     except (Exception, SystemExit) as error:
-        # Whatever a policy raises is its process failure and must reach the harness; it is not this server's to handle.
+        # Whatever a policy raises counts as its failure and must reach the harness; this server does not handle it.
         _report(connection, policy, "exception", told(error))
 
 
@@ -95,7 +97,7 @@ _KINDS: dict[type[Exception], str] = {ActionError: "action", LanguageError: "lan
 def _report(connection: ServerConnection, policy: Policy, kind: str, message: str) -> None:
     sayable = message[:TRACEBACK_CHARS].encode(errors="replace").decode()
     report: dict[str, object] = {"type": "error", "kind": kind, "message": sayable}
-    # A policy that failed may fail at its notes too; the first failure is the one to tell.
+    # A policy that failed may also fail at its notes; the first failure is the one to report.
     packed = pack(report)
     with suppress(Exception):
         with_notes = pack(report | _notes(policy))

@@ -1,4 +1,4 @@
-"""An exception of a policy as the harness is told it."""
+"""The text about a policy's exception that the harness receives."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import traceback
 from carecontact.hosting.stack import is_plumbing
 
 TRACEBACK_CHARS = 2000
-"""Of a traceback or message; all of it could be the policy's whole input."""
+"""Most characters of a traceback or message: the whole of it might contain the policy's whole input."""
 
 
 def told(error: BaseException) -> str:
-    """Its traceback in TRACEBACK_CHARS, without the frames that call every policy.
+    """Return the traceback of an exception in at most TRACEBACK_CHARS, without the harness's own frames.
 
-    Of the stack the end says most, of what the exception says the beginning.
+    Where it has to be cut, the end of the stack and the beginning of the exception's message are kept.
     """
     found = traceback.TracebackException.from_exception(error)
     _hide_plumbing(found)
