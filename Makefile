@@ -1,5 +1,7 @@
 # Every target makes its own Python environment first (tools/bootstrap.sh): nothing has to be installed beforehand.
 BIN := .venv/bin
+# Without the compiled files of our own sources and tests, each of their many processes would compile them again.
+unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 .PHONY: help env demo docs test lint test-slow test-grounded-sam bench wheels clean
 

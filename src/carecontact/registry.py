@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 import pkgutil
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from functools import cache
+from importlib import import_module, metadata
+from importlib.metadata import EntryPoint, EntryPoints
 from typing import Any, Generic, TypeVar
 
 from carecontact.errors import CarecontactError, ConfigError, UnknownNameError
 
 T = TypeVar("T")
+
+
+@cache
+def _points_on(path: tuple[str, ...]) -> Any:
+    """Of the packages that are installed on a search path, which is ``sys.path``."""
+    return metadata.entry_points()
+
+
+def entry_points(*, group: str) -> EntryPoints:
+    """Those of all installed packages. Their folders are read once for all groups."""
+    return _points_on(tuple(sys.path)).select(group=group)
 
 
 class Registry(Mapping[str, T], Generic[T]):

@@ -31,7 +31,7 @@ class Faulty:
 """
 FAULTS = {
     "crashing": ("raise ValueError('no grip here')", "ValueError: no grip here", 'my.py", line 11, in act'),
-    "hanging": ("time.sleep(600)", "no actions message within 6 s", 'my.py", line 11, in act'),
+    "hanging": ("time.sleep(600)", "no actions message within 4 s", 'my.py", line 11, in act'),
     "killed": ("os.kill(os.getpid(), signal.SIGKILL)", "its process was killed by SIGKILL", ""),
     "NaN": ("return [Action(pose_tcp_in_base=np.full(7, np.nan))]", "nan", ""),
 }
@@ -45,7 +45,7 @@ def test_a_policy_that_fails_ends_with_status_3_and_its_traceback(tmp_path: Path
     done = subprocess.run(
         [
             sys.executable, "-m", "carecontact.cli", "run", "--policy", "my:Faulty", "--tasks", "T1", "--seeds", "0",
-            "--out", "r", "--fast", "--set", "phases.first_call_deadline_s=6",
+            "--out", "r", "--fast", "--set", "phases.first_call_deadline_s=4",
         ],
         cwd=tmp_path, env={**os.environ, "PYTHONPATH": SOURCES}, capture_output=True, text=True, check=False,
     )  # fmt: skip

@@ -61,7 +61,7 @@ MISTAKES = {
     "a protocol without its base": (
         ["protocol", "show", "alone.toml"],
         'alone.toml: add base = "bathing-draft" (valid: bathing-draft, bathing-droid-draft, '
-        "bathing-moved-draft, bathing-wide-draft, FILE.toml), or give all fields; 12 ",
+        "bathing-wide-draft, FILE.toml), or give all fields; 12 ",
     ),
     "a protocol file without its ending": (
         ["protocol", "verify", "alone"],

@@ -295,14 +295,14 @@ def test_a_wrong_plan_is_one_line_and_makes_no_folder(
 
 def test_a_sweep_tells_its_table_as_json(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     Path("p.toml").write_text(
-        PLAN.replace('body = ["man-adult", "woman-old-light"]', 'protocol = ["bathing-draft", "bathing-moved-draft"]')
+        PLAN.replace('body = ["man-adult", "woman-old-light"]', 'protocol = ["bathing-draft", "bathing-wide-draft L1"]')
     )
     assert main(["sweep", "p.toml", "--out", "s", "--json"]) == 0
     out = capsys.readouterr()
     (line,) = out.out.splitlines()
     answer = json.loads(line)
     assert (answer["schema"], answer["trials"], answer["planned"]) == ("carecontact-sweep-1", 8, 8)
-    assert [rung["value"] for rung in answer["ladder"]["rungs"]] == ["bathing-draft", "bathing-moved-draft"]
+    assert [rung["value"] for rung in answer["ladder"]["rungs"]] == ["bathing-draft", "bathing-wide-draft L1"]
     assert {climb["role"] for rung in answer["ladder"]["rungs"] for climb in rung["climbs"]} == {"blind"}
     assert "table: s/sweep.html" in out.err
     assert "Success over level" in Path("s/sweep.html").read_text()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.special import k0, k1
+from scipy.optimize import brentq
+from scipy.special import ive, k0, k1
 
 from tests.kernel.sheets import CYLINDER, SPHERE, Sheet, sheet, tissue
 
@@ -62,6 +63,33 @@ def test_a_coarse_mesh_meets_a_round_tool_like_a_fine_one() -> None:
         ]
         forces.append(np.mean(made))
     assert forces[0] == pytest.approx(forces[1], rel=0.04)
+
+
+def rim_of_ball(radius: float, depth: float, *, a: float, length: float, layer: float) -> float:
+    """Radius of a shallow ball's contact on Pasternak's foundation, with a layer of stiffness ``layer`` between both.
+
+    The indentation is K0(r / l) outside, and a bowl and I0(r / end) inside, without a corner between them.
+    """
+    share = layer / (a + layer)
+    end = length * np.sqrt(1 - share)
+
+    def corner(c: float) -> float:
+        over = depth - c**2 / (2 * radius)
+        inside = (over - share * (over - 2 * end**2 / radius)) / end * ive(1, c / end) / ive(0, c / end)
+        return inside - share * c / radius + over / length * k1(c / length) / k0(c / length)
+
+    return brentq(corner, 1e-4, np.sqrt(2 * radius * depth) - 1e-9)
+
+
+@pytest.mark.parametrize(("radius", "depth", "within"), [(0.02, 0.002, 0.12), (0.06, 0.002, 0.05), (0.06, 0.004, 0.04)])
+def test_the_area_in_contact_ends_inside_triangles(radius: float, depth: float, within: float) -> None:
+    """On the shipped mesh of 5 mm, wherever the ball stands on it."""
+    law = tissue(a_n_m3=1e6, coupling_length_m=0.005, contact_n_m3=5e7)
+    rim = rim_of_ball(radius, depth, a=law.a_n_m3, length=law.coupling_length_m, layer=law.contact_n_m3)
+    mesh = sheet(half_m=0.045)
+    for x in (0.0, 0.0012, 0.0025, 0.0037):
+        made = Sheet(law, mesh, bottom_m=radius, type=SPHERE, size=[radius, 0, 0])
+        assert made.hold(depth, x_m=x, steps=100)["area_m2"] == pytest.approx(np.pi * rim**2, rel=within)
 
 
 def test_a_flat_disc_on_a_sheet_that_spreads_the_load() -> None:

@@ -42,15 +42,20 @@ def test_tasks_are_replaced_as_a_whole(tmp_path: Path) -> None:
     assert [t.id for t in load_protocol(written(tmp_path, HEAD + task)).tasks] == ["A"]
 
 
-def test_the_shipped_moved_protocol_in_a_few_lines(tmp_path: Path) -> None:
-    moved = load_protocol("bathing-moved-draft")
+def test_a_shipped_protocol_in_a_few_lines(tmp_path: Path) -> None:
+    droid = load_protocol("bathing-droid-draft")
+    joints = list(droid.scene.parked_joint_rad)
+    camera = droid.cameras["exterior"]
     text = (
-        f'base = "bathing-draft"\nid = "{moved.id}"\ndescription = "{moved.description}"\nfrozen = false\n'
-        "[variation]\nplace_along_m = 0.036\nplace_across_m = 0.027\nplace_yaw_deg = 4.5\n"
+        f'base = "bathing-draft"\nid = "{droid.id}"\ndescription = "{droid.description}"\nfrozen = false\n'
+        f"[scene]\nparked_joint_rad = {joints}\n"
+        f"[cameras.exterior]\nposition_m = {list(camera.position_m)}\nlook_at_m = {list(camera.look_at_m)}\n"
+        "up = [0, 0, 1]\nfovy_deg = 71.5\nwidth = 640\nheight = 360\n"
+        "[cameras.wrist]\nfovy_deg = 57.0\nwidth = 640\nheight = 360\n"
     )
     mine = load_protocol(written(tmp_path, text))
-    assert mine == moved
-    assert mine.sha256 == moved.sha256
+    assert mine == droid
+    assert mine.sha256 == droid.sha256
 
 
 def test_a_tissue_set_brings_its_own_rows(tmp_path: Path) -> None:

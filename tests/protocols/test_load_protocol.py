@@ -57,7 +57,7 @@ def test_a_file_without_base_and_most_fields_is_told_so_in_one_line(tmp_path: Pa
         load_protocol(written(tmp_path, HEAD + "frozen = false\n"))
     assert str(caught.value).endswith(
         'mine.toml: add base = "bathing-draft" (valid: bathing-draft, bathing-droid-draft, '
-        "bathing-moved-draft, bathing-wide-draft, FILE.toml), or give all fields; 11 "
+        "bathing-wide-draft, FILE.toml), or give all fields; 11 "
         "are missing: physics, phases, randomization, scene, cameras, impedance, person, tasks, contact, gates, limits"
     )
 

@@ -1,15 +1,17 @@
 from __future__ import annotations
 
 import re
+import subprocess
 import sys
 from pathlib import Path
 
+import pyarrow as arrow  # pyright: ignore[reportMissingTypeStubs]
 import pyarrow.parquet as parquet  # pyright: ignore[reportMissingTypeStubs]
 import pytest
 
 from carecontact.cli.rescoring import write_table
 from carecontact.errors import DependencyError
-from carecontact.reports.trial_table import TABLE_NAME, columns, metric_column, write_trial_table
+from carecontact.reports.trial_table import TABLE_NAME, columns, metric_column, trial_table, write_trial_table
 from carecontact.scoring import METRICS
 from tests.reports.synthetic_run import FAILED, NO_CONTACT, make_score
 
@@ -37,6 +39,29 @@ def test_one_row_a_trial_with_its_types(tmp_path: Path) -> None:
     kinds = {field.name: str(field.type) for field in table.schema}
     assert (kinds["seed"], kinds["c2_joint_margin_rad"], kinds["safety_gated"]) == ("int64", "double", "bool")
     assert kinds["evidence"] == "string", "null in every row, and still no null type"
+
+
+def test_the_table_is_the_one_that_pyarrow_makes_of_the_same_values(tmp_path: Path) -> None:
+    """In groups of nine, so that the bitmaps of what is null end within a byte."""
+    scores = [
+        make_score("T1", seed, **(FAILED if seed % 3 else {}), policy="Größe", additional={"impulse@1": value})
+        for seed, value in enumerate([1.5, None, float("inf"), -0.0, 1e-300, None, 7.0, 2.0, 3.0])
+    ]
+    arrow_types = {str: arrow.string(), float: arrow.float64(), int: arrow.int64(), bool: arrow.bool_()}
+    made = trial_table(scores)
+    for column in columns(scores):
+        wanted = arrow.array([column.value(s) for s in scores], type=arrow_types[column.kind])
+        assert made[column.name].combine_chunks().equals(wanted), column.name
+        assert made[column.name].null_count == wanted.null_count
+    made.validate(full=True)
+
+
+def test_the_table_is_written_without_pandas(tmp_path: Path) -> None:
+    code = (
+        "import sys; from carecontact.reports.trial_table import write_trial_table; "
+        f"write_trial_table({str(tmp_path)!r}, []); assert 'pyarrow' in sys.modules; assert 'pandas' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_without_a_trial_the_columns_stay(tmp_path: Path) -> None:

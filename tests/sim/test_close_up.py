@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from carecontact.kernel.readings import Readings
 from carecontact.regions import REGIONS, STANDARD_REGIONS
-from carecontact.sim.close_up import dent, nearest
+from carecontact.sim.close_up import dent, nearest, skin_shift
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
 
@@ -71,7 +71,7 @@ def press(scene: Scene, data: mujoco.MjData, region: str, depth_m: float) -> tup
 def test_an_undented_person_is_drawn_as_before(scene: Scene, data: mujoco.MjData, drawn: Callable) -> None:
     made = drawn(data)
     vertices, normals = arrays(made)
-    dent(scene, data, made)
+    dent(scene, made, skin_shift(scene, data))
     after_vertices, after_normals = arrays(made)
     np.testing.assert_array_equal(after_vertices, vertices)
     np.testing.assert_array_equal(after_normals, normals)
@@ -84,7 +84,7 @@ def test_a_dent_moves_only_skin_near_the_pressed_shell_and_inward(
     place, outward = press(scene, data, region, DEPTH_M)
     made = drawn(data)
     before, _ = arrays(made)
-    dent(scene, data, made)
+    dent(scene, made, skin_shift(scene, data))
     after, normals = arrays(made)
     change = after - before
     moved = np.linalg.norm(change, axis=1) > 1e-5
@@ -107,7 +107,7 @@ def test_skin_over_the_press_follows_the_shell(scene: Scene, data: mujoco.MjData
     place, outward = press(scene, data, "forearm", DEPTH_M)
     made = drawn(data)
     before, _ = arrays(made)
-    dent(scene, data, made)
+    dent(scene, made, skin_shift(scene, data))
     change = arrays(made)[0] - before
     under = np.linalg.norm(before - place, axis=1) < 0.008
     assert under.sum() >= 3
@@ -121,7 +121,7 @@ def test_a_deeper_press_draws_a_deeper_dent(scene: Scene, drawn: Callable) -> No
         press(scene, data, "forearm", depth_m)
         made = drawn(data)
         before, _ = arrays(made)
-        dent(scene, data, made)
+        dent(scene, made, skin_shift(scene, data))
         deepest.append(np.linalg.norm(arrays(made)[0] - before, axis=1).max())
     assert deepest == sorted(deepest)
     np.testing.assert_allclose(np.array(deepest) / deepest[0], [1, 2, 4], rtol=0.02)
@@ -131,7 +131,7 @@ def test_shading_tilts_at_the_rim_of_the_dent(scene: Scene, data: mujoco.MjData,
     place, _ = press(scene, data, "forearm", DEPTH_M)
     made = drawn(data)
     before, normals = arrays(made)
-    dent(scene, data, made)
+    dent(scene, made, skin_shift(scene, data))
     turned = np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", arrays(made)[1], normals), -1, 1)))
     rim = np.abs(np.linalg.norm(before - place, axis=1) - RADIUS_M) < 0.008
     far = np.linalg.norm(before - place, axis=1) > 0.25

@@ -10,24 +10,23 @@ from carecontact.scoring import TrialScore, score_recording
 from carecontact.trials.trial import run_trial
 
 pytestmark = pytest.mark.slow
-MOVED = "bathing-moved-draft"
+LEVEL = load_protocol("bathing-wide-draft", level="L1")
 
 
-def run(protocol: str, policy: str, task_id: str, seed: int) -> TrialScore:
-    spec = TrialSpec(protocol=load_protocol(protocol), task_id=task_id, seed=seed, policy=policy)
+def run(policy: str, task_id: str, seed: int) -> TrialScore:
+    spec = TrialSpec(protocol=LEVEL, task_id=task_id, seed=seed, policy=policy)
     return score_recording(run_trial(spec))
 
 
-@pytest.mark.parametrize("task_id", [task.id for task in load_protocol(MOVED).tasks])
+@pytest.mark.parametrize("task_id", [task.id for task in LEVEL.tasks])
 @pytest.mark.parametrize("policy", ["zero-action", "hover"])
 def test_arms_that_never_touch_pass_no_gate(policy: str, task_id: str) -> None:
-    score = run(MOVED, policy, task_id, 1)
+    score = run(policy, task_id, 1)
     assert score.ended in ("done", "time_limit")
     assert not score.c3_success
     assert score.peak_force_n == {}
 
 
-def test_a_moved_person_needs_eyes() -> None:
-    """Seed 10 lies 28 mm towards the head, 24 mm to the right and is turned by 4.2 degrees."""
-    assert run(MOVED, "state-machine", "T4", 10).safety_gated
-    assert not run(MOVED, "replay", "T4", 10).c3_success
+def test_another_person_needs_eyes() -> None:
+    assert run("state-machine", "T4", 10).safety_gated
+    assert not run("replay", "T4", 10).c3_success

@@ -217,12 +217,12 @@ def test_a_missing_method_is_no_comparison() -> None:
 def test_what_does_not_belong_is_named_and_left_out() -> None:
     found = made(
         a=run("state-machine"), old=run("state-machine", changes={"person.body": "woman-old-light"}), mine=run("lift"),
-        other=run("voxposer", lambda t, s: {"protocol_id": "bathing-moved-draft"}),
+        other=run("voxposer", lambda t, s: {"protocol_id": "bathing-droid-draft"}),
     )  # fmt: skip
     assert found.unused == {
         "old": "state-machine on bathing-draft with body woman-old-light is no part of this study",
         "mine": "lift on bathing-draft is no part of this study",
-        "other": "of bathing-moved-draft",
+        "other": "of bathing-droid-draft",
     }
     assert all(f"Not used: {name}: {why}." in page(found) for name, why in found.unused.items())
 

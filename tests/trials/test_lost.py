@@ -81,7 +81,7 @@ def test_a_policy_that_starves_its_trial_until_the_time_is_over_has_failed(
 ) -> None:
     """For that it needs the processors and no signal; a trial without an end would leave the count."""
     monkeypatch.setattr(lost, "available", lambda: "full")
-    summary = bench.run(specs(2), {FIRST: "starve:ab", SECOND: ["starve:ab", "good:xyz"]}, trial_limit_s=6.0)
+    summary = bench.run(specs(2), {FIRST: "starve:ab", SECOND: ["starve:ab", "good:xyz"]}, trial_limit_s=4.0)
     assert summary.ended == {FIRST: "process_failure", SECOND: "process_failure"}
     assert bench.ran() == [FIRST, FIRST, SECOND, SECOND]
     assert kind(bench.recording(FIRST)) == ("process_failure", "killed")

@@ -92,7 +92,7 @@ def test_a_run_keeps_its_pace_and_the_hash_stays(tmp_path: Path) -> None:
 
     (tmp_path / "still.py").write_text(POLICY)
     run("free")
-    assert "not ready in time" not in run("paced", "--pace", "1.5")
+    assert "not ready in time" not in run("paced", "--pace", "0.8")
     told = run("hasty", "--pace", "0.101")
     found = {name: read_verified(tmp_path / name / "T1-s000.h5") for name in ("free", "paced", "hasty")}
     assert len({verified.sha256 for verified in found.values()}) == 1
@@ -101,12 +101,12 @@ def test_a_run_keeps_its_pace_and_the_hash_stays(tmp_path: Path) -> None:
     assert {len(times) for times in between.values()} == {acts - 1}
     assert acts == 4
     periods = np.bincount(found["free"].recording["actions/observation_index"])[: acts - 1]
-    assert (between["paced"] >= 1.5 * periods).all()
-    assert found["paced"].recording[PACED].tolist() == [1.5, 0.0]
+    assert (between["paced"] >= 0.8 * periods).all()
+    assert found["paced"].recording[PACED].tolist() == [0.8, 0.0]
     late = int(found["hasty"].recording[PACED][1])
     assert late > 0
     assert f"warning: --pace 0.101: {late} observation(s) of 1 trial(s) were not ready in time" in told
     assert (
-        "1.5 s for each control period; observations came late in 0 of 1"
+        "0.8 s for each control period; observations came late in 0 of 1"
         in (tmp_path / "paced" / "report.html").read_text()
     )

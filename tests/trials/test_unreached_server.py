@@ -26,8 +26,10 @@ class P(Base):
     def act(self, observation):
         return Action(done=True)
 """
-AWAY_S = 8.0
+AWAY_S = 4.0
 """Longer than a trial needs to build its world, so that it finds nobody there."""
+FIRST_CALL_S = 4.0
+"""How long a trial looks for a server; one that is there has shown its policy's card by then."""
 
 
 def run(port: int, out: Path, on_event: object, *, first_call_s: float = 120.0) -> RunSummary:
@@ -65,13 +67,13 @@ def test_a_server_that_stays_away_stops_the_run_and_no_trial_is_lost(tmp_path: P
                 server.kill()
                 server.wait()
 
-        summary = run(port, out, kill, first_call_s=6)
+        summary = run(port, out, kill, first_call_s=FIRST_CALL_S)
     assert (summary.ended, summary.ran) == ({"T1-s000": "done"}, ("T1-s000",))
     assert f"nothing listens at 127.0.0.1:{port}" in (summary.unreached or "")
     assert {path.name for path in out.iterdir()} == {"T1-s000.h5", "manifest.json"}
     assert json.loads((out / "manifest.json").read_text())["trials"] == ["T1-s000", "T1-s001"]
     with served(POLICY, tmp_path, port=port):
-        summary = run(port, out, lambda event: None, first_call_s=6)
+        summary = run(port, out, lambda event: None, first_call_s=FIRST_CALL_S)
     assert (summary.ran, summary.kept, summary.unreached) == (("T1-s001",), ("T1-s000",), None)
 
 
@@ -109,7 +111,7 @@ def test_a_server_that_dies_in_a_trial_is_that_trials_failure(tmp_path: Path) ->
     source, killer = kill_in_act(2, tmp_path)
     with served(source, tmp_path) as (port, server):
         killer(server)
-        summary = run(port, tmp_path / "r", lambda event: None, first_call_s=6)
+        summary = run(port, tmp_path / "r", lambda event: None, first_call_s=FIRST_CALL_S)
     assert summary.ended == {"T1-s000": "process_failure"}
     assert "nothing listens" in (summary.unreached or "")
     failure = read_recording(tmp_path / "r" / "T1-s000.h5").header.failure

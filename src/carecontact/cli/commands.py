@@ -29,8 +29,9 @@ class UsageError(ConfigError):
     """The command line names an option, a value or a command that does not exist."""
 
 
-CONFIG = (tyro.conf.DisallowNone,)
-"""An option that is not given is left out: nobody types None."""
+CONFIG = (tyro.conf.DisallowNone, tyro.conf.HelptextFromCommentsOff)
+"""An option that is not given is left out: nobody types None. ``described`` gives the help texts, so that tyro need not
+look for comments in the sources."""
 COMMANDS = {
     "run": "run:Run",
     "merge": "merge:Merge",

@@ -85,8 +85,8 @@ def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
     """Return one line for each thing that keeps this folder from being a demonstration."""
     from carecontact.recording import read_header
     from carecontact.recording.reason import ended_text, reason_of
+    from carecontact.recording.schema import FAILED
     from carecontact.runs import score_run
-    from carecontact.runs.manifest import FAILED
 
     problems = []
     for trial_id in trial_ids:

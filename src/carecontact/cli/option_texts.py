@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import ast
 import inspect
-import textwrap
+import sys
 from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import cache
+from types import ModuleType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import tyro
@@ -72,10 +73,17 @@ def _bare(hint: Any) -> Any:
     return get_args(hint)[0] if get_origin(hint) is Annotated else hint
 
 
+@cache
+def _parsed(module: ModuleType) -> ast.Module:
+    return ast.parse(inspect.getsource(module))
+
+
 def _docstrings(owner: type[Any]) -> dict[str, str]:
-    """Field -> the docstring under it."""
-    (made,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
-    assert isinstance(made, ast.ClassDef)
+    """Field -> the docstring under it. The class has to be at the top of its module."""
+    made = next(
+        node for node in _parsed(sys.modules[owner.__module__]).body
+        if isinstance(node, ast.ClassDef) and node.name == owner.__name__
+    )  # fmt: skip
     found: dict[str, str] = {}
     for node, after in zip(made.body, made.body[1:], strict=False):
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and isinstance(after, ast.Expr):

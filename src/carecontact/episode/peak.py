@@ -50,18 +50,19 @@ class Peak:
         state = self._simulation.integration_state() if self._state is None else self._state
         mujoco.mj_setState(model, data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
         mujoco.mj_forward(model, data)
-        close = render_close_up(renderer, self._simulation.scene, data, region=region)
+        shift = skin_shift(self._simulation.scene, data)
+        close = render_close_up(renderer, self._simulation.scene, data, region=region, shift=shift)
         return {
             "report/snapshot_rgb": renderer.rgb(data, "exterior"),
             "report/peak_rgb": close.image,
             "report/peak_pose_camera_in_world": close.pose_camera_in_world.astype("<f8"),
             "report/peak_focal_px": np.array([close.focal_px], "<f8"),
             "report/peak_time_s": np.array([self._time_s], "<f8"),
-            **self._skin(data, region),
+            **self._skin(data, region, shift),
         }
 
-    def _skin(self, data: mujoco.MjData, region: str) -> Mapping[str, npt.NDArray[Any]]:
-        """Return the skin around the region, indented as it was at that moment."""
+    def _skin(self, data: mujoco.MjData, region: str, shift: F64) -> Mapping[str, npt.NDArray[Any]]:
+        """Return the skin around the region, indented by ``shift`` (V, 3) [m] as it was at that moment."""
         scene, model = self._simulation.scene, self._simulation.model
         frame = scene.frames[region]
         bind = np.asarray(model.skin_vert, np.float64).reshape(-1, 3)
@@ -71,7 +72,7 @@ class Peak:
         faces = np.asarray(model.skin_face).reshape(-1, 3)
         faces = faces[np.all(near[faces], axis=1)]
         kept = np.unique(faces)
-        placed = (skin_in_world(model, data) + skin_shift(scene, data))[kept]
+        placed = (skin_in_world(model, data) + shift)[kept]
         return {
             "report/skin_in_world": placed.astype("<f4"),
             "report/skin_faces": np.searchsorted(kept, faces).astype("<i4"),

@@ -9,7 +9,7 @@ from carecontact.errors import ConfigError, UnknownNameError
 
 SUCCESSORS = {
     "bathing-v1": "bathing-draft",
-    "bathing-moved-v1": "bathing-moved-draft",
+    "bathing-moved-v1": "bathing-wide-draft",
     "bathing-droid-v1": "bathing-droid-draft",
 }
 """Protocol of an earlier release, which had another model of the tissue -> the draft with the same tasks."""

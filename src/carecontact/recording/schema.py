@@ -20,6 +20,10 @@ from carecontact.regions import SEGMENTS, STANDARD_REGIONS
 SCHEMA_VERSION = "carecontact-recording-3"
 
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
+FAILED: tuple[EndReason, ...] = ("process_failure", "harness_error")
+KILLED, POLICY_KILLED = "signal", "killed"
+"""Kinds of the failure of a trial that lost its process, or its policy's, to a signal: of the harness error, if the
+policy did not run, and of the process failure, if it did. The same command repeats such a trial by itself."""
 
 ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/time_s": ("f8", "(T,) since t = 0, at the start of each physics step, when its forces act"),

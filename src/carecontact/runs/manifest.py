@@ -16,7 +16,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.recording import read_header, read_recording
 from carecontact.recording.reason import ended_text
-from carecontact.recording.schema import EndReason, Header
+from carecontact.recording.schema import FAILED, KILLED, POLICY_KILLED, EndReason, Header
 from carecontact.recording.writer import replace_file
 from carecontact.runs.identity import Identity
 from carecontact.runs.other_release import ELSEWHERE, damaged, install_line, lost_trials
@@ -24,10 +24,6 @@ from carecontact.runs.plan import SALT_DIGITS
 from carecontact.runs.results_file import skipped_before
 
 MANIFEST = "manifest.json"
-FAILED: tuple[EndReason, ...] = ("process_failure", "harness_error")
-KILLED, POLICY_KILLED = "signal", "killed"
-"""Kinds of the failure of a trial that lost its process, or its policy's, to a signal: of the harness error, if the
-policy did not run, and of the process failure, if it did. The same command repeats such a trial by itself."""
 Purpose = Literal["run", "demo"]
 
 

@@ -1,8 +1,19 @@
 """Scores: a pure function of a recording, without a simulator."""
 
-from carecontact.scoring.metrics.metric import METRICS, Metric, metric
-from carecontact.scoring.result import Anatomy, Attribution, FailureMode, TrialScore
-from carecontact.scoring.score import score_recording
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from carecontact.scoring.metrics.metric import METRICS, Metric, metric
+    from carecontact.scoring.result import Anatomy, Attribution, FailureMode, TrialScore
+    from carecontact.scoring.score import score_recording
+
+# Imported when they are used: actions need modules of this package, and with them every process of a trial.
+_OFFERED = {
+    "METRICS": "metrics.metric", "Metric": "metrics.metric", "metric": "metrics.metric",
+    "Anatomy": "result", "Attribution": "result", "FailureMode": "result", "TrialScore": "result",
+    "score_recording": "score",
+}  # fmt: skip
 
 __all__ = [
     "METRICS",
@@ -14,3 +25,9 @@ __all__ = [
     "metric",
     "score_recording",
 ]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _OFFERED:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_OFFERED[name]}"), name)

@@ -38,13 +38,19 @@ class CloseUp:
     """Focal length; the optical axis meets the picture in its middle."""
 
 
-def render_close_up(renderer: SceneRenderer, scene: Scene, data: mujoco.MjData, *, region: str) -> CloseUp:
-    """A picture of the exterior camera's size, of the tool's tip. For people to look at, never for a policy."""
+def render_close_up(
+    renderer: SceneRenderer, scene: Scene, data: mujoco.MjData, *, region: str, shift: npt.NDArray[np.float64]
+) -> CloseUp:
+    """A picture of the exterior camera's size, of the tool's tip. For people to look at, never for a policy.
+
+    Args:
+        shift: (V, 3) of the skin's vertices in this state (``skin_shift``) [m].
+    """
     look_at = data.site(PANDA.tcp_site).xpos + [0, 0, ABOVE_TIP_M]
     azimuth_deg = REGIONS[region].close_up_azimuth_deg
     image = renderer.free_view(
         data, look_at=look_at, distance_m=DISTANCE_M, azimuth_deg=azimuth_deg, elevation_deg=ELEVATION_DEG,
-        size_of="exterior", edit=lambda made: dent(scene, data, made),
+        size_of="exterior", edit=lambda made: dent(scene, made, shift),
     )  # fmt: skip
     # MuJoCo's free camera: azimuth about the vertical from the x axis, elevation above the horizon.
     azimuth, elevation = np.radians([azimuth_deg, ELEVATION_DEG])
@@ -59,12 +65,11 @@ def render_close_up(renderer: SceneRenderer, scene: Scene, data: mujoco.MjData, 
     )
 
 
-def dent(scene: Scene, data: mujoco.MjData, made: mujoco.MjvScene) -> None:
-    """Move the drawn skin's vertices with the shell beneath them, in place."""
+def dent(scene: Scene, made: mujoco.MjvScene, shift: npt.NDArray[np.float64]) -> None:
+    """Move the drawn skin's vertices by ``shift`` (V, 3) [m], in place."""
     model = scene.model
     faces = np.asarray(model.skin_face).reshape(-1, 3)
     drawn = np.asarray(made.skinvert).reshape(-1, 3)[: model.nskinvert]
-    shift = skin_shift(scene, data)
     drawn += shift.astype(drawn.dtype)
     # Elsewhere the interpolated normals are smoother than those of the split triangles.
     touched = np.linalg.norm(shift, axis=1) > VISIBLE_M

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 from carecontact.contract.trial import TrialSpec
-from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Header, Recording, empty_arrays
+from carecontact.recording.schema import POLICY_KILLED, SEGMENTS, EndReason, Failure, Header, Recording, empty_arrays
 from carecontact.recording.versions import trial_versions
-from carecontact.runs.manifest import POLICY_KILLED
 
 EVIDENCE_CHARACTERS = 4000
 """Length of the tail of a traceback or of stderr kept in a recording; the whole is in the trial's log."""

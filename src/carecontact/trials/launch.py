@@ -15,7 +15,7 @@ from typing import Protocol
 
 from carecontact.trials.fork_server import NEWS, TOLD_FD
 from carecontact.trials.request import TrialRequest
-from carecontact.trials.worker import SINGLE_THREAD
+from carecontact.trials.worker import SINGLE_THREAD, WITHOUT_WINDOWS
 
 # -P: the folder a user happens to stand in must not shadow a module of the trial's process.
 PYTHON = (sys.executable, "-P", "-X", "faulthandler", "-m")
@@ -161,4 +161,4 @@ def is_stopped(pid: int) -> bool:
 
 
 def _environment() -> dict[str, str]:
-    return {**os.environ, **SINGLE_THREAD, "PYTHONHASHSEED": "0"}
+    return {**WITHOUT_WINDOWS, **os.environ, **SINGLE_THREAD, "PYTHONHASHSEED": "0"}

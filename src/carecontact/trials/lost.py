@@ -25,8 +25,7 @@ from carecontact.hosting.wire.codec import encode_actions
 from carecontact.hosting.wire.packing import pack
 from carecontact.recording import read_recording
 from carecontact.recording.reason import reason_of
-from carecontact.recording.schema import Failure, Header, Recording
-from carecontact.runs.manifest import KILLED, POLICY_KILLED
+from carecontact.recording.schema import KILLED, POLICY_KILLED, Failure, Header, Recording
 from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording
 
 STORED = "wall/answers"

@@ -22,7 +22,8 @@ from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, DependencyError, RecordingError
 from carecontact.recording import read_recording, write_recording
-from carecontact.runs.manifest import KILLED, MANIFEST
+from carecontact.recording.schema import KILLED
+from carecontact.runs.manifest import MANIFEST
 from carecontact.trials.engine import Ended
 from carecontact.trials.failed import harness_error_recording
 from carecontact.trials.node_task import NodeDone, NodeTask, carry_out

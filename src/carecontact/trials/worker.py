@@ -32,6 +32,10 @@ SINGLE_THREAD = {
 }
 """A sum split over threads depends on how many there are; and the supervisor already uses every core."""
 
+WITHOUT_WINDOWS = {"MUJOCO_GL": "disable"}
+"""Keeps MuJoCo from importing glfw, which it needs for windows alone: 0.1 s and a process of its
+own. ``sim.rendering`` chooses the backend for pictures itself. A user's own MUJOCO_GL stays."""
+
 WAITING = "waiting.txt"
 """File beside the recording in which the worker says that it waits for its policy."""
 FIRST_ANSWER = "first_answer.json"
@@ -49,6 +53,7 @@ def main() -> int:
     # Before the imports below, which take half a second; the request then tells whether it was too late even here.
     die_with_parent(os.getppid())
     os.environ.update(SINGLE_THREAD)
+    os.environ.update({name: value for name, value in WITHOUT_WINDOWS.items() if name not in os.environ})
     hide_memory()
     from carecontact.recording.storage import is_full
 

@@ -20,8 +20,8 @@ from carecontact.hosting.descendants import kill_marked, marks_of
 from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, write_recording
-from carecontact.recording.schema import Recording
-from carecontact.runs.manifest import FAILED, KILLED, runs_beside
+from carecontact.recording.schema import FAILED, KILLED, Recording
+from carecontact.runs.manifest import runs_beside
 from carecontact.trials.engine import Ended
 from carecontact.trials.failed import harness_error_recording, tail
 from carecontact.trials.launch import Launcher, Process, is_stopped

@@ -66,7 +66,12 @@ def planned(tmp_path: Path, text: str) -> Path:
 
 
 def test_a_plan_of_factors_has_a_place_for_each(tmp_path: Path) -> None:
-    levels = '[factors]\nlow = "bathing-draft"\nhigh = "bathing-moved-draft"\n'
+    moved = tmp_path / "moved.toml"
+    moved.write_text(
+        'base = "bathing-draft"\nid = "moved"\ndescription = "lies elsewhere"\nfrozen = false\n'
+        "[variation]\nplace_along_m = 0.036\nplace_across_m = 0.027\nplace_yaw_deg = 4.5\n"
+    )
+    levels = f'[factors]\nlow = "bathing-draft"\nhigh = "{moved}"\n'
     fields = ", ".join(f'"variation.place_{name}"' for name in ("along_m", "across_m", "yaw_deg"))
     text = f"{levels}[factors.groups]\nplace = [{fields}]\n[axes]\nstiffness = [200, 400]\n"
     plan = read_plan(planned(tmp_path, text))
@@ -85,7 +90,7 @@ def test_a_plan_of_factors_has_a_place_for_each(tmp_path: Path) -> None:
             '[factors]\nlow = "bathing-draft"\nhigh = "x"\n[axes]\nprotocol = ["bathing-draft"]\n',
             "factors: they stand in place of axes.protocol; give only one",
         ),
-        ('[factors]\nlow = "bathing-draft"\nhigh = "bathing-moved-drift"\n', "plan p: factors: .*bathing-moved-drift"),
+        ('[factors]\nlow = "bathing-draft"\nhigh = "bathing-moved"\n', "plan p: factors: .*bathing-moved"),
     ],
 )
 def test_wrong_factors_are_told(tmp_path: Path, text: str, told: str) -> None:

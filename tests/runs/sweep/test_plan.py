@@ -25,7 +25,7 @@ label = "again"
 jobs = 2
 
 [axes]
-protocol = ["bathing-draft", "bathing-moved-draft"]
+protocol = ["bathing-draft", "bathing-droid-draft"]
 body = ["man-adult", "woman-old-light"]
 tissue = ["human-published", "manikin-like"]
 friction = [0.2, 0.5]
@@ -56,13 +56,13 @@ def test_the_cells_are_all_combinations_and_each_has_what_it_says(tmp_path: Path
     assert [spec.trial_id for spec in first.specs] == ["T1-s000", "T3-s000", "T1-s001", "T3-s001"]
     rules = last.place.protocol
     assert (rules.id, rules.person.body, rules.person.tissue_set) == (
-        "bathing-moved-draft", "woman-old-light", "manikin-like"
+        "bathing-droid-draft", "woman-old-light", "manikin-like"
     )  # fmt: skip
     assert {row.friction for row in rules.person.tissue.values()} == {0.5}
     assert (rules.impedance.translational_n_m, rules.phases.time_limit_s) == (400, 2)
     assert first.name.startswith("hover_bathing-draft_man-adult_human-published_0.2_200_0.5_")
     assert {spec.policy for spec in last.specs} == {"replay"}
-    wanted = list(product(("bathing-draft", "bathing-moved-draft"), ("man-adult", "woman-old-light")))
+    wanted = list(product(("bathing-draft", "bathing-droid-draft"), ("man-adult", "woman-old-light")))
     assert list(dict.fromkeys(tuple(cell.place.values.values())[:2] for cell in cells)) == wanted
 
 
@@ -116,13 +116,13 @@ def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
         ),
         ('"manikin-like"', '"manikin"', r"axes\.tissue: no tissue set named 'manikin'"),
         (
-            '"bathing-moved-draft"',
+            '"bathing-droid-draft"',
             '"bathing-wide-draft"',
             r"has the levels L0, L1, L2, L3; name levels in axes\.level, or",
         ),
         ("body =", 'level = ["L1"]\nbody =', r"axes\.level: bathing-draft has no levels, and so no L1; name levels in"),
-        ('"bathing-moved-draft"', '"bathing-wide-draft L9"', r"no level named 'L9'"),
-        ('"bathing-moved-draft"', '"bathing-v1"', r"axes\.protocol: no protocol named 'bathing-v1'"),
+        ('"bathing-droid-draft"', '"bathing-wide-draft L9"', r"no level named 'L9'"),
+        ('"bathing-droid-draft"', '"bathing-v1"', r"axes\.protocol: no protocol named 'bathing-v1'"),
         ("phases.time_limit_s", "phases.limit", r"set: phases\.limit: no field 'limit' in phases"),
         ("T1,T3", "T1,T9", r"tasks: 'T9' is not a task of bathing-draft"),
         ('seeds = "0-1"', 'seeds = "0-99"', r"seeds: '0-99' contains seeds that bathing-draft does not have"),

@@ -146,6 +146,7 @@ static void allocate(Region* r, int nedge) {
   r->contact = calloc(q, sizeof(Contact));
   r->neighbour = calloc(e, sizeof(int));
   r->neighbour_weight = calloc(e, sizeof(double));
+  r->rim = calloc(n, sizeof(Rim));
   r->live = calloc(n, sizeof(int));
   r->live_contact = calloc(3 * q, sizeof(int));
   r->live_corner = calloc(3 * q, sizeof(int));
@@ -206,7 +207,7 @@ int region_init(const mjModel* m, int instance, Region* r) {
 
 void region_free(Region* r) {
   for (int k = 0; k < r->ntool; k++) tool_free(r->tool + k);
-  void* all[] = {r->vertex, r->point, r->contact, r->tool, r->neighbour, r->neighbour_weight, r->live,
+  void* all[] = {r->vertex, r->point, r->contact, r->rim, r->tool, r->neighbour, r->neighbour_weight, r->live,
                  r->live_contact, r->live_corner, r->window, r->held_of, r->moves, r->hit, r->in_patch, r->patch,
                  r->px, r->py, r->pz, r->u, r->rate, r->balance, r->force};
   for (size_t k = 0; k < sizeof all / sizeof *all; k++) free(all[k]);
@@ -239,8 +240,16 @@ void region_step(const mjModel* m, mjData* d, Region* r, const State* s) {
   if (!r->nwindow) return;
   contact_find(r, s, &law, m->opt.timestep);
   solve(r, s, &law, m->opt.timestep, option[OPTION_TOLERANCE], (int)option[OPTION_SWEEPS]);
+  rim_find(r, &law);
   wrench_apply(m, d, r);
   if (option[OPTION_LEDGER] != 0) ledger(r, s, &law);
+}
+
+// How far the tool slid in a step over skin whose middle does not touch it.
+static double slid(const Contact* c) {
+  double away[3] = {c->shift[0] - c->moved[0], c->shift[1] - c->moved[1], c->shift[2] - c->moved[2]};
+  double along = dot(away, c->normal);
+  return sqrt(most(0, dot(away, away) - along * along));
 }
 
 // What the cells of the surface feel in a step.
@@ -248,12 +257,12 @@ static void add_to_cells(const Region* r, State* s, double dt) {
   for (int i = 0; i < r->ncontact; i++) {
     const Contact* c = r->contact + i;
     const Point* p = r->point + c->point;
-    if (!c->touching || p->cell < 0) continue;
+    if ((!c->touching && c->touched == 0) || p->cell < 0) continue;
     double* cell = s->cells + CELL_SIZE * p->cell;
     cell[CELL_PRESS] += dt * c->area * c->pressure;
     cell[CELL_SHEAR] += dt * c->area * sqrt(dot(c->traction, c->traction));
-    cell[CELL_SLIP] += c->area * c->slipped;
-    cell[CELL_TOUCH] += dt * c->area;
+    cell[CELL_SLIP] += c->touched * (c->touching ? c->slipped : slid(c));
+    cell[CELL_TOUCH] += dt * c->touched;
   }
 }
 

@@ -109,7 +109,15 @@ typedef struct {
   double moved[3];       // since the start of the step [m]
   double pressure;       // [Pa]
   double slipped;        // [m]
+  double touched;        // area that touches the tool: the part of it that lies within the rim, for a round tool [m^2]
 } Contact;
+
+// What a vertex near a tool sees of the rim of the contact.
+typedef struct {
+  int known, met, past;  // met: how many of its triangles touch; past: whether it lies past the rim
+  double toward[3];      // unit, along the skin from the rim to the vertex
+  double far;            // distance to the rim [m]
+} Rim;
 
 typedef struct {
   // Read-only after region_init.
@@ -133,6 +141,7 @@ typedef struct {
   int* held_of;              // (npoint) a point's row in the state's friction, or -1; used while contacts are found
   unsigned char *moves, *hit;  // (nvertex) AWAY, MOVES or CLOSE; near the tool that is looked at
   Contact* contact;
+  Rim* rim;  // (nvertex)
   double *u, *rate;         // (nvertex, 3)
   Balance* balance;
   double row[ROW_SIZE];
@@ -168,6 +177,8 @@ void contact_find(Region* r, const State* s, const Law* law, double dt);
 // Measures anew the gaps of points that end far from where they were expected; returns whether there were any.
 int contact_review(Region* r, const Law* law);
 void solve(Region* r, const State* s, const Law* law, double dt, double tolerance, int sweeps);
+// How much of each contact's area touches.
+void rim_find(Region* r, const Law* law);
 void wrench_apply(const mjModel* m, mjData* d, Region* r);
 void ledger(Region* r, const State* s, const Law* law);
 

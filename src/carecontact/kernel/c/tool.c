@@ -464,3 +464,24 @@ double tool_bend(const Tool* tool, const double at[3], const double normal[3], c
   // Of a tool that is smaller than the triangle, no more than its slope can be told.
   return least(bend, sqrt(square)) / 2;
 }
+
+double tool_round(const Tool* tool, const double point[3], double normal[3], double* bend) {
+  double x[3], n[3], inverse[3], sum = 0, along = 0;
+  to_local(tool, point, x);
+  double value = outside(tool, x, n), size = sqrt(dot(n, n));
+  for (int k = 0; k < 3; k++) n[k] /= size;
+  rotate(normal, tool->axes, n);
+  if (tool->type == mjGEOM_CAPSULE) {
+    *bend = (fabs(x[2]) > tool->size[1] ? 2 : 1) / tool->size[0];
+    return value;
+  }
+  // Curvatures of the ellipsoid of this shape through the point, and from there of its own, which is smaller or larger.
+  for (int k = 0; k < 3; k++) {
+    inverse[k] = 1 / (tool->size[k] * tool->size[k]);
+    sum += inverse[k];
+    along += inverse[k] * n[k] * n[k];
+  }
+  double steep = size / least(tool->size[0], least(tool->size[1], tool->size[2]));
+  *bend = (sum - along) / steep;
+  return value / size;
+}

@@ -38,5 +38,9 @@ int tool_gap(const Tool* tool, const double point[3], const double direction[3],
 // Rims, and hulls of meshes, count as flat: they are narrower than a triangle, or not known to be round.
 double tool_bend(const Tool* tool, const double foot[3], const double normal[3], const double offset[3]);
 
+// About the signed distance from a point to the surface of a tool without faces, and there the outward normal and the sum
+// of both curvatures [1/m].
+double tool_round(const Tool* tool, const double point[3], double normal[3], double* bend);
+
 // How far the tool's material at a point moved in the last step against the bone.
 void tool_shift(const Tool* tool, const double point[3], double out[3]);

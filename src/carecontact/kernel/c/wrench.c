@@ -37,7 +37,6 @@ void wrench_apply(const mjModel* m, mjData* d, Region* r) {
       }
       weight += area * c->pressure;
       row[ROW_PRESSURE] = most(row[ROW_PRESSURE], c->pressure);
-      row[ROW_AREA] += area;
     }
     if (!touching) continue;
     row[ROW_POINTS] += touching;

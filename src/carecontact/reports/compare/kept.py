@@ -50,9 +50,14 @@ def beside_kept(
 
 
 def _files(protocol_id: str, folders: Sequence[Path]) -> list[Path]:
-    """One for each registered policy under the protocol's own settings: other settings have a longer name."""
+    """One for each registered policy under the protocol's own settings: other settings have a longer name. The folder
+    of a level is PROTOCOL-LEVEL."""
     for folder in folders:
-        found = [path for name in sorted(POLICIES) if (path := folder / protocol_id / f"{name}.json.gz").is_file()]
+        found = [
+            path
+            for name in sorted(POLICIES)
+            if (path := folder / protocol_id.replace(" ", "-") / f"{name}.json.gz").is_file()
+        ]
         if found:
             return found
     return []

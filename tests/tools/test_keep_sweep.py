@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tools.keep_sweep import main
+
+from carecontact.reports.compare.kept import beside_kept
+from carecontact.runs.results_file import write_scores
+from carecontact.runs.run_scores import RunScores
+from carecontact.runs.stored_scores import read_scores
+from carecontact.scoring import TrialScore
+from tests.reports.synthetic_run import make_score
+
+LEVEL = "bathing-wide-draft L2"
+
+
+def cell(sweep: Path, name: str, policy: str, passed: int, *, seeds: int = 2, **changes: object) -> RunScores:
+    scores: list[TrialScore] = []
+    for seed in range(seeds):
+        score = make_score("T1", seed)
+        scores.append(
+            score.model_copy(update={"protocol_id": LEVEL, "policy": policy, "safety_gated": seed < passed, **changes})
+        )
+    run = RunScores(scores=scores)
+    (sweep / "cells" / name).mkdir(parents=True)
+    write_scores(sweep / "cells" / name, run)
+    return run
+
+
+@pytest.fixture
+def sweep(tmp_path: Path) -> Path:
+    folder = tmp_path / "sweep"
+    cell(folder, "a", "mean-person", 1, policy_arguments={"person": "worse"})
+    cell(folder, "b", "mean-person", 2, policy_arguments={"person": "better"})
+    cell(folder, "c", "state-machine", 2)
+    (folder / "sweep.md").write_text("# Sweep results\n\n3 cells of 3 policies.\n")
+    return folder
+
+
+def test_what_is_kept_stands_beside_a_run_of_the_level(
+    sweep: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = tmp_path / "kept"
+    assert main([str(sweep), "--out", str(kept)]) == 0
+    assert "3 files of scores" in capsys.readouterr().out
+    page = (kept / "bathing-wide-draft.md").read_text()
+    assert page.startswith("# bathing-wide-draft: results\n\nSeeds 0 to 1, 2 trials")
+    assert page.endswith("3 cells of 3 policies.\n")
+    assert "# Sweep" not in page
+    folder = kept / "bathing-wide-draft-L2"
+    assert {file.name for file in folder.iterdir()} == {
+        "mean-person.json.gz", "mean-person-person-worse.json.gz", "state-machine.json.gz",
+    }  # fmt: skip
+    best = read_scores(folder / "mean-person.json.gz")
+    assert best.scores[0].policy_title == "mean-person person=better"
+    beside, _ = beside_kept(read_scores(folder / "state-machine.json.gz"), [], folders=[kept])
+    assert beside is not None
+    assert list(beside.kept) == ["mean-person person=better"]
+
+
+def test_unequal_cells_are_refused(sweep: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cell(sweep, "d", "hover", 0, seeds=3)
+    assert main([str(sweep), "--out", str(tmp_path / "kept")]) == 2
+    assert "same trials in each" in capsys.readouterr().err
+    assert main([str(tmp_path), "--out", str(tmp_path / "kept")]) == 2
+    assert "no cells" in capsys.readouterr().err

@@ -1,0 +1,97 @@
+"""Keep what a sweep of one frozen protocol with levels found: its tables, and the scores of every cell.
+
+    python tools/keep_sweep.py runs/results [--out docs/results]
+
+The folder is that of a finished ``carecontact sweep``. Writes PROTOCOL.md, which is the sweep's tables under a heading,
+and packs the scores of each cell into ``PROTOCOL-LEVEL/POLICY.json.gz``, where ``carecontact compare`` and the report
+find the shipped policies and the blind baselines that stand beside a run. Where a policy ran with several arguments on
+one level, POLICY.json.gz has the one that passed most trials, and the others have their arguments in the name. The same
+cells give the same files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+from carecontact.errors import CarecontactError
+from carecontact.runs.results_file import pack_results
+from carecontact.runs.run_scores import RunScores
+from carecontact.runs.stored_scores import read_scores
+
+TOP = """# {protocol}: results
+
+Seeds {seeds}, {trials} trials of each policy on each level. [What it means](README.md);
+[the protocol](../bathing-wide.md); [the baselines](../baselines.md); [intervals and orders](../statistics.md). The plan
+is [examples/cluster/results.toml](../../examples/cluster/results.toml). `tools/keep_sweep.py` wrote it, and keeps
+the scores of every trial beside it.
+"""
+
+
+def best_first(runs: list[RunScores]) -> list[RunScores]:
+    """Order the runs of one policy by how many trials they passed, and then by their titles."""
+    return sorted(runs, key=lambda run: (-sum(s.safety_gated for s in run.scores), run.scores[0].policy_title))
+
+
+def file_name(run: RunScores, *, best: bool) -> str:
+    """Return the name of a file of kept scores, without suffix."""
+    first = run.scores[0]
+    return first.policy if best else re.sub(r"[^A-Za-z0-9._-]+", "-", first.policy_title)
+
+
+def keep(sweep: Path, out: Path) -> list[Path]:
+    """Write the page and the scores of a sweep's cells, and return the files.
+
+    Raises:
+        CarecontactError: a cell cannot be read, there is none, or they are of several protocols or seeds.
+    """
+    runs = [read_scores(cell) for cell in sorted((sweep / "cells").glob("*")) if cell.is_dir()]
+    if not runs:
+        raise CarecontactError(f"{sweep}: no cells; expected the folder of a finished carecontact sweep")
+    protocols = {run.scores[0].protocol_id.partition(" ")[0] for run in runs}
+    seeds = {tuple(sorted({score.seed for score in run.scores})) for run in runs}
+    sizes = {len(run.scores) for run in runs}
+    if len(protocols) != 1 or len(seeds) != 1 or len(sizes) != 1:
+        raise CarecontactError(
+            f"{sweep}: expected cells of one protocol with the same trials in each; run the rest first"
+        )
+    (protocol,), (seed,), (size,) = protocols, seeds, sizes
+    tables = (sweep / "sweep.md").read_text(encoding="utf-8").partition("\n")[2]
+    files = [out / f"{protocol}.md"]
+    out.mkdir(parents=True, exist_ok=True)
+    files[0].write_text(
+        TOP.format(protocol=protocol, seeds=f"{seed[0]} to {seed[-1]}", trials=size) + tables, encoding="utf-8"
+    )
+    places: dict[tuple[str, str], list[RunScores]] = defaultdict(list)
+    for run in runs:
+        places[run.scores[0].protocol_id, run.scores[0].policy].append(run)
+    for (level, _), alike in places.items():
+        for number, run in enumerate(best_first(alike)):
+            files.append(out / level.replace(" ", "-") / f"{file_name(run, best=number == 0)}.json.gz")
+            files[-1].parent.mkdir(exist_ok=True)
+            pack_results(files[-1], run)
+    return files
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sweep", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("docs/results"))
+    options = parser.parse_args(arguments)
+    try:
+        files = keep(options.sweep, options.out)
+    except CarecontactError as error:
+        print(f"keep_sweep: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"keep_sweep: {error.filename}: {error.strerror}", file=sys.stderr)
+        return 2
+    print(f"{files[0]} and {len(files) - 1} files of scores")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
