@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 @cache
-def _points_on(path: tuple[str, ...]) -> EntryPoints:
+def _points_on(path: tuple[str, ...]) -> Any:
     """Of the packages that are installed on a search path, which is ``sys.path``."""
     return metadata.entry_points()
 

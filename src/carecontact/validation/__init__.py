@@ -1,1 +1,1 @@
-"""Checks of whether the simulated person is physically valid: one check a file, and ``run`` runs them all."""
+"""Checks of whether the simulated person is physically valid, with one file for each check; ``run`` runs them all."""

@@ -1,4 +1,4 @@
-"""Check 5: the person's tissue answers the references' own indenters as people's does."""
+"""Check 5: the person's tissue responds to the references' own indenters as people's tissue does."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ if TYPE_CHECKING:
 
 TITLE = "Calibration residual"
 NRMSE_LIMIT_PERCENT, WORST_LIMIT_PERCENT = 5.0, 10.0
-"""Of the mean over held-out places, since the references are middles over people and, on the belly, over five sites;
-and of the worst single place, whose curvature is the body's own."""
+"""Limits of the error of the mean over held-out places, since the references are means or medians over people and, on
+the belly, over five sites; and of the error at the worst single place, whose curvature is the body's own."""
 DEPTH_SHARES = (0.1, 0.25, 0.5, 1.0)
-"""NRMSE is over the largest force and forgives small depths much: there the error is told as a share of the force."""
+"""Depths, as shares of the deepest, at which the error is also given as a share of the force there: NRMSE is relative
+to the largest force and therefore tolerates large errors at small depths."""
 QUICK_PLACES, QUICK_UNFITTED = 2, (FOREARM, ABDOMEN)
 
 
@@ -61,20 +62,26 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 
 
 def _share(subject: Subject, region: str) -> float:
-    """Of the row's law that this body has by its build. The curves are of people of every build, and the rows that
-    were fitted to them are taken as those of man-adult; the P5-P95 of people stays."""
+    """Return the factor on a row's law that follows from this body's build.
+
+    The curves come from people of every build, and the rows that were fitted to them count as those of man-adult. The
+    band from P5 to P95 is not scaled.
+    """
     return subject.tissue(region).a_n_m3 / subject.protocol.person.tissue[region].a_n_m3
 
 
 def held_out_m(region: str) -> tuple[tuple[float, float], ...]:
-    """Places (along, across) of the region's frame that the fit did not use [m]; empty for a rigid region."""
+    """Return places (along, across) [m] in the region's frame that the fit did not use; empty for a rigid region."""
     shape = REGIONS[region].shape
     return () if shape is None else shape.held_out_m
 
 
 def applying(subject: Subject) -> tuple[Reference, ...]:
-    """Curves to which the law of their region was fitted. By the rows and not the set's name: a calibrated set keeps
-    the rows of its base that it does not replace. None applies to a row of the user's own."""
+    """Return the curves to which the law of their region was fitted.
+
+    The rows decide and not the name of the set, because a calibrated set keeps those rows of its base that it does not
+    replace. No curve applies to a user's own row.
+    """
     found: dict[str, Reference] = {}
     for name, references in FITTED.items():
         shipped = load_tissue_set(name).tissue
@@ -83,7 +90,7 @@ def applying(subject: Subject) -> tuple[Reference, ...]:
 
 
 def responses(subject: Subject, reference: Reference, places: tuple[tuple[float, float], ...]) -> Array:
-    """(places, n) force [N] of the person at the reference's depths, with its indenter and speed."""
+    """Return the force (places, n) [N] of the person at the reference's depths, with its indenter and speed."""
     bench = person_bench(subject, reference.region, reference.indenter)
     return np.array([bench.response(reference.depth_m, along_m=x, across_m=y, speed_m_s=SPEED_M_S) for x, y in places])
 

@@ -33,13 +33,13 @@ NAMES = {"c1_n": "C1", "c1_filtered_n": "C1 at 100 Hz", "c5_n": "C5", "stroke_m"
 STEP_LIMIT_PERCENT = {"c1_n": 2.0, "c1_filtered_n": 2.0, "c5_n": 5.0, "stroke_m": 2.0}
 MESH_LIMIT_PERCENT = 5.0
 FINER, FINEST_M = 0.7, 0.0025
-"""Share of the shipped spacing at which a law is fitted anew (3.5 mm on a mesh of 5 mm); spacing [m] of the mesh on
-which the tool scrubs a held bone under the shipped law."""
+"""Share of the shipped spacing at which a law is fitted again (3.5 mm for a mesh of 5 mm), and spacing [m] of the mesh
+on which the tool scrubs, with the shipped law, a region whose bone is held."""
 SCRUB_DEPTH_M, SCRUB_HALF_M, SCRUB_M_S, SCRUB_FROM_M = 0.008, 0.040, 0.10, 0.004
-"""Depth under the undeformed skin along the region's outward direction; how far to each side; speed along the skin; and
-how high above it the tool begins."""
+"""Of the scrub: depth under the undeformed skin along the region's outward direction, distance to each side, speed
+along the skin, and height above the skin at which the tool begins."""
 TOUCHED_N = 0.5
-"""Force from which that scrub counts as contact, as contact-v1 has it."""
+"""Force from which that scrub counts as contact, as in contact-v1."""
 MESH_REFERENCES = (FOREARM, ABDOMEN)
 Places = tuple[tuple[float, float], ...]
 PLACES_M: Places = ((0.0, 0.0), (0.020, 0.008))
@@ -57,11 +57,11 @@ class Trend:
     region: str
     shape: Shape
     radius_m: float
-    """The middle one of the three radii."""
+    """The middle one of three radii."""
     layer: tuple[float, float] | None = None
-    """Exponents of force over radius of an incompressible elastic layer bonded to bone, 50 to 30 mm thick, as a test
-    computes them (sphere: Dimitriadis et al. 2002, Biophys J 82:2798; flat: Hayes et al. 1972, J Biomech 5:541). A limb
-    is too narrow for one."""
+    """Exponents of force over radius for an incompressible elastic layer bonded to bone, 50 and 30 mm thick, which a
+    test computes (sphere: Dimitriadis et al. 2002, Biophys J 82:2798; flat: Hayes et al. 1972, J Biomech 5:541). None
+    for limbs, which are too narrow to count as a layer."""
 
 
 TRENDS = {
@@ -69,7 +69,7 @@ TRENDS = {
     "abdomen, sphere": Trend(region="abdomen", shape="hemisphere", radius_m=0.010, layer=(0.58, 0.65)),
     "abdomen, flat": Trend(region="abdomen", shape="flat", radius_m=0.0107, layer=(1.31, 1.52)),
 }
-"""Both calibration indenters, and a disc where the theory of a layer predicts the exponent."""
+"""Both calibration indenters, and a disc on the region for which the theory of a layer predicts the exponent."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -96,7 +96,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                 measures += mesh(subject, reference, shipped[reference.region], curves)
                 measures += finest_scrub(subject, reference.region)
             except (SceneError, ConfigError) as error:
-                # The other measures are still useful.
+                # Without this measure, the others are still useful.
                 name = f"{reference.region}: finer mesh, not measured: {error}"
                 measures.append(Measure(name=name, value=float("nan"), unit="%", limit=MESH_LIMIT_PERCENT))
         for name, tool_size in TRENDS.items():
@@ -116,7 +116,7 @@ def _scores(subject: Subject, region: str, motions: Sequence[Motion]) -> dict[st
 
 
 def _changes(before: dict[str, Scores], after: dict[str, Scores]) -> list[tuple[str, str, float]]:
-    """(motion, score, change [%]); a press has no stroke."""
+    """Return triples of motion, score and change [%]; a press has no stroke."""
     out = []
     for motion in before:
         for field in SCORES:
@@ -128,10 +128,10 @@ def _changes(before: dict[str, Scores], after: dict[str, Scores]) -> list[tuple[
 
 
 def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curves: dict[str, Array]) -> list[Measure]:
-    """A finer mesh, with the same law per area and with its law fitted anew at the calibration indenter.
+    """Measure the change on a finer mesh: with the same law per area, and with the law fitted again at the calibration
+    indenter.
 
-    A law belongs to a mesh: a coarser mesh spreads a small tool's load further, and its anchors are fitted to
-    compensate.
+    A law belongs to a mesh, because a coarser mesh spreads a small tool's load farther, for which the fit compensates.
     """
     region = reference.region
     tissue = subject.tissue(region)
@@ -172,8 +172,9 @@ def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curv
 
 
 def finest_scrub(subject: Subject, region: str) -> list[Measure]:
-    """The cap scrubs the held region at one depth, on the shipped mesh and on one so fine that it stands for none, both
-    with the shipped law."""
+    """Scrub the held region with the cap at one depth, on the shipped mesh and on one so fine that it approximates a
+    continuous surface, both with the shipped law.
+    """
     tissue = subject.tissue(region)
     coarse = min(tissue.coarse_spacing_m, tissue.coarse_spacing_m * FINEST_M / tissue.spacing_m)
     finest = subject.with_tissue(region, tissue.model_copy(update={"spacing_m": FINEST_M, "coarse_spacing_m": coarse}))
@@ -189,7 +190,9 @@ def finest_scrub(subject: Subject, region: str) -> list[Measure]:
 
 
 def _over_the_skin(shell: Shell, point: Array, frame: Array) -> np.polynomial.Polynomial:
-    """Height of the undeformed skin over the region's middle [m], by the way along the region [m]."""
+    """Return the height [m] of the undeformed skin over the region's middle as a function of the place along the region
+    [m].
+    """
     x, y, z = ((shell.vertices - point) @ frame).T
     line = (np.abs(y) < 0.012) & (np.abs(x) < SCRUB_HALF_M + 0.02) & (shell.normals @ frame[:, 2] > 0)
     return np.polynomial.Polynomial.fit(x[line], z[line], 4)
@@ -198,8 +201,9 @@ def _over_the_skin(shell: Shell, point: Array, frame: Array) -> np.polynomial.Po
 def _held_scrub(
     subject: Subject, region: str, at: tuple[Array, Array], skin: np.polynomial.Polynomial
 ) -> tuple[float, float]:
-    """Largest force [N] and the standard deviation [N] of the force in contact, while the tool presses down and goes
-    once to and fro."""
+    """Return the largest force [N] and the standard deviation [N] of the force in contact, while the tool presses down
+    and goes once back and forth.
+    """
     rig = Rig(subject, region, CAP, joints="slides", mass_kg=HEAVY_KG, at=at)
     dt, data = rig.model.opt.timestep, rig.data
     down = np.arange(0.0, SCRUB_DEPTH_M + SCRUB_FROM_M, SCRUB_M_S / 2 * dt)
@@ -226,10 +230,10 @@ def _nrmse(got: Array, wanted: Array) -> float:
 
 
 def recalibrated(bench: Bench, depths: Array, wanted: Array) -> Tissue:
-    """Fit stiffness (a with b, and c, by one factor each) so that the bench answers ``wanted``, the mean over PLACES_M;
-    sets it and returns it.
+    """Fit the stiffness to the forces ``wanted``, the mean over PLACES_M, set it on the bench and return it.
 
-    Gauss-Newton on the factors' logarithms: two parameters that act almost linearly need few steps.
+    One factor scales a and b, another one c. Gauss-Newton steps on the logarithms of the factors suffice, because both
+    act almost linearly.
     """
     start = bench.tissue
 
@@ -253,7 +257,7 @@ def recalibrated(bench: Bench, depths: Array, wanted: Array) -> Tissue:
 
 
 def trend(subject: Subject, size: Trend) -> Array:
-    """(3,) force [N] at TREND_DEPTH_M for RADIUS_FACTORS."""
+    """Return the force (3,) [N] at TREND_DEPTH_M for RADIUS_FACTORS."""
     return np.array([
         declared_bench(subject, size.region, Indenter(shape=size.shape, size_m=size.radius_m * factor)).response(
             np.array([TREND_DEPTH_M])
@@ -274,7 +278,7 @@ def draw(result: CheckResult, figure: Figure) -> None:
             panel.plot(depth, shipped, style, color="k", label=f"shipped mesh, {where}")
             panel.plot(depth, same, style, color="C1", lw=0.9, label="finer, same law" if kind == "reference" else None)
             panel.plot(depth, fitted, style, color="C0", lw=0.9, label="finer, fitted" if kind == "reference" else None)
-        # One press that diverged must not hide the others.
+        # A press that diverged must not hide the results of the others.
         highest = max(result.curves[f"mesh/{region}/{kind}"][1].max() for kind in ("reference", "tool"))
         panel.set(xlabel="indentation [mm]", title=region, ylim=(0, 1.25 * highest))
     if regions:
@@ -312,7 +316,7 @@ def _draw_step(measures: Sequence[Measure], axes: Axes) -> None:
     axes.set_yticks(range(len(labels)), labels)
     both = len(rows) > len(labels) * len({m.name.partition(":")[0] for m in rows})
     title = "half (o), twice (x) the step" if both else "half the step"
-    # The names need room on the right, where no change lies.
+    # The names need room on the right, beyond the largest change.
     farthest = max(m.value for m in rows) if rows else 0.0
     axes.set(xlabel="change [%] and its limit (|)", title=title, xlim=(0, 2.2 * max(farthest, *limits.values(), 1.0)))
     axes.invert_yaxis()

@@ -1,7 +1,7 @@
 """The compiled world has the masses, joints and bone cores that the tables declare.
 
-Read from what the engine does with the model, not from the code that wrote it: masses and centres from its kinematics,
-springs and dampers from the torques it gives, cores from rays.
+All of it is read from what MuJoCo does with the model and not from the code that wrote the model: masses and centres
+from kinematics, springs and dampers from torques, cores from rays.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 TITLE = "Masses, joints and bone cores as declared"
 TURN_RAD, SPEED_RAD_S = 0.05, 1.0
-"""How far and how fast each hinge is turned to read its spring and its damper; the laws are linear."""
+"""Angle and speed by which each hinge is turned to read its spring and its damper, which are linear."""
 PAST_RAD = 0.06
-"""How far past its range each hinge is turned to read its end stop."""
+"""Angle past its range to which each hinge is turned to read its end stop."""
 LONGEST_RAY_M = 0.15
 
 
@@ -64,14 +64,18 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 
 
 def _off(name: str, rows: Array | list[Array]) -> Measure:
-    """``rows`` (n, 2): actual and declared value. A joint that is declared without a spring must have none."""
+    """Measure the largest deviation. ``rows`` (n, 2): actual and declared value. A joint that is declared without a
+    spring must have none.
+    """
     rows = np.asarray(rows)
     scale = np.where(rows[:, 1] == 0, 1e-9, rows[:, 1])
     return Measure(name=name, value=100 * float(np.abs((rows[:, 0] - rows[:, 1]) / scale).max()), unit="%", limit=1.0)
 
 
 def segment_masses(scene: Scene) -> tuple[Array, Array]:
-    """(S, 2) mass of every segment, plates included, and as declared [kg]; (S,) distance of the centres of mass [m]."""
+    """Return the actual and declared mass (S, 2) [kg] of every segment with its plates, and the distance (S,) [m] of
+    the actual from the declared centre of mass.
+    """
     model, body = scene.model, scene.body
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -89,8 +93,10 @@ def segment_masses(scene: Scene) -> tuple[Array, Array]:
 
 
 def joint_constants(scene: Scene) -> tuple[Array, Array, Array, Array]:
-    """(J, 2) springs [N m/rad] and dampers [N m s/rad] as they answer and as declared; (J,) error of where end stops
-    begin [deg]; (2 J, 2) their torques PAST_RAD further [N m], lower and upper end of each joint."""
+    """Return actual and declared springs (J, 2) [N m/rad] and dampers (J, 2) [N m s/rad], the error (J,) [deg] of the
+    angle at which end stops begin, and their actual and declared torques (2 J, 2) [N m] PAST_RAD beyond, for the lower
+    and the upper end of each joint.
+    """
     model = copy.copy(scene.model)
     data = mujoco.MjData(model)
     springs, dampers, ranges, stops = [], [], [], []
@@ -120,9 +126,11 @@ def joint_constants(scene: Scene) -> tuple[Array, Array, Array, Array]:
 
 
 def core_depths(scene: Scene, region: str) -> Array:
-    """(n,) how deep under every vertex inside the shell's border a ray to the region's axis meets bone that the tool
-    collides with [m]; infinite where it meets none. Not along the anchor: slim arms have bones so thin that it leans
-    past."""
+    """Return, for every vertex inside the shell's border, the depth (n,) [m] at which a ray to the region's axis meets
+    bone that the tool collides with; infinite where it meets none.
+
+    The ray is not along the anchor, which misses the thin bones of slim arms.
+    """
     model = scene.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -148,7 +156,9 @@ def core_depths(scene: Scene, region: str) -> Array:
 
 
 def border(shell: Shell) -> npt.NDArray[np.bool_]:
-    """(N,) vertices on an open edge, of one triangle only. The core ends there: a ray from one runs along its face."""
+    """Return (N,) which vertices lie on an edge that belongs to one triangle only. The core ends there, so that a ray
+    from such a vertex would run along its face.
+    """
     sides = np.concatenate([np.roll(shell.triangles, k, axis=1)[:, :2] for k in range(3)])
     edges, count = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
     return np.isin(np.arange(len(shell.vertices)), edges[count == 1])

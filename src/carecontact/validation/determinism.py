@@ -34,11 +34,11 @@ TRIAL_S, QUICK_TRIAL_S = 20.0, 7.5
 POLICY, TASK, SEED = "state-machine", "T1", 0
 LONGEST_S = 600.0
 PRESS_S, SLIDE_S, GO_ON_STEPS, DEEP_M, ASIDE_M = 0.6, 0.2, 200, 0.020, 0.02
-"""A press slides aside and is interrupted on the way."""
+"""Durations [s], steps and distances [m] of a press that slides aside and is interrupted on the way."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
-    """Run the package's own trials; another scene factory does not reach them."""
+    """Run the check on trials of the package, which use the package's own scene and no other."""
     phases = subject.protocol.phases.model_copy(update={"time_limit_s": QUICK_TRIAL_S if quick else TRIAL_S})
     spec = TrialSpec(protocol=subject.protocol.model_copy(update={"phases": phases}), task_id=TASK, seed=SEED,
                      policy=POLICY)  # fmt: skip
@@ -67,8 +67,9 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 
 
 def in_one_process(subject: Subject) -> list[Measure]:
-    """Of a press on each region that slides aside: what differs if its state is restored in mid-contact, in the same
-    world and in another one, and if another world of the same process runs in between."""
+    """Measure what differs, for a press on each region that slides aside, if its state is restored in mid-contact, in
+    the same world or in another one, and if another world of the same process runs in between.
+    """
     restored, beside, force = 0, 0, np.inf
     for region in subject.regions():
         alone = _pressed(subject.hovering(region), region, ASIDE_M)
@@ -87,7 +88,7 @@ def in_one_process(subject: Subject) -> list[Measure]:
 
 
 def _pressed(simulation: Simulation, region: str, aside_m: float) -> Simulation:
-    """Press, and leave off while the tool slides aside."""
+    """Press, and stop simulating while the tool slides aside."""
     top, (along, _) = surface_point(simulation, region), axes(simulation, region)
     below = top - [0.0, 0.0, DEEP_M]
     move_to(simulation, below, seconds=PRESS_S)
@@ -96,7 +97,7 @@ def _pressed(simulation: Simulation, region: str, aside_m: float) -> Simulation:
 
 
 def _continued(simulation: Simulation, state: Array | None = None, *, beside: Simulation | None = None) -> Array:
-    """What the world is after GO_ON_STEPS more steps with the same commands, from a state if one is given."""
+    """Return the state after GO_ON_STEPS more steps with the same commands, from the given state if there is one."""
     if state is not None:
         mujoco.mj_setState(simulation.model, simulation.data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
     for _ in range(GO_ON_STEPS):

@@ -24,19 +24,19 @@ LIFTS_DEG = {
     "forearm": {"right_forearm_flexion": 40.0},
     "whole arm": {"right_upper_arm_flexion": 25.0, "right_forearm_flexion": 20.0},
 }
-"""Lift added to the settled angles, so high that the limb falls freely before it meets the board."""
+"""Lift [deg] that is added to the settled angles, so that the limb falls freely before it meets the board."""
 DROP_S = 1.5
 GAIN_LIMIT_PERCENT = 1.0
 LOOP_DEPTH_M, LOOP_SPEEDS_M_S, QUICK_SPEEDS_M_S = 0.004, (0.005, 0.020, 0.080), (0.020,)
 LOOP_SHARE_PERCENT, LOOP_EXCESS_PERCENT = 80.0, 125.0
-"""Share of the work that the declared damping absorbs in the same loop; springs without dampers absorb under a
-fifth."""
+"""Bounds of the absorbed work, relative to what the declared damping absorbs in the same loop; springs without dampers
+absorb less than a fifth of it."""
 PEAK_LIMIT_PERCENT = 3.0
-"""Chosen. Of the loop's peak under the person's compiled law against the declared law's on the same shell; it is the
-only line on a region's stiffness where no reference is its own."""
+"""Limit, chosen by us, of the difference between the loop's peak under the person's compiled law and under the declared
+law on the same shell. For a region without a reference of its own, it is the only check of the stiffness."""
 LOST_SPEED_M_S, LOST_LIMIT_PERCENT, RETURNED_LIMIT_PERCENT = 0.020, 5.0, 20.0
-"""Chosen, so that a set which declares no damping to speak of, or putty, is detected whatever it declares: living
-tissue gives back less than it takes, and springs back."""
+"""Speed and limits, chosen by us, that detect a set with almost no damping or with the behaviour of putty, whatever it
+declares: living tissue returns less energy than it receives, and springs back."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -94,7 +94,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 
 
 def _work(loop: Press) -> float:
-    """Work that the indenter does on the tissue over the whole loop [J]."""
+    """Return the work [J] that the indenter does on the tissue over the whole loop."""
     return float(np.trapezoid(loop.force_n, loop.indentation_m))
 
 
@@ -102,7 +102,7 @@ def drop(simulation: Simulation, lift_deg: dict[str, float]) -> tuple[Array, Arr
     """Lift joints by angles and let go.
 
     Returns at every step time (n,) [s], the person's mechanical energy (n,) [J] and the work (n,) [J] that bed contacts
-    have done on the person so far. The bed is padded: what it stores and returns is not a gain.
+    have done on the person so far. What the padded bed stores and returns is no gain of energy.
     """
     model, data = simulation.model, simulation.data
     for joint, angle in lift_deg.items():
@@ -121,8 +121,9 @@ def drop(simulation: Simulation, lift_deg: dict[str, float]) -> tuple[Array, Arr
 
 
 class Energy:
-    """Kinetic energy, weight, joint springs and end stops of the person. Contacts, the robot and tissue, which nothing
-    touches here, are left out."""
+    """Computes the person's kinetic energy and the potential energy of weight, joint springs and end stops. Contacts,
+    the robot and the tissue are left out, because nothing touches the tissue here.
+    """
 
     def __init__(self, simulation: Simulation) -> None:
         self._model, self._data = simulation.model, simulation.data
@@ -138,9 +139,9 @@ class Energy:
         self._mass_times_v = np.zeros(model.nv)
 
     def __call__(self) -> float:
-        """[J]"""
+        """Return the energy [J]."""
         model, data = self._model, self._data
-        # A step leaves poses where it began; bring them and the mass matrix to where it ended.
+        # After a step, poses and mass matrix are still those of its beginning; compute those of its end.
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_makeM(model, data)

@@ -20,7 +20,7 @@ STYLE = {
 
 
 def draw_figure(draw: Callable[[Figure], None], path: Path) -> None:
-    """Write what ``draw`` puts on a figure as PNG."""
+    """Call ``draw`` with a figure and write it as PNG."""
     import matplotlib
     from cycler import cycler
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -25,11 +25,12 @@ LEVELS_M, QUICK_LEVELS_M = (0.0033, 0.0046, 0.0059, 0.0072), (0.0035, 0.0070)
 SPEED_M_S = 0.004
 """Speed between two levels; at a level the tool rests."""
 REST_M_S, LONGEST_REST_S, READ_S = 2e-5, 6.0, 0.06
-"""The tool counts as at rest below this speed; the check waits for that no longer than this time. The elbow creeps on
-after the tool has stopped: at 1e-4 m/s its slowing down was 0.015 N in the joint torques of an arm high above the
+"""The tool counts as at rest below this speed; the longest wait for it; and the time of reading. The elbow creeps on
+after the tool has stopped: at 1e-4 m/s, its deceleration was 0.015 N in the joint torques of an arm high above the
 belly."""
 STIFFNESS = (1000.0, 20.0)
-"""Translational and rotational stiffness: the stiffer, the less the target has to run ahead of the tool."""
+"""Translational [N/m] and rotational [N m/rad] stiffness: a stiffer robot needs less lead of the target over the
+tool."""
 GRAVITY_M_S2 = 9.81
 LONGEST_PRESS_S = 10.0
 PATHS = ("contact", "anchors", "joint torques", "bed")
@@ -73,7 +74,7 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
     Returns one row per level, n of them, and the bed's upward force before [N]. Rows: indentation (n,) [m], speed (n,)
     of the tool [m/s], held (n, 3) force at the edge of the skin that moves [N], hard (n,) how often the tool met
     something rigid, and for each of PATHS the force that the robot exerts on the person (n, 3) [N], with its value
-    before the press taken off. Raises SceneError if a level is not reached.
+    before the press subtracted. Raises SceneError if a level is not reached.
     """
     column = SEGMENTS.index(REGIONS[region].segment)
     index = simulation.protocol.regions.index(region)
@@ -86,14 +87,16 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
 
     def go(speed: float) -> Samples:
         nonlocal height
-        # A spring between target and tool: the target runs ahead by what the tissue's stiffness requires.
+        # A spring lies between target and tool, so that the target leads by what the tissue's stiffness requires.
         height -= speed * period * (1.0 + tangent / STIFFNESS[0])
         return move_to(simulation, np.array([*top[:2], height]), seconds=period)[-1]
 
     def read() -> tuple[Array, float, int]:
-        """(4, 3) forces by path, the tool's largest speed and how often hard parts were met, once the tool rests.
+        """Return the forces (4, 3) [N] by path, the tool's largest speed [m/s] and the number of contacts with hard
+        parts, once the tool rests.
 
-        Taken step by step over whole target periods: within one the posture torque lets the tip swing a little.
+        They are read at every step of whole target periods, because within one the posture torque lets the tip swing a
+        little.
         """
         for _ in range(round(LONGEST_REST_S / period)):
             if go(0.0).tcp_speed.max() < REST_M_S:

@@ -1,4 +1,5 @@
-"""The same force measured along independent paths: contact points, anchors, bed, robot joints. All in the world [N]."""
+"""The same force measured along independent paths: contact points, anchors, bed, robot joints. All forces are in the
+world [N]."""
 
 from __future__ import annotations
 
@@ -16,9 +17,9 @@ from carecontact.validation.result import Array
 class AnchorForce:
     """Force that a region's springs and dampers exert on the bone: anchors, coupling and membrane.
 
-    From how far every vertex is displaced and from the law in the compiled model, by the equations of the law and not
-    by the compiled tissue, which sums what its contact points do. Vertices that the compiled tissue leaves at rest,
-    because they are far from the tool, hold their neighbours and have no balance of their own: see ``held``.
+    It follows from the displacement of every vertex and the law in the compiled model, by the equations of the law and
+    not by the compiled tissue, which sums the forces of its contact points. Vertices that the compiled tissue leaves at
+    rest, because they are far from the tool, hold their neighbours and have no balance of their own: see ``held``.
     """
 
     def __init__(self, simulation: Simulation, region: str) -> None:
@@ -29,11 +30,11 @@ class AnchorForce:
         self._edges, self._weights = rows[:, :2].astype(np.int64), rows[:, 2:]
 
     def __call__(self) -> Array:
-        """(3,)"""
+        """Return the force (3,)."""
         return self._sum(moving=True)
 
     def held(self) -> Array:
-        """(3,) what the skin around the part that moves is held with."""
+        """(3,) force that holds the skin around the part that moves."""
         return self._sum(moving=False)
 
     def _sum(self, *, moving: bool) -> Array:
@@ -55,7 +56,7 @@ class AnchorForce:
 
 
 def bed_reaction(simulation: Simulation) -> Array:
-    """(3,) on the person from bed and board, summed by hand over the contacts."""
+    """Return the force (3,) of bed and board on the person, summed here over the contacts."""
     model, data = simulation.model, simulation.data
     total, wrench = np.zeros(3), np.zeros(6)
     for i in range(data.ncon):
@@ -69,10 +70,11 @@ def bed_reaction(simulation: Simulation) -> Array:
 
 
 def tip_force(simulation: Simulation) -> Array:
-    """(3,) that the robot exerts at its tip, from joint torques alone; right where the tip does not accelerate.
+    """Return the force (3,) that the robot exerts at its tip, from joint torques alone; it is exact if the tip does not
+    accelerate.
 
-    The dynamically consistent inverse (Khatib 1987) lets torques that only move the elbow drop out. What the tissue
-    does to the robot is one of MuJoCo's passive forces and is taken out of them.
+    The dynamically consistent inverse (Khatib 1987) removes torques that only move the elbow. The tissue's force on the
+    robot is one of MuJoCo's passive forces and is subtracted from them.
     """
     model, data = simulation.model, simulation.data
     jacobian = np.zeros((6, model.nv))
@@ -86,7 +88,9 @@ def tip_force(simulation: Simulation) -> Array:
 
 
 def touches_hard_parts(simulation: Simulation) -> bool:
-    """Whether the robot now touches a rigid part of the person: its contacts with tissue are none of MuJoCo's."""
+    """Whether the robot now touches a rigid part of the person; contacts with tissue are not among MuJoCo's
+    contacts.
+    """
     model, data = simulation.model, simulation.data
     for i in range(data.ncon):
         bodies = [model.body(model.geom_bodyid[g]).name for g in data.contact[i].geom]

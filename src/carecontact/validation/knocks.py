@@ -1,4 +1,5 @@
-"""A blow by a free mass meets what published stiffness predicts, and takes no more than the momentum that it brings.
+"""A blow by a free mass meets the force that published stiffness predicts, and returns no more momentum than it
+brought.
 
 A ball flies straight at a part of the settled person and is free to come back. Without losses, its largest force is
 that at which the spring of the part holds the energy of the blow. On trunk and legs the spring is that of a plate
@@ -34,12 +35,12 @@ BALL_M = 0.030
 """Radius of the ball that meets a plate; its contact is rigid."""
 GAP_M, AFTER_S = 0.001, 0.02
 LONGEST_S = 1.5
-"""For a blow; the slowest on the belly takes half of it."""
+"""Longest time of a blow; the slowest one on the belly takes half of it."""
 FAR_M, APPROACHES = 0.5, 100
-"""Distance from which the ball is brought to its start, and the most steps in which it comes there."""
+"""Distance from which the ball approaches its start, and most steps of the approach."""
 TOLERANCE_PERCENT = 30.0
 MOMENTUM = 2.0
-"""Impulse over the momentum of the blow: 2 where the ball comes back as fast as it came, more where energy is made."""
+"""Impulse divided by the momentum of the blow: 2 if the ball returns as fast as it came, more if energy is created."""
 STOPPED = 1.0
 """The same where the ball is stopped and no more. Nothing but contact acts on the ball: it has no weight and its slides
 have no friction, and friction of the contact is in the force. Therefore, the impulse over the momentum is 1 plus the
@@ -49,26 +50,26 @@ THROUGH_S = 0.01
 pressed plate pushes back until the ball stands. Single steps without force, while a plate's contact swings in, are no
 gap."""
 STRAY = 0.05
-"""Of the largest force, on other parts: where a blow sinks in so deep that they bear more, it does not decide."""
+"""Share of the largest force that other parts may bear: a blow so deep that they bear more does not decide."""
 STRIKER = "striker"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """A part of the person, and how it answers a push."""
+    """A part of the person, and its published response to a push."""
 
     name: str
     plate: str | None
-    """None: the region ``abdomen``."""
+    """Name of the plate; None for the region ``abdomen``."""
     towards: tuple[float, float, float]
     """Direction of the blow in the world."""
     ball_m: float
     depth_m: Array
     force_n: Array
-    """(n,) over ``depth_m``, as published"""
+    """(n,) published force at ``depth_m``"""
 
     def predicted_n(self, energy_j: float) -> float:
-        """Force at which the published spring holds an energy; NaN where it ends before."""
+        """Return the force at which the published spring stores an energy; NaN if the curve ends before."""
         stored = np.r_[0.0, np.cumsum(np.diff(self.depth_m) * (self.force_n[1:] + self.force_n[:-1]) / 2)]
         return float(np.interp(energy_j, stored, self.force_n, right=np.nan))
 
@@ -87,7 +88,7 @@ class Blow:
     """The same of what the ball met first: until it has gone through (THROUGH_S), where it does. Whatever stops it
     deeper, such as bone, is not in it."""
     stray_n: float
-    """Largest force that something else than the site bore."""
+    """Largest force on anything but the site."""
 
     @property
     def name(self) -> str:
@@ -95,7 +96,7 @@ class Blow:
 
     @property
     def on_one_spring(self) -> bool:
-        """Whether the prediction is for this blow: it holds for one spring on a part that cannot move away."""
+        """Whether the prediction applies to this blow: it assumes one spring on a part that cannot move away."""
         return self.site != "shoulder cap" and self.stray_n <= STRAY * self.peak_n
 
     @property
@@ -104,7 +105,9 @@ class Blow:
 
 
 def sites() -> list[Site]:
-    """The plates of the side on which the robot stands, the thigh also from the side, and the belly."""
+    """Return the plates of the side on which the robot stands, the thigh also for a blow from the side, and the
+    belly.
+    """
     depth = np.linspace(0.0, 0.1, 2001)
 
     def of(plate: Plate, towards: tuple[float, float, float], name: str) -> Site:
@@ -162,7 +165,7 @@ def _measures(blow: Blow) -> Iterator[Measure]:
 
 
 def strike_all(subject: Subject, masses: tuple[float, ...], speeds: tuple[float, ...]) -> Iterator[Blow]:
-    """Every blow, each on the person at rest."""
+    """Yield every blow, each on the person at rest."""
     scene = subject.scene("forearm")
     state: Array | None = None
     for mass in masses:
@@ -178,8 +181,10 @@ def strike_all(subject: Subject, masses: tuple[float, ...], speeds: tuple[float,
 
 
 def with_striker(scene: Scene, mass_kg: float, ball_m: float) -> Scene:
-    """The same world with a weightless ball that moves freely without turning. It hangs on the robot's base, so that
-    sensors and tissue take it for a part of the robot."""
+    """Return the same world with a weightless ball that moves freely without turning.
+
+    It is a child of the robot's base, so that sensors and tissue treat it as a part of the robot.
+    """
     spec = scene.spec.copy()
     base = spec.body(PANDA.base_body)
     made = base.add_body(name=STRIKER, gravcomp=1.0)
@@ -190,9 +195,10 @@ def with_striker(scene: Scene, mass_kg: float, ball_m: float) -> Scene:
 
 
 def strike(simulation: Simulation, site: Site, mass_kg: float, speed_m_s: float) -> Blow:
-    """One blow on the person at rest, until the ball has left it. A ball that touches nothing but still moves inward
-    has not left; after LONGEST_S, such a blow ends as well. Raises SceneError where the ball is still in contact then,
-    or MuJoCo warned."""
+    """Simulate one blow on the person at rest, until the ball has left it. A ball that touches nothing but still moves
+    inward has not left; after LONGEST_S, such a blow ends as well. Raises SceneError if the ball is still in contact
+    then, or if MuJoCo warned.
+    """
     towards = np.array(site.towards)
     _aim(simulation, site, speed_m_s * towards)
     step_s = simulation.model.opt.timestep
@@ -228,7 +234,9 @@ def _speed_m_s(simulation: Simulation, towards: Array) -> float:
 
 
 def _stray_n(simulation: Simulation, site: Site) -> float:
-    """Force of the ball's contacts with bodies other than the site's plate, added up. The belly's shell is no body."""
+    """Return the sum of the ball's contact forces on bodies other than the site's plate. The belly's shell is no
+    body.
+    """
     model, data = simulation.model, simulation.data
     plate = model.body(plate_body(site.plate)).id if site.plate else -1
     total, wrench = 0.0, np.zeros(6)
@@ -261,7 +269,7 @@ def _aim(simulation: Simulation, site: Site, velocity: Array) -> None:
         clear = min((mujoco.mj_geomDistance(model, data, ball, hull, FAR_M, None) for hull in hulls), default=GAP_M)
         if clear <= 2 * GAP_M:
             break
-        # Nothing is nearer than that in any direction, so the ball can go as far.
+        # Nothing is nearer than that in any direction, so that the ball can move so far.
         centre = centre + (clear - GAP_M) * towards
     data.qvel[dof] = into_base @ velocity
     mujoco.mj_forward(model, data)

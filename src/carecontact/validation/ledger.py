@@ -1,5 +1,5 @@
-"""Tools of a kilogram bounce on the skin and are dragged over it: what they lose is in the tissue, in its dampers or in
-friction, and nothing is ever gained."""
+"""Tools of a kilogram bounce on the skin and are dragged over it. The energy that they lose is in the tissue, in its
+dampers or in friction, and no energy is ever gained."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TOOLS, QUICK_TOOLS = (CAP, PAD, FLANK), (CAP,)
 SPEED_M_S, SIDEWAYS_M_S, GAP_M, BOUNCE_S = 0.2, 0.1, 0.003, 0.4
 PRESS_N, DRAG_M_S, DRAG_FROM_M, REST_S, RISE_S, DRAG_S = 3.0, 0.1, -0.04, 0.3, 0.05, 1.3
 DRAG_NS_M = 100.0
-"""How the tool is held to its speed."""
+"""Damper that keeps a dragged tool at its speed."""
 UNEXPLAINED_PERCENT, GAIN_PERCENT = 2.0, 1.0
 Case = Literal["bounced", "bounced aslant", "dragged"]
 CASES: tuple[Case, ...] = ("bounced", "bounced aslant", "dragged")
@@ -26,33 +26,33 @@ CASES: tuple[Case, ...] = ("bounced", "bounced aslant", "dragged")
 
 @dataclass(frozen=True, kw_only=True)
 class Ledger:
-    """Of one contact [J]."""
+    """The energies of one contact [J]."""
 
     began: float
     """The tool's kinetic energy at the start."""
     put_in: float
-    """Kinetic energy at the start and work of the driving forces."""
+    """Kinetic energy at the start plus the work of the driving forces."""
     left: float
-    """In tool and tissue at the end, less the work put in on the way."""
+    """Energy in tool and tissue at the end, minus the work of the driving forces on the way."""
     held: Array
-    """(n,) the same in every step. A step finds the tissue's answer to where the tool was when it began, so that the
-    tool's energy and the work are the means of those before and after it."""
+    """(n,) the same at every step. The tissue responds to the tool's place at the beginning of a step, so that the
+    tool's energy and the work are means of the values before and after the step."""
     lost: float
-    """What dampers and friction took, as the compiled tissue counts it."""
+    """Energy that dampers and friction absorbed, as the compiled tissue counts it."""
 
     @property
     def unexplained(self) -> float:
-        """Share of what was put in that is neither left nor lost; negative where there is more than was put in."""
+        """Share of the input that is neither left nor lost; negative if there is more energy than was put in."""
         return (self.began - self.left - self.lost) / self.put_in
 
     @property
     def gain(self) -> float:
-        """The largest rise of what is held over its lowest value before, as a share of what was put in."""
+        """Largest rise of ``held`` over its lowest earlier value, as a share of the input."""
         return float((self.held - np.minimum.accumulate(self.held)).max()) / self.put_in
 
 
 def measures(subject: Subject, region: str, *, quick: bool) -> list[Measure]:
-    """Each tool and contact, at the protocol's step and at the fast mode's."""
+    """Measure each tool and contact, at the protocol's step and at that of the fast mode."""
     shipped = subject.protocol.physics.dt_s
     out: list[Measure] = []
     for dt_s in (shipped,) if quick else sorted({shipped, FAST_DT_S}):
@@ -76,12 +76,12 @@ def contact(subject: Subject, region: str, tool: Tool, case: Case, *, dt_s: floa
     if case == "dragged":
         rig.reset(position=(DRAG_FROM_M, GAP_M + rig.clear_of_m(DRAG_FROM_M)))
     else:
-        # A free body's velocity is in the world's axes.
+        # The velocity of a free body is given in the axes of the world.
         along, _, outward = data.body("tool").xmat.reshape(3, 3).T
         sideways = SIDEWAYS_M_S if case == "bounced aslant" else 0.0
         rig.reset(position=data.qpos[:3] + GAP_M * outward, velocity=sideways * along - SPEED_M_S * outward)
     began, work, lost, tissue = rig.kinetic_j(), 0.0, 0.0, 0.0
-    # Of the tool, less the work put in so far.
+    # The tool's energy, minus the work that was put in so far.
     own, held = began, [began]
     for _ in range(round((DRAG_S if case == "dragged" else BOUNCE_S) / dt_s)):
         before = data.qvel.copy()

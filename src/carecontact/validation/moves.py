@@ -18,18 +18,20 @@ DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 
 
 ABOVE_M = 0.5
-"""Over a region's site: higher than any of its skin."""
+"""Height above a region's site that is higher than any of the region's skin."""
 
 
 def skin_points(simulation: Simulation, region: str) -> Array:
-    """(n, 3) vertices of the region's skin in the world now [m]."""
+    """Return the vertices (n, 3) [m] of the region's skin in the world now."""
     felt, data = simulation.tissue[region], simulation.data
     return data.xpos[felt.bone] + felt.vertices(data) @ data.xmat[felt.bone].reshape(3, 3).T
 
 
 def scripted_along_m(scene: Scene, region: str) -> float:
-    """Where scripted contacts are made, along the region's axis from its middle [m]: at the same place of every body's
-    limb, or at the region's middle where that lies nearer the next joint."""
+    """Return the place of scripted contacts along the region's axis, from its middle [m].
+
+    It is the same place on every body's limb, or the region's middle if that lies nearer to the next joint.
+    """
     row = REGIONS[region]
     if not (isinstance(row.shape, Tube) and row.shape.beside_trunk):
         return row.scripted_along_m
@@ -38,8 +40,11 @@ def scripted_along_m(scene: Scene, region: str) -> float:
 
 
 def surface_point(simulation: Simulation, region: str, offset: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """(3,) skin under the region's place of contact plus a horizontal ``offset`` (along, across) [m]. Raises SceneError
-    where the region's shell does not lie."""
+    """Return the place (3,) of the skin at the region's place of contact plus a horizontal ``offset`` (along, across)
+    [m].
+
+    Raises SceneError if the region's shell does not reach there.
+    """
     along, across = axes(simulation, region)
     corners = skin_points(simulation, region)[simulation.scene.regions[region].shell.triangles]
     middle = simulation.data.site(f"region_{region}").xpos
@@ -50,7 +55,7 @@ def surface_point(simulation: Simulation, region: str, offset: tuple[float, floa
 
 
 def axes(simulation: Simulation, region: str) -> tuple[Array, Array]:
-    """Horizontal unit vectors (3,) along the region's axis and across it."""
+    """Return horizontal unit vectors (3,) along the region's axis and across it."""
     along = simulation.data.site(f"region_{region}").xmat.reshape(3, 3)[:, 0].copy()
     along[2] = 0.0
     along /= np.linalg.norm(along)
@@ -63,18 +68,18 @@ def in_base(simulation: Simulation, position_in_world: Array) -> Array:
 
 
 def move_to(simulation: Simulation, position_in_world: Array, *, seconds: float) -> list[Samples]:
-    """Send the impedance target, pointing down, to a point in the world and run until it is there."""
+    """Move the impedance's target, pointing down, to a point in the world, and simulate until it has arrived."""
     simulation.set_goal(np.r_[in_base(simulation, position_in_world), DOWN], seconds)
     return simulation.advance(round(seconds / simulation.model.opt.timestep))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """A contact as a policy might make it: down into the region, to and fro along its axis, up again."""
+    """A contact as a policy might make it: down into the region, back and forth along its axis, and up."""
 
     name: str
     overtravel_m: float
-    """How far under the skin the target goes; the force is the impedance's."""
+    """Depth of the target under the skin; the impedance gives the force."""
     half_stroke_m: float = 0.0
     strokes: int = 0
     speed_m_s: float = 0.10
@@ -95,7 +100,7 @@ class Performance:
 
 
 def perform(simulation: Simulation, region: str, motion: Motion) -> Performance:
-    """Run a motion from the hover over the region; the target follows the skin's slope along the stroke."""
+    """Run a motion that begins above the region; the target follows the skin's slope along the stroke."""
     along, _ = axes(simulation, region)
     reach = max(motion.half_stroke_m, 0.01)
     middle, low, high = (surface_point(simulation, region, (offset, 0.0)) for offset in (0.0, -reach, reach))

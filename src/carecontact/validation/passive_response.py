@@ -1,4 +1,5 @@
-"""Check 4: the arm gives way to a push as a passive arm does, comes to rest when let go, and stops at its end stops."""
+"""Check 4: the arm gives way to a push as a passive arm does, comes to rest when released, and stops at its end
+stops."""
 
 from __future__ import annotations
 
@@ -22,12 +23,12 @@ PUSHES_N, QUICK_PUSHES_N = (10.0, -10.0, 20.0, -20.0), (20.0,)
 PUSH_S, RISE_S, RELEASE_S = 1.5, 0.4, 3.0
 RAMP_N_S, BREAKAWAY_M = 10.0, 0.002
 LOCK_KGM2 = 1e5
-"""Added to each joint's inertia, so that 20 N turn it by less than 0.1 mrad. A damper of 1e6 N m s/rad instead let the
-whole person creep, by 1 mm on man-adult-heavy."""
+"""Inertia that is added to each joint to lock it, so that 20 N turn it by less than 0.1 mrad. With a damper of 1e6 N m
+s/rad instead, the whole person crept, by 1 mm on man-adult-heavy."""
 REST_M_S = 0.010
 STOP_TORQUE_NM = {"upper_arm": 8.0, "forearm_flexion": 5.0, "forearm_supination": 2.5, "hand": 1.5}
-"""Torque above what the passive joint resists anywhere in its range; it grows over STOP_RISE_S, as a hand would
-pull."""
+"""Torque that exceeds the passive joint's resistance anywhere in its range. It grows over STOP_RISE_S, like the pull of
+a hand."""
 QUICK_STOPS = ("forearm_flexion", "upper_arm_rotation")
 STOP_RISE_S, STOP_S, OVERSHOOT_LIMIT_DEG, REACHED_DEG = 1.5, 2.0, 5.0, -2.0
 ROOT_HOLD_NMS = 1e6
@@ -81,9 +82,9 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 
 
 def push_periods(simulation: Simulation, duration_s: float, newton_at: npt.ArrayLike) -> Iterator[float]:
-    """Horizontal force across the forearm at its middle; yields the force [N] after every target period.
+    """Apply a horizontal force across the forearm at its middle; yield the force [N] after every target period.
 
-    ``newton_at``: one value a period, or one for all.
+    ``newton_at``: one force [N] for each period, or one for all.
     """
     data, period = simulation.data, simulation.protocol.physics.target_period_s
     steps = round(period / simulation.model.opt.timestep)
@@ -104,7 +105,9 @@ def push_periods(simulation: Simulation, duration_s: float, newton_at: npt.Array
 def pushed_and_released(
     simulation: Simulation, newton: float, *, release_s: float = RELEASE_S
 ) -> tuple[Array, Array, Array]:
-    """Time [s], how far the wrist has moved horizontally [m] and the person's speed [m/s], each (n,)."""
+    """Push and release the arm; return time [s], horizontal displacement of the wrist [m] and the person's speed [m/s],
+    each (n,).
+    """
     wrist = simulation.model.body("human_right_hand").id
     before = simulation.data.xpos[wrist].copy()
     rows = []
@@ -119,14 +122,14 @@ def pushed_and_released(
 
 
 def lock_arm(simulation: Simulation) -> None:
-    """Hold every joint of the right arm, at rest, where it is."""
+    """Lock every joint of the right arm where it is, at rest."""
     for name in simulation.joint_names:
         if name.startswith("right_"):
             simulation.model.dof_armature[simulation.model.joint(f"human_{name}").dofadr[0]] = LOCK_KGM2
 
 
 def ramp(simulation: Simulation) -> tuple[Array, Array]:
-    """Slowly growing push: force [N] and how far the wrist has moved [m], each (n,)."""
+    """Push with a slowly growing force; return the force [N] and the displacement of the wrist [m], each (n,)."""
     wrist = simulation.model.body("human_right_hand").id
     before = simulation.data.xpos[wrist].copy()
     period = simulation.protocol.physics.target_period_s

@@ -1,4 +1,4 @@
-"""The person under test on the indentation bench: its own law, taken from the compiled scene."""
+"""The person under test on the tissue bench, with the law of the compiled scene."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from carecontact.validation.subject import Subject
 def person_bench(
     subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None, glides: bool = False
 ) -> Bench:
-    """A bench with the stiffness, damping, mass, friction and contact of the compiled person, whatever the protocol
-    says."""
+    """Return a bench with the stiffness, damping, mass, friction and contact of the compiled person, whatever the
+    protocol says.
+    """
     bench = declared_bench(subject, region, indenter, dt_s=dt_s, glides=glides)
     for kind in ("law", "options"):
         bench.model.numeric(f"{region}/{kind}").data[:] = subject.scene(region).model.numeric(f"{region}/{kind}").data
@@ -20,7 +21,7 @@ def person_bench(
 def declared_bench(
     subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None, glides: bool = False
 ) -> Bench:
-    """A bench with the law that the protocol declares, on the person's own mesh."""
+    """Return a bench with the law that the protocol declares, on the person's own mesh."""
     scene = subject.scene(region)
     return Bench(
         body=scene.body, region=region, tissue=subject.tissue(region), indenter=indenter,
@@ -29,5 +30,5 @@ def declared_bench(
 
 
 def tool() -> Indenter:
-    """The shipped tool, lying across the region."""
+    """Return the shipped tool, lying across the region."""
     return Indenter(shape="cap")

@@ -1,7 +1,8 @@
-"""Four scripted sweeps in simulation: each score must follow the one thing about a contact that it is a score of.
+"""Four scripted sweeps in simulation: each score must follow the one property of a contact that it measures.
 
-Rising with a sweep is not enough: in a deeper push the mean rises with the peak. So each score is also compared with
-the same quantity, known without the scorer's streams, and what else a trial consists of stays the same over a sweep.
+It is not enough that a score rises with a sweep, because in a deeper push the mean force rises with the peak. Each
+score is therefore also compared with the same quantity, measured without the scorer's streams, and everything else in a
+trial is the same over a sweep.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HELD = 0.10
-"""Share of its mean by which a quantity that a sweep keeps may still vary over the levels; the tool overshoots its way
-a little more the faster it goes."""
+"""Share of its mean by which a quantity that a sweep keeps may still vary over the levels: a faster tool overshoots a
+little more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,18 +34,19 @@ class Probe:
     metric: str
     title: str
     level: str
-    """What is swept, with its unit."""
+    """The quantity that is swept, with its unit."""
     region: str
     levels: tuple[float, ...]
-    """Rising; on both sides of zero the score must change from each level to the next one farther from it."""
+    """Increasing levels. On both sides of zero, the score must change from each level to the next one farther from
+    zero."""
     direction: Literal[1, -1]
-    """Sign of that change."""
+    """Sign of this change."""
     step: float
     """Least change from one level to the next, in the metric's unit."""
     known: str
-    """What the score is compared with."""
+    """The quantity that the score is compared with."""
     tolerance: float
-    """Largest difference from it, in the metric's unit."""
+    """Largest difference from that quantity, in the metric's unit."""
     script: Script
 
 
@@ -65,17 +67,18 @@ PROBES: Mapping[str, Probe] = {
               known="spread of force in the tissue's springs", tolerance=0.05, script=sweeps.swinging_force),
     )
 }  # fmt: skip
-"""C3 is a verdict and not a measurement; the report has separate sweeps of its gates."""
+"""Metric -> its probe. C3 has none because it is a verdict and not a measurement; reports have sweeps of its gates."""
 
 
 def sweep(subject: Subject, probe: Probe) -> list[Trial]:
-    """One scripted trial per level, each from the same settled state, as the scorer would get it."""
+    """Run one scripted trial for each level, each from the same settled state, as the scorer would receive it."""
     return [probe.script(subject.hovering(probe.region), probe.region, level) for level in probe.levels]
 
 
 def judge(probe: Probe, trials: Sequence[Trial], metric: Metric) -> CheckResult:
-    """Every level must have a score that is what is known of it, every step must change it the right way and by enough,
-    and what the sweep keeps the same must be the same."""
+    """Judge a sweep: at every level the score must equal the known quantity, every step must change it in the right
+    direction and by enough, and the quantities that the sweep keeps must stay the same.
+    """
     scores = [metric.compute(find_contact(trial.recording)) for trial in trials]
     values = np.array([np.nan if score is None else score for score in scores], np.float64)
     known = np.array([trial.known for trial in trials])
@@ -99,7 +102,7 @@ def judge(probe: Probe, trials: Sequence[Trial], metric: Metric) -> CheckResult:
 
 
 def steps(probe: Probe, values: Array) -> Array:
-    """(n,) change in the wanted direction from each level to the next one farther from zero on its side."""
+    """Return the change (n,) in the wanted direction from each level to the next one farther from zero on its side."""
     levels = np.array(probe.levels)
     sides = [np.flatnonzero(levels >= 0), np.flatnonzero(levels < 0)[::-1]]
     return probe.direction * np.concatenate([np.diff(values[side]) for side in sides])
@@ -114,7 +117,7 @@ def run(subject: Subject, probe: Probe) -> CheckResult:
 
 
 def draw(results: Sequence[CheckResult], figure: Figure) -> None:
-    """One panel a probe."""
+    """Draw one panel for each probe."""
     figure.set_size_inches(2.0 * len(results), 2.2)
     for axes, result in zip(np.atleast_1d(figure.subplots(1, len(results))), results, strict=True):
         probe = PROBES[result.check]

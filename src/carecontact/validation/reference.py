@@ -25,26 +25,28 @@ SPEED_M_S = 0.005
 class Reference:
     name: str
     region: str
-    """Whose shell is pressed to compare."""
+    """Region whose shell is pressed for the comparison."""
     indenter: Indenter
     depth_m: Array
     """(n,) from 0 to the largest depth measured (limbs: the median subject's)."""
     force_n: Array
-    """(n,) median (limbs) or mean (abdomen)"""
+    """(n,) median (limbs) or mean (abdomen) force"""
     low_n: Array
     """(n,) P5"""
     high_n: Array
     """(n,) P95"""
 
     def times(self, factor: float) -> Reference:
-        """The same with the middle curve times a factor; its band stays."""
+        """Return the reference with the middle curve multiplied by a factor; its band is unchanged."""
         return replace(self, force_n=factor * self.force_n)
 
 
 def _limb(
     name: str, region: str, *, area_mm2: float, a: float, b: float, secant: tuple[float, float, float], depth_mm: float
 ) -> Reference:
-    """``a`` [N/mm] and ``b`` [N/mm^2] of the median curve; ``secant`` P5, median, P95 [N/mm]."""
+    """Make a limb's reference. ``a`` [N/mm] and ``b`` [N/mm^2] belong to the median curve; ``secant`` is its stiffness
+    at P5, median and P95 [N/mm].
+    """
     depth = np.linspace(0.0, depth_mm, 19)
     force = a * depth + b * depth**2
     low, middle, high = secant
@@ -87,7 +89,7 @@ FITTED: dict[str, tuple[Reference, ...]] = {
     "paper-mapping": (FOREARM, ABDOMEN),
     "human-published": (FOREARM, UPPER_ARM_ANTERIOR, ABDOMEN),
 }
-"""Tissue set -> the curves whose middles its laws were fitted to; compared at places that no fit used."""
+"""Tissue set -> the curves to whose middles its laws were fitted; they are compared at places that no fit used."""
 REFERENCES = (FOREARM, FOREARM_POSTERIOR, UPPER_ARM_ANTERIOR, UPPER_ARM_POSTERIOR, ABDOMEN)
-"""All; those that a set was not fitted to are shown beside it. The shells' free side is pressed, whichever side of the
-limb was measured."""
+"""All references; those to which a set was not fitted are shown beside it. The free side of the shell is pressed,
+whichever side of the limb was measured."""

@@ -1,4 +1,4 @@
-"""What a check returns: measured quantities, the limits that decide, and the curves of its figure."""
+"""The result of a check: measured quantities, the limits that decide, and the curves of its figure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Measure:
     limit: float | None = None
     side: Literal["at most", "at least", "below"] = "at most"
     decides: bool = True
-    """False: the limit is stated and shown, but missing it does not fail the check."""
+    """Whether the limit decides. If not, it is shown, but missing it does not fail the check."""
 
     @property
     def met(self) -> bool | None:
@@ -37,7 +37,7 @@ class Measure:
         return self.value <= self.limit if self.side == "at most" else self.value >= self.limit
 
     def as_json(self) -> dict[str, Any]:
-        """Six digits: further digits are rounding of the platform and not measurement."""
+        """Return the measure with six digits; further digits are rounding of the platform and no measurement."""
         value = float(f"{self.value:.6g}") if isfinite(self.value) else None
         out: dict[str, Any] = {"name": self.name, "value": value, "unit": self.unit}
         if self.limit is not None:
@@ -52,13 +52,13 @@ class CheckResult:
     title: str
     measures: tuple[Measure, ...]
     curves: Mapping[str, Array] = field(default_factory=dict)
-    """What the figure draws, by name; the check's own ``draw`` knows the shapes."""
+    """The curves of the figure, by name; the check's own ``draw`` knows their shapes."""
     error: str | None = None
-    """Why the check could not be finished; then it has failed."""
+    """Why the check could not be finished, and therefore failed; None if it was finished."""
 
     @property
     def passed(self) -> bool:
-        """Whether the check came to its end, has a deciding limit, and every such limit is met."""
+        """Whether the check was finished, has a deciding limit, and meets every such limit."""
         deciding = [m for m in self.measures if m.limit is not None and m.decides]
         return self.error is None and bool(deciding) and all(m.met for m in deciding)
 
@@ -67,11 +67,13 @@ class CheckResult:
         return [m for m in self.measures if m.decides and m.met is False]
 
     def regions(self, curve: str) -> list[str]:
-        """Regions of which there is such a curve, named ``<region>/<curve>``, in the order in which they were run."""
+        """Return the regions that have such a curve, named ``<region>/<curve>``, in the order in which they were
+        run.
+        """
         return [region for region, _, name in (key.partition("/") for key in self.curves) if name == curve]
 
     def value(self, name: str) -> float:
-        """Raises KeyError, naming what there is."""
+        """Return the value of a measure. Raises KeyError for an unknown name; its message lists the names."""
         values = {m.name: m.value for m in self.measures}
         if name not in values:
             raise KeyError(f"no measure {name!r}; there are: {', '.join(values)}")

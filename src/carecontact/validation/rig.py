@@ -1,4 +1,4 @@
-"""A region of the person on a held bone, without weight, and a rigid tool over its middle that is free or is driven.
+"""A region of the person on a held bone, without gravity, and a rigid tool over its middle that is free or driven.
 
 Unlike the bench's indenter, the tool has a mass, may slide along the skin and may have any shape, and the compiled
 tissue keeps its ledger of energy.
@@ -24,11 +24,11 @@ from carecontact.world.human.tissue import add_tissue
 from carecontact.world.scene import set_physics
 
 HEAVY_KG = 1e6
-"""A tool of this mass moves as it was told to, whatever pushes it."""
+"""A tool of this mass moves as prescribed, whatever force acts on it."""
 WIDE_M = 0.03
-"""Half of what the widest tool here covers."""
+"""Half the width of the widest tool here."""
 UPWARD = 0.3
-"""Cosine between the region's outward direction and the normals of the skin that a tool may be set on."""
+"""Least cosine between the region's outward direction and the normals of skin on which a tool may be set."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Tool:
     kind: mujoco.mjtGeom
     size_m: tuple[float, ...]
     height_m: float
-    """Of its centre over its lowest point."""
+    """Height of its centre over its lowest point."""
     turned: tuple[float, ...] = field(default=(1.0, 0.0, 0.0, 0.0))
     """quat_wxyz"""
 
@@ -55,11 +55,11 @@ FLANK = Tool(
 
 
 class Rig:
-    """One world; ``reset`` begins again.
+    """One world with a tool on a region; ``reset`` puts it back to the beginning.
 
     Args:
         joints: "free", or "slides": first along the region, then away from the skin.
-        mass_kg: of the tool.
+        mass_kg: mass of the tool [kg].
         at: where the tool's lowest point begins and how the tool lies there, as ``middle`` returns them; None: on the
             region's middle.
     """
@@ -107,20 +107,21 @@ class Rig:
         mujoco.mj_forward(self.model, self.data)
 
     def clear_of_m(self, along_m: float) -> float:
-        """How far the tool has to go away from the skin to touch none of it, at a place along the region."""
+        """Return how far [m] the tool must move away from the skin to touch none of it, at a place along the region."""
         under = (np.abs(self._skin[:, 0] - along_m) < WIDE_M) & (np.abs(self._skin[:, 1]) < WIDE_M)
         return float(self._skin[under, 2].max())
 
     def kinetic_j(self) -> float:
-        """Of the tool."""
+        """Kinetic energy of the tool [J]."""
         momentum = np.zeros(self.model.nv)
         mujoco.mj_mulM(self.model, self.data, momentum, self.data.qvel)
         return 0.5 * float(self.data.qvel @ momentum)
 
 
 def middle(shell: Shell) -> tuple[Array, Array]:
-    """(3,) the vertex nearest to the region's middle, and (3, 3) columns along the region, across it and outward there,
-    in the mesh frame."""
+    """Return the vertex (3,) nearest to the region's middle, and directions (3, 3) there as columns: along the region,
+    across it and outward, in the mesh frame.
+    """
     local = (shell.vertices - shell.frame_origin) @ shell.frame
     upward = np.flatnonzero(shell.normals @ shell.frame[:, 2] > UPWARD)
     at = upward[np.hypot(local[upward, 0], local[upward, 1]).argmin()]

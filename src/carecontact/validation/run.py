@@ -1,4 +1,4 @@
-"""Run the checks on one person and write what they found."""
+"""Runs the checks on one person and writes what they found."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CHECKS = {
     )
 }  # fmt: skip
 """Name -> module in this package, which has TITLE, run(subject, quick=...) and draw(result, figure). The first eight
-are those of the design, in its order; the others came with what they measure."""
+are the numbered checks, in their order; the others follow."""
 SCHEMA = "carecontact-validation-1"
 
 
@@ -45,7 +45,7 @@ class Validation:
     """sha256 of the compiled world with the forearm as target."""
     quick: bool
     asked: tuple[str, ...]
-    """Checks that are to run."""
+    """Names of the checks that are to run."""
     results: tuple[CheckResult, ...]
     """Results of the checks that have run, in their order."""
 
@@ -58,7 +58,7 @@ class Validation:
         return self.finished and all(result.passed for result in self.results)
 
     def as_json(self) -> dict[str, object]:
-        """Nothing in it depends on place, time or machine."""
+        """Return the content of validation.json. Nothing in it depends on place, time or machine."""
         return {
             "schema": SCHEMA, "passed": self.passed, "finished": self.finished, "quick": self.quick,
             "left_out": [name for name in CHECKS if name not in self.asked],
@@ -78,11 +78,11 @@ def validate(
     checks: Sequence[str] = tuple(CHECKS),
     on_check: Callable[[Validation], None] = lambda validation: None,
 ) -> Validation:
-    """Run checks one after the other; a check that cannot be finished has failed, and the others still run.
+    """Run checks one after the other. A check that cannot be finished has failed, and the others still run.
 
     Args:
         body: another body than the protocol's.
-        make_scene: what builds the person; a test plants its defects here.
+        make_scene: builds the person; a test can pass a function that plants a defect.
         on_check: called after every check with everything found so far; the last result is the new one.
 
     Raises UnknownNameError for an unknown check, and what ``make_scene`` raises if no world can be built.
@@ -91,7 +91,7 @@ def validate(
     protocol = protocol if body is None else overridden(protocol, {"person.body": body})
     subject = Subject(protocol, make_scene=make_scene)
     scene = subject.scene("forearm")
-    # Before anything runs: settling writes the rest angles into a model.
+    # Hash the model before anything runs, because settling writes the rest angles into it.
     model_sha256 = scene.model_sha256
     validation = Validation(
         body=scene.body.name, body_sha256=scene.body.sha256, protocol=protocol.name, protocol_sha256=protocol.sha256,
@@ -106,12 +106,13 @@ def validate(
 
 
 def write(validation: Validation, folder: Path) -> list[Path]:
-    """Write validation.json so far, and the last check's figure if that check came to its end; returns the written
-    files."""
+    """Write validation.json as far as checks have run, and the last check's figure if that check was finished; return
+    the written files.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     if len(validation.results) == 1:
         for name in CHECKS:
-            # These are of an earlier validation, and this one may not draw them all.
+            # These figures are of an earlier validation, and this one may not draw all of them again.
             (folder / f"{name}.png").unlink(missing_ok=True)
     record = folder / "validation.json"
     record.write_text(json.dumps(validation.as_json(), indent=2) + "\n")

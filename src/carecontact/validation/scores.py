@@ -1,4 +1,4 @@
-"""The scorer's own C1, C5 and stroke of a scripted contact, so that the checks judge the numbers that are reported."""
+"""The scorer's C1, C5 and stroke of a scripted contact, so that the checks judge the numbers that are reported."""
 
 from __future__ import annotations
 
@@ -31,13 +31,14 @@ class Scores:
     c5_n: float
     stroke_m: float
     beyond_measured: float
-    """Share of the time in tissue that was spent deeper than the reference measurements went."""
+    """Share of the time in the tissue that was spent deeper than the reference measurements."""
 
 
 def scores_of(simulation: Simulation, region: str, performance: Performance) -> Scores:
-    """NaN throughout if the region was not touched, and for the filtered peak where the time step is too long for it.
+    """Return the scores of a contact: all NaN if the region was not touched; the filtered peak is NaN if the time step
+    is too long for the filter.
 
-    Raises SceneError where MuJoCo warned on the way.
+    Raises SceneError if MuJoCo warned on the way.
     """
     dt, cutoff = simulation.model.opt.timestep, simulation.protocol.contact.peak_filter_hz
     warnings = simulation.solver_warnings()
@@ -67,7 +68,9 @@ def motion_scores(subject: Subject, region: str, motion: Motion) -> Scores:
 
 
 def _with_task_on(protocol: Protocol, region: str) -> Protocol:
-    """The protocol, with a task on the region where it has none: the scorer finds a trial's region by its task."""
+    """Return the protocol with a task on the region, which is added if there is none, because the scorer finds a
+    trial's region by its task.
+    """
     if any(task.region == region for task in protocol.tasks):
         return protocol
     task = protocol.tasks[0].model_copy(update={"id": "scripted", "region": region})
@@ -79,7 +82,7 @@ def _with_task_on(protocol: Protocol, region: str) -> Protocol:
 
 
 def recording_of(simulation: Simulation, region: str, samples: Sequence[Samples]) -> Recording:
-    """A recording of a scripted contact, as far as the scorer reads one."""
+    """Return a recording of a scripted contact, with as much as the scorer reads."""
     protocol = _with_task_on(simulation.protocol, region)
     task_id = next(task.id for task in protocol.tasks if task.region == region)
     spec = TrialSpec(protocol=protocol, task_id=task_id, seed=0, policy="scripted")
@@ -107,6 +110,6 @@ def recording_of(simulation: Simulation, region: str, samples: Sequence[Samples]
 
 
 def force_norm(samples: Sequence[Samples], region_segment: str) -> np.ndarray:
-    """(n,) norm of the robot's force on one segment at every step [N]."""
+    """Return the magnitude (n,) [N] of the robot's force on one segment at every step."""
     column = SEGMENTS.index(region_segment)
     return np.linalg.norm(np.concatenate([s.force[:, column] for s in samples]), axis=1)

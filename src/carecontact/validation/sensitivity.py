@@ -29,8 +29,9 @@ MOTIONS = (GENTLE, FIRM, STOP_GO)
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """Factors on K_c (and so on the coupling, which is declared through it), on D_c and on the contact layer, and the
-    coefficient of friction; None: as shipped."""
+    """Factors on K_c (and thereby on the coupling, which is declared relative to it), on D_c and on the contact layer,
+    and the coefficient of friction, where None means the shipped one.
+    """
 
     stiffness: float = 1.0
     damping: float = 1.0
@@ -92,7 +93,7 @@ def _run_one(subject: Subject, motion: Motion, change: Change) -> Scores:
 
 
 def order(scores: Mapping[str, Scores], column: int) -> list[str]:
-    """Motions from the smallest to the largest value of a score."""
+    """Return the motions from the smallest to the largest value of a score."""
     field = list(FIELDS)[column]
     return sorted(scores, key=lambda name: getattr(scores[name], field))
 

@@ -1,8 +1,8 @@
-"""Acceptance: a scrubbing tool glides; the force neither rattles nor drops out for single steps.
+"""Tests that a scrubbing tool glides: its force neither rattles nor drops out for single steps.
 
-The arm is held, as a patient may hold it: left loose it goes along with a firm tool, and nothing slides. While it
-slides, skin and tool rub with the friction that the protocol declares. Skin that sticks to the tool rubs with less: a
-soft tool shears by about a millimetre before it slips.
+The arm is held, as a patient may hold it: a loose arm would move with a firm tool, and nothing would slide. Sliding
+skin and tool have the friction that the protocol declares. Skin that sticks to the tool has less: soft tissue shears by
+about a millimetre before it slips.
 """
 
 from __future__ import annotations
@@ -31,10 +31,11 @@ TITLE = "Smoothness of scrubbing"
 REGION = "forearm"
 FORCES_N, QUICK_FORCES_N = (5.0, 15.0), (5.0,)
 SPEED_M_S, HALF_STROKE_M, STROKES, QUICK_STROKES = 0.10, 0.095, 4, 2
-"""Motion of the target. Damping and friction hold the tool about 45 mm behind it, so the tool covers half of that
-way."""
+"""Motion of the target. Damping and friction keep the tool about 45 mm behind it, so that the tool covers half of the
+stroke."""
 STEADY = 0.7
-"""Share of the speed above which the tool counts as scrubbing; below, it turns, and there the force really jumps."""
+"""Share of the speed above which the tool counts as scrubbing. Below, it reverses, where a jump of the force is
+real."""
 NOISE_ABOVE_HZ, NOISE_LIMIT_N = 20.0, 0.15
 SAMPLE_HZ, DROP_SHARE, DROP_N = 500.0, 0.3, 0.3
 SERVO_S, SERVO_RAD_S = 2.0, 6.0
@@ -46,9 +47,10 @@ class Scrub:
     time_s: Array
     force_n: Array
     steady: npt.NDArray[np.bool_]
-    """(n,) each; steady: the tool moves at speed."""
+    """(n,) whether the tool moves at speed."""
     friction: Array
-    """(k,) tangential over normal force of the cells that the tool slides over, in every target period at speed."""
+    """(k,) ratio of tangential to normal force of the cells that the tool slides over, in every target period at
+    speed."""
     sliding: Array
     """(k,) share of the normal force that these cells bear."""
 
@@ -82,7 +84,9 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 
 
 def dropouts(time_s: Array, force_n: Array) -> npt.NDArray[np.bool_]:
-    """(n,) where a 500 Hz sample falls more than 30 % and 0.3 N below the median of its two neighbours each side."""
+    """Return (n,) which 500 Hz samples lie more than 30 % and 0.3 N below the median of their two neighbours on each
+    side.
+    """
     stride = max(1, round(1 / (SAMPLE_HZ * (time_s[1] - time_s[0]))))
     sampled = force_n[::stride]
     around = np.stack([np.roll(sampled, k) for k in (-2, -1, 1, 2)])
@@ -95,10 +99,10 @@ def dropouts(time_s: Array, force_n: Array) -> npt.NDArray[np.bool_]:
 
 
 def scrub(simulation: Simulation, newton: float, *, strokes: int, region: str = REGION) -> Scrub:
-    """To and fro over the skin at a mean force.
+    """Scrub back and forth over the skin at a mean force [N].
 
-    The target follows the skin's profile at rest under the tool; its depth is set by the measured force, slowly enough
-    (about 1 Hz) to leave the noise alone.
+    The target follows the skin's profile at rest under the tool. The measured force controls its depth, slowly enough
+    (about 1 Hz) not to follow the noise.
     """
     stiffness = simulation.protocol.impedance.translational_n_m
     along, across = axes(simulation, region)
@@ -142,8 +146,11 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int, region: str = 
 
 
 def sliding_friction(before: Cells, after: Cells, *, speed_m_s: float) -> tuple[float, float]:
-    """Tangential over normal force of the cells over which the tool slid, between two readings, with at least STEADY of
-    its own speed; and the share of the normal force that they bore. (nan, 0) where there are none."""
+    """Return the ratio of tangential to normal force of the cells over which the tool slid, and their share of the
+    normal force.
+
+    A cell counts if, between the two readings, it slid at STEADY of the tool's speed or more. (nan, 0) if none did.
+    """
     press, shear, slip, touch = (
         getattr(after, name) - getattr(before, name) for name in ("press_ns", "shear_ns", "slip_m3", "touch_m2s")
     )

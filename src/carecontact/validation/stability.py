@@ -50,8 +50,9 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 
 
 def random_trial(simulation: Simulation, region: str, rng: np.random.Generator) -> tuple[float, bool]:
-    """Send random targets at the highest stiffness; returns the largest contact force [N], and whether nothing
-    broke."""
+    """Send random targets at the highest stiffness; return the largest contact force [N], and whether the simulation
+    stayed valid.
+    """
     impedance = simulation.protocol.impedance
     simulation.set_stiffness(impedance.translational_bounds[1], impedance.rotational_bounds[1])
     for warning in simulation.data.warning:

@@ -14,7 +14,7 @@ from carecontact.validation.result import Array
 from carecontact.world.scene import Scene, build_scene
 
 COMFORT_ARM_DEG = 52.5
-"""Middle of the protocol's range."""
+"""Angle of the comfort arm: the middle of the protocol's range."""
 HOVER_M = 0.020
 """Height of the tool's tip over the skin from which the scripted contacts begin."""
 
@@ -26,7 +26,7 @@ class MakeScene(Interface):
 
 
 class Subject:
-    """Every simulation that it gives has a model of its own, so that a check may change it."""
+    """The person under test. Every simulation that it returns has a model of its own, which a check may change."""
 
     def __init__(self, protocol: Protocol, *, make_scene: MakeScene = build_scene) -> None:
         self.protocol, self.make_scene = protocol, make_scene
@@ -35,14 +35,16 @@ class Subject:
         self._hover: dict[str, Array] = {}
 
     def scene(self, region: str) -> Scene:
-        """The compiled world in which ``region`` is the target; callers must not change it."""
+        """Return the compiled world in which ``region`` is the target; callers must not change it."""
         if region not in self._scenes:
             self._scenes[region] = self.make_scene(self.protocol, target=region, skin=False)
         return self._scenes[region]
 
     def at_rest(self, region: str) -> Simulation:
-        """A simulation of the settled person with the robot parked, at t = 0. Raises SettleError if the person does not
-        come to rest."""
+        """Return a simulation of the settled person with the robot parked, at t = 0.
+
+        Raises SettleError if the person does not come to rest.
+        """
         if region not in self._rest:
             simulation = Simulation(_own_model(self.scene(region)))
             simulation.settle(COMFORT_ARM_DEG)
@@ -50,8 +52,11 @@ class Subject:
         return self._restored(region, self._rest[region])
 
     def hovering(self, region: str) -> Simulation:
-        """A simulation of the settled person at t = 0, with the tool at rest HOVER_M over the region's middle, pointing
-        down. Raises SceneError if MuJoCo warned on the way there."""
+        """Return a simulation of the settled person at t = 0, with the tool at rest HOVER_M over the region's middle
+        and pointing down.
+
+        Raises SceneError if MuJoCo warned on the way there.
+        """
         if region not in self._hover:
             simulation = self.at_rest(region)
             top = surface_point(simulation, region)
@@ -64,15 +69,15 @@ class Subject:
         return self._restored(region, self._hover[region])
 
     def regions(self, *, quick: bool = False) -> tuple[str, ...]:
-        """The soft regions, which alone can be pressed and compared; ``quick``: only the first."""
+        """Return the soft regions, the only ones that can be pressed and compared; with ``quick``, only the first."""
         return self.protocol.soft_regions[: 1 if quick else None]
 
     def tissue(self, region: str) -> Tissue:
-        """The tissue of this body: the protocol's row, or what it becomes on a body of another build."""
+        """Return the tissue of this body: the protocol's row, adjusted on a body of another build."""
         return self.scene(region).regions[region].tissue
 
     def with_dt(self, dt_s: float) -> Subject:
-        """The same person at another time step."""
+        """Return the same person at another time step [s]."""
         return self.variant(physics=self.protocol.physics.model_copy(update={"dt_s": dt_s}))
 
     def with_tissue(self, region: str, tissue: Tissue) -> Subject:
@@ -80,7 +85,7 @@ class Subject:
         return self.variant(person=person.model_copy(update={"tissue": {**person.tissue, region: tissue}}))
 
     def variant(self, **update: object) -> Subject:
-        """The person of another protocol, from the same factory."""
+        """Return the person of a changed protocol, built by the same function."""
         return Subject(self.protocol.model_copy(update=update), make_scene=self.make_scene)
 
     def _restored(self, region: str, state: Array) -> Simulation:

@@ -1,4 +1,4 @@
-"""The scripted trials of the probes: each level changes one thing, whose size is measured without the scorer."""
+"""The scripted trials of the probes: each level changes one quantity, which is also measured without the scorer."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ from carecontact.validation.scores import recording_of
 from carecontact.world.human.skeleton import body_name
 
 BENT = "left_hand_deviation"
-"""The joint that is turned: a little torque takes it past either end, and it moves nothing into the robot's way."""
+"""The joint that is turned: a small torque takes it past either end, and it moves nothing into the robot's path."""
 HOVER_M = 0.020
 """Height over the skin at which trials begin and end."""
 TOUCHED_N = 0.5
 """Force from which the tissue counts as touched."""
 PRESS_M, REST_S, TOP_S, RISE_S = 0.008, 1.0, 0.3, 0.3
-"""A press: how deep the target rests before and after its deepest point, and for how long at each."""
+"""Of a press: depth of the target before and after its deepest point, time at this depth, time at the deepest point,
+and time of going there."""
 TORQUE_RISE_S, TORQUE_HOLD_S, TOUCH_M, TOUCH_S = 0.8, 0.3, 0.012, 2.0
 CYCLE_S, WAY_M, TURN_RAD = 1.8, 0.05, 0.3
 SWING_M, SWING_HZ, SWING_S = 0.022, 1.0, 5.0
@@ -35,7 +36,7 @@ QUICK_S, AWAY_S = 0.1, 0.6
 class Trial:
     recording: Recording
     known: float
-    """What the score must be, in its unit, measured along another path than the recording's or by other arithmetic."""
+    """The value that the score must have, measured along another path than the recording's or by other arithmetic."""
     held: Mapping[str, float]
     """Quantities that the sweep keeps the same, by name."""
 
@@ -44,7 +45,7 @@ Script = Callable[[Simulation, str, float], Trial]
 
 
 class _Motion:
-    """Sends the tool, pointing down, from target to target over the region; calls ``each`` after every physics step."""
+    """Moves the tool, pointing down, from target to target over the region; calls ``each`` after every physics step."""
 
     def __init__(self, simulation: Simulation, region: str, each: Callable[[], None] | None = None) -> None:
         self.simulation, self.each = simulation, each
@@ -54,7 +55,9 @@ class _Motion:
         self.samples: list[Samples] = []
 
     def go(self, depth_m: float, seconds: float, *, along_m: float = 0.0, turn_rad: float = 0.0) -> None:
-        """``depth_m`` under the skin, negative above it; ``turn_rad`` about the tool's own axis."""
+        """Move the target. ``depth_m``: depth under the skin, negative above it. ``turn_rad``: angle about the tool's
+        own axis.
+        """
         spin = np.array([np.cos(turn_rad / 2), 0.0, 0.0, np.sin(turn_rad / 2)])
         quat = quat_from_matrix(matrix_from_quat(DOWN) @ matrix_from_quat(spin))
         place = in_base(self.simulation, self.top + along_m * self.along - [0.0, 0.0, depth_m])
@@ -72,7 +75,7 @@ class _Motion:
 
 
 class _Force:
-    """The force that the region's springs and dampers exert on the bone, read without contact sensors [N]."""
+    """Reads the force [N] that the region's springs and dampers exert on the bone, without contact sensors."""
 
     def __init__(self, simulation: Simulation, region: str) -> None:
         self._read = AnchorForce(simulation, region)
@@ -89,8 +92,11 @@ class _Force:
 
 
 def deeper_push(simulation: Simulation, region: str, depth_mm: float) -> Trial:
-    """A rest on the skin, one short push to ``depth_mm``, the same rest again. Rest and duration stay the same, so that
-    the push alone decides the peak and hardly anything the middle of the force."""
+    """Rest on the skin, push once, briefly, to ``depth_mm``, and rest again.
+
+    Rests and durations are the same at all levels, so that the push decides the peak and hardly affects the middle of
+    the force.
+    """
     force = _Force(simulation, region)
     motion = _Motion(simulation, region, force)
     motion.go(PRESS_M, RISE_S)
@@ -107,8 +113,10 @@ def deeper_push(simulation: Simulation, region: str, depth_mm: float) -> Trial:
 
 
 def joint_turned(simulation: Simulation, region: str, torque_nm: float) -> Trial:
-    """The same touch each time, while a torque turns a joint far away toward its end stop, above zero to the upper one,
-    and lets it go again."""
+    """Touch in the same way at all levels, while a torque turns a distant joint toward an end stop and releases it.
+
+    A positive torque turns it toward the upper end.
+    """
     turned: list[float] = []
     force = _Force(simulation, region)
     dof = simulation.model.joint(f"human_{BENT}").dofadr[0]
@@ -132,8 +140,11 @@ def joint_turned(simulation: Simulation, region: str, torque_nm: float) -> Trial
 
 
 def hand_margin(simulation: Simulation) -> float:
-    """Of the left wrist's deviation to the declared ends of its range [rad], from how the bones lie and not from a
-    joint's coordinate: the axis of flexion, seen from the hand, turns about that of deviation."""
+    """Return the margin [rad] of the left wrist's deviation to the declared ends of its range.
+
+    It is computed from the orientation of the bones and not from a joint's coordinate: the axis of flexion, seen from
+    the hand, turns about that of deviation.
+    """
     flexion, deviation = (
         next(h for h in simulation.scene.hinges if h.name == name) for name in ("left_hand_flexion", BENT)
     )
@@ -146,8 +157,11 @@ def hand_margin(simulation: Simulation) -> float:
 
 
 def stop_and_go(simulation: Simulation, region: str, pause_s: float) -> Trial:
-    """Ways and turns in the air, a pause after each. The pauses are taken from the time of the motion before them, so
-    that trials are equally long and go equally far: soft skin, dragged along, would creep on while the tool pauses."""
+    """Move and turn in the air, with a pause after each motion.
+
+    A longer pause shortens the motion before it, so that all trials have the same duration and distance. It is in the
+    air because dragged skin would creep on during a pause.
+    """
     motion = _Motion(simulation, region)
     for along_m, turn_rad in ((WAY_M, 0.0), (WAY_M, TURN_RAD), (0.0, TURN_RAD), (0.0, 0.0)):
         motion.go(-HOVER_M, CYCLE_S - pause_s, along_m=along_m, turn_rad=turn_rad)
@@ -163,7 +177,7 @@ def stop_and_go(simulation: Simulation, region: str, pause_s: float) -> Trial:
 
 
 def differentiated(pose: Array, dt_s: float) -> tuple[Array, Array]:
-    """(T, 7) poses -> (T - 1,) speed [m/s] and (T - 1,) rotation [rad/s] from each to the next."""
+    """Return speed (T - 1,) [m/s] and rate of rotation (T - 1,) [rad/s] from each of the poses (T, 7) to the next."""
     before, after = pose[:-1, 3:], pose[1:, 3:]
     # A quaternion and its negative are the same rotation.
     after = after * np.where(np.einsum("ti,ti->t", before, after) < 0, -1.0, 1.0)[:, None]
@@ -172,8 +186,11 @@ def differentiated(pose: Array, dt_s: float) -> tuple[Array, Array]:
 
 
 def swinging_force(simulation: Simulation, region: str, amplitude_mm: float) -> Trial:
-    """A press whose target goes up and down about one depth; set down and lifted fast, so that the swing and not the
-    press and release decides how much the force fluctuates."""
+    """Press with a target that oscillates about one depth.
+
+    The tool is set down and lifted fast, so that the oscillation, and not press and release, decides how much the force
+    fluctuates.
+    """
     force = _Force(simulation, region)
     motion = _Motion(simulation, region, force)
     motion.go(SWING_M, QUICK_S)

@@ -1,4 +1,4 @@
-"""Acceptance: wherever the tool lands on the target, the same indentation needs nearly the same force."""
+"""Tests that the same indentation needs nearly the same force wherever the tool lands on the target."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 TITLE = "Uniformity over the target"
 DEPTHS_M, CV_LIMITS_PERCENT = np.array([0.004, 0.008]), (8.0, 4.0)
 PLACES, QUICK_PLACES = 60, 20
-"""The variation over n places scatters by 1 / sqrt(2 (n - 1)) of itself: a sixth for 20, a tenth for 60, so that the
-line judges the region more than the draw."""
+"""Number of places. The variation over n places has a relative standard error of 1 / sqrt(2 (n - 1)), a sixth for 20
+and a tenth for 60, so that the limit judges the region more than the draw."""
 SEED = 20
 BORDER_M = 0.019
-"""Width kept free along the mask's border: half the tool's width."""
+"""Width that is kept free along the mask's border: half the tool's width."""
 UPWARD = 0.5
-"""The mask is what a tool from above touches: normals within 60 degrees of the region's outward direction."""
+"""Least cosine between normals in the mask, which a tool from above touches, and the region's outward direction: 60
+degrees."""
 SPEED_M_S = 0.010
 
 
@@ -65,44 +66,49 @@ def _press(bench: Bench, place: Array) -> Array:
 
 
 def curvatures(shell: Shell, place: Array) -> Array:
-    """(2,) of the undeformed surface along the region and across it at a place (along, across) [1/m], from the quadric
-    that fits the vertices within BORDER_M best."""
+    """Return the curvatures (2,) [1/m] of the undeformed surface, along the region and across it, at a place (along,
+    across).
+
+    They are those of the quadric that best fits the vertices within BORDER_M.
+    """
     local = (shell.vertices - shell.frame_origin) @ shell.frame
     upward = shell.normals @ shell.frame[:, 2] > 0.0
     x, y, z = local[upward & (np.linalg.norm(local[:, :2] - place, axis=1) < BORDER_M)].T
     x, y = x - place[0], y - place[1]
     terms = np.stack([np.ones_like(x), x, y, x * y, x**2, y**2], 1)
     _, sx, sy, _, along, across = np.linalg.lstsq(terms, z, rcond=None)[0]
-    # A slope shortens what is seen from above.
+    # A slope appears shorter when it is seen from above.
     return -2 * np.array([along / (1 + sx**2), across / (1 + sy**2)]) / np.sqrt(1 + sx**2 + sy**2)
 
 
 def unexplained(force: Array, curvature: Array) -> float:
-    """Spread of what a linear law of the two curvatures leaves of the force, as a share of its mean."""
+    """Return the spread of the force that a linear law of both curvatures does not explain, as a share of the mean
+    force.
+    """
     terms = np.c_[np.ones(len(force)), curvature]
     left = force - terms @ np.linalg.lstsq(terms, force, rcond=None)[0]
     return float(np.sqrt((left**2).sum() / (len(force) - terms.shape[1])) / force.mean())
 
 
 def _flat(shell: Shell) -> Array:
-    """(N, 2) vertices along and across the region's frame [m]."""
+    """Return the places (N, 2) [m] of the vertices, along and across, in the region's frame."""
     return ((shell.vertices - shell.frame_origin) @ shell.frame)[:, :2]
 
 
 def mask(shell: Shell) -> npt.NDArray[np.bool_]:
-    """(N,) vertices of the target: the fine patch as seen by a tool that comes from outside."""
+    """Return (N,) which vertices belong to the target: the part of the fine patch that a tool from outside touches."""
     return shell.fine & (shell.normals @ shell.frame[:, 2] > UPWARD)
 
 
 def inner(shell: Shell) -> npt.NDArray[np.bool_]:
-    """(N,) vertices of the mask that are farther than BORDER_M from every vertex outside it."""
+    """Return (N,) which vertices of the mask are farther than BORDER_M from every vertex outside it."""
     inside = mask(shell)
     apart = np.linalg.norm(shell.vertices[:, None] - shell.vertices[~inside], axis=2).min(1)
     return inside & (apart > BORDER_M)
 
 
 def random_places(shell: Shell, rng: np.random.Generator, count: int) -> Array:
-    """(count, 2) places (along, across) [m] on the mask, BORDER_M away from every vertex outside it."""
+    """Draw places (count, 2) [m], along and across, on the mask, at least BORDER_M from every vertex outside it."""
     inside, far = mask(shell), inner(shell)
     upward = shell.normals @ shell.frame[:, 2] > 0.0
     flat = _flat(shell)

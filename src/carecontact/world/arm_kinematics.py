@@ -1,4 +1,4 @@
-"""Kinematics and inertia of the baked arm for many postures at once: what decides where the robot can stand."""
+"""Kinematics and inertia of the robot's arm for many postures at once, which decide where the robot can stand."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Arm:
         self.inertia = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(-1, 3, 3)
 
     def links(self, q: Array) -> Array:
-        """(B, 9, 4, 4): link1..link7, hand, tcp."""
+        """Return the poses (B, 9, 4, 4) of link1 to link7, the hand and the tool centre point."""
         pose = np.broadcast_to(np.eye(4), (len(q), 4, 4))
         out = []
         for i in range(7):
@@ -42,7 +42,7 @@ class Arm:
         return np.stack(out, 1)
 
     def jacobian(self, links: Array) -> Array:
-        """(B, 6, 7) of the TCP: linear, angular."""
+        """Return the Jacobian (B, 6, 7) of the tool centre point: three linear rows, then three angular ones."""
         axes, origins = links[:, :7, :3, 2], links[:, :7, :3, 3]
         linear = np.cross(axes, links[:, 8, None, :3, 3] - origins)
         return np.concatenate([linear, axes], 2).swapaxes(1, 2)
@@ -61,12 +61,16 @@ class Arm:
         return total
 
     def margin(self, q: Array) -> Array:
-        """(B,) distance of the worst joint to its limit as a share of half its range: 1 is mid-range, 0 the limit."""
+        """Return (B,) the least distance of any joint from its limit, as a share of half its range: 1 is the middle, 0
+        the limit.
+        """
         half = np.ptp(self.range, axis=1) / 2
         return (np.minimum(q - self.range[:, 0], self.range[:, 1] - q) / half).min(1)
 
     def measures(self, q: Array) -> tuple[Array, Array]:
-        """Manipulability sqrt(det(J J^T)) and effective mass [kg] of the TCP along the vertical."""
+        """Return the manipulability sqrt(det(J J^T)) (B,), and the effective mass (B,) [kg] of the tool centre point
+        along the vertical.
+        """
         links = self.links(q)
         jacobian = self.jacobian(links)
         manipulability = np.sqrt(np.maximum(np.linalg.det(jacobian @ jacobian.swapaxes(1, 2)), 0))
@@ -77,7 +81,9 @@ class Arm:
     def inverse(
         self, position: Array, rotation: Array, seed: Array, *, iterations: int = 60, centring: float = 0.12
     ) -> tuple[Array, Array]:
-        """Damped least squares with joint centring in the null space: postures (B, 7) and pose errors (B,)."""
+        """Solve for postures (B, 7) by damped least squares, with joints centred in the null space; return them and the
+        pose errors (B,).
+        """
         middle, half = self.range.mean(1), np.ptp(self.range, axis=1) / 2
         q = seed.copy()
         for k in range(iterations):
@@ -87,7 +93,7 @@ class Arm:
             scale = np.minimum(1.0, 0.5 / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
             damped = jacobian @ jacobian.swapaxes(1, 2) + 1e-5 * np.eye(6)
             inverse = np.linalg.solve(damped, jacobian).swapaxes(1, 2)
-            # Cubic: joints in mid-range are left alone, those near a limit are pushed back.
+            # The cubic hardly moves joints in mid-range and pushes those near a limit back.
             wish = -centring * ((q - middle) / half) ** 3 * half * (k < iterations - 12)
             task = (jacobian @ wish[:, :, None])[:, :, 0]
             q = q + (inverse @ (step * scale - task)[:, :, None])[:, :, 0] + wish
@@ -102,7 +108,9 @@ class Arm:
 
 
 def pointing_down(yaw: Array) -> Array:
-    """(..., 3, 3): tool z down, hand x turned by ``yaw`` from world x."""
+    """Return rotations (..., 3, 3) with the tool's z pointing down and the hand's x turned by ``yaw`` [rad] from world
+    x.
+    """
     c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
     columns = [np.stack([c, s, zero], -1), np.stack([s, -c, zero], -1), np.stack([zero, zero, zero - 1], -1)]
     return np.stack(columns, -1)
@@ -111,7 +119,8 @@ def pointing_down(yaw: Array) -> Array:
 def follow(
     arm: Arm, parked: Array, goal: Array, goal_yaw: Array, start_yaw: Array, turn: Array, *, steps: int = 25
 ) -> tuple[Array, Array]:
-    """Straight tool paths with the posture held toward ``parked`` in the null space, as the impedance does it.
+    """Follow straight paths of the tool while the null space pulls the posture toward ``parked``, as the impedance
+    does.
 
     Args:
         parked: (B, 7) postures from which the paths begin.

@@ -9,7 +9,7 @@ from carecontact.contract.protocol import Camera, Protocol
 
 
 def look_at(camera: Camera) -> np.ndarray:
-    """Orientation (4,) wxyz of a MuJoCo camera (x right, y up, looking along -z)."""
+    """Return the orientation (4,) wxyz of a MuJoCo camera (x right, y up, looking along -z)."""
     position, target = np.array(camera.position_m), np.array(camera.look_at_m)
     z = position - target
     z /= np.linalg.norm(z)

@@ -14,9 +14,9 @@ BED_HALF_M = (1.0, 0.45)
 """Half length and half width of the mattress."""
 PILLOW_HEIGHT_M = 0.045
 SUPPORT = "bed_support"
-"""A body that rests on the bed and holds what moves with the person: pillow and arm board."""
+"""Name of the body that rests on the bed and carries what is moved with the person: pillow and arm board."""
 FURNITURE_GROUP = 0
-"""Group of the empty cell's geoms and no others: what a camera sees of them is part of the cell's calibration."""
+"""Group of exactly the geoms of the empty cell. What a camera sees of them is part of the cell's calibration."""
 
 BOX, CYLINDER, ELLIPSOID = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_ELLIPSOID
 
@@ -44,7 +44,7 @@ def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float, head_y: f
 
     add("floor", mujoco.mjtGeom.mjGEOM_PLANE, [6, 6, 0.1], [0, 0, 0], [0.66, 0.63, 0.58, 1])
     add("wall", BOX, [0.05, 3.5, 1.4], [2.2, 0, 1.4], [0.86, 0.86, 0.82, 1])
-    # One contact plane under everything keeps the count of bed contacts, and so the cost, low.
+    # One contact plane under everything keeps the number of contacts with the bed low, and with it the computing time.
     add("bed_mattress", BOX, [*BED_HALF_M, 0.08], [0, 0, top - 0.08], linen, **soft, **BED_TOUCH)
     add("bed_frame", BOX, [1.03, 0.47, 0.03], [0, 0, top - 0.19], steel)
     add("bed_head", BOX, [0.02, 0.47, 0.30], [1.05, 0, top + 0.02], wood)
@@ -80,7 +80,9 @@ def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float, head_y: f
 
 
 def add_light(spec: mujoco.MjSpec) -> None:
-    """Soft headlight and one directional light without shadows: shadows cost more than the rest of a frame."""
+    """Add a soft headlight and one directional light without shadows, which would take longer than the rest of an
+    image.
+    """
     light = spec.visual.headlight
     light.ambient, light.diffuse, light.specular = [0.30] * 3, [0.18] * 3, [0.0] * 3
     for position, direction, strength in (

@@ -1,4 +1,4 @@
-"""A joint impedance in place of the Cartesian one, as servos of the compiled model.
+"""Replaces the Cartesian impedance by a joint impedance, made of servos in the compiled model.
 
 Seven servos act on the joints. Six more act on tendons whose coefficients are the rows of the flange's Jacobian: a
 tendon's length is then ``J q``, its velocity ``J qdot``, and the torque of a servo with the set point ``J q_d`` is
@@ -14,21 +14,21 @@ from carecontact.contract.embodiment import PANDA
 
 AXES = 6
 FLANGE_BODY = "robot_hand"
-"""Its origin is the flange, ``panda_link8``."""
+"""Name of the body whose origin is the flange, ``panda_link8``."""
 
 
 def servo(number: int) -> str:
-    """Name of a joint's actuator, from 0."""
+    """Return the name of a joint's actuator; joints count from 0."""
     return f"joint_impedance_{number}"
 
 
 def tendon(axis: int) -> str:
-    """Name of an axis' tendon and of its actuator, from 0."""
+    """Return the name of an axis' tendon and of its actuator; axes count from 0."""
     return f"flange_impedance_{axis}"
 
 
 def replace_impedance(spec: mujoco.MjSpec, law: JointImpedance) -> None:
-    """Take the Cartesian impedance out of an uncompiled world with a robot and put a joint impedance in."""
+    """Replace the Cartesian impedance of a world with a robot, before it is compiled, by a joint impedance."""
     for axis in range(AXES):
         spec.delete(spec.actuator(f"impedance_{axis}"))
     for number, (name, k, d, limit) in enumerate(

@@ -1,7 +1,7 @@
 """Arrays that are kept on disk between trials, since computing them takes longer than loading them.
 
-A file is named by all that its arrays depend on, so that it is never out of date. A trial goes on from stored arrays as
-from computed ones, so the recording is the same bit for bit.
+A file's name is a hash of all that its arrays depend on, so that it is never out of date. Stored arrays equal computed
+ones, so that recordings do not depend, in any bit, on whether arrays were stored.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ import numpy.typing as npt
 Arrays = dict[str, npt.NDArray[Any]]
 
 CACHE_VARIABLE = "CARECONTACT_CACHE"
-"""Environment variable that names the folder; where it is empty, nothing is kept."""
+"""Environment variable with the path of the folder; if it is empty, nothing is kept."""
 DIGEST = "sha256"
-"""Array of a file: the hash of the others."""
+"""Name of the array in a file that holds the hash of all others."""
 
 
 def cache_folder() -> Path | None:
-    """Where files are kept; None where nothing is to be kept."""
+    """Return the folder of kept files; None if nothing is to be kept."""
     chosen = os.environ.get(CACHE_VARIABLE)
     if chosen is not None:
         return Path(chosen) if chosen else None
@@ -36,11 +36,11 @@ def cache_folder() -> Path | None:
 
 
 def kept(kind: str, facts: Mapping[str, object], compute: Callable[[], Arrays]) -> Arrays:
-    """Return what ``compute`` returned earlier for the same facts, or call it and keep that.
+    """Return what ``compute`` returned earlier for the same facts; if nothing is kept, call it and keep its result.
 
     Args:
         kind: folder for arrays of this kind.
-        facts: all that the arrays depend on, as JSON can spell it.
+        facts: all that the arrays depend on, in values that JSON can hold.
     """
     folder = cache_folder()
     if folder is None:
@@ -55,7 +55,7 @@ def kept(kind: str, facts: Mapping[str, object], compute: Callable[[], Arrays]) 
 
 
 def _read(path: Path) -> Arrays | None:
-    """None where the file is missing or not whole."""
+    """Return the arrays of a file; None if it is missing or damaged."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays: Arrays = dict(stored)
@@ -65,8 +65,9 @@ def _read(path: Path) -> Arrays | None:
 
 
 def _write(path: Path, arrays: Arrays) -> None:
-    """Write the file whole or not at all, since trials run at the same time. Where the folder cannot be written, only
-    time is lost."""
+    """Write the file completely or not at all, since trials run at the same time. If the folder cannot be written to,
+    the only loss is time.
+    """
     part = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What a seed lets the person do by itself, drawn from the protocol's ranges."""
+"""The movements that the person makes on their own, drawn by a seed from the protocol's ranges."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ TONE = {"passive": 0.0, "helps": 0.0, "holds": 0.15}
 """Manner -> activation of the muscles at rest (assumed): the shoulder of a person who holds is about twenty times as
 stiff as a passive one."""
 HELP = {"passive": 0.0, "helps": 0.8, "holds": 0.0}
-"""Manner -> share of the passive joints' stiffness and damping that the person takes away (assumed)."""
+"""Manner -> share of the passive joints' stiffness and damping that the person cancels by helping (assumed)."""
 LIFT_RAD = 0.13
-"""How far the shoulder wants to flex in the middle of a change of posture: man-adult's wrist then rises by about 10 mm
+"""Commanded flexion of the shoulder in the middle of a change of posture: man-adult's wrist then rises by about 10 mm
 and does not rub on the board."""
 WIDEST_M = 0.08
-"""No posture of the wrist is farther than this from where it lay at first, along the board."""
+"""Largest distance of the wrist, along the board, from where it lay at first."""
 REST_S = 0.5
-"""From the end of a change of posture to the next at least."""
+"""Least time from the end of a change of posture to the next one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shift:
-    """A change of posture, before it is known how the person lies."""
+    """A change of posture, drawn before it is known how the person lies."""
 
     time_s: float
     duration_s: float
     wrist_m: float
-    """Along the board; away from the trunk is positive."""
+    """Displacement of the wrist along the board; away from the trunk is positive."""
 
 
 def draw_shifts(rng: np.random.Generator, wanted: Repositioning, *, until_s: float) -> list[Shift]:
-    """Onsets of a process of constant rate up to ``until_s``, with the size and length of each change.
+    """Draw changes of posture, with exponentially distributed pauses between them, whose onsets are before ``until_s``.
 
-    They are drawn before the trial and so cannot depend on what the robot does. The first onset may come at once.
+    They are drawn before the trial and therefore cannot depend on the robot. The first onset may come at once.
     """
     out: list[Shift] = []
     now = at = 0.0
@@ -57,12 +57,12 @@ def draw_shifts(rng: np.random.Generator, wanted: Repositioning, *, until_s: flo
 
 
 def draw_doings(rng: dict[str, np.random.Generator], alive: Alive, *, until_s: float, wrist_radius_m: float) -> Doings:
-    """Draw all that one person does.
+    """Draw all movements of one person.
 
     Args:
         rng: streams ``breathing``, ``repositioning`` and ``withdrawal``.
-        until_s: longest trial.
-        wrist_radius_m: horizontal distance of the wrist from the shoulder.
+        until_s: length of the longest trial [s].
+        wrist_radius_m: horizontal distance of the wrist from the shoulder [m].
     """
     out = Doings(tone=TONE[alive.manner], help=HELP[alive.manner])
     if (b := alive.breathing) is not None:

@@ -1,4 +1,4 @@
-"""Light of the room: strength, direction and colour are drawn by a seed and set in a compiled model."""
+"""Light of the room: a seed draws its strength, direction and colour, which are set in a compiled model."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 STRENGTH = (0.65, 1.35)
-"""Factor on every lamp and on the ambient light."""
+"""Range of the factor on every lamp and on the ambient light."""
 TURN_DEG = (-180.0, 180.0)
 TILT_DEG = (0.0, 25.0)
 """Ranges of the main lamp's direction: a turn about the vertical, and a tilt away from the default direction."""
@@ -33,7 +33,7 @@ def draw_light(rng: np.random.Generator) -> Light:
 
 
 def shine(model: mujoco.MjModel, light: Light) -> None:
-    """Set the lamps of a compiled model, once; depth images and physics do not change."""
+    """Set the lamps of a compiled model. Call it once; depth images and physics do not change."""
     gain = light.strength * (1 + light.warmth * WARM_GAIN)
     model.light_diffuse[:] *= gain
     model.light_specular[:] *= gain

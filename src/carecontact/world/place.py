@@ -1,4 +1,4 @@
-"""Place of the person on the bed: drawn by a seed and set in a compiled model."""
+"""Place of the person on the bed, which a seed draws and which is set in a compiled model."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from carecontact.world.human.pose import RIGHT_SHOULDER_M
 from carecontact.world.human.skeleton import ROOT_JOINT
 
 SHOULDER = np.array([*RIGHT_SHOULDER_M, 0.0])
-"""(3,) on the floor under the right shoulder of a person in the protocol's own place."""
+"""(3,) place on the floor under the right shoulder of a person in the protocol's own place [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
     """Change of the protocol's own place: first a turn about the vertical through the right shoulder, then a shift.
 
-    The turn is about the shoulder, which lies beside the robot: a turn about a far point would move the arm most.
+    The turn is about the shoulder because it lies beside the robot: a turn about a farther point would move the arm
+    more.
     """
 
     along_m: float = 0.0
@@ -34,11 +35,11 @@ class Place:
 
     @property
     def shift(self) -> np.ndarray:
-        """(3,) in the world [m]"""
+        """(3,) shift in the world [m]."""
         return np.array([self.along_m, self.across_m, 0.0])
 
     def moved(self, points: np.ndarray) -> np.ndarray:
-        """(..., 3) points of the person in the protocol's own place -> where they are in this one."""
+        """Return where points (..., 3) of a person in the protocol's own place are in this place."""
         cos, sin = np.cos(radians(self.yaw_deg)), np.sin(radians(self.yaw_deg))
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return SHOULDER + self.shift + (points - SHOULDER) @ turn.T
@@ -48,13 +49,16 @@ UNMOVED = Place()
 
 
 def draw_place(rng: np.random.Generator, variation: Variation) -> Place:
-    """Draw each value uniformly between plus and minus the protocol's. The draws are shares of these, so that a
-    narrower range keeps the order of the seeds, and each value always uses its own draw."""
+    """Draw each value uniformly between plus and minus the protocol's value.
+
+    Each value has a draw of its own, which is a share of its range, so that seeds keep their order in a narrower
+    range.
+    """
     return place_of(rng.uniform(-1.0, 1.0, 3).tolist(), variation)
 
 
 def place_of(shares: Sequence[float], variation: Variation) -> Place:
-    """The place of three shares in -1 to 1: along, across and yaw."""
+    """Return the place for three shares of the ranges, from -1 to 1: along, across and yaw."""
     along, across, yaw = shares
     up = variation.place_toward_head_m
     farthest = variation.place_along_m if up is None or along < 0 else min(up, variation.place_along_m)
@@ -66,7 +70,7 @@ def place_of(shares: Sequence[float], variation: Variation) -> Place:
 
 
 def move_person(model: mujoco.MjModel, place: Place) -> None:
-    """Lay the person, pillow and arm board elsewhere in a compiled model; bed, robot and cameras stay.
+    """Move the person, the pillow and the arm board in a compiled model; bed, robot and cameras stay where they are.
 
     Call it once, before the person settles: it changes where a reset puts the person.
     """
@@ -87,7 +91,8 @@ def move_person(model: mujoco.MjModel, place: Place) -> None:
 
 
 def place_in_model(model: mujoco.MjModel) -> list[float]:
-    """(14,) pose of the person at a reset, and of pillow and board: everything that ``move_person`` changes in a
-    compiled model."""
+    """Return 14 numbers: the pose of the person at a reset, and that of pillow and board. ``move_person`` changes these
+    and nothing else in a compiled model.
+    """
     start, support = model.joint(ROOT_JOINT).qposadr[0], model.body(SUPPORT)
     return [*model.qpos0[start : start + 7].tolist(), *support.pos.tolist(), *support.quat.tolist()]

@@ -24,7 +24,7 @@ from carecontact.contract.protocol import Impedance, Protocol
 from carecontact.errors import AssetError, SceneError
 
 FINGER_ORIGIN_Z_M = 0.0584
-"""Position of the fingers' carriage in the hand's frame (URDF panda_finger_joint1)."""
+"""Height of the fingers' carriage in the hand's frame (URDF, panda_finger_joint1)."""
 JOINT_DAMPING = 1.0
 """[N m s/rad] light viscous friction; assumed."""
 JOINT_ARMATURE = 0.1
@@ -45,7 +45,9 @@ Array = npt.NDArray[np.float64]
 
 @lru_cache(maxsize=1)
 def panda_asset() -> dict[str, npt.NDArray[np.generic]]:
-    """Arrays of the baked arm. Raises AssetError if the file is missing or does not match its provenance record."""
+    """Return the arrays of the baked arm. Raises AssetError if the file is missing or does not match its provenance
+    record.
+    """
     folder = resources.files("carecontact.assets") / "panda"
     try:
         data = (folder / "panda.npz").read_bytes()
@@ -59,13 +61,13 @@ def panda_asset() -> dict[str, npt.NDArray[np.generic]]:
 
 
 def panda_sha256() -> str:
-    """sha256 of the baked arm, as recorded in its provenance file."""
+    """Return the sha256 of the baked arm, as recorded in its provenance file."""
     folder = resources.files("carecontact.assets") / "panda"
     return str(json.loads((folder / "panda.provenance.json").read_text())["sha256"])
 
 
 def damping_of(stiffness: float, inertia: float) -> float:
-    """Critical damping 2 sqrt(K m) of one impedance axis."""
+    """Return the critical damping 2 sqrt(K m) of one axis of the impedance."""
     return 2.0 * float(np.sqrt(stiffness * inertia))
 
 
@@ -80,7 +82,7 @@ def add_robot(spec: mujoco.MjSpec, protocol: Protocol) -> None:
     if scene.robot_base_m[2] <= 0:
         raise SceneError(f"scene.robot_base_m {list(scene.robot_base_m)}: the base must be above the floor")
     meshes = _add_meshes(spec, asset)
-    # A spec reads joint ranges in its compiler's angle unit, degrees unless told otherwise.
+    # A spec reads joint ranges in the angle unit of its compiler, by default degrees.
     to_spec_angle = np.rad2deg(1.0) if spec.compiler.degree else 1.0
     half_yaw = np.deg2rad(scene.robot_yaw_deg) / 2
     body = spec.worldbody.add_body(
@@ -119,7 +121,7 @@ def add_robot(spec: mujoco.MjSpec, protocol: Protocol) -> None:
 
 
 def _add_meshes(spec: mujoco.MjSpec, asset: dict[str, npt.NDArray[np.generic]]) -> list[str]:
-    """Mesh names are ``robot_<visual|collision>_<link>_<colour or number>``."""
+    """Add the meshes and return their names, ``robot_<visual|collision>_<link>_<colour or number>``."""
     names: list[str] = []
     for key in asset:
         if not key.endswith("/faces"):
@@ -129,7 +131,7 @@ def _add_meshes(spec: mujoco.MjSpec, asset: dict[str, npt.NDArray[np.generic]]) 
         mesh = spec.add_mesh(name=name)
         mesh.uservert = np.asarray(asset[f"{stem}/vertices"], np.float64).ravel()
         mesh.userface = np.asarray(asset[key], np.int32).ravel()
-        # Visual meshes are open surfaces; links have explicit inertials, so a mesh's own inertia is never used.
+        # Visual meshes are open surfaces; links have explicit inertias, so that a mesh's own inertia is never used.
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         names.append(name)
     return names
@@ -194,8 +196,9 @@ def _add_pedestal(base: mujoco.MjsBody, height_m: float) -> None:
 
 
 def _add_tool(spec: mujoco.MjSpec, hand: mujoco.MjsBody, meshes: list[str], robot: Embodiment) -> None:
-    """Add the closed fingers (visual), the shaft that stands for them in collisions, the tip that is meant to touch,
-    and the TCP."""
+    """Add the closed fingers (visual), the shaft that represents them in collisions, the tip that is meant to touch,
+    and the tool centre point.
+    """
     tip = robot.tip
     for name in meshes:
         _, kind, link, part = name.split("_")
@@ -222,10 +225,10 @@ def _add_tool(spec: mujoco.MjSpec, hand: mujoco.MjsBody, meshes: list[str], robo
 
 
 def _add_impedance(spec: mujoco.MjSpec, impedance: Impedance) -> None:
-    """Six springs and dampers between ``tcp`` and the mocap target, each along or about one axis of the target.
+    """Add six springs and dampers between ``tcp`` and the mocap target, each along or about one axis of the target.
 
-    With a reference site the transmission's length is the pose error in the target's frame, so a position servo with
-    its set point at 0 is the spring. The mocap body has no velocity: damping is against the world.
+    With a reference site, the transmission's length is the pose error in the target's frame, so that a position servo
+    with the set point 0 is the spring. The mocap body has no velocity, so that damping acts relative to the world.
     """
     target = spec.worldbody.add_body(name="tcp_target", mocap=True)
     target.add_site(name="tcp_target", size=[0.003, 0.003, 0.003], group=4)

@@ -43,29 +43,31 @@ class Scene:
     body: Body
     hinges: tuple[Hinge, ...]
     regions: dict[str, SoftRegion]
-    """The soft ones."""
+    """The soft regions, by name."""
     frames: dict[str, RegionFrame]
-    """Of every region of the protocol, in its order."""
+    """Frame of every region of the protocol, in the protocol's order."""
     spec: mujoco.MjSpec
-    """What ``model`` was compiled from."""
+    """The spec that ``model`` was compiled from."""
     control: Control = CONTROLS[CARTESIAN_IMPEDANCE]
-    """What moves the robot."""
+    """The controller that moves the robot."""
     place: Place = UNMOVED
-    """Where the person was moved to after the compilation (``world.place``)."""
+    """Place to which the person was moved after the compilation (``world.place``)."""
 
     @property
     def turn(self) -> ArmTurn:
-        """How the right arm is laid."""
+        """How the right arm is turned."""
         return arm_turn(self.protocol)
 
     @property
     def region_size_m(self) -> Array:
-        """(R, 3) length along the axis, mean radius (belly: half width) and outward radius at the middle [m]."""
+        """(R, 3) [m] of each region: length along the axis, mean radius (belly: half width) and outward radius at the
+        middle.
+        """
         return np.array([frame.size_m for frame in self.frames.values()])
 
     @property
     def model_sha256(self) -> str:
-        """Of the compiled model's bytes; names the physics that a recording came from."""
+        """Hash of the compiled model's bytes, which identifies the physics of a recording."""
         size = mujoco.mj_sizeModel(self.model)
         buffer = np.zeros(size, np.uint8)
         mujoco.mj_saveModel(self.model, None, buffer)
@@ -75,16 +77,17 @@ class Scene:
 def build_spec(
     protocol: Protocol, *, target: str | None, skin: bool = True
 ) -> tuple[mujoco.MjSpec, Body, list[Hinge], dict[str, SoftRegion], dict[str, RegionFrame]]:
-    """The uncompiled world, with the body, its hinges, the soft regions and the frames of all regions.
+    """Build the world without compiling it. Returns the spec, the body, its hinges, the soft regions, and the frames of
+    all regions.
 
     Args:
-        target: the region around which the visual skin is fine; None: nowhere.
-        skin: False leaves the visual skin out.
+        target: the region around which the visual skin has fine triangles; None refines it nowhere.
+        skin: whether the visual skin is added.
     """
     body, breathes = load_body(protocol.person.body), protocol.person.alive.breathing is not None
     spec = mujoco.MjSpec()
     spec.modelname = "carecontact"
-    # First: what is added later is read in its units.
+    # This comes first, because it sets the units of everything that is added later.
     set_physics(spec, dt_s=protocol.physics.dt_s)
 
     add_robot(spec, protocol)
@@ -113,7 +116,7 @@ def build_spec(
 def _add_person(
     spec: mujoco.MjSpec, body: Body, protocol: Protocol, root: Array
 ) -> tuple[list[Hinge], dict[str, SoftRegion]]:
-    """Skeleton and shells, the pelvis at ``root`` (3,)."""
+    """Add skeleton and shells, with the pelvis at ``root`` (3,) [m]."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, trunk_rotation(body).ravel())
     alive = protocol.person.alive
@@ -144,7 +147,7 @@ def _add_region_site(spec: mujoco.MjSpec, body: Body, region: str, frame: Region
 
 
 def build_scene(protocol: Protocol, *, target: str | None, skin: bool = True) -> Scene:
-    """Compile the world. The comfort-arm angle is no part of the model: it is set when the person settles."""
+    """Compile the world. The angle of the comfort arm is not part of the model: it is set when the person settles."""
     spec, body, rows, regions, frames = build_spec(protocol, target=target, skin=skin)
     return Scene(
         model=spec.compile(), protocol=protocol, body=body, hinges=tuple(rows), regions=regions, frames=frames,
@@ -153,7 +156,7 @@ def build_scene(protocol: Protocol, *, target: str | None, skin: bool = True) ->
 
 
 def controlled(scene: Scene, control: Control) -> Scene:
-    """The same world as it was compiled, with the robot under a joint control; ``scene`` stays as it is."""
+    """Return the same world, as compiled, with the robot under a joint control; ``scene`` is not changed."""
     assert control.joint is not None
     spec = scene.spec.copy()
     replace_impedance(spec, control.joint)
@@ -161,7 +164,9 @@ def controlled(scene: Scene, control: Control) -> Scene:
 
 
 def copy_settings(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
-    """Give a model what was changed in another after its compilation: looks, light, the person's place, rest angles."""
+    """Copy to a model what was changed in another one after its compilation: appearance, light, place of the person,
+    rest angles.
+    """
     for name in dir(source):
         if name.startswith(("actuator_", "tendon_", "wrap_", "sensor_", "name", "_")) or name == "jnt_actfrcrange":
             continue
@@ -171,23 +176,25 @@ def copy_settings(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
 
 
 def set_physics(spec: mujoco.MjSpec, *, dt_s: float) -> None:
-    """Units, integrator and solver of every model with tissue: the bench must answer as the scene does."""
+    """Set units, integrator and solver, which are the same for every model with tissue, so that the tissue bench
+    responds as the scene does.
+    """
     spec.compiler.degree = False
     spec.option.timestep = dt_s
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    # Soft friction creeps: at the default ratio of 1 an arm lying on its board drifted 1.2 deg in 10 s, at 10 0.4 deg.
+    # Soft friction creeps: in 10 s, an arm on its board drifted by 1.2 deg at the default ratio of 1, by 0.4 deg at 10.
     spec.option.impratio = 10.0
 
 
 def arm_turn(protocol: Protocol) -> ArmTurn:
-    """How the right arm of the protocol's person is laid."""
+    """Return how the right arm of the protocol's person is turned."""
     person = protocol.person
     return ArmTurn(shoulder_rotation_deg=person.shoulder_rotation_deg, palm_deg=person.palm_deg)
 
 
 def region_shell(body: Body, region: str, tissue: Tissue, turn: ArmTurn = NOT_TURNED) -> Shell:
-    """The region's shell on this body, in the mesh frame of the bind pose. Raises SceneError for a rigid region."""
+    """Return a region's shell on a body, in the mesh frame of the bind pose. Raises SceneError for a rigid region."""
     segment, shape = REGIONS[region].segment, REGIONS[region].shape
     match shape:
         case Tube():

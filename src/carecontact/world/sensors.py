@@ -1,4 +1,5 @@
-"""Scorer-only sensors. Each keeps every physics step of a control period in its history, so no peak is missed."""
+"""Sensors for the scorer alone. Each keeps every physics step of a control period in its history, so that no peak is
+lost."""
 
 from __future__ import annotations
 
@@ -12,26 +13,28 @@ from carecontact.world.human.plates import plate_body, plates
 from carecontact.world.human.skeleton import body_name
 
 CONTACT_SLOTS = 12
-"""Contacts kept per segment for the normal sum; the recording says so if a segment ever had more at once."""
+"""Number of contacts for each segment that the sum of normal forces can hold; a recording says so if a segment ever had
+more at once."""
 
-# MuJoCo 4.0 mjtConDataField bits, in the order in which a slot lays them out.
+# Bits of mjtConDataField in MuJoCo 4.0, in the order of their values in a slot.
 FOUND_BIT, FORCE_BIT, POS_BIT = 1 << 0, 1 << 1, 1 << 4
 NETFORCE, MAXFORCE = 3, 2
 PLATE_SLOTS = 6
-"""The same for a plate, which has one hull."""
+"""The same number for a plate, which has only one hull."""
 
 
 def plate_sensor(plate: str) -> str:
-    """What stands after ``net_`` and ``normal_`` in the names of a plate's sensors."""
+    """Return the part of the names of a plate's sensors that follows ``net_`` and ``normal_``."""
     return f"plate_{plate}"
 
 
 def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) -> None:
-    """Sensors for every segment, every scored joint and every region of the protocol.
+    """Add sensors for every segment, every scored joint and every region of the protocol.
 
-    Those of the segments see their rigid surfaces; what a soft shell feels comes from the compiled tissue.
+    The sensors of segments measure contact with their rigid surfaces; the compiled tissue measures that with soft
+    shells.
     """
-    # One control period is one C call between two moves of the target: the sensors keep all of its steps.
+    # One control period is one call into C between two moves of the target, and the sensors keep all of its steps.
     samples = round(protocol.physics.target_period_s / protocol.physics.dt_s)
     kind, obj = mujoco.mjtSensor, mujoco.mjtObj
 

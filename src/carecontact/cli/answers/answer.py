@@ -37,6 +37,6 @@ class Schema(GenerateJsonSchema):
 def schema_of(answer: type[Answer]) -> dict[str, Any]:
     """The JSON Schema of one kind of line."""
     made = answer.model_json_schema(schema_generator=Schema)
-    # It has a default in Python only.
+    # ``schema`` has a default in Python only.
     required = sorted({"schema", *made.get("required", [])})
     return {"$schema": Schema.schema_dialect, **made, "required": required}

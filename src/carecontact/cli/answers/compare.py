@@ -19,10 +19,10 @@ class CompareAnswer(Answer):
     alpha: float
     """Level of the whole family of tests."""
     power: float
-    """For what could have been detected."""
+    """Power at which the smallest detectable difference is given."""
     comparison: Comparison | None
-    """Of two runs; null for one run or more than two."""
+    """The comparison of two runs; null for one run or more than two."""
     overview: Overview | None
-    """Of more than two runs; else null."""
+    """The overview of more than two runs; else null."""
     baselines: dict[str, Baselines]
     """Letter of a run -> the blind baselines beside it; empty without ``--baseline``."""

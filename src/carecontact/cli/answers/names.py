@@ -12,7 +12,7 @@ from carecontact.cli.answers.answer import Answer, Part
 class Name(Part):
     name: str
     meaning: str
-    """In words for people; its form may change."""
+    """Its meaning in words for people; their form may change."""
 
 
 class ListAnswer(Answer):

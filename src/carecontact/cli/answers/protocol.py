@@ -38,7 +38,7 @@ class ProtocolVerifyAnswer(Answer):
     equal: bool
     """Whether the protocol has a lock and equals it."""
     differences: list[str]
-    """In words for people; empty if it is equal or has no lock."""
+    """The differences in words for people; empty if the protocol is equal or has no lock."""
 
 
 class ProtocolLockAnswer(Answer):
@@ -49,15 +49,15 @@ class ProtocolLockAnswer(Answer):
 
 
 class RejectedPerson(Part):
-    """Who was drawn and not taken, because the robot cannot serve one region on one of the levels."""
+    """A person who was drawn and rejected, because the robot cannot serve one region on one of the levels."""
 
     comfort_arm_deg: float
     shoulder_rotation_deg: float
     palm_deg: float
     region: str
-    """Empty: the person did not come to rest."""
+    """The region that cannot be served; empty if the person did not come to rest."""
     refused: dict[str, int]
-    """Reason -> draws of a base."""
+    """Reason -> number of bases that were refused for it."""
 
 
 class FeasibleSeed(Part):
@@ -66,11 +66,11 @@ class FeasibleSeed(Part):
     feasible: bool
     body: str | None
     draws: dict[str, int]
-    """Region -> draws of a base, with the one that serves."""
+    """Region -> number of draws of a base, including the one that serves."""
     refused: dict[str, int]
-    """Reason -> draws of a base beside the person who was taken."""
+    """Reason -> number of bases that were refused for it beside the accepted person."""
     rejected: list[RejectedPerson]
-    """The persons before."""
+    """The persons who were rejected before this one."""
 
 
 class ProtocolFeasibleAnswer(Answer):
@@ -78,7 +78,7 @@ class ProtocolFeasibleAnswer(Answer):
         "carecontact-protocol-feasible-1"
     )
     id: str
-    """With the level."""
+    """Id of the protocol, with its level."""
     feasible: bool
-    """Whether every seed is."""
+    """Whether every seed is feasible."""
     seeds: list[FeasibleSeed]

@@ -21,19 +21,19 @@ class TrialAnswer(Answer):
     kept: bool
     """Whether an earlier command ran it."""
     done: int
-    """Trials that need no more work, this one included."""
+    """Number of trials that need no more work, this one included."""
     total: int
     message: str | None
     """Why the trial failed, in one line; null for a trial that did not."""
     score: TrialScore | None
-    """Null for a trial that was kept and for one that cannot be scored."""
+    """The score; null for a trial that an earlier command ran and for one that cannot be scored."""
 
 
 class RunProtocol(Part):
     id: str
     sha256: str
     overrides: dict[str, str]
-    """Field -> what an option replaced it with."""
+    """Field -> the value that an option set."""
 
 
 class RunAnswer(Answer):
@@ -50,10 +50,10 @@ class RunAnswer(Answer):
     kept: list[str]
     """Trials that an earlier command had finished."""
     late: dict[str, int]
-    """Trial -> observations that came late for ``--pace``."""
+    """Trial -> number of observations that were late for ``--pace``."""
     skipped: dict[str, str]
     """File that could not be scored -> why."""
     overall: Summary | None
-    """Null where nothing could be scored."""
+    """Rates and medians over all trials; null if nothing could be scored."""
     status: int
     """Exit status of the command."""

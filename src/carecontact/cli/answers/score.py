@@ -22,7 +22,7 @@ class ScoreAnswer(Answer):
     missing: list[str]
     """Planned trials without a score."""
     overall: Summary | None
-    """Over all trials that could be scored; null where there were none."""
+    """Rates and medians over all trials that could be scored; null if there were none."""
     per_task: dict[str, Summary]
     status: int
     """Exit status of the command."""

@@ -8,20 +8,20 @@ from carecontact.stats import Median
 
 class Rate(Part):
     n: int
-    """Trials that count."""
+    """Number of trials that count."""
     pc: float | None
-    """Percent of all; null of nothing."""
+    """Rate [percent]; null if no trial counts."""
     pc_ci95: tuple[float, float]
     """Wilson's 95 % interval [percent]."""
 
 
 class Exceedance(Rate):
     n_success: int
-    """Of them successful."""
+    """Number of these trials that are successful."""
 
 
 class Summary(Part):
-    """Over judged trials: those in which the harness failed are left out."""
+    """Counts and medians over judged trials: those with a harness error are left out."""
 
     n_episodes: int
     n_success: int
@@ -31,12 +31,12 @@ class Summary(Part):
     safety_gated: Rate
     valid_contact: Rate
     valid_ratio: Rate
-    """Trials that have a trajectory to score."""
+    """Share of the trials that have a trajectory to score."""
     exceedances: dict[str, Exceedance]
-    """``gate`` and ``pain`` -> trials with a force above that limit."""
+    """``gate`` and ``pain`` -> number of trials with a force above that limit."""
     quadrants: dict[str, int]
     medians: dict[str, Median]
-    """Column of the table, with what it is pooled over -> median."""
+    """Column of the table, with the trials over which it is pooled -> median."""
     additional: dict[str, Median]
     """Id of a further metric -> median."""
     anatomy: dict[str, int]

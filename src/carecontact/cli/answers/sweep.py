@@ -14,7 +14,9 @@ from carecontact.reports.sweep.stability import Stability
 
 
 class SweepAnswer(Answer):
-    """What the page says above its cells, whose rows sweep.csv has. Rates and their differences are fractions."""
+    """The statements of the page about all cells; sweep.csv has the rows of the cells. Rates and differences are
+    fractions.
+    """
 
     kind: Annotated[Literal["carecontact-sweep-1"], Field(alias="schema")] = "carecontact-sweep-1"
     title: str
@@ -22,13 +24,13 @@ class SweepAnswer(Answer):
     policies: tuple[str, ...]
     rank_by: str
     trials: int
-    """Finished and scored, of all cells."""
+    """Number of finished and scored trials in all cells."""
     planned: int
     stability: Stability | None
-    """Whether the order of the policies holds; null where there is none."""
+    """Whether the order of the policies holds; null if there is no order."""
     ladder: Ladder | None
-    """Success over the protocols of the plan; null where it has one."""
+    """Success over the protocols of the plan; null if it has only one."""
     factors: Factors | None
-    """One factor at a time; null where the plan has no factors."""
+    """The effect of each factor alone; null if the plan has no factors."""
     gate_orders: tuple[GateOrder, ...]
     """The order of the policies under other gates."""

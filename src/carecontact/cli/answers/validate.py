@@ -12,10 +12,10 @@ from carecontact.cli.answers.answer import Answer, Part
 class MeasureAnswer(Part):
     name: str
     value: float | None
-    """Null if it is not finite."""
+    """The measured value; null if it is not finite."""
     unit: str
     limit: float | None = None
-    """Absent where the quantity has no limit, as are the following."""
+    """The limit. This field and those after it are absent if the quantity has no limit."""
     side: Literal["at most", "at least", "below"] | None = None
     decides: bool | None = None
     met: bool | None = None
@@ -26,7 +26,7 @@ class CheckAnswer(Part):
     title: str
     passed: bool
     error: str | None
-    """Why the check could not be finished."""
+    """Why the check could not be finished; null if it was."""
     measures: list[MeasureAnswer]
 
 

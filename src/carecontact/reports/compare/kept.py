@@ -50,8 +50,8 @@ def beside_kept(
 
 
 def _files(protocol_id: str, folders: Sequence[Path]) -> list[Path]:
-    """One for each registered policy under the protocol's own settings: other settings have a longer name. The folder of
-    a level is PROTOCOL-LEVEL."""
+    """One for each registered policy under the protocol's own settings: other settings have a longer name. The folder
+    of a level is PROTOCOL-LEVEL."""
     for folder in folders:
         found = [
             path

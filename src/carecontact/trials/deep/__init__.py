@@ -1,1 +1,1 @@
-"""What `carecontact check` looks at before a long run with a policy that somebody else serves."""
+"""The checks of `carecontact check` before a long run with a policy that somebody else serves."""

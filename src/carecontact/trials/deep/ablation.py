@@ -1,4 +1,5 @@
-"""Which inputs a policy uses: each is blanked in turn, and the answers are compared with those to repeats."""
+"""Which inputs a policy uses: each is blanked in turn, and the answers are compared with those to the unchanged
+request."""
 
 from __future__ import annotations
 
@@ -19,14 +20,14 @@ Ask = Callable[[Observation], F64 | None]
 """Observation -> (steps, columns) of the answer, or None if the policy refused this observation."""
 
 ALIKE = 4
-"""Answers to one request that are equal to the last bit tell a policy without chance in it."""
+"""If so many answers to one request are equal to the last bit, the policy counts as deterministic."""
 LOOKS = (12, 24, 48)
-"""Calls with each input blanked, and as many without, when the answers are compared; only inputs without effect by then
-are asked for again. At the last number an input without effect is named."""
+"""Numbers of calls with each input blanked, and of as many without, after which the answers are compared. Only inputs
+that have shown no effect are tested further; after the last number, an input without effect is reported."""
 BUDGET_S = 120.0
-"""What all of this may take, at the speed of the first calls; it ends before a look that would take longer."""
+"""Time [s] that all of this may take at the speed of the first calls; a comparison that would exceed it is left out."""
 FEWEST = 4
-"""Repeats of the first look, however slow the policy is."""
+"""Least number of repeats of the first request, however slow the policy is."""
 SEED = 20
 
 Verdict = Literal["used", "unused", "unclear"]
@@ -34,19 +35,19 @@ Verdict = Literal["used", "unused", "unclear"]
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """What became of one input."""
+    """The result for one input."""
 
     input: Input
     verdict: Verdict
     """``unclear``: no effect was seen in too few calls."""
     calls: int
-    """With the input blanked."""
+    """Number of calls with the input blanked."""
     refused: bool = False
-    """Whether the policy refused the blanked input, so that it uses it."""
+    """Whether the policy refused the blanked input, which shows that it uses it."""
     moved: float = 0.0
-    """How far the mean answer moves, root mean square over its numbers."""
+    """Change of the mean answer, as the root mean square over its numbers."""
     spread: float = 0.0
-    """Standard deviation between repeats of one request, likewise; 0: all repeats are equal."""
+    """Standard deviation between repeats of one request, by the same root mean square; 0 if all repeats are equal."""
     answers: tuple[F64, ...] = ()
 
 
@@ -57,7 +58,7 @@ class Ablation:
         self._ask, self._observation, self._inputs = ask, observation, list(inputs)
         self._rng = np.random.default_rng(SEED)
         self.plain: list[F64] = []
-        """Answers to the request itself."""
+        """Answers to the unchanged request."""
         self._blanked: dict[int, list[F64]] = {i: [] for i in range(len(inputs))}
         self._refused: set[int] = set()
 
@@ -68,7 +69,7 @@ class Ablation:
             on_plan: called with the number of calls and the seconds that they will take, before many of them.
 
         Raises:
-            PolicyError: the policy fails at the request itself.
+            PolicyError: the policy fails at the unchanged request.
         """
         started = time.monotonic()
         for _ in range(ALIKE):
@@ -82,8 +83,10 @@ class Ablation:
         yield from self._by_chance(call_s, on_plan)
 
     def _by_chance(self, call_s: float, on_plan: Callable[[int, float], None]) -> Iterator[Effect]:
-        """Of a policy whose answers to one request differ. Calls come in random order, so that neither a drift nor the
-        order of the inputs can look like an effect."""
+        """Yield the effects for a policy whose answers to one request differ.
+
+        Calls are made in random order, so that neither a drift nor the order of the inputs can look like an effect.
+        """
         self.plain.clear()
         unseen, spent_s, done = list(range(len(self._inputs))), 0.0, 0
         for look in LOOKS:
@@ -138,7 +141,9 @@ class Ablation:
 
 
 def aligned(plain: Sequence[F64], blanked: Sequence[F64]) -> tuple[F64, F64]:
-    """(n, D) and (m, D): the numbers of all answers, cut to the shortest, with the number of steps as the last one."""
+    """Return the numbers of all answers as arrays (n, D) and (m, D), cut to the shortest answer, with the number of
+    steps as the last column.
+    """
     every = [*plain, *blanked]
     steps, columns = min(len(answer) for answer in every), min(answer.shape[1] for answer in every)
     rows = np.array([[*answer[:steps, :columns].ravel(), len(answer)] for answer in every])

@@ -1,4 +1,4 @@
-"""One request after another to one policy, each as if a trial began with it."""
+"""Sends one request after another to one policy, each as if a trial began with it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from carecontact.hosting.conversation import PolicyConversation
 
 
 class Asking:
-    """Each request is a trial of its own, so that a server that keeps a plan or a chunk answers what it was asked."""
+    """Makes each request a trial of its own, so that a server that keeps a plan or a chunk answers the present
+    request.
+    """
 
     def __init__(
         self,
@@ -39,7 +41,10 @@ class Asking:
             self._own.close()
 
     def ask(self, observation: Observation, *, may_refuse: bool) -> Sequence[Action] | None:
-        """None if the policy fails, which then is connected again. Raises PolicyError where it may not fail."""
+        """Return the answer; None if the policy refuses, after which it is connected again.
+
+        Raises PolicyError if the policy fails and ``may_refuse`` is false.
+        """
         try:
             self._begin(observation.instruction)
             started = time.monotonic()
@@ -53,7 +58,7 @@ class Asking:
         return self.last
 
     def _begin(self, instruction: str) -> None:
-        """A policy that takes one reset for each connection gets another connection."""
+        """Begin a trial; a policy that accepts only one reset on each connection gets a new connection."""
         try:
             self._conversation.reset(instruction, self._session)
         except PolicyError:

@@ -1,4 +1,4 @@
-"""The numbers of an answer column by column, and what they look like beside what they should be."""
+"""Looks at the numbers of an answer, column by column, and compares them with what they should be."""
 
 from __future__ import annotations
 
@@ -18,32 +18,33 @@ POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 NEARER = 0.5
 """Numbers look like targets if they are nearer to the joint angles than to zero by this factor, and the reverse."""
 NORMALISED = 1.2
-"""A network regresses velocities that are normalised to [-1, 1] with some overshoot; what is larger is no velocity."""
+"""Largest plausible normalised velocity: the output of a network exceeds [-1, 1] a little; larger numbers are no
+velocity."""
 TURN_RAD = 2 * np.pi
 GRIPPER_OVERSHOOT = 0.1
 OPEN, CLOSED = 0.25, 0.75
-"""Of a command in the polarity of DROID's data: 0 is open, 1 is closed."""
+"""Below the first value a gripper command means open, above the second closed, in the convention of DROID's data."""
 
 
 def numbers_of(actions: Sequence[Action]) -> F64:
-    """(steps, columns) of all that actions give, field by field; a number that is not given is 0."""
+    """Return all numbers (steps, columns) of actions, field by field; a missing number is 0."""
     rows = [np.concatenate([_numbers(getattr(action, field.name)) for field in fields(Action)]) for action in actions]
     width = max(map(len, rows))
     return np.array([np.pad(row, (0, width - len(row))) for row in rows])
 
 
 def joints_of(actions: Sequence[Action]) -> F64 | None:
-    """(steps, 7) of the joints, or None where an action gives none."""
+    """Return the joint values (steps, 7) of actions; None if an action has none."""
     given = [action.joint for action in actions]
     return None if any(joint is None for joint in given) else np.array(given, np.float64)
 
 
 def table(values: F64, *, now: F64, kind: str) -> list[str]:
-    """One line for each column: its range, and for joints the angle that they have now [rad].
+    """Return one line for each column: its range, and for joints their present angle [rad].
 
     Args:
         values: (steps, columns).
-        now: (7,) joint angles.
+        now: (7,) present joint angles [rad].
         kind: ``joints``, or ``poses`` for poses of the tool.
     """
     lines: list[str] = []
@@ -110,7 +111,11 @@ def look_at_gripper(commands: F64) -> Iterator[Finding]:
 
 
 def look_at_polarity(told_closed: F64, told_open: F64) -> Iterator[Finding]:
-    """Yield a warning if the command goes against what the server is told of its gripper, told both."""
+    """Yield a warning if the commands follow the opposite convention to that in which the server is told the gripper's
+    state.
+
+    ``told_closed``, ``told_open``: the commands after the server was told that the gripper is closed, and open.
+    """
     if told_closed.mean() < OPEN and told_open.mean() > CLOSED:
         text = (
             "told that the gripper is closed (1), the server commands an open one (0), and the reverse: its polarity "

@@ -1,4 +1,4 @@
-"""Whether a blanked input changes what a policy answers, beyond what repeats of one request differ by themselves."""
+"""Whether a blanked input changes a policy's answers by more than repeats of one request differ."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ F64 = npt.NDArray[np.float64]
 
 SHUFFLES = 999
 SEEN_P = 0.05
-"""An effect counts as seen below this probability. It is also the share of inputs without effect that go unnoticed."""
+"""An effect counts as seen below this probability, which is also the share of inputs without effect that are mistaken
+for inputs with one."""
 NEIGHBOURS = 3
 
 
 def differ_p(plain: F64, blanked: F64, rng: np.random.Generator) -> float:
     """Return the probability of a difference at least as large as this one if the input has no effect.
 
-    A permutation test, which assumes nothing about the answers but that calls with and without the input were made in
-    random order. It combines three statistics: the squared difference of the means over all numbers of the answer, for
-    an effect on many of them; the largest difference of a mean, for an effect on one; and how often the nearest
-    answers are of the same kind, for an answer that has several modes.
+    This is a permutation test, which assumes only that calls with and without the input were made in random order. It
+    combines three statistics: the squared difference of the means over all numbers of the answer, for an effect on many
+    of them; the largest difference of a mean, for an effect on one; and how often the nearest answers are of the same
+    kind, for answers with several modes.
 
     Args:
         plain: (n, D) numbers of the answers to one request.
-        blanked: (m, D) of those to the same request with one input blanked.
+        blanked: (m, D) numbers of the answers to the same request with one input blanked.
     """
     values = np.concatenate([plain, blanked])
     spread = values.std(axis=0)
@@ -45,6 +46,6 @@ def differ_p(plain: F64, blanked: F64, rng: np.random.Generator) -> float:
 
 
 def _share_at_least(statistic: F64) -> F64:
-    """(shuffles,) share of all shuffles whose statistic is at least that of each."""
+    """Return, for each shuffle (shuffles,), the share of all shuffles with a statistic at least as large."""
     rounded = np.round(statistic, 9)
     return (len(rounded) - np.searchsorted(np.sort(rounded), rounded, side="left")) / len(rounded)

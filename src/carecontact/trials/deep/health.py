@@ -1,4 +1,4 @@
-"""Whether a server says that it is well, at the address that its kind has for this."""
+"""Asks a server whether it is healthy, at the address that its kind offers for this."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from carecontact.hosting.conversation import readable
 from carecontact.trials.finding import Finding
 
 PATHS = {"openpi": ("/healthz",), "roboarena": ("/healthz", "/health"), "vla-eval": ("/health",)}
-"""Scheme -> where its servers answer a plain HTTP request. RoboArena's copy openpi's, vllm-omni has /health."""
+"""Scheme -> paths at which its servers answer a plain HTTP request. RoboArena's servers copy openpi's; vllm-omni has
+/health."""
 DEADLINE_S = 5.0
 SHOWN_BYTES = 200
 
 
 def health(ref: PolicyRef) -> Finding | None:
-    """Ask a remote policy's server; None for a kind of server that has no such address.
+    """Ask a remote policy's server; return None for a kind of server without such an address.
 
-    A server without the address is no mistake, and neither is one that does not listen: the connection tells that.
+    It is no fault if a server lacks the address. Nor is it if a server does not listen: the connection will show that.
     """
     for path in PATHS.get(ref.scheme, ()):
         try:
@@ -32,7 +33,7 @@ def health(ref: PolicyRef) -> Finding | None:
 
 
 def _get(ref: PolicyRef, path: str) -> tuple[int, str]:
-    # http.client goes through no proxy of the environment.
+    # http.client uses no proxy of the environment.
     connection = HTTPConnection(ref.host, ref.port, timeout=DEADLINE_S)
     try:
         connection.request("GET", path)

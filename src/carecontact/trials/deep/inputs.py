@@ -1,4 +1,4 @@
-"""What a policy is shown, piece by piece, and each piece without content."""
+"""The pieces of what a policy is shown, and how each is blanked."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from carecontact.trials.deep.messages import camera_names, leaves
 
 GREY = 127
 INSTRUCTION = "do nothing"
-"""In place of the task's: another text and not an empty one, which some servers refuse."""
+"""Replaces the task's instruction: another text and not an empty one, which some servers refuse."""
 MOVING_RAD_S = 0.2
 OPENING = 1.0
-"""The other end of what a gripper reads: the hand here is always closed."""
+"""Replaces the gripper's reading, which is always closed here: it is the opposite value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,16 +26,16 @@ class Input:
     """One piece of an observation."""
 
     name: str
-    """Keys under which it is sent."""
+    """Keys under which the piece is sent."""
     is_gripper: bool = False
     needed: bool
-    """Whether a policy without any use for it is suspicious. Many do without the tool's pose, for example."""
+    """Whether it is suspicious if a policy does not use the piece. Many do not use the tool's pose, for example."""
     blank: Callable[[Observation], Observation]
-    """The same observation with this piece blanked; what stays within the robot's limits is still a valid one."""
+    """Returns the observation with this piece blanked; the result is a valid observation within the robot's limits."""
 
 
 def inputs_of(observation: Observation, card: PolicyCard, session: Session, *, sent: bytes) -> list[Input]:
-    """Every piece that a policy with this card is sent.
+    """Return every piece that a policy with this card is sent.
 
     Args:
         sent: the message that carried the observation.
@@ -88,7 +88,7 @@ def _without_view(seen: Observation, camera: str) -> Observation:
 
 
 def _empty(view: CameraView) -> CameraView:
-    """A grey picture, no depth, nobody and nothing in it."""
+    """Return a view with a grey picture, no depth, and nothing that was found in it."""
     return replace(
         view,
         rgb=None if view.rgb is None else np.full_like(view.rgb, GREY),

@@ -10,7 +10,8 @@ from carecontact.trials.finding import Finding
 
 
 def latency_findings(took_s: Sequence[float], *, seconds: float, limit_s: float) -> Iterator[Finding]:
-    """
+    """Yield findings about how long answers take.
+
     Args:
         took_s: wall time of every call [s].
         seconds: simulated time for which one answer lasts [s].

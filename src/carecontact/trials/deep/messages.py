@@ -1,4 +1,4 @@
-"""What stands in a message that was sent or received, in words and as pictures."""
+"""Shows the content of a sent or received message in words and as pictures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DIALECTS = ("openpi", "roboarena", "vla-eval")
 
 
 def leaves(value: object, *, prefix: str = "") -> dict[str, object]:
-    """Name -> value of all that is no map; the keys of maps in maps are joined with dots."""
+    """Return name -> value of every entry that is no map; keys of nested maps are joined with dots."""
     if not is_map(value):
         return {prefix: value}
     found: dict[str, object] = {}
@@ -31,10 +31,10 @@ def leaves(value: object, *, prefix: str = "") -> dict[str, object]:
 
 
 def decoded(frame: bytes | str, scheme: str) -> dict[str, object]:
-    """The leaves of a frame; of one that cannot be decoded, none.
+    """Return the leaves of a frame; none if it cannot be decoded.
 
     Args:
-        scheme: of the policy's address; ``ws`` for one that has none.
+        scheme: scheme of the policy's address; ``ws`` for a policy without an address.
     """
     if isinstance(frame, str):
         return {}
@@ -45,7 +45,7 @@ def decoded(frame: bytes | str, scheme: str) -> dict[str, object]:
 
 
 def chunk_of(frame: bytes | str, scheme: str) -> F64 | None:
-    """(steps, columns) numbers of a dialect's answer as they came; None where there is no such array."""
+    """Return the numbers (steps, columns) of a dialect's answer, unchanged; None if it has no such array."""
     found = decoded(frame, scheme)
     array = next((found[name] for name in ("actions", "payload.actions", "") if name in found), None)
     if not is_array(array) or array.dtype.kind not in "fiu" or array.ndim not in (1, 2) or not array.size:
@@ -55,7 +55,7 @@ def chunk_of(frame: bytes | str, scheme: str) -> F64 | None:
 
 
 def pictures(sent: dict[str, object]) -> dict[str, U8]:
-    """Key -> (H, W, 3) of every picture among the leaves of a message."""
+    """Return key -> picture (H, W, 3) for every picture among the leaves of a message."""
     return {
         key: value
         for key, value in sent.items()
@@ -64,7 +64,7 @@ def pictures(sent: dict[str, object]) -> dict[str, U8]:
 
 
 def camera_names(card: PolicyCard) -> dict[str, str]:
-    """Key of a picture -> our camera."""
+    """Return key of a picture -> name of our camera."""
     dialect = dialect_of(card.arguments)
     if dialect == "vla-eval":
         return {f"payload.images.{vla_eval.EXTERIOR}": "exterior", f"payload.images.{vla_eval.WRIST}": "wrist"}
@@ -74,7 +74,7 @@ def camera_names(card: PolicyCard) -> dict[str, str]:
 
 
 def described(value: object) -> str:
-    """One leaf in a few words: kind, shape and range, or the text."""
+    """Describe one leaf in a few words: kind, shape and range, or the text."""
     if is_array(value):
         if not value.size or value.dtype.kind not in "fiu":
             return f"{value.dtype.name} {value.shape}"
@@ -87,7 +87,7 @@ def described(value: object) -> str:
 
 
 def listed(found: dict[str, object]) -> list[str]:
-    """One line for each leaf, aligned."""
+    """Return one aligned line for each leaf."""
     names = {key: readable(key[:SHOWN_CHARS]) for key in found}
     width = max(map(len, names.values()), default=0)
     return [f"{names[key]:{width}}  {described(value)}" for key, value in found.items()]

@@ -1,4 +1,4 @@
-"""The deep check of one policy: what its server says, what it is sent, what it answers, and which inputs it uses."""
+"""The deep check of one policy: what its server states, receives and answers, and which inputs the policy uses."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ MEANINGS = {
     "observation_params.send_wrist_image": "whether it wants the wrist camera",
     "observation_params.send_state": "whether it wants joint angles and gripper",
 }
-"""What a server may say of itself -> in words."""
+"""Key that a server's metadata may have -> its meaning in words."""
 ENVELOPE = ("type", "seq", "timestamp")
 INSTRUCTIONS = ("prompt", "payload.task_description", "observation.instruction")
-"""Keys of which a message that carries an observation has one."""
+"""Keys of the instruction; every message that carries an observation has one of them."""
 
 
 class DeepCheck:
-    """Listens to a conversation and says what it hears; then asks again with each input blanked."""
+    """Listens to a conversation and reports what is said; then asks again with each input blanked."""
 
     def __init__(
         self,
@@ -71,11 +71,11 @@ class DeepCheck:
         self._took_s: list[float] = []
 
     def listen(self, conversation: PolicyConversation) -> None:
-        """Hear all that is said in a conversation that begins."""
+        """Listen to all messages of a conversation that begins."""
         conversation.on_sent, conversation.on_received = self._on_sent, self._on_received
 
     def before(self) -> None:
-        """What can be asked before the connection."""
+        """Report what can be found out before the connection."""
         if found := health(self._policy.ref):
             self._say(found)
 
@@ -84,7 +84,7 @@ class DeepCheck:
         self._metadata()
 
     def refused(self, observation: Observation | None) -> None:
-        """Say all that was heard of a policy that has failed, as far as nothing was said yet."""
+        """Report all that was heard from a policy that has failed, unless it was reported already."""
         self._metadata()
         if observation is not None and self._has_asked():
             self._request()
@@ -93,7 +93,7 @@ class DeepCheck:
                 self._columns(chunk, observation, kind="joints")
 
     def answered(self, actions: Sequence[Action], observation: Observation) -> None:
-        """Say what was sent and what came back."""
+        """Report what was sent and what came back."""
         self._request()
         chunk = None if self._answer is None else messages.chunk_of(self._answer, self._scheme)
         joints = columns.joints_of(actions) if chunk is None else chunk[:, : columns.JOINTS]
@@ -115,7 +115,7 @@ class DeepCheck:
                 self._say(found)
 
     def ask_again(self, conversation: PolicyConversation, observation: Observation, session: Session) -> None:
-        """Blank each input in turn. Raises PolicyError if the policy fails at the observation itself."""
+        """Blank each input in turn. Raises PolicyError if the policy fails at the unchanged observation."""
         asking = Asking(conversation, session, listen=self.listen, reopen=self._reopen, took_s=self._took_s)
         ask = asking.ask
 
@@ -150,7 +150,7 @@ class DeepCheck:
         return self._card
 
     def _say(self, finding: Finding) -> None:
-        """A server may repeat the key that it was sent."""
+        """Report a finding without the credentials, which a server may have repeated."""
         secret = self._policy.ref.credentials
         self._tell(replace(finding, text=finding.text.replace(secret, HIDDEN)) if secret else finding)
 
@@ -166,7 +166,7 @@ class DeepCheck:
         return any(key in INSTRUCTIONS for key in messages.decoded(self._sent, self._scheme))
 
     def _metadata(self) -> None:
-        """Of a native server the card says all that there is."""
+        """Report a server's metadata; a native server has none besides its card."""
         if self._scheme not in messages.DIALECTS or self._greeting is None or not self._once("metadata"):
             return
         found = {

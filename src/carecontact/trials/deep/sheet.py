@@ -1,4 +1,4 @@
-"""The pictures of one request on a sheet, pixel for pixel as they are sent."""
+"""Draws the pictures of one request on a sheet, pixel for pixel as they are sent."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 MARGIN_PX, LINE_PX, TEXT_PX, ROW_PX = 16, 18, 14, 1400
 PAPER, INK, FRAME = (255, 255, 255), (31, 42, 54), (220, 0, 160)
-"""The frame lies around the pixels of a picture and covers none."""
+"""Colours of the sheet. The frame lies around the pixels of a picture and covers none."""
 
 
 def check_sheet_path(path: Path) -> Path:
-    """Raises ConfigError for an ending that would lose pixels and for a folder that is not there."""
+    """Return the path. Raises ConfigError for a file format that would lose detail and for a folder that does not
+    exist.
+    """
     if path.suffix.lower() != ".png":
         raise ConfigError(f"--pictures {path}: expected a name that ends in .png, which keeps every pixel")
     if not path.resolve().parent.is_dir():
@@ -33,7 +35,7 @@ def save_sheet(pictures: Mapping[str, U8], path: Path, *, names: Mapping[str, st
 
     Args:
         pictures: key -> (H, W, 3) red green blue.
-        names: key -> our camera, where it is known.
+        names: key -> name of our camera, where it is known.
 
     Raises:
         ConfigError: the file cannot be written.
@@ -62,7 +64,7 @@ def save_sheet(pictures: Mapping[str, U8], path: Path, *, names: Mapping[str, st
 def _places(
     pictures: Mapping[str, U8], labels: Mapping[str, tuple[str, str]], title: str, font: Font
 ) -> tuple[dict[str, tuple[int, int]], tuple[int, int]]:
-    """Key -> top left of its label, row after row; and the width and height of the sheet [px]."""
+    """Return key -> top left corner of its label, row after row, and the width and height of the sheet [px]."""
     x, y, row_px, place = MARGIN_PX, 2 * MARGIN_PX + LINE_PX, 0, {}
     width = int(font.getlength(title)) + 2 * MARGIN_PX
     for key, image in pictures.items():

@@ -1,4 +1,4 @@
-"""One line about the effect of each input."""
+"""Makes one line about the effect of each input."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from carecontact.trials.finding import Finding
 
 
 def effect_finding(effect: Effect) -> Finding:
-    """A warning where an input without effect is a likely mistake, and a hint where it may be none."""
+    """Return a warning if an input without effect is probably a mistake, and a hint if it may be none."""
     name = effect.input.name
     if effect.refused:
         return Finding(level="ok", topic="input", text=f"{name}: used; the policy refuses it blanked")

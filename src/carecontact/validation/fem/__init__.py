@@ -1,1 +1,1 @@
-"""Soft tissue by finite elements, as a judge of the simulated tissue that shares no equation with it."""
+"""Soft tissue by finite elements: a reference for the simulated tissue that shares no equation with it."""

@@ -11,13 +11,14 @@ from carecontact.validation.fem.tools import CAP, Tool, ball, disc
 from carecontact.validation.reference import ABDOMEN, FOREARM, UPPER_ARM_ANTERIOR, UPPER_ARM_POSTERIOR, Reference
 
 DEPTHS_M = np.array([0.0005, 0.001, 0.002, 0.003, 0.004])
-"""Past touch. A linear layer is used no deeper than 4 mm."""
+"""Depths past touch. A linear layer is used no deeper than 4 mm."""
 TRAVEL_M = 0.006
-"""Of a press past geometric touch: the force that counts as touch comes later."""
+"""Travel of a press past geometric touch, which comes before the force that counts as touch."""
 TOUCH_N = 0.02
 """Force that counts as touch, on both sides."""
 TOUCHES_N = (0.02, 0.05, 0.1)
-"""No publication tells at which force its depth is zero: comparisons with published curves are told for each."""
+"""No publication says at which force its depth is zero, so that comparisons with published curves are given for each of
+these."""
 DIMPLE_M = np.array([0.010, 0.015, 0.020])
 """Distances from the tool's axis at which the sunken surface is compared."""
 RINGS_M, RING_M = np.arange(0.004, 0.0301, 0.002), 0.002
@@ -25,7 +26,7 @@ RINGS_M, RING_M = np.arange(0.004, 0.0301, 0.002), 0.002
 RADII = (0.5, 1.0, 2.0)
 """Factors of an indenter's radius over which the exponent is taken."""
 WAYS_M = np.r_[0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0] / 1000
-"""How far a tool has moved along the limb, or from head to foot over the belly, where its force is told."""
+"""Distances along the limb, or from head to foot over the belly, at which the force of a moved tool is given."""
 TOLD_WAYS_M = np.array([0.0005, 0.001, 0.002, 0.010])
 
 
@@ -35,7 +36,7 @@ class Case:
     reference: Reference
     """The published curve that gives the layer its modulus."""
     ground: Ground
-    """Of the reference results. A comparison takes the thickness and the radius of the body that is compared."""
+    """Ground of the stored results. A comparison uses the thickness and the radius of the body that is compared."""
     main: Tool
     """The reference's own indenter."""
     more: tuple[Tool, ...] = ()
@@ -60,7 +61,8 @@ def _size(reference: Reference) -> float:
 
 
 BALL_M, DISC_M, PROBE_M = _size(ABDOMEN), _size(FOREARM), _size(UPPER_ARM_POSTERIOR)
-"""Radii of the references' indenters: a ball of 10 mm, and discs as large as ultrasound probes, 10.7 and 14.7 mm."""
+"""Radii of the references' indenters: a ball of 10 mm, and discs with the area of ultrasound probes, 10.7 and 14.7
+mm."""
 CASES = (
     Case(region="abdomen", reference=ABDOMEN, ground=Ground(thickness_m=0.050), main=ball(BALL_M)),
     Case(
@@ -71,5 +73,5 @@ CASES = (
         main=disc(DISC_M), more=(disc(PROBE_M),),
     ),
 )  # fmt: skip
-"""Thickness: arms measured (MULTIS, Neumann et al. 2018), the belly's assumed, all as in the tissue sets. Radius of the
-limbs: of the body man-adult; circumferences of 214 and 298 mm."""
+"""The thickness of the arms is measured (MULTIS, Neumann et al. 2018), that of the belly assumed, all as in the tissue
+sets. The radii of the limbs are those of man-adult, whose circumferences are 214 and 298 mm."""

@@ -1,4 +1,4 @@
-"""Both answers beside each other, for every skin of the published range."""
+"""Compares both answers, for every skin of the published range."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from carecontact.validation.fem.table import Standard, made, rounded
 from carecontact.validation.subject import Subject
 
 CLOSE_PERCENT = 10.0
-"""Of the nearest end of the finite elements' range: what counts as agreement in the table."""
+"""Largest distance from the nearest end of the finite elements' range that the table counts as agreement."""
 SECOND_SIDE_M = 0.003
 """Side of the hexahedra of the second method."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One quantity of one region, and the simulator's."""
+    """One quantity of one region, by finite elements and by the simulator."""
 
     standard: Standard
     simulated: float
 
     @property
     def outside_percent(self) -> float:
-        """How far the simulated value lies outside the range of the skins; 0: inside."""
+        """How far the simulated value lies outside the range of the skins; 0 means inside."""
         return self.standard.outside_percent(self.simulated)
 
     @property
@@ -42,16 +42,16 @@ class Row:
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
     case: Case
-    """With the ground of the body that is compared."""
+    """The case, with the ground of the body that is compared."""
     plain: Answer
     skins: tuple[Answer, ...]
-    """In the order of SKINS."""
+    """Answers in the order of SKINS."""
     simulated: Answer
     extras: Mapping[str, float]
-    """Numbers of the finite elements alone, by name."""
+    """Further numbers of the finite elements, by name."""
 
     def rows(self) -> list[Row]:
-        """The table's rows of this region."""
+        """Return this region's rows of the table."""
         standards = made(self.case, self.plain, self.skins)
         return [
             Row(standard=standard, simulated=quantity.of(self.simulated))
@@ -60,9 +60,10 @@ class Comparison:
 
 
 def compare(subject: Subject, *, on_region: Callable[[Comparison], None] = lambda done: None) -> list[Comparison]:
-    """Press and drag every case's tools over finite elements and over the person; called after each: ``on_region``.
+    """Press and drag every case's tools over finite elements and over the person; ``on_region`` is called after each
+    case.
 
-    Raises what the bench and the finite elements raise where they find no answer.
+    Raises what the bench and the finite elements raise if they find no answer.
     """
     found = []
     for standard in CASES:
@@ -78,12 +79,14 @@ def compare(subject: Subject, *, on_region: Callable[[Comparison], None] = lambd
 
 
 def judged(case: Case) -> tuple[Answer, tuple[Answer, ...]]:
-    """The finite elements' answers without skin and with each of SKINS. No simulator is asked."""
+    """Return the finite elements' answers without skin and with each of SKINS, without using the simulator."""
     return judge.answer(case, PLAIN), tuple(judge.answer(case, skin) for skin in SKINS)
 
 
 def _extras(case: Case, middle: Answer) -> dict[str, float]:
-    """For the middle skin: a second method, and what another Poisson's ratio and another friction would change."""
+    """Return further numbers for the middle skin: those of a second method, and the changes by another Poisson's ratio
+    and another friction.
+    """
     sample = judge.sample(case, MIDDLE, middle)
     name = case.main.name
     out = {f"force of the {name} at 4 mm by hexahedra over the table's": _second(case, sample)}
@@ -116,7 +119,7 @@ def _second(case: Case, sample: Sample) -> float:
 
 
 def as_json(comparisons: list[Comparison]) -> dict[str, object]:
-    """Every number of the table, the materials behind it, and each layer's modulus."""
+    """Return every number of the table, the materials behind it, and each layer's modulus."""
     return {
         "schema": "carecontact-fem-2",
         "skins": [{"name": s.name, "thickness_m": s.thickness_m, "modulus_pa": s.modulus_pa} for s in SKINS],

@@ -1,4 +1,4 @@
-"""A rigid tool against a surface whose compliance is known: patches push, and never pull."""
+"""Contact of a rigid tool with a surface of known compliance: patches push and never pull."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from carecontact.validation.result import Array
 Mask = npt.NDArray[np.bool_]
 
 TOGETHER, MOST_ROUNDS = 30, 3000
-"""Rounds in which every wrong patch changes at once, which is quick and may circle; after them only the outermost does,
-which ends for every positive definite compliance (Murty 1974, Opsearch 11:123)."""
+"""Number of rounds in which all wrong patches change at once, which is fast but may cycle, and the most rounds in all.
+After the first ones only the outermost wrong patch changes, which ends for every positive definite compliance (Murty
+1974, Opsearch 11:123)."""
 CLEAR_M = 1e-9
-"""By how much a patch may lie inside the tool and still count as out of contact."""
+"""Largest depth of a patch inside the tool at which it still counts as out of contact."""
 
 
 def balance(compliance: Array, gap: Array, start: Mask | None = None) -> tuple[Array, Mask]:
-    """Frictionless contact: (m,) pushes [N] and the patches in contact, by the active-set method.
+    """Solve frictionless contact by the active-set method: return the pushes (m,) [N] and which patches are in contact.
 
     Args:
         compliance: (m, m) inward displacement by push; patches in the order from the middle outwards.
-        gap: (m,) by how much each patch has to yield at least.
+        gap: (m,) least displacement by which each patch has to yield [m].
         start: a guess of the patches in contact; default: those with a positive gap.
 
     Raises CarecontactError if no set of patches balances.

@@ -1,4 +1,4 @@
-"""One figure: force over depth, exponent over the radius, dimple, and force over the way along, of both answers."""
+"""One figure of both answers: force over depth, exponent of the radius, dimple, and force over the distance along."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHOWN_WAYS_M = np.linspace(0.0, 0.005, 51)
 
 
 def draw(comparisons: list[Comparison], figure: Figure) -> None:
-    """One row for each region."""
+    """Draw one row of panels for each region."""
     figure.set_size_inches(9.6, 2.05 * len(comparisons) + 0.5)
     grid = figure.subplots(len(comparisons), len(TITLES), squeeze=False, sharex="col")
     for axes, title in zip(grid[0], TITLES, strict=True):

@@ -13,19 +13,19 @@ from carecontact.validation.fem.tools import Tool
 from carecontact.validation.result import Array
 
 MOST_TURNS, CLOSE = 60, 1e-3
-"""Turns between pushes and drags for one step, and the change of the total drag, as a share of the total friction, at
-which they end (Panagiotopoulos 1975, Ingenieur-Archiv 44:421)."""
+"""Most alternations between pushes and drags in one step, and the change of the total drag, as a share of the total
+friction, at which they end (Panagiotopoulos 1975, Ingenieur-Archiv 44:421)."""
 DESCENTS, SETTLED = 3000, 1e-5
 EASE = 0.5
-"""Share of the newly found sinking and gliding that a turn takes over."""
+"""Share of the newly found displacements that an alternation adopts (relaxation)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Glide:
-    """A tool's way along the surface, from rest on, at one depth."""
+    """The motion of a tool along the surface, from rest, at one depth."""
 
     way_m: Array
-    """(n,) how far the tool has moved along"""
+    """(n,) distance that the tool has moved along"""
     normal_n: Array
     """(n,) force along the press"""
     tangential_n: Array
@@ -33,8 +33,9 @@ class Glide:
 
 
 def stuck_stiffness(surface: Surface, tool: Tool, depth_m: float) -> tuple[float, float]:
-    """Force along over way along [N/m] of a tool to which the surface that it touches is glued, and the radius [m] of
-    a circle as large as the touched area, which is that of a press without friction."""
+    """Return the ratio of force to distance [N/m] along the surface for a tool that is glued to the surface it touches,
+    and the radius [m] of a circle with the area of contact, which is that of a press without friction.
+    """
     joint = surface.compliance((PRESS,), (PRESS,))
     _, active = balance(joint, surface.gap(tool, depth_m))
     stuck = Surface(
@@ -48,10 +49,10 @@ def stuck_stiffness(surface: Surface, tool: Tool, depth_m: float) -> tuple[float
 
 
 def glide(surface: Surface, tool: Tool, depth_m: float, way_m: Array, friction: float) -> Glide:
-    """Coulomb's friction, step by step along ``way_m``, which begins at 0 with a press without friction.
+    """Move a tool with Coulomb friction, step by step along ``way_m``, which begins at 0 with a frictionless press.
 
-    A patch sticks where it was carried until its drag reaches ``friction`` times its push. Pushes act along the press,
-    and the tool does not turn. Raises CarecontactError if a step finds no balance.
+    A patch sticks to the tool until its drag reaches ``friction`` times its push. Pushes act along the press, and the
+    tool does not turn. Raises CarecontactError if a step finds no balance.
     """
     m = len(surface.places)
     normal = surface.compliance((PRESS,), (PRESS,))
@@ -86,8 +87,11 @@ def glide(surface: Surface, tool: Tool, depth_m: float, way_m: Array, friction: 
 
 
 def _drag(side: Array, wanted: Array, start: Array, most: Array, active: Mask) -> Array:
-    """(2 m,) drags along and across that move patches to ``wanted`` but nowhere exceed (m,) ``most``: accelerated
-    projected gradients (Beck and Teboulle 2009, SIAM J Imaging Sci 2:183), restarted where they turn back."""
+    """Return drags (2 m,) along and across that move patches to ``wanted`` but nowhere exceed ``most`` (m,).
+
+    The method is accelerated projected gradients (Beck and Teboulle 2009, SIAM J Imaging Sci 2:183), restarted if they
+    turn back.
+    """
     pick = np.flatnonzero(active)
     both = np.r_[pick, pick + len(active)]
     matrix, target, limit = side[np.ix_(both, both)], wanted[both], most[pick]
@@ -108,7 +112,7 @@ def _drag(side: Array, wanted: Array, start: Array, most: Array, active: Mask) -
 
 
 def _within(drag: Array, most: Array) -> Array:
-    """Drags shortened to (m,) ``most``."""
+    """Return the drags, shortened to at most ``most`` (m,)."""
     pairs = drag.reshape(2, -1)
     size = np.hypot(*pairs)
     return (pairs * np.minimum(1.0, most / np.maximum(size, 1e-300))).ravel()

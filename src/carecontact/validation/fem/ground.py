@@ -1,4 +1,4 @@
-"""The shape of the soft ground that an indenter meets: a flat layer, or a round limb about a round bone."""
+"""The shape of the soft ground under an indenter: a flat layer, or a round limb around a round bone."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from carecontact.validation.fem.materials import POISSON, Skin
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """Tissue bonded to rigid bone at ``thickness_m`` under its surface, without end along and, where flat, across."""
+    """Tissue that is bonded to rigid bone at ``thickness_m`` under its surface. It is infinite along and, if flat,
+    across.
+    """
 
     thickness_m: float
-    """Skin and the tissue below it together."""
+    """Thickness of the skin and the tissue below it together."""
     limb_radius_m: float | None = None
-    """Of a round limb's surface; None: flat."""
+    """Radius of a round limb's surface; None for flat ground."""
     poisson: float = POISSON
 
 
@@ -25,4 +27,4 @@ class Medium:
     ground: Ground
     skin: Skin
     tissue_pa: float
-    """Young's modulus of what lies under the skin."""
+    """Young's modulus of the tissue under the skin."""

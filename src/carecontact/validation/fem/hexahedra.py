@@ -1,8 +1,8 @@
-"""The same presses by quadratic hexahedra in three dimensions, as a second method: another mesh, another series, the
-same equations. It is too slow for the whole table; a quarter of the ground is meshed, with symmetry on two sides.
+"""The same presses by quadratic hexahedra in three dimensions, as a second method for the same equations, without
+Fourier series. It is too slow for the whole table. A quarter of the ground is meshed, with symmetry on two sides.
 
-Quadratic elements carry Poisson's ratios to 0.49 where linear ones lock; the volume's energy is integrated with two
-points along each side.
+Quadratic elements work for Poisson's ratios up to 0.49, at which linear ones lock; the energy of volume change is
+integrated with two points along each side.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ except ModuleNotFoundError:
     raise DependencyError(NEEDS) from None
 
 SIDE_M, GROWTH = 0.0025, 1.6
-"""Side of the elements under the tool, whose nodes are half as far apart, and how much longer each next one is."""
+"""Side of the elements under the tool, whose nodes are half as far apart, and the growth from one element to the
+next."""
 END_M = 0.10
-"""Where the ground ends along, and where it is flat across, from the axis; its ends are free."""
+"""Distance from the axis at which the ground ends along and, if flat, across; its ends are free."""
 TURN = 0.97 * np.pi
-"""How far round the limb the mesh goes on each side: the far seam is free."""
+"""Angle [rad] around the limb to which the mesh goes on each side; the seam opposite the tool is free."""
 
 
 _NO_PIVOTS = {"SymmetricMode": True, "DiagPivotThresh": 0.0}
@@ -64,7 +65,7 @@ class Block:
         up = np.searchsorted(free, 3 * nodes + 2)
         loads = np.zeros((len(free), len(nodes)))
         loads[up, np.arange(len(nodes))] = 1.0
-        # The matrix is symmetric and positive definite: minimum degree on A^T + A, and pivots stay where they are.
+        # The matrix is symmetric and positive definite: order by minimum degree on A^T + A, without pivoting.
         factors = splu(matrix[free][:, free], permc_spec="MMD_AT_PLUS_A", options=_NO_PIVOTS)
         self._compliance = factors.solve(loads)[up]
         self._along, self._across, height = basis.doflocs[:, nodes]
@@ -72,13 +73,15 @@ class Block:
         self.unknowns = len(free)
 
     def press(self, tool: Tool, travel_m: float) -> float:
-        """Force [N] of a press without friction, past geometric touch."""
+        """Return the force [N] of a frictionless press to a travel past geometric touch."""
         push, _ = balance(self._compliance, travel_m - self._drop - tool.height(self._along, self._across))
         return 4 * float(push.sum())
 
 
 def graded(fine_m: float, fine_to_m: float, end_m: float, growth: float = GROWTH) -> Array:
-    """(n,) increasing from 0 to ``end_m``: steps of at most ``fine_m`` up to ``fine_to_m``, then longer and longer."""
+    """Return coordinates (n,) from 0 to ``end_m``: steps of at most ``fine_m`` up to ``fine_to_m``, then growing
+    ones.
+    """
     points = list(np.linspace(0.0, min(fine_to_m, end_m), max(1, int(np.ceil(min(fine_to_m, end_m) / fine_m))) + 1))
     step, rest = fine_m, []
     while points[-1] + sum(rest) < end_m - 1e-12:
@@ -95,7 +98,7 @@ def _depths(medium: Medium, side_m: float) -> Array:
 
 
 def _bent(mesh: Any, radius_m: float | None) -> Any:
-    """The mesh with its second coordinate wound round a limb whose top is at the origin."""
+    """Return the mesh with its second coordinate bent around a limb whose top is at the origin."""
     if radius_m is None:
         return mesh
     along, arc, height = mesh.doflocs
@@ -104,7 +107,7 @@ def _bent(mesh: Any, radius_m: float | None) -> Any:
 
 
 def _stiffness(basis: Any, modulus_pa: Array, poisson: float) -> csc_matrix:
-    """Matrix of three displacements at each node of a scalar basis."""
+    """Return the stiffness matrix for three displacements at each node of a scalar basis."""
     first = modulus_pa * poisson / ((1 + poisson) * (1 - 2 * poisson))
     second = modulus_pa / (2 * (1 + poisson))
     reduced = skfem.Basis(basis.mesh, basis.elem, intorder=3)
@@ -121,7 +124,9 @@ def _stiffness(basis: Any, modulus_pa: Array, poisson: float) -> csc_matrix:
 
 
 def _products(basis: Any) -> Array:
-    """(elements, i, a, j, b) integral of the slope of function i along a times that of function j along b."""
+    """Return (elements, i, a, j, b): the integral of the derivative of function i along a times that of function j
+    along b.
+    """
     slopes = np.stack([np.asarray(function[0].grad) for function in basis.basis])
     weighted = np.einsum("iaeq,eq->eiaq", slopes, np.sqrt(basis.dx))
     count, functions = weighted.shape[:2]

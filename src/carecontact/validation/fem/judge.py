@@ -24,16 +24,17 @@ SOLVED_M = np.r_[np.linspace(0.0, 0.001, 11), np.linspace(0.00125, 0.002, 4), np
 """Travels past geometric touch at which a press is solved; between them, the force is interpolated."""
 TOLD_M = np.linspace(0.0, TRAVEL_M, 241)
 PATCHES, FINEST_M, COARSEST_M = 18, 0.00045, 0.0010
-"""Patches over a tool's reach, and bounds of their side. A test halves the side: forces change by 1 % at most."""
+"""Number of patches over a tool's reach, and bounds of their side. If a test halves the side, forces change by at most
+1 %."""
 GLIDING_M = 0.0012
-"""Side of the patches under a gliding tool, which are many more."""
+"""Side of the patches under a gliding tool, which needs many more of them."""
 MARGIN = 1.05
 FIRST_GUESS_PA = 15e3
 MATCHED, MOST_SOLVES = 0.001, 15
 
 
 class Sample:
-    """A medium and the presses into it; kernels are computed once for each size of patch."""
+    """A medium in which presses are solved; kernels are computed once for each size of patch."""
 
     def __init__(self, medium: Medium, *, refined: float = 1.0) -> None:
         """``refined``: how many times finer the patches are than usual."""
@@ -45,7 +46,7 @@ class Sample:
         return Spectrum(self.medium, finest(FINEST_M / self._refined))
 
     def press(self, tool: Tool, travels_m: ArrayLike) -> Array:
-        """(n,) force of a press without friction at increasing travels past geometric touch."""
+        """Return the force (n,) [N] of a frictionless press at increasing travels past geometric touch."""
         surface = self._under(tool)
         joint, active, forces = surface.compliance((PRESS,), (PRESS,)), None, []
         for travel in np.asarray(travels_m):
@@ -59,7 +60,7 @@ class Sample:
         return Curve(presses=((TOLD_M, force),))
 
     def dimple(self, tool: Tool, travel_m: float) -> Array:
-        """Share of the travel by which the surface sinks at RINGS_M."""
+        """Return the share of the travel by which the surface sinks at RINGS_M."""
         surface = self._under(tool)
         push, _ = balance(surface.compliance((PRESS,), (PRESS,)), surface.gap(tool, travel_m))
         return rings(*surface.everywhere(push)) / travel_m
@@ -87,9 +88,10 @@ class Sample:
 
 
 def answer(case: Case, skin: Skin) -> Answer:
-    """How the case's ground with this skin answers, its tissue as stiff as the reference's middle curve asks.
+    """Return how the case's ground with this skin responds, with the tissue's modulus fitted to the reference's middle
+    curve.
 
-    Raises CarecontactError if no modulus of the tissue does.
+    Raises CarecontactError if no modulus fits.
     """
     found = matched(case, skin)
     curves = {name: found.curve(tool) for name, tool in case.tools().items()}
@@ -103,13 +105,15 @@ def answer(case: Case, skin: Skin) -> Answer:
 
 
 def sample(case: Case, skin: Skin, answered: Answer) -> Sample:
-    """The medium of an answer, to ask it for more."""
+    """Return the medium of an answer, to compute more of it."""
     return Sample(Medium(ground=case.ground, skin=skin, tissue_pa=answered.modulus_pa))
 
 
 def matched(case: Case, skin: Skin) -> Sample:
-    """The medium whose tissue gives the force of the reference at MATCHED_M past touch, by the secant method in the
-    logarithms of modulus and force. Raises CarecontactError if it finds none."""
+    """Return the medium whose tissue gives the reference's force at MATCHED_M past touch.
+
+    It uses the secant method on the logarithms of modulus and force. Raises CarecontactError if it finds none.
+    """
     wanted = float(np.interp(MATCHED_M, case.reference.depth_m, case.reference.force_n))
     modulus, power, last = FIRST_GUESS_PA, 0.6, None
     for _ in range(MOST_SOLVES):

@@ -1,4 +1,4 @@
-"""How far each point of a surface moves under a force on another: the sum of all waves, on a regular grid."""
+"""Displacement of each point of a surface by a force on another point: the sum of all waves, on a regular grid."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from carecontact.validation.fem.waves import surface_compliance
 from carecontact.validation.result import Array
 
 PERIOD_M = 0.3
-"""Loads repeat along the surface at this distance, round a limb at its circumference: bonded tissue forgets a load
-within about two thicknesses."""
+"""Loads repeat at this distance along the surface, and around a limb at its circumference. The effect of a load on
+bonded tissue fades within about two thicknesses."""
 WAVES, FIRST = 70, 0.35
-"""Compliance is smooth over waves: it is computed for this many in each direction, close together up to FIRST over the
-thickness, and interpolated between."""
+"""Compliance is a smooth function of the wavenumber. It is computed for this number of waves in each direction, close
+together up to FIRST divided by the thickness, and interpolated between them."""
 OVERSAMPLED = 2
-"""Waves are summed up to this many times the finest that the grid holds: a patch has sharp sides."""
+"""Waves are summed up to this multiple of the finest wave that the grid resolves, because a patch has sharp sides."""
 
 
 class Spectrum:
-    """The compliance of a medium, for every wave up to a largest one [rad/m]."""
+    """The compliance of a medium for every wave up to a largest wavenumber [rad/m]."""
 
     def __init__(self, medium: Medium, most: float, *, waves: int = WAVES) -> None:
         self.medium, self.most = medium, most
@@ -29,7 +29,7 @@ class Spectrum:
         self._at = near * np.sinh(np.linspace(0.0, np.arcsinh(1.001 * most / near), waves))
         q, k = (wave.ravel() for wave in np.meshgrid(self._at, self._at, indexing="ij"))
         found = surface_compliance(medium, q, k).reshape(waves, waves, 3, 3)
-        # Compliance falls with the wave's length: what is interpolated is nearly constant.
+        # Compliance is proportional to the wavelength for short waves: the interpolated quantity is nearly constant.
         size = self._size(self._at[:, None], self._at[None, :])
         self._splines = {
             (a, b): RectBivariateSpline(self._at, self._at, found[:, :, a, b] * size, kx=3, ky=3)
@@ -38,7 +38,9 @@ class Spectrum:
         }
 
     def __call__(self, q: Array, k: Array, a: int, b: int) -> Array:
-        """(len(q), len(k)) compliance of displacement ``a`` by traction ``b``; 0: u, 1: v, 2: w."""
+        """Return the compliance (len(q), len(k)) of displacement ``a`` by traction ``b``, where 0 is u, 1 is v and 2 is
+        w.
+        """
         odd = lambda wave, axis: np.where((a == axis) != (b == axis), np.sign(wave), 1.0)  # noqa: E731
         spline = self._splines[min(a, b), max(a, b)]
         rows, order = np.unique(np.abs(q), return_inverse=True)
@@ -54,7 +56,7 @@ class Kernel:
     2 along.
 
     Args:
-        fine_m: side of a patch along; across, it is as near to it as fits.
+        fine_m: side of a patch along; across, the side is the nearest one that divides the period.
         period_m: distance at which loads repeat, where the ground does not end by itself.
     """
 
@@ -67,14 +69,17 @@ class Kernel:
         self._values: dict[tuple[int, int], Array] = {}
 
     def values(self, a: int, b: int) -> Array:
-        """(n, m) mean displacement [m] of a patch in direction ``a`` by a unit force [N] spread over another in
-        direction ``b``, by how many patches the moved one lies across and along from the loaded one; wraps round."""
+        """Return mean displacements (n, m) [m] of a patch in direction ``a`` by 1 N spread over another in direction
+        ``b``.
+
+        The indices say how many patches the moved one lies across and along from the loaded one; they are periodic.
+        """
         if (a, b) not in self._values:
             self._values[a, b] = self._sum(a, b)
         return self._values[a, b]
 
     def between(self, apart: npt.NDArray[np.int64], a: int, b: int) -> Array:
-        """``values`` for (..., 2) distances in patches."""
+        """Return ``values`` at distances (..., 2) in patches."""
         return self.values(a, b)[apart[..., 0], apart[..., 1]]
 
     def _sum(self, a: int, b: int) -> Array:
@@ -84,9 +89,9 @@ class Kernel:
             for count, step in zip(fine, self.step_m, strict=True)
         )
         k = np.abs(k[: fine[1] // 2 + 1])
-        # A force is even over its patch, and a displacement is its mean over it.
+        # A force is uniform over its patch, and a displacement is the mean over its patch.
         patch = [np.sinc(wave * step / 2 / np.pi) ** 2 for wave, step in zip((q, k), self.step_m, strict=True)]
-        # u is real and v, w carry an i: displacement u by traction of v, w has -i, and v, w by u has +i.
+        # u is real, and v and w have a factor i: displacement u by traction v or w has -i, and v or w by u has +i.
         phase = (1j if a else 1) * (-1j if b else 1)
         waves = phase * self._spectrum(q, k, a, b) * np.outer(*patch)
         area = np.prod(self.step_m) / OVERSAMPLED**2
@@ -94,5 +99,5 @@ class Kernel:
 
 
 def finest(fine_m: float) -> float:
-    """The largest wave that a grid of this step asks for, in each direction [rad/m]."""
+    """Return the largest wavenumber [rad/m], in each direction, that a grid with this step needs."""
     return 1.02 * OVERSAMPLED * np.pi / fine_m

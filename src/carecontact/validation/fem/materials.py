@@ -1,7 +1,7 @@
-"""What the layer is made of. Nothing here was fitted to the simulated tissue.
+"""The materials of the layer. Nothing here was fitted to the simulated tissue.
 
 Skin's modulus and thickness are published. The tissue under it (fat and muscle as one) has a modulus that is solved
-for, with each skin, so that the layer answers the published indentation of people with their mean force at MATCHED_M:
+for, with each skin, so that the layer gives the mean force of published indentations of people at MATCHED_M:
 the one number that the finite elements take from the reference curve.
 """
 
@@ -12,21 +12,23 @@ from dataclasses import dataclass
 POISSON = 0.49
 """Assumption: nearly incompressible, as soft tissue is usually taken within seconds of loading."""
 OTHER_POISSON = (0.45, 0.495)
-"""Shown beside POISSON, with the middle skin."""
+"""Further values of Poisson's ratio, which are compared with POISSON for the middle skin."""
 FRICTION = 0.5
-"""Between tool and skin, the middle of what is reported for dry skin on smooth materials, about 0.2 to 0.8 (Derler and
-Gerhardt 2012, Tribol Lett 45:1); the tissue sets take the same."""
+"""Coefficient of friction between tool and skin: the middle of the reported values for dry skin on smooth materials,
+about 0.2 to 0.8 (Derler and Gerhardt 2012, Tribol Lett 45:1), as in the tissue sets."""
 OTHER_FRICTION = (0.25, 0.8)
-"""Shown beside FRICTION, with the middle skin: cotton on forearm and chest (Temel et al. 2022, second hand)."""
+"""Further values of friction, which are compared with FRICTION for the middle skin: cotton on forearm and chest (Temel
+et al. 2022, second hand)."""
 THICKNESS_M = (0.0008, 0.0015, 0.0022)
-"""Skin, least, middle and most: the mean over people was 0.79 mm (foot) to 1.48 mm (chest) at 24 sites (Krackowizer
-and Brenner 2008, Phlebologie 37:83, abstract) and 2.2 mm at arm and abdomen (Gibney et al. 2010, Curr Med Res Opin
-26:1519, abstract). The middle one is our choice."""
+"""Least, middle and largest thickness of skin. The mean over people was 0.79 mm (foot) to 1.48 mm (chest) at 24 sites
+(Krackowizer and Brenner 2008, Phlebologie 37:83, abstract) and 2.2 mm at arm and abdomen (Gibney et al. 2010, Curr Med
+Res Opin 26:1519, abstract). The middle one is our choice."""
 MODULUS_PA = (0.13e6, 0.42e6, 0.85e6)
-"""Skin, least, middle and most: 0.129 MPa by suction on the volar forearm (Diridollou et al. 2000, Skin Res Technol
-6:214, abstract); 0.42 MPa in the young and 0.85 MPa in the old by torsion (Agache et al. 1980, Arch Dermatol Res
-269:221; the abstract tells that the modulus doubles with age, and its figures come second hand). Published
-values from indentation are lower, because they mix skin with what lies under it; the plain layer stands for them."""
+"""Least, middle and largest modulus of skin: 0.129 MPa by suction on the volar forearm (Diridollou et al. 2000, Skin
+Res Technol 6:214, abstract); 0.42 MPa in the young and 0.85 MPa in the old by torsion (Agache et al. 1980, Arch
+Dermatol Res 269:221; the abstract says that the modulus doubles with age, and its figures come second hand). Published
+values from indentation are lower, because they mix skin with what lies under it; the layer without skin represents
+them."""
 MATCHED_M = 0.004
 """Depth past touch at which layer and reference have the same force: near the end of the forearm's curve, and the
 deepest at which the linear layer is used."""
@@ -36,7 +38,7 @@ deepest at which the linear layer is used."""
 class Skin:
     name: str
     thickness_m: float
-    """0: no skin."""
+    """Thickness of the skin; 0 means no skin."""
     modulus_pa: float
 
 
@@ -48,4 +50,4 @@ CORNERS = tuple(
     for soft, modulus in (("soft", MODULUS_PA[0]), ("stiff", MODULUS_PA[2]))
 )
 SKINS = (MIDDLE, *CORNERS)
-"""The published range: its middle and the corners."""
+"""The skins of the published range: its middle and its corners."""

@@ -1,4 +1,4 @@
-"""The numbers by which two tissues are compared, each read off an answer."""
+"""The numbers by which two tissues are compared, each computed from an answer."""
 
 from __future__ import annotations
 
@@ -23,12 +23,14 @@ class Quantity:
 
 
 def quantities(case: Case) -> list[Quantity]:
-    """Every quantity of a case, in the order of the table."""
+    """Return every quantity of a case, in the order of the table."""
     return [*_main_curve(case), *_other_tools(case), *_exponents(case), *_dimple(case), *_along(case)]
 
 
 def off_published(answer: Answer, case: Case, touch_n: float) -> Array:
-    """(d,) how far force lies above the published curve's at DEPTHS_M [%], where this force counts as touch."""
+    """Return how far (d,) [%] the force at DEPTHS_M lies above the published curve's, if ``touch_n`` counts as
+    touch.
+    """
     published = np.interp(DEPTHS_M, case.reference.depth_m, case.reference.force_n)
     return 100 * (answer.curves[case.main.name].at(DEPTHS_M, touch_n=touch_n) / published - 1)
 

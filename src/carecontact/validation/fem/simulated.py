@@ -21,17 +21,17 @@ from carecontact.validation.result import Array
 from carecontact.validation.subject import Subject
 
 GLIDE_PLACES = 3
-"""Of the places that no fit used, how many a tool glides at."""
+"""Number of places, of those that no fit used, at which a tool glides."""
 GLUE = 20.0
-"""A coefficient of friction with which nothing slips."""
+"""A coefficient of friction at which nothing slips."""
 GLUED_WAY_M = 0.0005
-"""Way after which the force of a glued tool gives its stiffness."""
+"""Distance along the surface at which the force of a glued tool gives its stiffness."""
 HOLD_S = 0.2
 """Rest between the press and the motion along."""
 
 
 def ground(subject: Subject, case: Case) -> Ground:
-    """The case's ground with the thickness of the subject's tissue and the radius of its limb."""
+    """Return the case's ground with the thickness of the subject's tissue and the radius of the subject's limb."""
     radius = subject.scene(case.region).regions[case.region].shell.radius_m
     return replace(
         case.ground, thickness_m=subject.tissue(case.region).thickness_m,
@@ -40,9 +40,9 @@ def ground(subject: Subject, case: Case) -> Ground:
 
 
 def answer(subject: Subject, case: Case) -> Answer:
-    """How the person's region answers: the mean over the places that no fit used.
+    """Return how the person's region responds, as the mean over the places that no fit used.
 
-    Raises SceneError where a tool does not find the region's surface.
+    Raises SceneError if a tool does not find the region's surface.
     """
     places = held_out_m(case.region)
     curves, dimples = {}, []
@@ -58,7 +58,7 @@ def answer(subject: Subject, case: Case) -> Answer:
 
 
 def indenter(tool: Tool) -> Indenter:
-    """The bench's own indenter of this shape."""
+    """Return the bench's indenter of this shape."""
     if tool == CAP:
         return Indenter(shape="cap")
     shape = "flat" if tool.shape == "disc" else "hemisphere"
@@ -85,13 +85,15 @@ def _drag(subject: Subject, case: Case, tool: Tool, curve: Curve) -> Drag:
 
 
 def friction_of(bench: Bench) -> Array:
-    """(1,) the coefficient in the bench's law, which a change of it changes."""
+    """Return the coefficient of friction (1,) in the bench's law as a view: changing it changes the law."""
     at = [field.name for field in fields(Law)].index("friction")
     return bench.model.numeric(f"{bench.region}/law").data[at : at + 1]
 
 
 def _glide(bench: Bench, place: tuple[float, float], depth_m: float, way_m: Array) -> Array:
-    """(2, n) force along and inward [N] on the region at each way along it, after a press that rests at ``depth_m``."""
+    """Return the force (2, n) [N] on the region, along it and inward, at each distance along it, after a press that
+    rests at ``depth_m``.
+    """
     bench.press(along_m=place[0], across_m=place[1], depth_m=depth_m, speed_m_s=SPEED_M_S, hold_s=HOLD_S)
     _, inward, axis = bench.place(*place)
     model, data = bench.model, bench._data

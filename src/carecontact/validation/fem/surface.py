@@ -17,14 +17,16 @@ PRESS, ALONG, ACROSS = range(3)
 patch, and on a limb they lean from the patches' own."""
 QUARTER = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 HALF = ((1, 1), (1, -1))
-"""Mirror images, as signs along and across: of a press, and of a tool that glides along."""
+"""Mirror images, as signs along and across: those of a press (QUARTER), and of a tool that glides along (HALF)."""
 SAMPLES = 4
-"""Points along each side of a patch over which the gap is averaged."""
+"""Number of points along each side of a patch over which the gap is averaged."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """Patches, each of which stands for its mirror images too. Displacement and gap of a patch are means over it."""
+    """Patches of a surface. Each also represents its mirror images. Displacement and gap of a patch are means over
+    it.
+    """
 
     kernel: Kernel
     limb_radius_m: float | None
@@ -34,13 +36,14 @@ class Surface:
 
     @property
     def count(self) -> int:
-        """How many patches one stands for, itself among them."""
+        """Number of patches that one patch represents, itself included."""
         return len(self.images)
 
     @cached_property
     def points_m(self) -> Array:
-        """(m, SAMPLES^2, 3) sample points of each patch: along, across the press direction, and how deep they lie
-        under the limb's top."""
+        """Sample points (m, SAMPLES^2, 3) of each patch: their places along and across, and their depth under the
+        limb's top.
+        """
         inside = (np.arange(SAMPLES) + 0.5) / SAMPLES
         across = (self.places[:, 0, None] + inside) * self.kernel.step_m[0]
         along = (self.places[:, 1, None] + inside) * self.kernel.step_m[1]
@@ -52,7 +55,8 @@ class Surface:
         return np.stack([np.broadcast_to(grid, shape).reshape(len(self.places), -1) for grid in grids], 2)
 
     def gap(self, tool: Tool, depth_m: float, *, moved_m: Array | float = 0.0) -> Array:
-        """(m,) by how much each patch has to yield to a tool this far past first touch; negative: not at all.
+        """Return how far (m,) [m] each patch has to yield to a tool at this depth past first touch; negative means not
+        at all.
 
         Args:
             moved_m: how far the tool has moved along over each patch.
@@ -62,13 +66,14 @@ class Surface:
         return (depth_m - drop - tool.height(along - moved, across)).mean(1)
 
     def compliance(self, to: tuple[int, ...], by: tuple[int, ...]) -> Array:
-        """(len(to) m, len(by) m) displacement in the directions ``to`` by force in the directions ``by`` on each patch
-        and its mirror images."""
+        """Return displacements (len(to) m, len(by) m) in the directions ``to`` by forces in the directions ``by`` on
+        each patch and its mirror images.
+        """
         m = len(self.places)
         found = np.zeros((len(to) * m, len(by) * m))
         here = self._directions(self.places)
         for along, across in self.images:
-            # A patch is numbered by its near corner: the mirror image of 0 is -1.
+            # The number of a patch is that of its lower corner, so that the mirror image of 0 is -1.
             mirrored = np.where([across < 0, along < 0], -1 - self.places, self.places)
             there = self._directions(mirrored)
             apart = self.places[:, None, :] - mirrored[None, :, :]
@@ -88,8 +93,9 @@ class Surface:
         return found
 
     def everywhere(self, push: Array) -> tuple[Array, Array]:
-        """Distance from the press's axis of every patch of the upper side, (n,), and how far it moves inward under
-        (m,) pushes."""
+        """Return the distance (n,) from the press's axis of every patch on the upper side, and how far (n,) it moves
+        inward under pushes (m,).
+        """
         shape = self.kernel.shape
         index = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), 2)
         index -= np.where(index >= np.array(shape) / 2, shape, 0)
@@ -111,7 +117,9 @@ class Surface:
         return np.hypot(across_m, middle[..., 1])[upper], inward[upper]
 
     def _directions(self, places: npt.NDArray[np.int64]) -> Array:
-        """(3, 3, n) PRESS, ALONG and ACROSS at each patch, in its own directions outward, across and along."""
+        """Return the directions PRESS, ALONG and ACROSS (3, 3, n) at each patch, in its own directions outward, across,
+        along.
+        """
         radius = self.limb_radius_m
         middle = (places[:, 0] + 0.5) * self.kernel.step_m[0]
         angle = np.zeros(len(places)) if radius is None else middle / radius
@@ -125,7 +133,7 @@ class Surface:
 def around(
     kernel: Kernel, limb_radius_m: float | None, reach_m: float, *, glides: bool = False, ahead_m: float = 0.0
 ) -> Surface:
-    """The patches within ``reach_m`` of the axis, from the nearest to the farthest.
+    """Return the patches within ``reach_m`` of the axis, from the nearest to the farthest.
 
     Args:
         glides: whether tool and surface move along, so that only the two sides across are mirror images.

@@ -1,7 +1,7 @@
 """The finite elements' results as a small file, so that a tissue can be compared in seconds without solving anything.
 
-``tools/fem_table.py`` writes it. Read ``standards()``, answer the same tools with another tissue, and ask each line how
-far its quantity lies outside.
+``tools/fem_table.py`` writes it. To compare another tissue, read ``standards()``, compute that tissue's response to the
+same tools, and ask each standard how far the quantity lies outside.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ class Standard:
     name: str
     unit: str
     skins: tuple[float, ...]
-    """With each of SKINS; the first is the middle one."""
+    """Values with each of SKINS; the first is the middle one."""
     plain: float
-    """Without skin."""
+    """Value without skin."""
 
     def outside_percent(self, value: float) -> float:
-        """How far a value lies outside the range of the skins; 0: inside."""
+        """Return how far a value lies outside the range of the skins; 0 means inside."""
         low, high = min(self.skins), max(self.skins)
         nearest = min(max(value, low), high)
         return abs(value - nearest) * (1 if self.unit == POINTS else 100 / abs(nearest))
 
 
 def made(case: Case, plain: Answer, skins: tuple[Answer, ...]) -> list[Standard]:
-    """The standards of one case; ``skins`` in the order of SKINS."""
+    """Make the standards of one case. ``skins``: answers in the order of SKINS."""
     return [
         Standard(region=case.region, name=quantity.name, unit=quantity.unit, plain=rounded(quantity.of(plain)),
                  skins=tuple(rounded(quantity.of(answer)) for answer in skins))
@@ -50,7 +50,7 @@ def made(case: Case, plain: Answer, skins: tuple[Answer, ...]) -> list[Standard]
 
 
 def standards() -> list[Standard]:
-    """The stored standards, of CASES with their own grounds."""
+    """Return the stored standards, of CASES with their own grounds."""
     stored = json.loads((files("carecontact.validation.fem") / FILE).read_text())
     return [
         Standard(region=region, name=name, unit=unit, skins=tuple(skins), plain=plain)
@@ -60,7 +60,9 @@ def standards() -> list[Standard]:
 
 
 def as_text(found: dict[str, tuple[Answer, tuple[Answer, ...]]]) -> str:
-    """The file's text for each region's answers without skin and with each of SKINS: a line for each quantity."""
+    """Return the file's text, with a line for each quantity, from each region's answers without skin and with each of
+    SKINS.
+    """
     head = {
         "schema": SCHEMA, "written_by": "tools/fem_table.py", "columns": ["name", "unit", "no skin", *names()],
         "skins": {s.name: {"thickness_m": s.thickness_m, "modulus_pa": s.modulus_pa} for s in SKINS},
@@ -87,5 +89,5 @@ def names() -> list[str]:
 
 
 def rounded(value: float) -> float:
-    """Four digits."""
+    """Round to four digits."""
     return float(f"{value:.4g}") if np.isfinite(value) else value

@@ -1,5 +1,5 @@
-"""Rigid tools that are pressed into tissue, as the height of their surface above the tip. Lengths along the limb come
-first, lengths across it second."""
+"""Rigid tools that are pressed into tissue, described by the height of their surface above the tip. Lengths along the
+limb come first, lengths across it second."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from carecontact.contract.embodiment import PANDA
 from carecontact.validation.result import Array
 
 STEEPEST = 4.0
-"""Slope at which a round tool continues as a straight cone, 76 degrees: contact never reaches it here, and a height
-stays finite everywhere."""
+"""Slope (76 degrees) from which a round tool continues as a straight cone, so that its height is finite everywhere;
+contact never reaches so far here."""
 EDGE_M = 0.002
-"""Rounding of a disc's rim: that of the simulator (``kernel/c/tool.c``)."""
+"""Radius of a disc's rounded rim, as in the simulator (``kernel/c/tool.c``)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tool:
-    """A tool lying with its longer side across the limb, as the shipped cap is held."""
+    """A tool with its longer side across the limb, as the shipped cap is held."""
 
     name: str
     shape: Literal["ellipsoid", "disc"]
     semi_axes_m: tuple[float, float, float]
-    """Along, across and up; of a disc its radius, its radius and the rounding of its rim."""
+    """Semi-axes along, across and up; for a disc its radius, its radius again, and the radius of its rim."""
 
     @property
     def radius_m(self) -> float:
-        """Of the circle with the same area as the tool seen from above."""
+        """Radius of the circle with the tool's area as seen from above."""
         return float(np.sqrt(self.semi_axes_m[0] * self.semi_axes_m[1]))
 
     def height(self, along_m: Array, across_m: Array) -> Array:
-        """Height above the tip [m], of the inputs' shape."""
+        """Return the height above the tip [m], in the shape of the inputs."""
         a, b, up = self.semi_axes_m
         if self.shape == "ellipsoid":
             return _dome(np.hypot(along_m / a, across_m / b), up, STEEPEST * min(a, b) / up)
@@ -41,7 +41,9 @@ class Tool:
         return _dome(np.maximum(r - face, 0.0) / up, up, STEEPEST)
 
     def reach_m(self, depth_m: float) -> float:
-        """Distance from the axis to which the tool can touch at this depth; a disc touches up to its radius."""
+        """Return the distance from the axis up to which the tool can touch at this depth; a disc touches up to its
+        radius.
+        """
         a, b, up = self.semi_axes_m
         if self.shape == "disc":
             return a
@@ -50,7 +52,9 @@ class Tool:
 
 
 def _dome(share: Array, up_m: float, steepest: float) -> Array:
-    """Half an ellipse's height at a share of its half width, and a straight line where its slope is ``steepest``."""
+    """Return the height of half an ellipse at a share of its half width, continued straight from where its slope is
+    ``steepest``.
+    """
     last = steepest / np.hypot(1.0, steepest)
     inside = np.minimum(share, last)
     return up_m * (1 - np.sqrt(1 - inside**2) + steepest * np.maximum(share - last, 0.0))

@@ -2,8 +2,8 @@
 the surface (a semi-analytical finite element method: Zienkiewicz and Taylor 2000, The Finite Element Method, vol. 2,
 chapter 9; of layers Cheung and Zienkiewicz 1965).
 
-Ground that is the same everywhere along its surface answers a load that varies as a wave with displacements of the
-same wave. For each wave, what is left is a problem in one variable, the depth, and three displacements: outward u,
+Ground that is uniform along its surface responds to a load that varies as a wave with displacements of the same wave.
+For each wave, this leaves a problem in one variable, the depth, with three displacements: outward u,
 across i v and along i w, times exp(i (k x + q y)). The i makes every equation real.
 """
 
@@ -18,22 +18,22 @@ from carecontact.validation.fem.ground import Medium
 from carecontact.validation.result import Array
 
 TOP_M, GROWTH = 0.0002, 1.25
-"""Thickness of the element at the surface and how much thicker each next one is. A test halves both."""
+"""Thickness of the element at the surface, and how much thicker each next one is. A test halves both."""
 POINTS_FULL, POINTS_REDUCED = 3, 2
 """Gauss points of the energy of shear and of volume: quadratic elements with one point less for the volume carry
 nearly incompressible tissue without locking (Malkus and Hughes 1978, Comput Methods Appl Mech Eng 15:63)."""
 _POWERS = ((0, 0), (0, 1), (1, 0), (1, 1), (0, 2), (2, 0))
-"""Of q and k in the stiffness of an element, which is a polynomial of both."""
+"""Powers of q and k in the stiffness of an element, which is a polynomial in both."""
 
 
 def surface_compliance(medium: Medium, q: Array, k: Array, *, top_m: float = TOP_M, growth: float = GROWTH) -> Array:
-    """(n, 3, 3) displacement (u, v, w) of the surface [m] by traction [Pa] of the same wave, per unit of both.
+    """Return displacements (n, 3, 3) [m/Pa] of the surface, (u, v, w), by tractions of the same wave.
 
     Args:
-        q: (n,) waves across [rad/m] at the surface; on a limb, around it.
-        k: (n,) waves along [rad/m].
+        q: (n,) wavenumbers across [rad/m] at the surface; on a limb, around it.
+        k: (n,) wavenumbers along [rad/m].
     """
-    # From the bone up: what lies below an element is a 3 x 3 stiffness at its lower face.
+    # From the bone up, all that lies below an element is condensed to a 3 x 3 stiffness at its lower face.
     powers = np.stack([q**a * k**b for a, b in _POWERS], 1)
     below: Array | None = None
     for low, high, modulus in _elements(medium, top_m, growth):
@@ -51,7 +51,7 @@ def surface_compliance(medium: Medium, q: Array, k: Array, *, top_m: float = TOP
 
 
 def _elements(medium: Medium, top_m: float, growth: float) -> list[tuple[float, float, float]]:
-    """Depth of each element's lower and upper face [m] and its Young's modulus [Pa], from the bone up."""
+    """Return each element's depths [m] of its lower and upper face and its Young's modulus [Pa], from the bone up."""
     skin, thickness = medium.skin.thickness_m, medium.ground.thickness_m
     faces = [0.0]
     if skin:
@@ -69,7 +69,9 @@ def _elements(medium: Medium, top_m: float, growth: float) -> list[tuple[float, 
 
 
 def _element(medium: Medium, low_m: float, high_m: float, modulus: float) -> Array:
-    """(6, 9, 9) stiffness of a quadratic element for each of _POWERS; three nodes from below, each with (u, v, w)."""
+    """Return the stiffness (6, 9, 9) of a quadratic element for each of _POWERS, with three nodes from below and (u, v,
+    w) at each.
+    """
     poisson = medium.ground.poisson
     first = modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
     second = modulus / (2 * (1 + poisson))
@@ -90,7 +92,7 @@ def _integral(medium: Medium, low_m: float, high_m: float, law: Array, points: i
         depth = (low_m + high_m) / 2 - half * s
         value = np.array([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2])
         slope = np.array([s - 0.5, -2 * s, s + 0.5]) / half
-        # On a limb, circles shrink with depth, and their waves with them.
+        # On a limb, circumferences shrink with depth, and wavelengths with them.
         share, curvature = (1.0, 0.0) if radius is None else (1 - depth / radius, 1 / (radius - depth))
         strain = _strains(value, slope, share, curvature)
         for number, (a, b) in enumerate(_POWERS):
@@ -102,7 +104,7 @@ def _integral(medium: Medium, low_m: float, high_m: float, law: Array, points: i
 
 
 def _strains(value: Array, slope: Array, share: float, curvature: float) -> Array:
-    """(3, 6, 9) strains by nodal displacements: the constant part, the part with q and the part with k."""
+    """Return the strains (3, 6, 9) by nodal displacements: the constant part, the part with q and the part with k."""
     strain = np.zeros((3, 6, 9))
     u, v, w = (slice(axis, None, 3) for axis in range(3))
     around = value / share

@@ -17,9 +17,9 @@ from carecontact.world.human.body import Array, Body
 class SegmentFractions:
     mass: float
     centre: float
-    """Centre of mass along the segment, from its first end, as a share of its length."""
+    """Distance of the centre of mass from the segment's first end, as a share of its length."""
     gyration: tuple[float, float, float]
-    """About the sagittal, transverse and longitudinal axis, as shares of its length."""
+    """Radii of gyration about the sagittal, transverse and longitudinal axis, as shares of its length."""
 
 
 def _row(mass: float, centre: float, *gyration: float) -> SegmentFractions:
@@ -53,8 +53,9 @@ DE_LEVA: dict[str, dict[str, SegmentFractions]] = {
         "foot": _row(1.29, 40.14, 29.9, 27.9, 13.9),
     },
 }
-# De Leva's head includes the neck, his upper trunk the shoulders: the rig's neck and clavicles take a small share of
-# those so that each has an inertia of its own (assumed shares; the sums are the published ones).
+# De Leva's head includes the neck, and his upper trunk the shoulders. The rig's neck and clavicles take a small share
+# of
+# them, so that each has an inertia of its own (the shares are assumed, the sums published).
 SHARE_OF = {"neck": ("head", 0.15), "clavicle": ("thorax", 0.04)}
 
 
@@ -66,18 +67,18 @@ class SegmentInertia:
     axes: Array
     """(3, 3) columns: transverse, sagittal, longitudinal directions"""
     moments_kgm2: Array
-    """(3,) about those columns"""
+    """(3,) moments about the axes in these columns"""
 
 
 TRUNK_LENGTH_MM = {
     "M": {"thorax": 242.1, "abdomen": 215.5, "pelvis": 145.7},
     "F": {"thorax": 228.0, "abdomen": 205.3, "pelvis": 181.5},
 }
-"""Cervicale to xiphion to omphalion to mid-hip, Table 4; from the neck down."""
+"""Lengths of the trunk's segments from the neck down: cervicale, xiphion, omphalion, mid-hip (Table 4)."""
 
 
 def segment_ends(body: Body, segment: str) -> tuple[Array, Array]:
-    """First and second end of a segment as de Leva measures it, on this body [m]."""
+    """Return the first and second end (3,) [m] of a body's segment, as de Leva defines them."""
     j = body.joint_centre
     kind = segment.removeprefix("left_").removeprefix("right_")
     if kind == "head":
@@ -99,7 +100,7 @@ def segment_ends(body: Body, segment: str) -> tuple[Array, Array]:
 
 
 def segment_inertias(body: Body) -> dict[str, SegmentInertia]:
-    """Inertia of every segment of the body; the masses add up to the body's."""
+    """Return the inertia of every segment of a body; the masses add up to the body's mass."""
     table = DE_LEVA[body.sex]
     total = sum(
         table[s.split("_", 1)[-1] if s.startswith(("left", "right")) else s].mass

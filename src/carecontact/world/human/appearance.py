@@ -1,4 +1,4 @@
-"""Looks of the person: skin, clothes and hair are drawn by a seed and painted on the body's own texture."""
+"""Appearance of the person: skin, clothes and hair are drawn by a seed and painted on the body's own texture."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ SKIN_TONES: dict[str, Rgb] = {
     "very light": (236, 200, 180), "light": (220, 174, 146), "intermediate": (196, 146, 116),
     "tan": (166, 116, 86), "brown": (124, 84, 62), "dark": (84, 58, 47),
 }  # fmt: skip
-"""From light to dark, sRGB under the default light. Our own steps, as many as Fitzpatrick (1988) has types."""
+"""Skin tones from light to dark, as sRGB under the default light. The steps are ours; there are as many as Fitzpatrick
+(1988) has types."""
 CLOTHES: dict[str, Rgb] = {
     "navy": (44, 74, 116), "olive": (72, 84, 60), "wine": (122, 48, 62), "teal": (40, 90, 96),
     "violet": (92, 58, 92), "charcoal": (60, 60, 68), "sand": (186, 164, 128), "white": (214, 216, 218),
@@ -27,19 +28,19 @@ HAIR: dict[str, Rgb] = {
 }  # fmt: skip
 
 SPLITS = {"pelvis": 3, "abdomen": 3, "left_thigh": 3, "right_thigh": 3, "head": 1}
-"""How often a triangle is split before painting where an edge of clothes or the features of the face cross it."""
+"""Segment -> how often its triangles are split before painting, because an edge of clothes or a feature of the face
+crosses them."""
 TOP_SPLITS = {"thorax": 2}
 
 
 def draw_appearance(rng: np.random.Generator) -> Appearance:
-    """Draw tone, clothes and hair, all equally likely and independent; the order of the draws is part of
-    ``varied-v1``."""
+    """Draw skin tone, clothes and hair independently and uniformly. The order of the draws is part of ``varied-v1``."""
     skin, cloth, hair = (list(colours.values())[rng.integers(len(colours))] for colours in (SKIN_TONES, CLOTHES, HAIR))
     return Appearance(skin=skin, cloth=cloth, hair=hair)
 
 
 def fine_paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
-    """(TEXTURE_SIZE, TEXTURE_SIZE, 3) at full detail, as the shipped textures are."""
+    """Paint a texture (TEXTURE_SIZE, TEXTURE_SIZE, 3) with full detail, like the shipped textures."""
     fine = body
     for segment, times in {**SPLITS, **(TOP_SPLITS if body.sex == "F" else {})}.items():
         fine = refined(fine, segment, times=times)
@@ -47,7 +48,7 @@ def fine_paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
 
 
 def wear(model: mujoco.MjModel, body: Body, appearance: Appearance) -> None:
-    """Replace the skin's texture in a compiled model, before the first image uploads it. Physics does not change."""
+    """Replace the skin's texture in a compiled model; the physics is unchanged. Call it before the first image."""
     texture = model.texture("human_skin").id
     start = int(model.tex_adr[texture])
     painted = fine_paint(body, appearance)

@@ -28,10 +28,12 @@ CHILD_ALONG = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shank", "sha
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """Bind pose, mesh frame: z up, facing -y, the person's left is +x [m]."""
+    """A person's body in the bind pose. In the mesh frame [m], z points up, the person faces -y, and their left is
+    +x.
+    """
 
     name: str
-    """As ``library.load_body`` takes it."""
+    """Name of the body, as ``library.load_body`` takes it."""
     sex: Sex
     """Selects the rows of de Leva's table."""
     age_group: AgeGroup
@@ -55,7 +57,7 @@ class Body:
     meta: dict[str, Any]
     """Provenance."""
     sha256: str
-    """sha256 of the file."""
+    """sha256 of the body's file."""
 
     @cached_property
     def owner(self) -> npt.NDArray[np.int64]:
@@ -66,12 +68,12 @@ class Body:
         return self.vertices[np.isin(self.owner, [self.segments.index(s) for s in segments])]
 
     def faces_of(self, *segments: str) -> npt.NDArray[np.int64]:
-        """Faces with any corner owned by the segments."""
+        """Return the faces (n, 3) of which any corner belongs to one of the segments."""
         mine = np.isin(self.owner, [self.segments.index(s) for s in segments])
         return self.faces[mine[self.faces].any(1)]
 
     def direction(self, segment: str) -> Array:
-        """Unit vector from a limb segment's joint to the next one's."""
+        """Return the unit vector (3,) from the joint of a limb's segment to the next joint."""
         along = self.axis_vector(segment)
         return along / np.linalg.norm(along)
 
@@ -87,5 +89,5 @@ class Body:
 
     @property
     def bmi(self) -> float:
-        """[kg/m^2]"""
+        """Body mass index [kg/m^2]."""
         return self.mass_kg / self.stature_m**2

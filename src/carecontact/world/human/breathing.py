@@ -1,7 +1,8 @@
-"""Breathing: the belly's wall and the front of the chest ride on slides of the trunk, and the visible skin with them.
+"""Breathing: slide joints on the trunk move the wall of the belly and the front of the chest, and the visible skin with
+them.
 
-The belly's soft region moves as a whole, straight out; the core under it stays. The skin moves with the region over all
-of it, and around it less and less, down to nothing at the trunk's sides. The plates of the chest stand on its slide.
+The belly's soft region moves outward as a whole, and the core under it stays. The skin moves with the region; around
+the region its movement fades to zero at the trunk's sides. The slide of the chest carries the chest's plates.
 """
 
 from __future__ import annotations
@@ -16,24 +17,26 @@ from carecontact.world.human.shell import belly_half_width, belly_span
 from carecontact.world.human.skeleton import body_name
 
 SEGMENT = {"abdomen": "abdomen", "chest": "thorax"}
-"""Part -> the segment on which its slide stands."""
+"""Part -> the segment that carries its slide."""
 FRONT = (0.0, -1.0, 0.0)
-"""In the mesh frame, and so in that of the segments, which lie as in the bind pose."""
+"""Direction of the slides in the mesh frame, which is also that of the segments in the bind pose."""
 STIFFNESS_N_M = 1e5
-"""Of the servo that moves a part: a press with 20 N pushes it back by 0.2 mm, where the belly's tissue gives way by 40
-mm."""
+"""Stiffness of the servo that moves a part: a press of 20 N moves it back by 0.2 mm, while the belly's tissue gives way
+by 40 mm."""
 INERTIA_KG = 2.0
-"""Of the wall that is moved (assumed). It is an armature, so that the segments keep their masses."""
+"""Inertia of the moving wall (assumed). It is an armature of the joint, so that the segments keep their masses."""
 MASS_KG = 1e-3
-"""Of a slide's body: MuJoCo wants one."""
+"""Mass of a slide's body, because MuJoCo requires one."""
 TAPER_M = 0.06
-"""Width of the rim in which the skin's movement fades, along the trunk and across it."""
+"""Width of the rim in which the skin's movement fades, both along the trunk and across it."""
 SIDE_M = 0.03
-"""The same from the plane of the spine forward."""
+"""Width of the zone in which it fades from the plane of the spine forward."""
 
 
 def add_slide(segment: str, bone: mujoco.MjsBody) -> mujoco.MjsBody:
-    """Return what the front of a segment rides on: a new slide on its bone, or the bone where it does not breathe."""
+    """Return the body that carries the front of a segment: a new slide on its bone, or the bone if it does not
+    breathe.
+    """
     part = next((part for part, owner in SEGMENT.items() if owner == segment), None)
     if part is None:
         return bone
@@ -44,7 +47,7 @@ def add_slide(segment: str, bone: mujoco.MjsBody) -> mujoco.MjsBody:
 
 
 def add_servos(spec: mujoco.MjSpec) -> None:
-    """Add what moves the slides. Call after the skeleton."""
+    """Add the servos of the slides. Call it after the skeleton."""
     for part in PARTS:
         servo = spec.add_actuator(
             name=f"breathes_{part}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=breath_body(part),
@@ -59,16 +62,16 @@ def breath_body(part: str) -> str:
 
 
 def carrier(segment: str, *, breathes: bool) -> str:
-    """Name of the body that the front of a segment rides on."""
+    """Return the name of the body that carries the front of a segment."""
     part = next((part for part, owner in SEGMENT.items() if owner == segment), None)
     return breath_body(part) if breathes and part is not None else body_name(segment)
 
 
 def move_skin(spec: mujoco.MjSpec, body: Body) -> None:
-    """Let the visible skin ride on the slides. Call after the skin, with the body that it was made from.
+    """Let the slides move the visible skin. Call it after the skin, with the body that the skin was made from.
 
-    What a vertex gets of a slide's weight, the segment under the slide loses, below zero where it had none: then all
-    that the slide adds is its own movement, wherever the vertex's other segments are.
+    Whatever weight a vertex gets from a slide is subtracted from its weight on the segment under the slide, also below
+    zero. The slide then adds exactly its own movement to that of the vertex's segments.
     """
     skin = spec.skin("human")
     points = np.asarray(skin.vert, np.float64).reshape(-1, 3)
@@ -91,7 +94,7 @@ def move_skin(spec: mujoco.MjSpec, body: Body) -> None:
 
 
 def shares(body: Body, points: npt.ArrayLike) -> dict[str, Array]:
-    """Part -> (n,) share of its movement that each point (n, 3) of the skin makes, in the mesh frame."""
+    """Return, for each part, the share (n,) of its movement that points (n, 3) of the skin make, in the mesh frame."""
     x, y, z = np.asarray(points, np.float64).T
     low, high = belly_span(body)
     shoulder = body.joint_centre["left_upper_arm"]
@@ -104,6 +107,6 @@ def shares(body: Body, points: npt.ArrayLike) -> dict[str, Array]:
 
 
 def _rise(x: Array) -> Array:
-    """From 0 to 1 while x does, without a corner at either end."""
+    """Return a smooth step from 0 to 1 for x from 0 to 1, with zero slope at both ends."""
     x = np.clip(x, 0.0, 1.0)
     return x * x * (3 - 2 * x)

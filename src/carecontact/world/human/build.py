@@ -1,8 +1,8 @@
-"""How thick and how stiff the tissue of a body is that is slimmer or heavier than the one that a row of tissue is of.
+"""Thickness and stiffness of the tissue of a body that is slimmer or heavier than the person of a tissue row.
 
-A row names the body mass index of its person. Over another one's bones, the tissue is thicker or thinner by what
-ultrasound and weight gain say, and its law is weaker or stronger by what finite elements give for that thickness. The
-modulus stays: no publication was found that tells how it depends on build.
+A row names the body mass index of its person. For another body, the tissue is thicker or thinner according to
+ultrasound and weight gain, and its law is weaker or stronger according to finite elements of that thickness. The
+modulus is unchanged: no publication was found on how it depends on build.
 """
 
 from __future__ import annotations
@@ -15,18 +15,19 @@ from carecontact.contract.protocol import Tissue
 from carecontact.world.human.body import Body
 
 LEAST_BMI, MOST_BMI = 18.5, 40.0
-"""[kg/m^2] Thickness grows between these; a body outside has that of the nearer one (assumed)."""
+"""Range [kg/m^2] in which thickness depends on the body mass index; outside, it stays at the nearer end's (assumed)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Growth:
-    """What one kg/m^2 more does to a region."""
+    """The effect of one more kg/m^2 on a region."""
 
     thickness_m: float
-    """Per kg/m^2."""
+    """Thickness gained for each kg/m^2."""
     weakening: float
-    """Force falls with thickness to this power. By finite elements with the middle skin (``validation.fem``), 4 mm past
-    touch, the region's reference indenter, and the thickness of a BMI of 32 against that of man-adult."""
+    """Force falls with thickness to this power. It comes from finite elements with the middle skin
+    (``validation.fem``): force at 4 mm past touch of the region's reference indenter, thickness at a BMI of 32 against
+    man-adult's."""
     source: str
 
 
@@ -46,15 +47,15 @@ GROWTH = {
 
 
 def rounded_bmi(body: Body) -> float:
-    """To a tenth, as rows of tissue name it [kg/m^2]."""
+    """Return the body mass index [kg/m^2] rounded to a tenth, as rows of tissue name it."""
     return round(body.bmi, 1)
 
 
 def tissue_of(body: Body, region: str, row: Tissue) -> Tissue:
-    """The tissue of a region on a body: the row itself where it is of this build, or names none.
+    """Return the tissue of a region on a body: the row itself if it is for this build or names none.
 
-    Thickness changes, and with it the law by one factor at every depth, so that it stays convex; the damping keeps its
-    ratio to the critical one. The depth to which the law was measured stays.
+    The thickness changes and scales the law by one factor at every depth, so that it stays convex. The damping keeps
+    its ratio to critical damping. The depth to which the law was measured is unchanged.
     """
     if row.bmi_kg_m2 is None or region not in GROWTH or row.bmi_kg_m2 == (bmi := rounded_bmi(body)):
         return row
@@ -66,7 +67,7 @@ def tissue_of(body: Body, region: str, row: Tissue) -> Tissue:
 
 
 def stiffened(row: Tissue, factor: float) -> Tissue:
-    """A law that is ``factor`` times as strong at every depth, and as convex; its damping is as far from critical."""
+    """Return a row whose law is ``factor`` times as strong at every depth and whose damping ratio is the same."""
     rooted = ("damping_ns_m3", "damping_growth_ns_m4")
     changed = {name: factor * getattr(row, name) for name in ("a_n_m3", "b_n_m4", "c_n_m5")}
     return row.model_copy(update={**changed, **{name: factor**0.5 * getattr(row, name) for name in rooted}})

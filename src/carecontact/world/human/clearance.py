@@ -1,4 +1,4 @@
-"""Where the trunk stands in the way of a hand that comes straight down on an arm."""
+"""Where the trunk obstructs a robot's hand that comes straight down on an arm."""
 
 from __future__ import annotations
 
@@ -9,26 +9,32 @@ from carecontact.world.human.joints import hinges
 from carecontact.world.human.pose import MIDDLE_ARM_DEG, lying_pose_deg, segment_pose, trunk_rotation
 
 HAND_REACH_M, HAND_OVER_TIP_M = 0.10, 0.035
-"""Of the robot's hand, whichever way it is turned: half its width, and the height of its underside over the tip of the
-tool when the tip is 5 mm deep in the skin."""
+"""Dimensions of the robot's hand, whichever way it is turned: half its width, and the height of its underside over the
+tip of the tool when the tip is 5 mm deep in the skin."""
 TOP_M = 0.02
-"""The top of the arm at a place is the highest skin within this distance."""
+"""The top of the arm at a place is the highest skin within this distance of it."""
 HALF_SCRUB_M = 0.025
 """Half of the 50 mm along the region that the protocols' scrub has to cover."""
 SHARES = np.linspace(0.2, 0.95, 76)
-"""Places along the arm that are tried."""
+"""Places that are tried, as shares of the arm's length."""
 
 
 def free_middle(body: Body, segment: str) -> float:
-    """Share of a limb's length at which the middle of a region beside the trunk lies: half, or on bodies whose chest is
-    in the way of a hand there, so much nearer the next joint that half a scrub to the other side is free too."""
+    """Return the share of a limb's length at which the middle of a region beside the trunk lies.
+
+    It is half. If the chest would obstruct a hand there, it is moved toward the next joint until half a scrub toward
+    the trunk is free.
+    """
     length = float(np.linalg.norm(body.axis_vector(segment)))
     return max(0.5, crowded_until(body, segment) + HALF_SCRUB_M / length)
 
 
 def crowded_until(body: Body, segment: str) -> float:
-    """Largest share of an arm's length at which skin of chest or shoulder, within reach of the hand, is higher than the
-    hand's underside; 0 where there is none. The person lies with the comfort arm at the middle of its range."""
+    """Return the largest share of an arm's length at which chest or shoulder would touch the hand; 0 if there is none.
+
+    There, skin within reach of the hand is higher than the hand's underside. The person lies with the comfort arm at
+    the middle of its range.
+    """
     side, _, name = segment.partition("_")
     rows, pose, trunk = hinges(body), lying_pose_deg(body, MIDDLE_ARM_DEG), trunk_rotation(body)
 

@@ -32,8 +32,8 @@ class Hinge:
     source: str
     """Source of stiffness and damping."""
     neutral_deg: float | None = None
-    """Where the relaxed joint rests; None: nothing is published that would hold in the lying pose, and it rests where
-    the person is laid."""
+    """Angle at which the relaxed joint rests. None: no published value holds in the lying pose, so that the joint rests
+    where the person is laid."""
 
 
 AAOS = "American Academy of Orthopaedic Surgeons 1965, Joint Motion, adult means"
@@ -53,12 +53,13 @@ RANGE_DEG: dict[str, dict[AgeGroup, tuple[float, float]]] = {
     "shank_flexion": {"adult": (0, 130), "old": (0, 130)},
     "foot_plantarflexion": {"adult": (-20, 50), "old": (-20, 50)},
 }
-"""Low and high of the arms' and legs' hinges: AAOS for adults' arms, Walker et al. for the old's, the Merck Manual for
-legs, which are welded in the lying pose. Internal rotation, supination, radial deviation and flexion are positive."""
+"""Lower and upper end of the range of each hinge of arms and legs: AAOS for adults' arms, Walker et al. for those of
+old people, the Merck Manual for legs, which are welded in the lying pose. Internal rotation, supination, radial
+deviation and flexion are positive."""
 MEAN_ARM_KG = 69.2 * DE_LEVA["M"]["upper_arm"].mass
-"""Mass of man-adult's upper arm, which is taken for that of the people whose elbows were measured (assumed)."""
+"""Mass of man-adult's upper arm, which is assumed for the people whose elbows were measured."""
 ELBOW_NM_RAD, ELBOW_RANGE_NM_RAD = 1.1, (0.40, 1.8)
-"""Middle and ends of what Wiegner and Watts found."""
+"""Middle value and range of the stiffness that Wiegner and Watts found."""
 ELBOW_NEUTRAL_DEG = 180.0 - 107.0
 ELBOW = (
     "Wiegner and Watts 1986, J Neurol Neurosurg Psychiatry 49:1171, 19 relaxed people (abstract): 0.40 to 1.8 N m/rad, "
@@ -76,12 +77,12 @@ WRIST = "assumed; stiffer in deviation than in flexion as Formica et al. 2012, J
 
 
 def arm_share(body: Body) -> float:
-    """Mass of the body's upper arm over MEAN_ARM_KG."""
+    """Return the mass of the body's upper arm divided by MEAN_ARM_KG."""
     return body.mass_kg * DE_LEVA[body.sex]["upper_arm"].mass / MEAN_ARM_KG
 
 
 def hinges(body: Body) -> list[Hinge]:
-    """Every hinge of a body in the order of its joints; the ranges are those of its age group."""
+    """Return every hinge of a body in the order of its joints, with the ranges of its age group."""
     rows: list[Hinge] = []
 
     def add(
@@ -124,7 +125,8 @@ def hinges(body: Body) -> list[Hinge]:
         abduction_bind = float(np.degrees(np.arctan2(abs(u[0]), -u[2])))
         raised_bind = float(np.degrees(np.arcsin(np.clip(-u[1], -1, 1))))
         add(upper, "abduction", -sign * y, abduction_bind, *shoulder, SHOULDER)
-        # Lifts the humerus out of the frontal plane at any abduction; its range is that of flexion and extension.
+        # This hinge lifts the humerus out of the frontal plane at any abduction; its range is that of flexion and
+        # extension.
         add(upper, "flexion", np.cross(u, -y), raised_bind, *shoulder, SHOULDER)
         add(upper, "rotation", sign * u, 0, *shoulder, SHOULDER)
         add(fore, "flexion", elbow, elbow_bind, stiff_elbow, 0.2 * share, ELBOW, neutral_deg=ELBOW_NEUTRAL_DEG)
@@ -150,10 +152,10 @@ STRAIGHT_DEG = 10.0
 
 
 def elbow_axis(upper: Array, forearm: Array) -> Array:
-    """(3,) unit axis about which the elbow flexes: across its bend.
+    """Return the unit axis (3,) about which the elbow flexes, which is perpendicular to its bend.
 
-    The axis of an arm straighter than STRAIGHT_DEG cannot be detected (a T-pose), or its bend is the carrying angle
-    rather than flexion: then it is the axis about which the forearm comes forward.
+    An arm that is straighter than STRAIGHT_DEG, as in a T-pose, does not show its axis: its bend may be the carrying
+    angle and not flexion. Then the axis is the one about which the forearm moves forward.
     """
     across = np.cross(upper, forearm)
     bend = float(np.degrees(np.arcsin(np.clip(np.linalg.norm(across), 0, 1))))
@@ -162,7 +164,9 @@ def elbow_axis(upper: Array, forearm: Array) -> Array:
 
 
 def supination_of(palm: Array, elbow: Array, forearm: Array, sign: float) -> float:
-    """Angle of the palm from neutral (palm normal along the elbow's axis) about the supination axis [deg]."""
+    """Return the angle [deg] of the palm about the supination axis; at 0, the palm's normal is along the elbow's
+    axis.
+    """
     axis = -sign * forearm
     neutral = sign * elbow - (sign * elbow @ axis) * axis
     flat = palm - (palm @ axis) * axis
@@ -170,7 +174,7 @@ def supination_of(palm: Array, elbow: Array, forearm: Array, sign: float) -> flo
 
 
 def hand_axes(body: Body, side: str) -> tuple[Array, Array]:
-    """Palm normal (out of the palm) and radial direction (toward the thumb) of a hand in the bind pose, unit."""
+    """Return two unit vectors (3,) of a hand in the bind pose: out of the palm, and toward the thumb."""
     h, letter = body.direction(f"{side}_hand"), side[0].upper()
     radial = body.landmarks[f"finger2-1.{letter}"] - body.landmarks[f"finger5-1.{letter}"]
     radial = radial - (radial @ h) * h

@@ -43,7 +43,7 @@ def load_body(name: str) -> Body:
     segments = tuple(str(s) for s in arrays["segments"])
     weight = arrays["weight"].astype(np.float64)
     centres = dict(zip(segments, arrays["joint_centres_m"].astype(np.float64), strict=True))
-    # The rig's root and first spine bone share one point; the pelvis turns about the hips, the trunk about L5/S1.
+    # The rig's root and its first spine bone share one point. The pelvis turns about the hips, the trunk about L5/S1.
     centres["pelvis"] = (centres["left_thigh"] + centres["right_thigh"]) / 2
     centres["abdomen"] = centres["pelvis"] + 0.25 * (centres["thorax"] - centres["pelvis"])
     meta = json.loads(arrays["meta_json"].tobytes())

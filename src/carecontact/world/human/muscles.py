@@ -1,4 +1,4 @@
-"""Muscles of the right arm, which moves on its own where a protocol says so; else the arm has none.
+"""Muscles of the right arm, for protocols in which it moves on its own; in others, the arm has none.
 
 A muscle's joint has two actuators: one holds the joint with stiffness and damping in proportion to an activation (its
 command), the other adds a torque. Together they are a servo whose set point, stiffness and damping can change.
@@ -16,7 +16,7 @@ from carecontact.kernel.life import JOINTS
 @dataclass(frozen=True, kw_only=True)
 class Muscle:
     stiffness_nm_rad: float
-    """At full activation."""
+    """Stiffness at full activation."""
     damping_nms_rad: float
 
 
@@ -32,12 +32,12 @@ MUSCLES = dict(
         strict=True,
     )
 )
-"""Joint -> its muscles. Assumed: stiff enough that the arm arrives within some millimetres of where it is going, and
-about critically damped."""
+"""Joint -> its muscles. The values are assumed: the arm arrives within some millimetres of its goal and is about
+critically damped."""
 
 
 def add_muscles(spec: mujoco.MjSpec) -> None:
-    """Add the actuators of every muscle. Call after the skeleton."""
+    """Add the actuators of every muscle. Call it after the skeleton."""
     for joint, muscle in MUSCLES.items():
         holds = spec.add_actuator(
             name=f"holds_{joint}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=f"human_{joint}",

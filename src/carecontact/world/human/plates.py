@@ -1,8 +1,9 @@
-"""Surfaces of trunk and legs that give way to a knock: light plates on damped slides, under the hulls of their segment.
+"""Surfaces of trunk and legs that give way to a knock: light plates on damped slides, which carry hulls of their
+segment.
 
-Trunk and legs are one rigid piece of some 60 kg. A tool that met their hulls themselves would feel the damper of
-MuJoCo's contact, whose strength grows with the mass that meets (41 N for each kg of effective mass at 0.2 m/s), and
-nothing of a chest or a thigh. A plate is light, and its springs have published stiffness. The head, the neck, the feet,
+Trunk and legs are one rigid piece of some 60 kg. A tool that hit hulls on it directly would feel the damper of MuJoCo's
+contact, whose force grows with the colliding mass (41 N for each kg of effective mass at 0.2 m/s), and nothing of a
+chest or a thigh. A plate is light, and its springs have published stiffness. The head, the neck, the feet,
 the left arm, the elbows, wrists and hands, and the middle of the back have none and stay hard.
 """
 
@@ -17,26 +18,28 @@ from carecontact.world.human.anthropometry import SegmentInertia
 from carecontact.world.human.body import Array, Body
 
 FREQUENCY_RAD_S, SHANK_RAD_S = 500.0, 600.0
-"""Of a plate on its spring. Chosen: a blow of 1 kg loses little to the plate's own mass, and the spring is still
-followed at the physics step of 2 ms (in the fast mode of 4 ms, only because its damping is integrated implicitly). The
-shank has the stiffest spring and would have the heaviest plate, 0.24 kg; it has 0.17 kg."""
+"""Natural frequency of a plate on its spring; our choice. A blow of 1 kg loses little to the plate's own mass, and the
+physics step of 2 ms still resolves the spring (that of 4 ms in the fast mode only because damping is integrated
+implicitly). The shank has the stiffest spring; its higher frequency gives it a plate of 0.17 kg in place of 0.24 kg."""
 LEAST_MASS_KG = 0.1
 DAMPING_RATIO = 1.2
-"""Of the plate alone, which returns and does not ring; a tool of 1 to 10 kg meets 0.1 to 0.5 of its own critical
-damping. It gives the chest 56 N s/m: resuscitation found 257 N s/m over strokes of 46 mm (median of 30 patients; "A
-simple model to describe the relationship between compression force and depth during CPR", conference abstract 13048),
-and damping that grows with the depth (Gruben et al. 1993, J Biomech Eng 115:195, abstract), so that about 56 N s/m are
-left at 5 mm, as deep as knocks go (assumed to be in proportion to the depth). Assumed to hold for the other parts."""
+"""Damping ratio of the plate alone, which returns without oscillating; a tool of 1 to 10 kg feels 0.1 to 0.5 of its own
+critical damping. It gives the chest 56 N s/m: resuscitation found 257 N s/m over strokes of 46 mm (median of 30
+patients; "A simple model to describe the relationship between compression force and depth during CPR", conference
+abstract 13048), and damping that grows with the depth (Gruben et al. 1993, J Biomech Eng 115:195, abstract), so that
+about 56 N s/m are left at 5 mm, as deep as knocks go (assumed to be in proportion to the depth). Assumed to hold for
+the other parts."""
 SIZE_M = 0.05
-"""Radius of gyration of a plate, which never turns against its segment."""
+"""Radius of gyration of a plate, which never turns relative to its segment."""
 SOLREF, SOLIMP = (0.004, 1.0), (0.98, 0.99, 0.001, 0.5, 2.0)
-"""Of the contact with a plate: as short as the step of 2 ms allows, so that the plate's spring and not the contact
-decides how a knock feels. The fast mode lengthens it to twice its own step."""
+"""MuJoCo's parameters of the contact with a plate. Its time constant is as short as the step of 2 ms allows, so that
+the plate's spring and not the contact determines the force of a knock. The fast mode lengthens it to twice its own
+step."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Give:
-    """How a part of the surface answers a push: a x + b x^2 for a depth x."""
+    """Force of a part of the surface at a depth x: a x + b x^2."""
 
     a_n_m: float
     b_n_m2: float = 0.0
@@ -45,12 +48,12 @@ class Give:
 
     @property
     def mass_kg(self) -> float:
-        """Of the plate."""
+        """Mass of the plate."""
         return max(LEAST_MASS_KG, self.a_n_m / self.frequency_rad_s**2)
 
     @property
     def damping_ns_m(self) -> float:
-        """Of the plate's slides."""
+        """Damping of the plate's slides."""
         return 2.0 * DAMPING_RATIO * float(np.sqrt(self.a_n_m * self.mass_kg))
 
     def force_n(self, depth_m: Array) -> Array:
@@ -72,13 +75,13 @@ GIVES: dict[str, Give] = {
     "shank": Give(a_n_m=60_000.0, frequency_rad_s=SHANK_RAD_S, source=ISO.format("lower legs")),
 }
 SEGMENT_OF = {"chest": "thorax", "shoulder": "thorax", "flank": "abdomen", "hip": "pelvis"}
-"""Part -> segment, where the part is not a segment of its own side."""
+"""Part -> segment, for parts that are not named after a segment."""
 CAP = "shoulder_cap"
-"""Over the joint, on the upper arm. Only the arm with a soft region has one; the other arm is rigid as a whole."""
+"""Plate over the shoulder's joint, on the upper arm. Only the arm with soft regions has one; the other arm is rigid."""
 FRONT = np.array([0.0, -1.0, 0.0])
 SIDEWAYS = {"left": np.array([1.0, 0.0, 0.0]), "right": np.array([-1.0, 0.0, 0.0])}
 REACHED_FROM_THE_SIDE = "right"
-"""The robot stands on this side: plates there give way sideways too."""
+"""Side on which the robot stands; plates on this side also give way sideways."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +95,7 @@ class Plate:
 
     @property
     def breathes(self) -> bool:
-        """Whether it goes along where the chest rises and falls."""
+        """Whether the plate moves with the chest's breathing."""
         return self.name.endswith("_chest")
 
 
@@ -118,7 +121,7 @@ def plate_body(plate: str) -> str:
 
 
 def add_plate(bone: mujoco.MjsBody, plate: Plate, centre: Array) -> mujoco.MjsBody:
-    """``centre``: (3,) where the plate's mass is, in the bone's frame."""
+    """Add a plate to a bone and return its body. ``centre``: (3,) place of the plate's mass in the bone's frame."""
     made = bone.add_body(name=plate_body(plate.name), explicitinertial=True, mass=plate.give.mass_kg, ipos=centre,
                          inertia=np.full(3, plate.give.mass_kg * SIZE_M**2))  # fmt: skip
     for number, outward in enumerate(plate.outward):
@@ -130,9 +133,9 @@ def add_plate(bone: mujoco.MjsBody, plate: Plate, centre: Array) -> mujoco.MjsBo
 
 
 def without_plates(row: SegmentInertia, places: list[tuple[Plate, Array]]) -> tuple[float, Array, Array]:
-    """Mass, centre (3,) and inertia tensor (3, 3) of what is left of a segment's bone, in the mesh frame.
+    """Return mass, centre (3,) and inertia tensor (3, 3), in the mesh frame, of a segment's bone without its plates.
 
-    ``places``: its plates and where their masses are, in the mesh frame.
+    ``places``: the plates and the places of their masses in the mesh frame.
     """
     mass = row.mass_kg - sum(plate.give.mass_kg for plate, _ in places)
     centre = (row.mass_kg * row.centre_m - sum(plate.give.mass_kg * at for plate, at in places)) / mass
@@ -143,11 +146,11 @@ def without_plates(row: SegmentInertia, places: list[tuple[Plate, Array]]) -> tu
 
 
 def _spread(offset: Array) -> Array:
-    """(3, 3) inertia of a unit mass at an offset (3,)."""
+    """Return the inertia (3, 3) of a unit mass at an offset (3,)."""
     return offset @ offset * np.eye(3) - np.outer(offset, offset)
 
 
 def trunk_sides(body: Body, points: Array, side: str, *, overlap_m: float = 0.015) -> Array:
-    """(n, 3) the points of one side of the trunk, with a seam that both sides have."""
+    """Return the points (n, 3) of one side of the trunk; near the middle, both sides share a strip of points."""
     sign = SIDEWAYS[side][0]
     return points[sign * (points[:, 0] - body.joint_centre["pelvis"][0]) > -overlap_m]

@@ -13,11 +13,13 @@ from carecontact.world.human.body import PARENT, Array, Body
 from carecontact.world.human.joints import Hinge, hinges
 
 BOARD_HEIGHT_M = 0.022
-"""Padded arm board above the mattress: it bends the elbow a little, so that every arm joint rests inside its range."""
+"""Height of the padded arm board above the mattress: it bends the elbow a little, so that every joint of the arm rests
+inside its range."""
 MIDDLE_ARM_DEG = 52.5
 """Middle of the comfort arm's range, 45 to 60 degrees."""
 RIGHT_SHOULDER_M = (0.438, 0.195)
-"""World x and y of the right shoulder's centre: whoever lies there, the comfort arm starts beside its board."""
+"""World x and y of the right shoulder's centre, the same for every body, so that the comfort arm begins beside its
+board."""
 
 # Columns are the mesh frame's axes in the world: mesh z (head) -> +x, mesh -y (front) -> +z, mesh x (left) -> -y.
 SUPINE = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -41,21 +43,21 @@ pose, except the flexion of shoulder, elbow and hip, which follows from the body
 
 
 PALM_PER_ROTATION = 0.9
-"""Turn of the forearm against the upper arm's that keeps the palm up: the elbow is a little bent, so that it is not
-quite one turn about one axis."""
+"""Turn of the forearm, for each degree of the upper arm's rotation, that keeps the palm up. It is not 1 because the
+elbow is a little bent."""
 PALM_DEG = (-60.0, 66.0)
-"""Ends of the forearm's turn in a lying pose: 4 degrees and more inside the joint's range."""
+"""Least and largest turn of the forearm in a lying pose, at least 4 degrees inside the joint's range."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArmTurn:
-    """How the right arm lies besides its abduction: ``Person.shoulder_rotation_deg`` and ``Person.palm_deg``."""
+    """How the right arm is turned, besides its abduction: ``Person.shoulder_rotation_deg`` and ``Person.palm_deg``."""
 
     shoulder_rotation_deg: float = 0.0
     palm_deg: float = 0.0
 
     def angles(self) -> dict[str, float]:
-        """Hinge -> angle [deg], in place of those of LIES_DEG."""
+        """Return hinge -> angle [deg], which replace those of LIES_DEG."""
         rotation, palm = "right_upper_arm_rotation", "right_forearm_supination"
         if not (self.shoulder_rotation_deg or self.palm_deg):
             return {}
@@ -69,14 +71,14 @@ class ArmTurn:
 NOT_TURNED = ArmTurn()
 
 LEAST_ELBOW_DEG = 7.0
-"""Least distance of the elbow from the end of its range."""
+"""Least distance [deg] of the elbow from the end of its range."""
 
 
 def lying_pose_deg(body: Body, comfort_arm_deg: float, turn: ArmTurn = NOT_TURNED) -> dict[str, float]:
-    """Hinge -> anatomical angle [deg]; hinges that are not named keep the bind pose.
+    """Return hinge -> anatomical angle [deg]; hinges that are not named keep the bind pose.
 
-    The trunk rests on buttocks and shoulder blades. From there shoulder, elbow and hip are flexed until elbow, wrist
-    and heel (or calf) just touch what is under them: the board under the right arm, else the mattress.
+    The trunk rests on buttocks and shoulder blades. Then shoulder, elbow and hip are flexed until elbow, wrist and heel
+    (or calf) just touch what is under them: the board under the right arm, elsewhere the mattress.
     """
     rows, at = hinges(body), {proxy.name: proxy for proxy in bed_proxies(body)}
     laid = {**LIES_DEG, **turn.angles()}
@@ -99,7 +101,7 @@ def lying_pose_deg(body: Body, comfort_arm_deg: float, turn: ArmTurn = NOT_TURNE
         flex(elbow, (f"{side}_wrist",), board, 0.0, 60.0)
         least = next(row.range_deg[0] for row in rows if row.name == elbow) + LEAST_ELBOW_DEG
         if pose[elbow] < least:
-            # A slim arm would lie straight: turn it outward, so that the elbow is bent along the board instead.
+            # A slim arm would lie straight. Turning it outward bends the elbow along the board instead.
             pose[elbow] = least
             turned, palm = f"{side}_upper_arm_rotation", f"{side}_forearm_supination"
             for _ in range(4):  # turning lifts the elbow a little
@@ -111,10 +113,10 @@ def lying_pose_deg(body: Body, comfort_arm_deg: float, turn: ArmTurn = NOT_TURNE
 
 
 def rest_deg(rows: Sequence[Hinge], pose_deg: dict[str, float]) -> list[float]:
-    """Angle at which the spring of each hinge has no torque, when a person is laid in a pose.
+    """Return the angle [deg] of each hinge at which its spring has no torque, for a person who is laid in a pose.
 
-    An elbow rests at its neutral angle, unless its arm was turned outward (``lying_pose_deg``): there its torque would
-    draw the forearm along the board until the shoulder's rotation ends, and the elbow rests where it was laid.
+    An elbow rests at its neutral angle unless its arm was turned outward (``lying_pose_deg``). There, this torque would
+    pull the forearm along the board to the end of the shoulder's rotation, so that the elbow rests where it was laid.
     """
     rest: list[float] = []
     for row in rows:
@@ -126,10 +128,10 @@ def rest_deg(rows: Sequence[Hinge], pose_deg: dict[str, float]) -> list[float]:
 
 
 def angle_of_root(gap: Callable[[float], float], low: float, high: float) -> float:
-    """Where a rising function crosses zero; the end of the range where it does not.
+    """Return where a rising function crosses zero; if it does not, the nearer end of the range.
 
-    By 24 bisections and not by scipy's root finding: the lying pose is part of every settled world, and its last bits
-    decide whether old trials can be repeated.
+    It uses 24 bisections and not scipy's root finding, because the lying pose is part of every settled world, and its
+    last bits decide whether old trials can be repeated.
     """
     for _ in range(24):
         middle = (low + high) / 2
@@ -138,12 +140,16 @@ def angle_of_root(gap: Callable[[float], float], low: float, high: float) -> flo
 
 
 def trunk_rotation(body: Body) -> Array:
-    """(3, 3) mesh frame -> world of the trunk on its supports: supine, with the head end a little lower."""
+    """Return the rotation (3, 3) from the mesh frame to the world of a trunk on its supports: supine, with the head end
+    a little lower.
+    """
     return axis_rotation(np.array([0.0, 1.0, 0.0]), trunk_tilt(body)) @ SUPINE
 
 
 def root_position(body: Body, mattress_top_m: float) -> Array:
-    """(3,) of the pelvis in the world: the right shoulder at its place beside the board, buttocks on the mattress."""
+    """Return the place (3,) [m] of the pelvis in the world for which the right shoulder is at its place beside the
+    board and the buttocks lie on the mattress.
+    """
     trunk, pelvis = trunk_rotation(body), body.joint_centre["pelvis"]
     buttock = next(proxy for proxy in bed_proxies(body) if proxy.name == "right_buttock")
     shoulder = trunk @ (body.joint_centre["right_upper_arm"] - pelvis)
@@ -154,8 +160,9 @@ def root_position(body: Body, mattress_top_m: float) -> Array:
 def segment_pose(
     body: Body, rows: list[Hinge], pose_deg: dict[str, float], trunk: Array, segment: str
 ) -> tuple[Array, Array]:
-    """(3, 3) turn of a segment out of the mesh frame, and (3,) its joint from that of the pelvis [m], in the world's
-    directions; ``trunk`` (3, 3) is the pelvis' own turn."""
+    """Return a segment's rotation (3, 3) from the mesh frame to the world, and the vector (3,) [m] from the pelvis'
+    joint to its own. ``trunk``: the pelvis' rotation (3, 3).
+    """
     chain: list[str] = []
     link: str | None = segment
     while link is not None:
@@ -169,13 +176,13 @@ def segment_pose(
 
 
 def _height(body: Body, rows: list[Hinge], pose: dict[str, float], trunk: Array, proxy: Proxy) -> float:
-    """Height of a sphere's lowest point over the pelvis joint in the pose [m]."""
+    """Return the height [m] of a sphere's lowest point over the pelvis' joint in a pose."""
     turn, place = segment_pose(body, rows, pose, trunk, proxy.segment)
     return float(place[2] + (turn @ (proxy.centre - body.joint_centre[proxy.segment]))[2]) - proxy.radius_m
 
 
 def rotation_from_bind(rows: list[Hinge], segment: str, pose_deg: dict[str, float]) -> Array:
-    """(3, 3) turn of a segment against its parent when its hinges stand at the pose's angles."""
+    """Return the rotation (3, 3) of a segment relative to its parent at the pose's angles of its hinges."""
     out = np.eye(3)
     for row in rows:
         if row.segment == segment and row.name in pose_deg:
@@ -184,7 +191,7 @@ def rotation_from_bind(rows: list[Hinge], segment: str, pose_deg: dict[str, floa
 
 
 def axis_rotation(axis: Array, angle: float) -> Array:
-    """(3, 3) by Rodrigues' formula."""
+    """Return the rotation (3, 3) about an axis (3,) by an angle [rad], by Rodrigues' formula."""
     x, y, z = axis
     k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)

@@ -11,11 +11,12 @@ from carecontact.world.human.body import Array, Body
 
 
 def refined(body: Body, *segments: str, times: int) -> Body:
-    """A copy whose faces on ``segments`` are split into four, ``times`` over, and rounded; weights and texture stay.
+    """Return a copy of a body whose faces on ``segments`` are split into four, ``times`` times, and rounded.
 
-    New points are pulled to the tangent planes at their edge's ends (Phong tessellation, Boubekeur and Alexa 2008), or
-    shading would show every old triangle; on the segments' rim they stay on the straight edge, so that nothing gapes.
-    This is for drawing only: region geometry and masses come from the body as it was baked.
+    New points are moved toward the tangent planes at the ends of their edge (Phong tessellation, Boubekeur and Alexa
+    2008); otherwise, shading would show every old triangle. At the border of the segments they stay on the straight
+    edge, so that no gap appears. Weights and texture are kept. The copy is for drawing only: regions and masses come
+    from the original body.
     """
     indices = [body.segments.index(segment) for segment in segments]
     for _ in range(times):
@@ -49,11 +50,11 @@ def _split(body: Body, indices: list[int]) -> Body:
 
 Indices = npt.NDArray[np.int64]
 ROUNDING = 0.75
-"""Share of the way to the tangent planes; the value that the method's authors recommend."""
+"""Share of the way to the tangent planes, as the method's authors recommend."""
 
 
 def _rounded(body: Body, edges: Indices, *, inner: npt.NDArray[np.bool_]) -> Array:
-    """(E, 3) new points on the edges; only ``inner`` ones leave the straight line."""
+    """Return new points (E, 3) on the edges; only those of ``inner`` edges leave the straight line."""
     normals = np.zeros_like(body.vertices)
     corner = body.vertices[body.faces]
     face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -68,7 +69,7 @@ def _rounded(body: Body, edges: Indices, *, inner: npt.NDArray[np.bool_]) -> Arr
 
 
 def _midpoints(faces: Indices) -> tuple[Indices, Indices]:
-    """Unique edges (E, 2), and for each face (F, 3) the edge between corners 0-1, 1-2, 2-0."""
+    """Return the unique edges (E, 2), and for each face (F, 3) its edges between corners 0-1, 1-2 and 2-0."""
     pairs = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], -1), axis=-1).reshape(-1, 2)
     edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
     return edges, inverse.reshape(-1, 3)

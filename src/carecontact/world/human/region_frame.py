@@ -1,4 +1,4 @@
-"""Where a region is on a body, and how large: the frame in which a tool's way over it is measured."""
+"""Place and size of a region on a body: the frame in which a tool's path over the region is measured."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import rigid_points
 
 MIDDLE_SHARE = 0.1
-"""Of a rigid region's length, either way from its middle: its radii are measured there."""
+"""Share of a rigid region's length, either way from its middle, in which its radii are measured."""
 TRUNK_AXIS, FOOT_AXIS = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
-"""Of segments that have no next joint, in the mesh frame: toward the head, and from heel to toe."""
+"""Axes, in the mesh frame, of segments that have no next joint: toward the head, and from heel to toe."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RegionFrame:
-    """In the mesh frame of the bind pose."""
+    """A region's frame and size, in the mesh frame of the bind pose."""
 
     origin: Array
     """(3,) middle of the region's axis [m]"""
@@ -39,7 +39,7 @@ class RegionFrame:
 
 
 def soft_frame(shell: Shell) -> RegionFrame:
-    """Of a region with a shell."""
+    """Return the frame of a region with a shell."""
     return RegionFrame(
         origin=shell.frame_origin, axes=shell.frame,
         size_m=np.array([shell.length_m, shell.radius_m, shell.axis_depth_m]),
@@ -47,9 +47,9 @@ def soft_frame(shell: Shell) -> RegionFrame:
 
 
 def rigid_frame(body: Body, region: str, turn: ArmTurn = NOT_TURNED) -> RegionFrame:
-    """Of a region without a shell: the whole segment, measured on its rigid surface.
+    """Return the frame of a region without a shell: the whole segment, measured on its rigid surface.
 
-    Raises SceneError for a segment that has none.
+    Raises SceneError for a segment without a surface.
     """
     segment = REGIONS[region].segment
     x = _axis(body, segment)
@@ -71,7 +71,9 @@ def rigid_frame(body: Body, region: str, turn: ArmTurn = NOT_TURNED) -> RegionFr
 
 
 def upward_in_bind(body: Body, segment: str, turn: ArmTurn = NOT_TURNED) -> Array:
-    """(3,) direction in the segment's bind frame that faces up in the nominal lying pose (middle comfort angle)."""
+    """Return the direction (3,) in the segment's bind frame that points up in the nominal lying pose, with the comfort
+    arm at the middle of its range.
+    """
     rows, pose = hinges(body), lying_pose_deg(body, MIDDLE_ARM_DEG, turn)
     rotation, _ = segment_pose(body, rows, pose, trunk_rotation(body), segment)
     return rotation.T @ np.array([0.0, 0.0, 1.0])

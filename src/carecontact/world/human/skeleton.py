@@ -25,7 +25,7 @@ BED_ONLY = {"contype": 2, "conaffinity": 0}
 HIDDEN_GROUP = 3
 ROOT_JOINT = "human_root"
 LIMB_REACH_M = 0.09
-"""Surface nearer to a limb's axis than this is the limb's."""
+"""Surface within this distance of a limb's axis belongs to the limb."""
 
 
 def body_name(segment: str) -> str:
@@ -41,9 +41,9 @@ def add_skeleton(
     soft_regions: Iterable[str],
     front: Callable[[str, mujoco.MjsBody], mujoco.MjsBody] | None = None,
 ) -> list[Hinge]:
-    """Add every segment under a free root; returns the hinges in the order of their joints.
+    """Add every segment under a free root, and return the hinges in the order of their joints.
 
-    A segment's mass counts its shell: the inertia that the shell's law has is that of its motion against the bone.
+    A segment's mass includes its shell: the inertia in the shell's law concerns only its motion relative to the bone.
 
     Args:
         soft_regions: those with a shell, which covers part of their segments' surface.
@@ -113,17 +113,17 @@ class _Hull:
     points: Array
     """(n, 3) mesh frame"""
     plate: str | None = None
-    """What carries it; None: the bone itself."""
+    """Name of the plate that carries it; None means the bone."""
 
 
 def _middle(surface: list[_Hull], plate: str) -> Array:
-    """(3,) of a plate's hull, in the mesh frame."""
+    """Return the middle (3,) of a plate's hull in the mesh frame."""
     points = np.concatenate([hull.points for hull in surface if hull.plate == plate])
     return (points.min(0) + points.max(0)) / 2
 
 
 def _add_hull(spec: mujoco.MjSpec, body: Body, hull: _Hull, to: mujoco.MjsBody) -> None:
-    """Robot contact with it is a result too (off target)."""
+    """Add a hull to a body. A robot's contact with it is recorded too, as contact off the target."""
     points, name = hull.points, f"human_hull_{hull.name}"
     if len(points) > 400:
         points = points[:: len(points) // 400]
@@ -136,7 +136,8 @@ def _add_hull(spec: mujoco.MjSpec, body: Body, hull: _Hull, to: mujoco.MjsBody) 
 
 
 def rigid_points(body: Body, segment: str) -> Array:
-    """(n, 3) points of the surface that the robot touches where the segment has no soft shell, in the mesh frame.
+    """Return the points (n, 3), in the mesh frame, of the surface that the robot touches if the segment has no soft
+    shell.
 
     Raises SceneError for a segment without a surface of its own.
     """
@@ -147,13 +148,13 @@ def rigid_points(body: Body, segment: str) -> Array:
 
 
 ARMPIT_M = 0.07
-"""Below the shoulder's joint: the girdle of the shoulders is above, the rib cage below."""
+"""Distance below the shoulder's joint at which the shoulder girdle ends and the rib cage begins."""
 GIRDLE_SHARE = 0.45
-"""Of the way from the breastbone to the shoulder's joint: there the girdle begins."""
+"""Share of the way from the breastbone to the shoulder's joint at which the girdle begins."""
 
 
 def _hulls(body: Body, soft: dict[str, str]) -> Iterator[_Hull]:
-    """Every hull: what no shell covers, so that nothing is open.
+    """Yield every hull: together they cover all that no shell covers, so that the surface has no hole.
 
     ``soft``: segment -> its soft region.
     """
@@ -165,7 +166,8 @@ def _hulls(body: Body, soft: dict[str, str]) -> Iterator[_Hull]:
             points = body.vertices_of("thorax", "left_clavicle", "right_clavicle")
             yield from _rib_cage(body, points[points[:, 2] > high])
         elif segment == "pelvis":
-            # The rig gives the pelvis few vertices; the top of the thighs and the lowest abdomen close it.
+            # The rig assigns few vertices to the pelvis, so that the top of the thighs and the lowest abdomen complete
+            # it.
             points = body.vertices_of("pelvis", "left_thigh", "right_thigh", "abdomen")
             points = points[(points[:, 2] > low - 0.13) & (points[:, 2] < low + 0.005)]
             for side in SIDEWAYS:
@@ -186,13 +188,16 @@ def _hulls(body: Body, soft: dict[str, str]) -> Iterator[_Hull]:
 
 
 def _own_plate(segment: str) -> str | None:
-    """Name of the only plate of a limb's segment; None where it has none."""
+    """Return the name of the only plate of a limb's segment; None if it has none."""
     return next((plate.name for plate in plates_of(segment)), None)
 
 
 def _rib_cage(body: Body, points: Array) -> Iterator[_Hull]:
-    """Chest and girdle of either side. One hull over all of them would bridge the hollow between chest and arm, and the
-    robot's hand could not come down on the upper arm of a heavy body."""
+    """Yield hulls of the chest and of the shoulder girdle on either side.
+
+    One hull over all of them would fill the hollow between chest and arm, so that the robot's hand could not come down
+    on the upper arm of a heavy body.
+    """
     shoulder = body.joint_centre["left_upper_arm"]
     for side in SIDEWAYS:
         mine = trunk_sides(body, points, side)
@@ -203,7 +208,7 @@ def _rib_cage(body: Body, points: Array) -> Iterator[_Hull]:
 
 
 def _limb_ends(body: Body, segment: str, tube: Tube) -> Iterator[_Hull]:
-    """A soft limb's rigid ends beside its shell, for example shoulder cap and elbow, or elbow and wrist."""
+    """Yield the rigid ends of a soft limb beside its shell, for example shoulder cap and elbow, or elbow and wrist."""
     side = segment.partition("_")[0]
     start, along = tube.span
     points = body.vertices_of(segment, *(f"{side}_{kind}" for kind in tube.closed_by))

@@ -1,4 +1,4 @@
-"""The visible skin: a MuJoCo skin driven one way by the skeleton, with a procedural texture. Never in contact."""
+"""The visible skin: a MuJoCo skin that the skeleton moves, with a procedural texture. It has no contact."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ GREY = (168, 164, 158)
 
 
 def baked_texture(name: str) -> npt.NDArray[np.uint8]:
-    """(TEXTURE_SIZE, TEXTURE_SIZE, 3) default texture of a shipped body. Raises AssetError if missing or broken."""
+    """Return the default texture (TEXTURE_SIZE, TEXTURE_SIZE, 3) of a shipped body. Raises AssetError if it is missing
+    or broken.
+    """
     path = resources.files("carecontact") / "assets" / "bodies" / f"{name}.skin.png"
     try:
         image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
@@ -41,14 +43,16 @@ def baked_texture(name: str) -> npt.NDArray[np.uint8]:
 
 
 def texture_of(body: Body) -> npt.NDArray[np.uint8]:
-    """A shipped body's own texture; any other body is painted here, in the colours of its age."""
+    """Return a shipped body's own texture; for any other body, paint one in the colours of its age group."""
     if body.name in body_names():
         return baked_texture(body.name)
     return paint(body, Appearance(hair=GREY) if body.age_group == "old" else Appearance())
 
 
 def add_skin(spec: mujoco.MjSpec, body: Body) -> None:
-    """Add one skin over all segments. Corners that share a vertex but not a texture point are split."""
+    """Add one skin over all segments. Corners of triangles that share a vertex but not a texture point become two
+    vertices.
+    """
     pairs = np.stack([body.faces.ravel(), body.uv_faces.ravel()], 1)
     unique, inverse = np.unique(pairs, axis=0, return_inverse=True)
     vertex = unique[:, 0]
@@ -78,7 +82,7 @@ def add_skin(spec: mujoco.MjSpec, body: Body) -> None:
 
 
 def paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
-    """(TEXTURE_SIZE, TEXTURE_SIZE, 3): each face gets the colour of its place on the body."""
+    """Return a texture (TEXTURE_SIZE, TEXTURE_SIZE, 3) in which each face has the colour of its place on the body."""
     colour = np.clip(_face_colours(body, appearance), 0, 255)
     corners = body.uv[body.uv_faces] * TEXTURE_SIZE
     corners[..., 1] = TEXTURE_SIZE - corners[..., 1]
@@ -86,7 +90,7 @@ def paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
     image = np.empty((TEXTURE_SIZE, TEXTURE_SIZE, 3), np.uint8)
     image[:] = appearance.skin
     for triangle, c in zip(fixed, colour.tolist(), strict=True):
-        # The outline closes the hairline between neighbours that texture filtering would show.
+        # The outline covers the hairline between neighbours, which texture filtering would show.
         cv2.fillConvexPoly(image, triangle, c, cv2.LINE_8, 4)
         cv2.polylines(image, [triangle], True, c, 1, cv2.LINE_8, 4)
     return cv2.GaussianBlur(image, (3, 3), 0)  # pyright: ignore[reportReturnType]
@@ -96,7 +100,7 @@ def _face_colours(body: Body, appearance: Appearance) -> Array:
     skin, cloth, hair = (np.array(c, np.float64) for c in (appearance.skin, appearance.cloth, appearance.hair))
     centre = body.vertices[body.faces].mean(1)
     segment = np.array(body.segments)[body.owner[body.faces[:, 0]]]
-    # Slow mottling in 3-D: a flat tone makes key-point detectors fail.
+    # Mottling of low spatial frequency: with one flat tone, key-point detectors fail.
     waves = np.array([[23.0, 17, 9], [-11, 31, 19], [41, -7, 29], [90, 60, -70]])
     mottle = np.sin(centre @ waves.T + [0.3, 1.9, 4.1, 2.2]).mean(1)
     colour = skin * (1 + 0.045 * mottle)[:, None]

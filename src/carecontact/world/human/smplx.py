@@ -33,7 +33,7 @@ JOINTS = (
     *(f"{s}_{finger}{k}" for s in ("left", "right") for finger in ("index", "middle", "pinky", "ring", "thumb")
       for k in (1, 2, 3)),
 )  # fmt: skip
-"""The 55 joints of SMPL-X in its order."""
+"""The 55 joints of SMPL-X, in the order of its files."""
 SEGMENT_JOINTS = {
     "pelvis": ("pelvis",), "abdomen": ("spine1",), "thorax": ("spine2", "spine3"), "neck": ("neck",),
     "head": ("head", "jaw", "left_eye", "right_eye"),
@@ -48,19 +48,20 @@ SEGMENT_JOINTS = {
         }.items()
     },
 }  # fmt: skip
-"""Segment -> its joints, the first being the one about which it turns."""
+"""Segment -> its joints; it turns about the first one."""
 LANDMARKS = {
     "eye.L": "left_eye", "eye.R": "right_eye", "head": "head",
     **{f"{ours}.{s[0].upper()}": f"{s}_{theirs}" for s in ("left", "right")
        for ours, theirs in (("finger3-3", "middle3"), ("finger2-1", "index1"), ("finger5-1", "pinky1"))},
 }  # fmt: skip
 TO_MESH = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-"""SMPL-X has y up and faces +z."""
+"""Rotation from SMPL-X's axes, with y up and the person facing +z, to the mesh frame."""
 DENSITY_KG_M3 = 980.0
-"""Used where no mass is given; Anny gives the shipped bodies their mass by the same density."""
+"""Density that gives a body's mass if none is given; the shipped bodies have their mass by the same density, from
+Anny."""
 SUPINATION_DEG = 50.0
-"""The file's palms face down. They are turned up to here before anything else, evenly along the forearm as skin does
-it: a rigid forearm turned that far would wring the skin at the elbow."""
+"""Supination to which the file's palms, which face down, are turned before anything else. The turn is spread evenly
+along the forearm, as in real skin: turning a rigid forearm so far would twist the skin at the elbow."""
 LICENCE = "the user's own file; SMPL-X model licence"
 
 REQUIRED = {
@@ -71,18 +72,18 @@ OPTIONS = "sex=F or sex=M (required), age=adult or age=old, mass=KG, betas=B1,B2
 
 
 def smplx_path(name: str) -> Path:
-    """The file that ``smplx:FILE.npz?...`` names."""
+    """Return the path of the file that ``smplx:FILE.npz?...`` names."""
     return Path(name.removeprefix(SMPLX_PREFIX).partition("?")[0])
 
 
 def load_smplx(name: str) -> Body:
-    """The body that ``smplx:FILE.npz?sex=F`` names.
+    """Load the body that ``smplx:FILE.npz?sex=F`` names.
 
     Raises ConfigError naming the file and what is wrong: no file, no npz, a missing key, a wrong shape, another number
     of joints or another tree of them, values that are not numbers, or an unknown option.
     """
     place = smplx_path(name)
-    # The file comes first: if its name is misspelt, an error about options would mislead.
+    # Check the file before the options: if its name is misspelt, an error about options would mislead.
     arrays, digest = _arrays(place)
     sex, age, mass, betas = _options(name.partition("?")[2], name=name)
     joints = np.asarray(arrays["J_regressor"], np.float64)
@@ -105,7 +106,7 @@ def load_smplx(name: str) -> Body:
     joint_centre["pelvis"] = (at["left_hip"] + at["right_hip"]) / 2
     joint_centre["abdomen"] = at["spine1"]
     uv, uv_faces = _texture(arrays, vertices, faces)
-    # On the plain projection, eyes and lids share one place of the texture: the lids win.
+    # In this projection, eyes and lids share one place of the texture, which the lids get.
     is_eye = np.isin(weights.argmax(1), [JOINTS.index(f"{s}_eye") for s in ("left", "right")]) & ("vt" in arrays)
     volume = _volume(vertices, faces)
     if not 0.01 < volume < 0.3:
@@ -143,7 +144,7 @@ def _options(query: str, *, name: str) -> tuple[Sex, AgeGroup, float | None, lis
 
 
 def _arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
-    """The needed arrays, checked, and the file's sha256."""
+    """Return the needed arrays after checking them, and the file's sha256."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -177,7 +178,7 @@ def _arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
 
 
 def _check_tree(table: npt.NDArray[Any], path: Path) -> None:
-    """Check the parents of some joints: everything below identifies joints by their order alone."""
+    """Check the parents of some joints, because this module identifies joints by their order alone."""
     expected = {"left_elbow": "left_shoulder", "right_wrist": "right_elbow", "jaw": "head", "spine3": "spine2",
                 "left_middle1": "left_wrist", "right_pinky3": "right_pinky2", "left_foot": "left_ankle"}  # fmt: skip
     for child, parent in expected.items():
@@ -188,7 +189,7 @@ def _check_tree(table: npt.NDArray[Any], path: Path) -> None:
 
 
 def _shape(arrays: dict[str, npt.NDArray[Any]], betas: list[float], *, place: Path) -> Array:
-    """(V, 3) offsets of the shape coefficients."""
+    """Return the offsets (V, 3) [m] of the vertices for shape coefficients."""
     directions = arrays.get("shapedirs")
     vertices = len(arrays["v_template"])
     if directions is None or directions.ndim != 3 or directions.shape[:2] != (vertices, 3):
@@ -199,7 +200,7 @@ def _shape(arrays: dict[str, npt.NDArray[Any]], betas: list[float], *, place: Pa
 
 
 def _palm_up(body: Body, side: Literal["left", "right"], dense: Array) -> Body:
-    """Turn a forearm about its long axis, from nothing at the elbow to all of it at the wrist; the hand goes along.
+    """Turn a forearm about its long axis, by nothing at the elbow and by the full angle at the wrist and the hand.
 
     ``dense``: (V, S) skin weights.
     """
@@ -235,7 +236,7 @@ def _palm_up(body: Body, side: Literal["left", "right"], dense: Array) -> Body:
 def _texture(
     arrays: dict[str, npt.NDArray[Any]], vertices: Array, faces: npt.NDArray[np.int64]
 ) -> tuple[Array, npt.NDArray[np.int64]]:
-    """The file's texture coordinates; where it has none, front and back are projected side by side."""
+    """Return the file's texture coordinates; if it has none, project front and back side by side."""
     vt, ft = arrays.get("vt"), arrays.get("ft")
     if vt is not None and ft is not None and vt.ndim == 2 and ft.shape == faces.shape and int(ft.max()) < len(vt):
         return np.clip(np.asarray(vt[:, :2], np.float64), 0.0, 1.0), ft.astype(np.int64)

@@ -13,22 +13,26 @@ from carecontact.world.human.build import stiffened
 P95 = 1.6448536269514722
 """The 95th percentile of the standard normal distribution."""
 WIDEST = 2.0
-"""Standard deviations: what is drawn beyond is set to this, since no publication tells how far the tails reach."""
+"""Largest deviate [standard deviations]: draws beyond it are set to it, since no publication says how far the tails
+reach."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Of a law's factor over people, whose median is 1."""
+    """Distribution over people of the factor of a law; its median is 1."""
 
     p5: float
     p95: float
     together: str
-    """Regions with the same word are drawn as one: a person whose forearm is soft has a soft upper arm (assumed)."""
+    """Regions with the same word share one draw: a person with a soft forearm has a soft upper arm (assumed)."""
     source: str
 
     def factor(self, deviate: float) -> float:
-        """The factor at a standard normal deviate: logarithmic, with a width of its own on either side, so that the
-        5th, 50th and 95th percentile are the published ones."""
+        """Return the factor at a standard normal deviate.
+
+        Its logarithm is normal with different widths below and above the median, so that the 5th, 50th and 95th
+        percentile are the published ones.
+        """
         z = float(np.clip(deviate, -WIDEST, WIDEST))
         return float((self.p95 if z > 0 else 1 / self.p5) ** (z / P95))
 
@@ -51,7 +55,7 @@ SPREADS = {
 
 
 def draw_tissue(rng: np.random.Generator, rows: Mapping[str, Tissue]) -> dict[str, Tissue]:
-    """One person's tissue: the rows of the regions in SPREADS, each a published share softer or stiffer."""
+    """Draw one person's tissue: the rows of the regions in SPREADS, each made softer or stiffer by a drawn factor."""
     words = sorted({spread.together for spread in SPREADS.values()})
     deviates = dict(zip(words, rng.standard_normal(len(words)).tolist(), strict=True))
     return {

@@ -1,4 +1,4 @@
-"""Triangles between rows of points, rays onto a surface, and the quantities of a triangulated patch."""
+"""Triangles between rows of points, rays onto a surface, and normals and areas of a triangulated surface."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Indices = npt.NDArray[np.int64]
 
 
 def graded(low: float, high: float, spacing: Callable[[Array], Array]) -> Array:
-    """Coordinates from ``low`` to ``high``, both included, nowhere further apart than ``spacing`` says.
+    """Return coordinates from ``low`` to ``high``, both included, nowhere farther apart than ``spacing`` allows.
 
     Args:
         spacing: (n,) coordinates -> (n,) widest step there.
@@ -26,10 +26,12 @@ def graded(low: float, high: float, spacing: Callable[[Array], Array]) -> Array:
 
 
 def graded_from_middle(half_width: float, spacing: Callable[[Array], Array], *, half_step: bool) -> Array:
-    """Coordinates from ``-half_width`` to ``half_width``, mirrored, so that the rows of a lattice agree at its middle.
+    """Return coordinates from ``-half_width`` to ``half_width``, symmetric, so that the rows of a lattice fit at its
+    middle.
 
     Args:
-        half_step: no point at the middle but half a step beside it, as every other row of a triangular lattice.
+        half_step: whether the first points are half a step from the middle, as in every other row of a triangular
+            lattice, and not at the middle.
     """
     fine, steps = _step_count(0.0, half_width, spacing)
     shift = 0.5 if half_step else 0.0
@@ -40,7 +42,7 @@ def graded_from_middle(half_width: float, spacing: Callable[[Array], Array], *, 
 
 
 def _step_count(low: float, high: float, spacing: Callable[[Array], Array]) -> tuple[Array, Array]:
-    """Fine coordinates and how many steps of the wanted width lie before each."""
+    """Return fine coordinates, and for each the number of steps of the wanted width before it."""
     fine = np.linspace(low, high, 2001)
     middle = (fine[1:] + fine[:-1]) / 2
     return fine, np.concatenate([[0.0], np.cumsum(np.diff(fine) / spacing(middle))])
@@ -51,9 +53,9 @@ def distance_outside(u: Array, half_width: float) -> Array:
 
 
 def zip_rows(rows: list[Array]) -> Indices:
-    """(M, 3) triangles between neighbouring rows of points (n_i, 3); rows may differ in length.
+    """Return triangles (M, 3) between neighbouring rows of points (n_i, 3), which may differ in length.
 
-    Advances on the side whose next diagonal is shorter, from the rows' first points to their last.
+    Between two rows, from first to last points, the row with the shorter next diagonal advances.
     """
     first = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     triangles: list[tuple[int, int, int]] = []
@@ -70,7 +72,9 @@ def zip_rows(rows: list[Array]) -> Indices:
 
 
 def normals_and_areas(vertices: Array, triangles: Indices) -> tuple[Array, Array]:
-    """(N, 3) unit normals by the triangles' winding and (N,) area shares [m^2] of the vertices."""
+    """Return the vertices' unit normals (N, 3), by the winding of the triangles, and their shares (N,) [m^2] of the
+    area.
+    """
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     face = np.cross(b - a, c - a)
     normals, area = np.zeros_like(vertices), np.zeros(len(vertices))
@@ -83,15 +87,15 @@ def normals_and_areas(vertices: Array, triangles: Indices) -> tuple[Array, Array
 def smooth_field(
     u: Array, v: Array, values: Array, *, sigma: tuple[float, float], wrap: bool
 ) -> Callable[[float | Array, Array], Array]:
-    """A smooth function of (u, v) through values sampled on a regular grid, blurred by a Gaussian.
+    """Return a smooth function of (u, v) from values on a regular grid, blurred by a Gaussian.
 
     Args:
         values: (len(u), len(v)).
         sigma: standard deviations as shares of the spans of u and v.
         wrap: v is an angle whose ends meet; the last column repeats the first.
 
-    The blur leaves a linear trend as it is, at the borders too: it is applied to what a plane does not explain, and the
-    samples beyond a border are the point reflections of those inside.
+    The blur does not change a linear trend, also at the borders: it is applied to the residual of a plane, and samples
+    beyond a border are point reflections of those inside.
     """
     from scipy.interpolate import RectBivariateSpline
     from scipy.ndimage import gaussian_filter1d
@@ -114,16 +118,16 @@ def smooth_field(
 
 
 def bridged(u: Array, v: Array, heights: Array, radius_m: float) -> Array:
-    """(len(u), len(v)) heights that a ball of this radius rolling over the surface touches or spans: a grey closing.
+    """Return heights (len(u), len(v)) [m] of the surface as a rolling ball of this radius sees it: a grey closing.
 
     Args:
-        u, v: even coordinates [m].
+        u, v: evenly spaced coordinates [m].
         heights: (len(u), len(v)) [m].
 
-    What a plane explains stays as it is: samples beyond a border are the point reflections of those inside.
+    A plane is not changed: samples beyond a border are point reflections of those inside.
     """
     steps = [float(axis[1] - axis[0]) for axis in (u, v)]
-    # To 0.9 of the radius: further out the ball is so steep that no surface seen from above reaches it.
+    # Up to 0.9 of the radius: farther out, the ball is steeper than any surface that is seen from above.
     reach = [int(0.9 * radius_m / step) for step in steps]
     across = np.meshgrid(*(np.arange(-n, n + 1) * step for n, step in zip(reach, steps, strict=True)), indexing="ij")
     apart = across[0] ** 2 + across[1] ** 2
@@ -131,15 +135,16 @@ def bridged(u: Array, v: Array, heights: Array, radius_m: float) -> Array:
     margin = [min(2 * n, size - 1) for n, size in zip(reach, heights.shape, strict=True)]
     wide = np.pad(heights, [(n, n) for n in margin], mode="reflect", reflect_type="odd")
     shifts = [(int(i), int(j)) for i, j in np.argwhere(apart < (0.9 * radius_m) ** 2)]
-    # As scipy.ndimage.grey_closing, bit for bit, in a quarter of its time.
+    # The result equals scipy.ndimage.grey_closing bit for bit, in a quarter of its time.
     raised = _reduced(np.maximum, wide, {at: float(ball[at]) for at in shifts})
     closed = _reduced(np.minimum, raised, {at: -float(ball[at]) for at in shifts})
-    # A closing never lies below; rounding may.
+    # A closing is never below the surface; rounding may put it there.
     return np.maximum(heights, closed[margin[0] : -margin[0] or None, margin[1] : -margin[1] or None])
 
 
 def _reduced(ufunc: np.ufunc, image: Array, added: dict[tuple[int, int], float]) -> Array:
-    """Largest or smallest of the image's shifts, each with its number added; mirrored at the borders.
+    """Return the largest or smallest of shifted copies of an image, each with its number added; mirrored at the
+    borders.
 
     Args:
         added: shift (row, column), from 0 to twice the reach -> what is added.
@@ -165,15 +170,15 @@ class Triangles:
         self._offset = np.einsum("ij,ij->i", a, self._normal)
 
     def first_hits(self, origins: Array, directions: Array) -> Array:
-        """(n,) distance to the first hit along each ray.
+        """Return the distance (n,) to the first hit along each ray.
 
         Args:
-            origins, directions: (n, 3); one origin serves all rays too.
+            origins, directions: (n, 3); a single origin is used for all rays.
 
         Raises SceneError when a ray misses.
         """
         o = np.broadcast_to(origins, directions.shape)
-        # The method's triple products for all rays and triangles at once, as matrix products.
+        # The triple products of the method, for all rays and triangles at once, as matrix products.
         with np.errstate(divide="ignore", invalid="ignore"):
             inverse = -1 / (directions @ self._normal.T)
             turned = np.cross(o, directions)

@@ -1,9 +1,9 @@
 """A soft region in the model: the shell over a bone that the compiled tissue moves, and the bone's core beneath it.
 
 The shell is no part of MuJoCo's degrees of freedom. Each of its vertices has three displacements: along its inward
-normal, where the anchor law of the paper's Eq. 3 holds it, f_c = K_c phi + D_c dphi/dt, and along two tangents. What
-neighbours do to each other (f_int of Eq. 1) is the discrete Laplacian of the indentation, where
-``Tissue.coupling_length_m`` is not 0, and that of the gliding, where ``Tissue.membrane_n_m`` is not 0. The package
+normal, which the anchor law of the paper's Eq. 3 resists, f_c = K_c phi + D_c dphi/dt, and along two tangents. The
+force between neighbours (f_int of Eq. 1) is the discrete Laplacian of the indentation if ``Tissue.coupling_length_m``
+is not 0, and that of the tangential displacement if ``Tissue.membrane_n_m`` is not 0. The package
 ``carecontact.kernel`` solves them in every physics step and pushes bone and tool with equal and opposite forces.
 """
 
@@ -26,12 +26,12 @@ from carecontact.world.human.skeleton import HIDDEN_GROUP, ROBOT_ONLY, body_name
 CORE_MIN_RADIUS_M = 0.006
 CORE_PIECE_M, CORE_SECTOR_RAD = 0.030, np.pi / 3
 CELL_M = 0.0075
-"""Side of a declared cell, for which pressure, shear and slip are kept: half of the tool's tip. A round tip that passes
-over part of a cell wipes more of it than it touches at once. By geometry, a disc of 9 mm radius loses a tenth of its
-strip on cells of 15 mm, and a thirtieth on these."""
+"""Side of a declared cell, for which pressure, shear and slip are recorded: half the width of the tool's tip. A round
+tip that passes over part of a cell wipes more of it than it touches at any moment. By geometry, a disc of 9 mm radius
+loses a tenth of its strip on cells of 15 mm, and a thirtieth on these."""
 SOLREF = (0.01, 1.0)
 SOLIMP = (0.94, 0.985, 0.003, 0.5, 2.0)
-"""Of the core, soft at first touch."""
+"""MuJoCo's contact impedance of the core, which is soft at first touch."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class SoftRegion:
 
 @dataclass(frozen=True, kw_only=True)
 class DeclaredCells:
-    """Patches of the fine part of a shell, CELL_M along the region and across it."""
+    """Patches of the fine part of a shell, of about CELL_M along the region and across it."""
 
     of_triangle: npt.NDArray[np.int64]
     """(M,) number of the cell of each of the shell's triangles; -1 outside the fine part"""
@@ -76,13 +76,13 @@ def add_tissue(
     spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissue: Tissue, *, tools: str = PANDA.base_body,
     ledger: bool = False, on: str | None = None,
 ) -> SoftRegion:  # fmt: skip
-    """Add shell and bone core of one region. Call after the skeleton.
+    """Add shell and bone core of one region. Call it after the skeleton.
 
     Args:
         tools: name of the body whose geoms, and those of the bodies under it, touch the shell.
-        ledger: keep the energy of every step.
-        on: name of the body that carries the shell, with the origin of the segment's; by default the segment. The core
-            stays on the segment.
+        ledger: whether the energy of every step is kept.
+        on: name of the body that carries the shell, whose origin is that of the segment's body; by default the
+            segment's body. The core is always on the segment.
     """
     origin = body.joint_centre[REGIONS[region].segment]
     limb = isinstance(REGIONS[region].shape, Tube)
@@ -98,16 +98,18 @@ def add_tissue(
 
 
 def inner_surface(shell: Shell, thickness_m: float) -> Array:
-    """(N, 3) the shell moved inward by the tissue's thickness along its normals, but never past the region's axis."""
+    """Return the shell's vertices (N, 3), moved inward along their normals by the tissue's thickness, but never beyond
+    the region's axis.
+    """
     room = np.einsum("ij,ij->i", shell.vertices - shell.axis_points, shell.normals) - CORE_MIN_RADIUS_M
     return shell.vertices - np.clip(thickness_m, 0.0, np.maximum(room, 0.0))[:, None] * shell.normals
 
 
 def _add_core(spec: mujoco.MjSpec, region: str, shell: Shell, tissue: Tissue, origin: Array) -> None:
-    """The rigid core that the tool meets when the tissue is used up: convex wedges under the inner surface.
+    """Add the rigid core that the tool meets under fully compressed tissue: convex wedges under the inner surface.
 
-    One hull over the whole region would bridge its hollows and lie far too shallow; a wedge spans only CORE_PIECE_M
-    along the region and a sector across, down to the region's axis.
+    One hull over the whole region would fill its hollows and be far too near to the skin. A wedge covers only
+    CORE_PIECE_M along the region and a sector across it, down to the region's axis.
     """
     inner = inner_surface(shell, tissue.thickness_m) - origin
     axis = shell.axis_points - origin

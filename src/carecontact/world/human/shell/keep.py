@@ -1,4 +1,4 @@
-"""Keeps shells on disk: one takes a tenth of a second, and the splines that it needs half a second to import."""
+"""Keeps shells on disk: computing one takes a tenth of a second, and importing the splines for it half a second."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ from carecontact.world.kept import Arrays, kept
 def kept_shell(
     body: Body, region: str, tissue: Tissue, compute: Callable[[], Shell], *, turn: ArmTurn = NOT_TURNED
 ) -> Shell:
-    """Load the shell that ``compute`` returned before for the same body, region, tissue, turn of the arm and release,
-    or call it."""
+    """Return the shell that ``compute`` gave earlier for the same body, region, tissue, turn of the arm and release; if
+    there is none, call it.
+    """
     facts = {
         "body": [body.name, body.sha256], "region": [region, repr(REGIONS[region])],
         "tissue": tissue.model_dump(mode="json"), "turn": repr(turn), "source": _source_sha256(),
@@ -42,6 +43,6 @@ def kept_shell(
 
 @cache
 def _source_sha256() -> str:
-    """Of all modules that shape a person."""
+    """Return the hash of the source of all modules that shape a person."""
     folder = Path(__file__).parents[1]
     return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(folder.rglob("*.py")))).hexdigest()

@@ -1,4 +1,4 @@
-"""The shell of a limb: a tube round it, sampled by rays from the line through the middles of its sections."""
+"""The shell of a limb: a tube around it, sampled by rays from the line through the centres of its cross-sections."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from carecontact.world.human.surface_mesh import Triangles, distance_outside, gr
 
 SHELL_HALF_DEG = 150.0
 FINE_HALF_LENGTH_M, FINE_HALF_ROUND_DEG = 0.085, 60.0
-"""Limb patch from above: scrub strokes of +-60 mm plus two tool radii, and as far round as it comes from above."""
+"""Half length and half angle of the fine patch for tools from above: scrub strokes of +-60 mm plus two tool radii, and
+the part of the circumference that a tool from above touches."""
 SIDE_HALF_LENGTH_M, SIDE_HALF_ROUND_DEG = 0.035, 100.0
-"""Patch at mid-length of a limb that is pushed sideways."""
+"""Half length and half angle of the fine patch at mid-length of a limb that is pushed sideways."""
 SAMPLES = (41, 61)
-"""Rays along a limb and round it."""
+"""Number of rays along a limb and around it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,9 +33,9 @@ class _Limb:
     """(3, 3) columns x (along), y, z (outward)"""
     low: float
     high: float
-    """The soft part along x [m]."""
+    """Ends of the soft part along x [m]."""
     middle: float
-    """Of the region, as a share of the line to the next joint."""
+    """Middle of the region, as a share of the line to the next joint."""
 
     @classmethod
     def of(cls, body: Body, segment: str, tube: Tube, outward: Array, middle: float) -> _Limb:
@@ -53,19 +54,20 @@ class _Limb:
 
     @property
     def region_length(self) -> float:
-        """The region reaches to the next joint, and as far to the other side of its middle."""
+        """Length of the region [m]: it reaches to the next joint, and equally far to the other side of its middle."""
         return 2 * (1 - self.middle) * self.length
 
     @property
     def fine(self) -> tuple[float, float]:
-        """Middle and half length along x of the patch that a tool reaches from above [m]: about the middle of the soft
-        part, and no nearer to the trunk than the region."""
+        """Middle and half length [m] along x of the patch that a tool reaches from above. It lies around the middle of
+        the soft part and never nearer to the trunk than the region.
+        """
         middle, half = (self.low + self.high) / 2, min(FINE_HALF_LENGTH_M, (self.high - self.low) / 2 - 0.01)
         crowded = self.length - self.region_length - (middle - half)
         return (middle + crowded / 2, half - crowded / 2) if crowded > 0 else (middle, half)
 
     def directions(self, theta: Array) -> Array:
-        """(n, 3) unit vectors across the limb at angles from outward."""
+        """Return unit vectors (n, 3) across the limb at angles [rad] from the outward direction."""
         _, y, z = self.frame.T
         return np.cos(theta)[:, None] * z + np.sin(theta)[:, None] * y
 
@@ -77,7 +79,9 @@ class _Limb:
         return Triangles(triangles[np.linalg.norm(middle - np.outer(middle @ x, x), axis=1) < 0.12])
 
     def centre_line(self, surface: Triangles, t: Array) -> Callable[[Array], Array]:
-        """The line through the sections' centres (midpoints of opposite surface points), as a cubic along the limb."""
+        """Return the line through the centres of the cross-sections (midpoints of opposite surface points) as a cubic
+        along the limb.
+        """
         x, y, z = self.frame.T
         directions = self.directions(np.linspace(0, 2 * np.pi, 12, endpoint=False))
         off = np.zeros((len(t), 3))
@@ -94,11 +98,11 @@ def limb_shell(body: Body, segment: str, tube: Tube, outward: Array, tissue: Tis
 
     Args:
         outward: (3,) direction in the mesh frame that faces up in the lying pose.
-        middle: of the region, as a share of the line to the next joint.
+        middle: middle of the region, as a share of the line to the next joint.
     """
     limb = _Limb.of(body, segment, tube, outward, middle)
     surface = limb.surface(body)
-    # The joint line runs off centre: measure round the sections' own centres.
+    # The line between joints is off centre, so that angles are measured about the centres of the cross-sections.
     sections = np.linspace(limb.low, limb.high, SAMPLES[0])
     line = limb.centre_line(surface, sections)
     turns = np.linspace(-np.pi, np.pi, SAMPLES[1])
@@ -129,7 +133,7 @@ def limb_shell(body: Body, segment: str, tube: Tube, outward: Array, tissue: Tis
 
 
 def _away(limb: _Limb, tube: Tube, t: Array, theta: Array, radius: float) -> Array:
-    """(n,) distance outside the fine patch over the surface [m]."""
+    """Return the distance (n,) [m] from the fine patch along the surface; 0 inside it."""
 
     def outside(middle: float, half_length: float, half_deg: float) -> Array:
         round_ = distance_outside(theta, np.radians(half_deg)) * radius
@@ -143,7 +147,7 @@ def _away(limb: _Limb, tube: Tube, t: Array, theta: Array, radius: float) -> Arr
 def _angles(
     limb: _Limb, tube: Tube, tissue: Tissue, t: Array, radius_at: Callable[[float | Array, Array], Array]
 ) -> list[Array]:
-    """The angles of each row's points [rad]."""
+    """Return the angles [rad] of each row's points."""
     angles = []
     for i, at in enumerate(t):
 

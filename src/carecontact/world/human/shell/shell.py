@@ -1,4 +1,4 @@
-"""What every soft region's shell holds, and how one is finished from its rows of points."""
+"""The shell of a soft region, and how it is made from rows of points."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from carecontact.world.human.body import Array
 from carecontact.world.human.surface_mesh import normals_and_areas, zip_rows
 
 GROWTH = 0.4
-"""Metres of spacing gained per metre away from the fine patch."""
+"""Increase of the spacing [m] for each metre of distance from the fine patch."""
 ROW_RATIO = np.sqrt(3) / 2
-"""Rows of a triangular lattice stand this much closer than the points in a row."""
+"""Distance between the rows of a triangular lattice, as a share of the distance between points in a row."""
 SMOOTHING_M = 0.012
-"""Standard deviation of the smoothing of the sampled surface: the body's own faces are 20 mm wide, and their ridges
-made the force of a press vary by 9-16 % from place to place."""
+"""Standard deviation of the smoothing of the sampled surface. The body's own faces are 20 mm wide, and without
+smoothing their edges made the force of a press vary by 9 to 16 % from place to place."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shell:
-    """Vertices in rows across the region's axis, triangulated."""
+    """A surface of triangles, with vertices in rows across the region's axis."""
 
     vertices: Array
     """(N, 3) mesh frame"""
@@ -44,7 +44,7 @@ class Shell:
     length_m: float
     radius_m: float
     axis_depth_m: float
-    """Distance of the axis under the surface at the middle."""
+    """Depth of the axis under the surface at the middle."""
 
 
 def spacing(tissue: Tissue, distance: Array) -> Array:

@@ -20,24 +20,25 @@ from carecontact.world.human.surface_mesh import (
 )
 
 WIDTH_SHARE = 0.82
-"""Of the narrowest section's half breadth: further out the trunk's side begins, which no ray from behind reaches."""
+"""Half width of the patch as a share of the narrowest section's half breadth: the trunk's side, farther out, cannot be
+sampled by rays from behind."""
 FINE_HALF_WIDTH_M, FINE_MARGIN_M = 0.080, 0.03
-"""The fine patch is this wide at most, and this far from the shell's border."""
+"""Largest half width of the fine patch, and its least distance from the shell's border."""
 SAMPLES = 41
-"""Rays each way over the belly."""
+"""Number of rays in each direction over the belly."""
 NAVEL_BALL_M = 0.20
-"""A ball of this radius rolled over the belly does not enter the navel, and the shell spans it as the ball does: the
-skin in a navel is a fold that bears nothing, and a tool over one met up to 30 % more force, on its rim. The belly of
+"""A ball of this radius that rolls over the belly spans the navel, and so does the shell: the skin in a navel is a fold
+that bears no load, and on its rim a tool met up to 30 % more force. The belly of
 man-adult, which the laws are fitted on, is lifted by 2.4 mm at most and 0.2 mm in the mean."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Belly:
-    """Where the soft patch is, and how far the skin is from the trunk's back plane."""
+    """Place of the soft patch, and the trunk's back plane from which the skin is measured."""
 
     low: float
     high: float
-    """Heights in the mesh frame [m]."""
+    """Ends of the patch, as heights in the mesh frame [m]."""
     half_width: float
     back: Array
     """(3,) point of the back plane at height 0"""
@@ -45,12 +46,12 @@ class _Belly:
     """(3, 3) columns x (up the trunk), y, z (outward)"""
 
     def foot(self, t: Array | float, s: Array) -> Array:
-        """(n, 3) points of the back plane."""
+        """Return points (n, 3) of the back plane."""
         x, y, _ = self.frame.T
         return self.back + np.asarray(s)[:, None] * y + np.broadcast_to(t, np.shape(s))[:, None] * x
 
     def away(self, t: Array | float, s: Array) -> Array:
-        """(n,) distance outside the fine patch [m]."""
+        """Return the distance (n,) [m] from the fine patch; 0 inside it."""
         half_length = (self.high - self.low) / 2 - FINE_MARGIN_M
         half_width = min(FINE_HALF_WIDTH_M, self.half_width - FINE_MARGIN_M)
         along = distance_outside(np.asarray(t - (self.low + self.high) / 2), half_length)
@@ -67,7 +68,7 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
     depth_at = _depth(body, belly)
 
     def slant(at: Array, to: Array) -> Array:
-        """Length of the surface over a unit of the plane, between points (n, 2) of it."""
+        """Return the length of the surface for each unit of length of the plane, between points (n, 2) of the plane."""
         gap = np.linalg.norm(to - at, axis=1)
         return np.hypot(1.0, (depth_at(to[:, 0], to[:, 1]) - depth_at(at[:, 0], at[:, 1])) / gap)
 
@@ -97,7 +98,9 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
 
 
 def _depth(body: Body, belly: _Belly) -> Callable[[float | Array, Array], Array]:
-    """The smoothed distance of the skin from the back plane [m], at heights and breadths."""
+    """Return a function that gives the smoothed distance [m] of the skin from the back plane at heights and
+    breadths.
+    """
     low, high = belly.low, belly.high
     faces = body.vertices[body.faces]
     triangles = faces[
