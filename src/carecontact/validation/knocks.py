@@ -45,10 +45,10 @@ STOPPED = 1.0
 """The same where the ball is stopped and no more. Nothing but contact acts on the ball: it has no weight and its slides
 have no friction, and friction of the contact is in the force. Therefore, the impulse over the momentum is 1 plus the
 ball's speed back over its speed before, and one below 1 means that the ball went on into the person."""
-THROUGH_S = 0.01
-"""A ball that touches nothing for so long, and still moves inward, has gone through what it met: pressed skin or a
-pressed plate pushes back until the ball stands. Single steps without force, while a plate's contact swings in, are no
-gap."""
+THROUGH_STEPS = 2
+"""A ball that touches nothing for so many physics steps, and still moves inward, has gone through what it met: pressed
+skin or a pressed plate pushes back until the ball stands. A single step without force is no gap, because the contact of
+a plate swings in."""
 STRAY = 0.05
 """Share of the largest force that other parts may bear: a blow so deep that they bear more does not decide."""
 STRIKER = "striker"
@@ -85,7 +85,7 @@ class Blow:
     momentum: float
     """Impulse over the momentum of the blow."""
     held: float
-    """The same of what the ball met first: until it has gone through (THROUGH_S), where it does. Whatever stops it
+    """The same of what the ball met first: until it has gone through (THROUGH_STEPS), where it does. Whatever stops it
     deeper, such as bone, is not in it."""
     stray_n: float
     """Largest force on anything but the site."""
@@ -95,9 +95,14 @@ class Blow:
         return f"{self.site}, {self.mass_kg:g} kg at {self.speed_m_s:g} m/s"
 
     @property
+    def gives_way(self) -> bool:
+        """Whether the site moves away from the ball as a whole: the shoulder cap does, with the arm."""
+        return self.site == "shoulder cap"
+
+    @property
     def on_one_spring(self) -> bool:
         """Whether the prediction applies to this blow: it assumes one spring on a part that cannot move away."""
-        return self.site != "shoulder cap" and self.stray_n <= STRAY * self.peak_n
+        return not self.gives_way and self.stray_n <= STRAY * self.peak_n
 
     @property
     def off_percent(self) -> float:
@@ -159,7 +164,7 @@ def _measures(blow: Blow) -> Iterator[Measure]:
                       unit="%", limit=TOLERANCE_PERCENT, decides=blow.on_one_spring)  # fmt: skip
     yield Measure(name=f"{blow.name}: impulse over momentum", value=blow.momentum, limit=MOMENTUM)
     yield Measure(name=f"{blow.name}: impulse over momentum before it goes through", value=blow.held, limit=STOPPED,
-                  side="at least")  # fmt: skip
+                  side="at least", decides=not blow.gives_way)  # fmt: skip
     if not blow.on_one_spring:
         yield Measure(name=f"{blow.name}: largest force on something else", value=blow.stray_n, unit="N")
 
@@ -209,7 +214,7 @@ def strike(simulation: Simulation, site: Site, mass_kg: float, speed_m_s: float)
         impulse += float((force @ towards).sum()) * step_s
         touched |= bool(force.any())
         silent_s = 0.0 if force.any() or not touched else silent_s + step_s
-        if held is None and silent_s >= THROUGH_S and _speed_m_s(simulation, towards) > 0:
+        if held is None and silent_s > (THROUGH_STEPS - 0.5) * step_s and _speed_m_s(simulation, towards) > 0:
             held = impulse
         if simulation.time_s > LONGEST_S:
             if silent_s >= AFTER_S:
