@@ -10,6 +10,7 @@ from carecontact.contract.action import check_action
 from carecontact.contract.geometry import pose_matrix
 from carecontact.contract.session import Session
 from carecontact.errors import ConfigError
+from carecontact.policies.mean_person import policy
 from carecontact.policies.mean_person.person import geometry_in_base, read_person
 from carecontact.policies.mean_person.policy import MeanPersonPolicy
 from carecontact.policies.replay.donor import read_donors
@@ -60,6 +61,16 @@ def test_the_person_moves_with_the_camera() -> None:
 def test_out_of_reach_it_ends_without_moving() -> None:
     far = pose_matrix(np.array([3.0, 0, 0]), np.array([1.0, 0, 0, 0])) @ CAMERA
     assert len(_act(far, PROTOCOL.tasks[0].prompt)) == 0
+
+
+def test_where_no_motion_of_the_task_is_in_reach_it_ends_without_moving(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some motion is, but none that pushes."""
+    every = policy.candidates
+    monkeypatch.setattr(
+        policy, "candidates", lambda *a, **k: [c for c in every(*a, **k) if c.option.primitive != "push"]
+    )
+    push = next(task for task in PROTOCOL.tasks if task.action == "push")
+    assert len(_act(CAMERA, push.prompt)) == 0
 
 
 def test_another_file_is_read_and_a_wrong_one_named(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from carecontact.scoring import score_recording
 from carecontact.scoring.contact import episodes, find_contact, hysteresis, longest_run, runs, steps
 from carecontact.scoring.filters import low_pass
 from tests.scoring.synthetic import DT, hold, make_recording, seconds, touch
@@ -75,6 +76,16 @@ def test_reported_region_is_the_target_if_touched_else_the_largest_impulse() -> 
     assert reported(pelvis=rest, right_hand=knock) == "pelvis"
     assert reported(right_forearm=hold(3.0, 1.0, 2.0, 0.4)) is None
     assert reported() is None
+
+
+def test_a_knock_that_is_over_before_the_filter_sees_it_is_reported_and_scored() -> None:
+    knock = hold(3.0, 1.0, 1.002, 28.0)
+    contact = find_contact(make_recording(normal={"pelvis": knock}))
+    assert contact.impulse_ns.sum() == 0, "else this is no such knock"
+    assert contact.reported is not None
+    assert contact.segments[contact.reported] == "pelvis"
+    assert len(contact.force_in_window) > 0
+    assert score_recording(make_recording(normal={"pelvis": knock})).peak_force_n["pelvis"] == pytest.approx(28.0)
 
 
 def test_region_share_is_the_share_of_impulse() -> None:

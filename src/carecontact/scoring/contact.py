@@ -156,7 +156,9 @@ def with_floor(contact: Contact, *, on_n: float, off_n: float) -> Contact:
     impulse[touched] = np.where(on[:, touched], contact.force_norm[:, touched], 0.0).sum(axis=0) * contact.dt_s
     reported: int | None = None
     if touched.any():
-        reported = contact.target if on[:, contact.target].any() else int(np.argmax(impulse))
+        # The filter lags, so of a knock of a few samples it can be on only when the force, and the impulse, are over.
+        most = int(np.flatnonzero(touched)[np.argmax(impulse[touched])])
+        reported = contact.target if on[:, contact.target].any() else most
     return replace(
         contact,
         on=on,

@@ -71,5 +71,8 @@ class MeanPersonPolicy:
             geometry, start_pose=start, travel_height_m=float(geometry.centre_m[2]) + mean.way_over_m,
             bounds=self._bounds,
         )  # fmt: skip
-        chosen = options[self._rules.choose(intent, [option.option for option in options])]
+        try:
+            chosen = options[self._rules.choose(intent, [option.option for option in options])]
+        except ContractError as error:
+            raise PlanningFailure(str(error)) from None
         return sample(chosen.legs, start, control_hz=CONTROL_HZ)
