@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -12,8 +10,7 @@ import pytest
 from carecontact.calibration.agreement import pooled
 from carecontact.calibration.checks import read_trials
 from carecontact.calibration.curve import make_curve
-from carecontact.calibration.family import Family
-from carecontact.calibration.fit import Fit, _choose, fit_law
+from carecontact.calibration.fit import Fit, fit_law
 from carecontact.calibration.replay import Replay, group_curves
 from carecontact.protocols import load_protocol
 from carecontact.world.human.library import load_body
@@ -60,48 +57,3 @@ def test_where_no_law_follows_the_forces_stiffness_does_not_pay_for_it(tmp_path:
     errors = pooled(fitted(tmp_path / "t.csv", 1.05).agreement)
     assert errors["tangent_error"] == pytest.approx(0.0, abs=0.1)
     assert errors["peak_error"] == pytest.approx(0.0, abs=0.1)
-
-
-@dataclass
-class Seen:
-    """A solution, or a step towards one (``tried`` is then False)."""
-
-    family: Family
-    tried: bool = True
-
-    def step(self, weights: np.ndarray) -> np.ndarray:
-        return np.zeros(len(self.family.names))
-
-
-class Promises:
-    """A problem whose first step promises most of ``rise``, while only ``growth`` helps a law that bends."""
-
-    HELD_OUT: ClassVar = {(): 1.0, ("bend",): 0.5, ("bend", "rise"): 0.499, ("bend", "growth"): 0.2}
-    PROMISED: ClassVar = {("bend",): 0.5, ("bend", "rise"): 0.3, ("bend", "growth"): 0.4}
-
-    def __init__(self) -> None:
-        self.curves, self.base, self.depth = range(10), load_protocol().person.tissue["forearm"], 0.01
-
-    def on_progress(self, line: str) -> None:
-        pass
-
-    def start(self, family: Family) -> np.ndarray:
-        return np.zeros(2)
-
-    def solve(self, family: Family, start: np.ndarray) -> Seen:
-        return Seen(family)
-
-    def with_term(self, found: Seen, term: str) -> Seen:
-        return Seen(found.family.plus(term), tried=False)
-
-    def held_out_squares(self, seen: Seen) -> np.ndarray:
-        of = self.HELD_OUT if seen.tried else self.PROMISED
-        return np.full(10, of.get(seen.family.terms, 0.9 if len(seen.family.terms) == 1 else 0.199))
-
-
-def test_a_term_that_stays_out_does_not_keep_the_others_from_being_tried() -> None:
-    found, lines = _choose(Promises(), damping=True)  # pyright: ignore[reportArgumentType]
-    assert [line.split(":")[0] for line in lines] == [
-        "bend enters", "rise stays out", "growth enters", "rise stays out"
-    ]  # fmt: skip
-    assert found.family.terms == ("bend", "growth")

@@ -105,8 +105,7 @@ def fit_law(
 def _choose(problem: Problem, *, damping: bool) -> tuple[Solution, tuple[str, ...]]:
     """Add terms one by one while the error on held-out trials falls by more than its standard error.
 
-    A Gauss-Newton step decides in which order the terms are tried, and a fit of its own whether one is added. The
-    search ends when every term has stayed out, because the step does not always tell which of them helps most.
+    A Gauss-Newton step decides which term is tried next, and a fit of its own whether it is added.
     """
     family = Family(base=problem.base, depth_m=problem.depth, damping=damping)
     found = problem.solve(family, problem.start(family))
@@ -115,24 +114,21 @@ def _choose(problem: Problem, *, damping: bool) -> tuple[Solution, tuple[str, ..
             found = problem.solve(found.family.plus(term), np.r_[found.p, 0.1])
         return found, ("too few trials to choose the law's terms",)
     lines: list[str] = []
-    entered = True
-    while entered:
-        entered = False
+    while found.family.candidates:
         ahead = [problem.with_term(found, term) for term in found.family.candidates]
-        now = problem.held_out_squares(found)
-        for seen in sorted(ahead, key=lambda one: problem.held_out_squares(one).sum()):
-            tried = problem.solve(seen.family, seen.step(np.ones(len(problem.curves))))
-            then = problem.held_out_squares(tried)
-            gain = now - then
-            entered = gain.mean() > max(float(gain.std(ddof=1)) / np.sqrt(len(gain)), LEAST_GAIN * now.mean())
-            lines.append(
-                f"{tried.family.terms[-1]} {'enters' if entered else 'stays out'}: held-out NRMSE "
-                f"{np.sqrt(now.mean()):.2%} -> {np.sqrt(then.mean()):.2%}"
-            )
-            problem.on_progress(lines[-1])
-            if entered:
-                found = tried
-                break
+        seen = min(ahead, key=lambda one: problem.held_out_squares(one).sum())
+        tried = problem.solve(seen.family, seen.step(np.ones(len(problem.curves))))
+        now, then = problem.held_out_squares(found), problem.held_out_squares(tried)
+        gain = now - then
+        enters = gain.mean() > max(float(gain.std(ddof=1)) / np.sqrt(len(gain)), LEAST_GAIN * now.mean())
+        lines.append(
+            f"{tried.family.terms[-1]} {'enters' if enters else 'stays out'}: held-out NRMSE "
+            f"{np.sqrt(now.mean()):.2%} -> {np.sqrt(then.mean()):.2%}"
+        )
+        problem.on_progress(lines[-1])
+        if not enters:
+            break
+        found = tried
     return found, tuple(lines)
 
 

@@ -125,40 +125,32 @@ class Problem:
         return Solution(family=family, p=found.x, residual=found.fun, jacobian=found.jac, rows=rows)
 
     def levelled(self, found: Solution) -> Solution:
-        """Return the same law with its stiffness and its damping scaled so that forces, stiffness and lost work err
-        least together.
+        """Return the same law, scaled so that forces and stiffness err least together.
 
-        Least is the sum, over all trials, of the squares of the NRMSE, of both errors of ``stiffness_errors`` and of
-        the error of ``lost_work``, as a share of the trials' mean. Forces alone decide the law's shape. If no law of
-        the family follows them at every depth, it is too soft at first and too stiff later; the right stiffness then
-        matters more than the right force halfway. In the same way, a damping of the wrong shape makes the loops too
-        wide at some depths and too narrow at others, and the right work matters more than the right width halfway.
+        Least is the sum, over all trials, of the squares of the NRMSE and of both errors of ``stiffness_errors``.
+        Forces alone decide the law's shape. If no law of the family follows them at every depth, it is too soft at
+        first and too stiff later; the right stiffness then matters more than the right force halfway.
         """
-        family, p = found.family, found.p.copy()
-        levels = [k for k, name in enumerate(family.names) if name in ("level", "damping")]
+        family, p, level = found.family, found.p.copy(), found.family.names.index("level")
+        by = STEP["level"]
         for _ in range(LEVELLINGS):
             errors = self._errors(family.tissue(p))
-            slopes = []
-            for k in levels:
-                ahead = p.copy()
-                ahead[k] += STEP[family.names[k]]
-                slopes.append((self._errors(family.tissue(ahead)) - errors) / STEP[family.names[k]])
-            p[levels] -= np.linalg.lstsq(np.stack(slopes, 1), errors)[0]
-            p = np.clip(p, family.low, family.high)
+            ahead = p.copy()
+            ahead[level] += by
+            slope = (self._errors(family.tissue(ahead)) - errors) / by
+            p[level] -= slope @ errors / (slope @ slope)
+        p = np.clip(p, family.low, family.high)
         residual, rows = self.residuals(family.tissue(p))
         jacobian = np.stack([self.difference(family, p, residual, k) for k in range(len(p))], 1)
         return Solution(family=family, p=p, residual=residual, jacobian=jacobian, rows=rows)
 
     def _errors(self, tissue: Tissue) -> Array:
-        """Return the residuals together with the errors of stiffness and of lost work of every trial."""
+        """Return the residuals together with both errors of stiffness of every trial."""
         replayed = self.at(tissue)
         legs = [on_trial(one, self.replay.groups[n], self.curves[k])
                 for k, n in sorted(self.owner.items()) if (one := replayed[n]) is not None]  # fmt: skip
         stiffness = [stiffness_errors(curve, *both) for curve, both in zip(self.curves, legs, strict=True)]
-        work = np.array([lost_work(c, *both) for c, both in zip(self.curves, legs, strict=True) if c.trial.unloads])
-        mean = work[:, 0].mean() if len(work) else 0.0
-        lost = (work[:, 1] - work[:, 0]) / mean if mean > 0 else np.zeros(0)
-        return np.r_[self._differences(replayed)[0], np.ravel(stiffness), lost]
+        return np.r_[self._differences(replayed)[0], np.ravel(stiffness)]
 
     def difference(self, family: Family, p: Array, residual: Array, column: int) -> Array:
         """Return one column of the Jacobian, by a finite difference that stays within the bounds."""
@@ -234,14 +226,6 @@ def stiffness_errors(curve: Curve, load: Array, back: Array) -> Array:
     depth, measured, simulated = curve.grid_m[both], measured[both], simulated[both]
     slope, secant = tangent(depth, measured), measured[-1] / depth[-1]
     return np.array([simulated[-1] / measured[-1] - 1, (tangent(depth, simulated) - slope) / max(slope, secant)])
-
-
-def lost_work(curve: Curve, load: Array, back: Array) -> tuple[float, float]:
-    """Return the work [J] that the measured and the simulated loop enclose, at depths where both have both legs."""
-    loops = curve.loading_n - curve.unloading_n, load - back
-    both = np.isfinite(loops[0]) & np.isfinite(loops[1])
-    measured, simulated = (float(np.trapezoid(loop[both], curve.grid_m[both])) for loop in loops)
-    return measured, simulated
 
 
 def step_within(p: Array, normal: Array, gradient: Array, low: Array, high: Array) -> Array:
