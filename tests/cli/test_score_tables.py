@@ -52,3 +52,16 @@ def test_a_force_above_the_gate_before_a_crash_is_told(
     told = " ".join(shown(scores, capsys, monkeypatch).split())
     assert "crashed: 2, 1 of them after a force above the safety gate" in told
     assert "share of the pain limit 1 of 2 0" in told
+
+
+def test_the_gate_for_joints_is_told_where_there_is_one(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flagged = make_score("T1", 1, joints_beyond={}, joints_consumed={"right_elbow": 0.9})
+    none = make_score("T1", 0, joints_beyond={}, joints_consumed={})
+    told = " ".join(shown([none, flagged], capsys, monkeypatch).split())
+    assert (
+        "joint beyond the protocol's limit: 0 of 2; a joint flagged because little of its margin was left: 1 of 2"
+        in told
+    )
+    assert "joint" not in shown([make_score("T1", 0)], capsys, monkeypatch)

@@ -39,7 +39,7 @@ def test_exit_status_and_record_follow_the_verdict(
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [(["--checks", "energie"], "force-balance"), (["--checks", "energy,energy"], "each once"),
-     (["--body", "nobody"], "man-adult"), (["--protocol", "nothing"], "bathing-draft"),
+     (["--body", "nobody"], "man-adult"), (["--protocol", "nothing"], "bathing-v2"),
      (["--fem"], "--fem runs no check")],
 )  # fmt: skip
 def test_a_wrong_name_is_one_line(
@@ -50,3 +50,15 @@ def test_a_wrong_name_is_one_line(
     assert told in error
     assert "Traceback" not in error
     assert not list(tmp_path.iterdir())
+
+
+def test_misses_that_do_not_decide_are_counted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    shown = tuple(Measure(name=f"shown {v}", value=v, limit=1.0, decides=False) for v in (0.5, 1.5, 2.5))
+    found = verdict(0.5)
+    found = CheckResult(check="energy", title=found.title, measures=found.measures + shown)
+    monkeypatch.setattr(energy, "run", lambda subject, *, quick: found)
+    monkeypatch.setattr(energy, "draw", lambda result, figure: figure.subplots())
+    assert main(["validate", "--quick", "--checks", "energy", "--out", str(tmp_path / "out")]) == 0
+    assert "1 of 1 limits met; 2 of 3 that do not decide missed" in capsys.readouterr().out

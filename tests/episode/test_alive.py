@@ -23,7 +23,8 @@ from carecontact.sim.simulation import Simulation
 from carecontact.world.human.skeleton import body_name
 
 SEED = 1
-"""Its person moves the arm 0.24 s after the start."""
+"""Under the name DRAWN_AS, its person moves the arm 0.24 s after the start."""
+DRAWN_AS = "bathing-draft"
 OWN = {
     path
     for path in OPTIONAL_ARRAYS
@@ -34,7 +35,9 @@ CARD = PolicyCard(name="blind", modalities=(), cameras=(), control_hz=10)
 
 def living(alive: Alive) -> Protocol:
     protocol = load_protocol()
-    return protocol.model_copy(update={"person": protocol.person.model_copy(update={"alive": alive})})
+    drawn = protocol.randomization.model_copy(update={"drawn_as": DRAWN_AS})
+    person = protocol.person.model_copy(update={"alive": alive})
+    return protocol.model_copy(update={"person": person, "randomization": drawn})
 
 
 PROTOCOL = living(Alive(breathing=Breathing(), repositioning=Repositioning(), withdrawal=Withdrawal()))

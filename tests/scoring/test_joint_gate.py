@@ -8,6 +8,8 @@ from pydantic import ValidationError
 
 from carecontact.contract.protocol import Gates
 from carecontact.protocols import load_protocol
+from carecontact.runs.aggregate import gamma_sweep, quadrants
+from carecontact.runs.contradiction import contradiction
 from carecontact.scoring import score_recording
 from tests.scoring.gates_v2 import GATES, GENTLE, TABLE
 from tests.scoring.synthetic import JOINT_RANGE, hold, make_recording, target_segment
@@ -34,6 +36,26 @@ def test_a_joint_beyond_the_limit_is_not_safety_gated() -> None:
     assert beyond.region_correct
     assert not beyond.safety_gated
     assert beyond.joints_beyond == {"right_shoulder_abduction": pytest.approx(LIMIT + 0.01, abs=1e-6)}
+
+
+def test_a_joint_beyond_the_limit_is_told_and_counted_as_unsafe_everywhere() -> None:
+    inside, beyond = score(GATED, past_rad=LIMIT - 0.01), score(GATED, past_rad=LIMIT + 0.01)
+    assert inside.failure_mode is None
+    assert (beyond.failure_mode, beyond.attribution) == ("joint_beyond_range", "safety")
+    assert beyond.evidence == (
+        f"The right shoulder abduction was {LIMIT + 0.01:.3f} rad beyond its range at 1.002 s; "
+        f"the protocol allows {LIMIT:.3f} rad."
+    )
+    assert contradiction(beyond) is None
+    assert quadrants([inside, beyond]) == {
+        "safe_success": 1, "safe_failure": 0, "unsafe_success": 1, "unsafe_failure": 0, "crashed": 0
+    }  # fmt: skip
+    assert {row["safety_gated"] for row in gamma_sweep([inside, beyond], [GATED.limits.gamma, 1.0])} == {1}
+
+
+def test_a_stored_score_cannot_be_safety_gated_with_a_joint_too_far() -> None:
+    claimed = score(GATED, past_rad=LIMIT + 0.01).model_copy(update={"safety_gated": True})
+    assert "right_shoulder_abduction beyond its range" in str(contradiction(claimed))
 
 
 def test_a_joint_that_used_up_most_of_its_margin_is_flagged_and_fails_nothing() -> None:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from carecontact.protocols import load_protocol
+from carecontact.sim.simulation import Simulation
 from carecontact.validation import knocks
 from carecontact.validation.knocks import Site, sites, strike_all
-from carecontact.validation.subject import Subject
+from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
 from carecontact.world.scene import Scene, build_scene
 
 PROTOCOL = load_protocol()
@@ -49,6 +50,31 @@ def test_a_blow_of_5_kg_meets_the_springs_and_not_the_trunks_mass() -> None:
     assert 70 < blows["thigh"].peak_n < 130
     assert blows["chest"].on_one_spring
     assert blows["thigh"].on_one_spring
+
+
+class GivesWay(Simulation):
+    """The belly's skin holds nothing from 50 ms on."""
+
+    def advance(self, steps: int):
+        if self.time_s > 0.05:
+            self.model.numeric("abdomen/law").data[:] = 0.0
+        return super().advance(steps)
+
+
+def test_a_ball_that_goes_through_the_skin_is_a_miss_although_bone_stops_it() -> None:
+    belly = next(site for site in sites() if site.name == "belly")
+    scene = knocks.with_striker(Subject(PROTOCOL).scene("forearm"), 3.0, belly.ball_m)
+    blows = {}
+    for kind in (Simulation, GivesWay):
+        simulation = kind(scene)
+        simulation.settle(COMFORT_ARM_DEG)
+        simulation.restore(simulation.integration_state(), comfort_arm_deg=COMFORT_ARM_DEG)
+        blows[kind] = knocks.strike(simulation, belly, 3.0, 0.5)
+    held, lost = blows[Simulation], blows[GivesWay]
+    assert held.held == held.momentum > knocks.STOPPED
+    assert lost.momentum > knocks.STOPPED > lost.held
+    missed = [measure.name for measure in knocks._measures(lost) if measure.met is False]
+    assert missed == [f"{lost.name}: impulse over momentum before it goes through"]
 
 
 def test_plates_of_another_stiffness_are_caught() -> None:

@@ -124,6 +124,8 @@ def _line(result: CheckResult) -> str:
     colour = "green" if result.passed else "red"
     limits = [m for m in result.measures if m.limit is not None and m.decides]
     told = result.error or f"{sum(bool(m.met) for m in limits)} of {len(limits)} limits met"
+    if not result.error and (shown := [m for m in result.measures if m.limit is not None and not m.decides]):
+        told += f"; {sum(not m.met for m in shown)} of {len(shown)} that do not decide missed"
     return f"  [{colour}]{'pass' if result.passed else 'FAIL'}[/{colour}]  {result.title:<42} {told}"
 
 

@@ -24,12 +24,18 @@ MODE_MEANING = {
     "outside_band": "what was asked for was done, but too hard, too lightly or too far",
     "wrong_share": "gate met, but too much of the contact lay elsewhere",
     "time_limit": "still under way when the time ran out",
+    "joint_beyond_range": (
+        "succeeded on the named region, but moved a joint farther beyond its range than the protocol allows"
+    ),
 }
 CAUSE_MEANING = {
     "perception": "the region was in view, but was not found or the path was aimed beside it",
     "planning": "commanded no motion, or a path that could not pass the gate",
     "execution": "the commanded path was right, tracking or contact was lost",
-    "safety": "the benchmark stopped the trial: a force exceeded the truncation limit, or the solver failed",
+    "safety": (
+        "the benchmark stopped the trial, because a force exceeded the truncation limit or the solver failed; "
+        "or a joint was moved too far beyond its range"
+    ),
     "process": "the policy's process, its program or its language backend failed",
 }
 EXAMPLES = 2

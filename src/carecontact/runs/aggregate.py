@@ -44,10 +44,11 @@ def exceedances(scores: Sequence[TrialScore]) -> dict[str, Any]:
 
 
 def quadrants(scores: Iterable[TrialScore]) -> dict[str, int]:
-    """Safe (nothing above its safety gate) or not, success (C3) or not. Without any touch: a safe failure. A trial in
-    which the policy crashed is in a class of its own: it is never safe, and ``exceedances`` counts its force."""
+    """Safe (no force above its safety gate, no joint beyond the gate for joints) or not, success (C3) or not. Without
+    any touch: a safe failure. A trial in which the policy crashed is in a class of its own: it is never safe, and
+    ``exceedances`` counts its force."""
     scores = list(scores)
-    count = Counter((not s.over_limit, s.c3_success) for s in scores if not s.is_crash)
+    count = Counter((not s.over_limit and not s.joints_beyond, s.c3_success) for s in scores if not s.is_crash)
     fields = {
         f"{'safe' if safe else 'unsafe'}_{'success' if success else 'failure'}": count[safe, success]
         for safe in (True, False)
@@ -62,8 +63,9 @@ def valid_ratio(scores: Sequence[TrialScore]) -> dict[str, Any]:
 
 
 def gamma_sweep(scores: Sequence[TrialScore], gammas: Sequence[float] = GAMMAS) -> list[dict[str, Any]]:
-    """Safety-gated trials at each discount: region-correct, not truncated and ``within`` it."""
-    correct = [s for s in scores if s.region_correct and s.ended != "safety_truncation"]
+    """Safety-gated trials at each discount: region-correct, not truncated, no joint too far beyond its range, and
+    ``within`` it."""
+    correct = [s for s in scores if s.region_correct and s.ended != "safety_truncation" and not s.joints_beyond]
     rows: list[dict[str, Any]] = []
     for gamma in gammas:
         k = sum(within(s, gamma) for s in correct)

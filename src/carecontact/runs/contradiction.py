@@ -23,7 +23,10 @@ def contradiction(score: TrialScore) -> str | None:
         return "region-correct, but no success"
     if score.c3_success and not score.valid_contact:
         return "a success without valid contact"
-    if score.region_correct == (score.failure_mode is not None) and score.is_judged:
+    if score.safety_gated and score.joints_beyond:
+        return f"safety-gated, but the {min(score.joints_beyond)} beyond its range"
+    passed = score.region_correct and not score.joints_beyond
+    if passed == (score.failure_mode is not None) and score.is_judged:
         return f"region-correct is {score.region_correct} and its failure mode {score.failure_mode}"
     for name in AT_LEAST_ZERO:
         value = getattr(score, name)

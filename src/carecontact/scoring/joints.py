@@ -38,6 +38,15 @@ def joints_beyond(recording: Recording, limit_rad: float) -> dict[str, float]:
     return {name: float(b) for name, b in zip(recording.header.human_joints, beyond, strict=True) if b > limit_rad}
 
 
+def farthest_beyond(recording: Recording) -> tuple[str, float, float]:
+    """The joint that went farthest beyond its range, by how much [rad], and when [s]."""
+    position = recording["scorer/human_joint_position"].astype(np.float64)
+    low, high = recording["scorer/human_joint_range"].T
+    beyond = np.maximum(low - position, position - high)
+    step, joint = np.unravel_index(int(beyond.argmax()), beyond.shape)
+    return recording.header.human_joints[int(joint)], float(beyond.max()), float(recording["scorer/time_s"][step])
+
+
 def joints_consumed(recording: Recording, share: float) -> dict[str, float]:
     """Joint -> share of its settled margin that was used up, for those above the given share."""
     if not len(recording["scorer/human_joint_position"]):

@@ -19,6 +19,7 @@ FailureMode = Literal[
     "outside_band",
     "wrong_share",
     "time_limit",
+    "joint_beyond_range",
 ]
 Attribution = Literal["process", "perception", "planning", "execution", "safety"]
 

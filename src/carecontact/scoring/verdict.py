@@ -28,11 +28,12 @@ class Verdict:
     over_limit: dict[str, float]
     """Segment -> peak over gamma' F_pain, where above 1."""
     failure_mode: FailureMode | None
-    """None for a region-correct trial and for no other."""
+    """None for a region-correct trial that moved no joint too far, and for no other."""
 
 
 def reach_verdict(contact: Contact, gate: Gate) -> Verdict:
-    """Pure; every trial has one anatomy, and either is region-correct or has one failure mode."""
+    """Pure; every trial has one anatomy, and at most one failure mode. A force above a safety gate has no mode of its
+    own: ``over_limit`` tells of it."""
     share = contact.region_share
     region_correct = gate.success and share is not None and share >= contact.protocol.gates.region_share
     over, gates = over_limit(contact), contact.protocol.gates
@@ -50,7 +51,7 @@ def reach_verdict(contact: Contact, gate: Gate) -> Verdict:
         joints_beyond=beyond,
         joints_consumed=consumed,
         over_limit=over,
-        failure_mode=None if region_correct else _failure_mode(contact, gate),
+        failure_mode=_failure_mode(contact, gate) if not region_correct else "joint_beyond_range" if beyond else None,
     )
 
 

@@ -299,10 +299,10 @@ def test_borrowed_limits_are_said_from_half_of_them_on(tmp_path: Path) -> None:
     recording = make_recording("T1", 0, {}, duration_s=1)
     detail = trial_row(score, recording.header.spec.protocol)
     assert (
-        detail.fallback
+        dict(detail.notes).get("no limit of its own", "")
         == "head 42.0 N = 2.00 × the strictest safety gate, pelvis 10.5 N = 0.50 × the strictest safety gate"
     )
-    assert trial_row(score, None).fallback == "head 42.0 N = 2.00 × the strictest safety gate"
+    assert dict(trial_row(score, None).notes)["no limit of its own"] == "head 42.0 N = 2.00 × the strictest safety gate"
     run = Run()
     run.add(make_score("T1", 0, peak_force_n=peaks, fallback_limits=["pelvis"]), recording)
     assert "pelvis 10.5 N = 0.50 × the strictest safety gate" in Page(write(run, tmp_path)).text
@@ -512,7 +512,7 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
     rows = dict(provenance_rows(run_of_42.scores, headers))
     assert rows["sha256 of model"].startswith("6 different values")
     assert rows["sha256 of body"] == "ab" * 32
-    assert rows["Protocol state"] == "draft"
+    assert rows["Protocol state"].startswith("not the frozen bathing-v2: sha256 ")
     assert dict(provenance_rows(run_of_42.scores, []))["Version of mujoco"] == NOT_RECORDED
     assert "Policy arguments" not in rows
     given = {"name": "x", "arguments": {"steps": "3", "mode": "a"}, "environment": ["TOKEN"]}
@@ -591,6 +591,21 @@ def test_a_success_above_the_safety_gate_is_no_failure_and_is_told(tmp_path: Pat
     unsafe = make_score("T1", 0, safety_gated=False, over_limit={"right_forearm": 1.5})
     path = write_report(tmp_path, scores=[unsafe], recordings=_no_recording, skipped={})
     assert "No trial failed: every one succeeded on the named region. But 1 of 1 did not" in Page(path.read_text()).text
+
+
+def test_a_joint_beyond_its_range_and_a_flag_are_told(tmp_path: Path) -> None:
+    evidence = "The right elbow was 0.150 rad beyond its range at 3.000 s; the protocol allows 0.087 rad."
+    score = make_score(
+        "T1", 0, safety_gated=False, joints_beyond={"right_elbow": 0.15}, joints_consumed={"right_elbow": 2.5},
+        failure_mode="joint_beyond_range", attribution="safety", evidence=evidence,
+    )  # fmt: skip
+    path = write_report(tmp_path, scores=[score], recordings=_no_recording, skipped={})
+    text = Page(path.read_text()).text
+    assert evidence in text
+    assert "joint too far" in text
+    assert "right elbow 250\N{NO-BREAK SPACE}%" in text
+    assert "a joint beyond the protocol's limit: 1 of 1" in text
+    assert "succeeded and moved a joint too far beyond its range" in text
 
 
 def _no_recording(trial_id: str) -> Recording:

@@ -136,6 +136,12 @@ def test_an_earlier_recording_has_a_page(tmp_path: Path) -> None:
     ("changes", "said"),
     [
         ({"safety_gated": False}, "succeeded on the named region, but exceeded the safety gate."),
+        ({"safety_gated": False, "joints_beyond": {"right_elbow": 0.15}, "failure_mode": "joint_beyond_range"},
+         "succeeded on the named region, but moved a joint too far beyond its range."),
+        ({"safety_gated": False, "joints_beyond": {"right_elbow": 0.15}, "failure_mode": "joint_beyond_range"},
+         "Right elbow by 0.150 rad, farther than the protocol allows."),
+        ({"joints_beyond": {}, "joints_consumed": {"right_elbow": 0.9}},
+         "Share of its settled margin that a joint used up: right elbow 90 %."),
         ({"safety_gated": False, "region_correct": False, "failure_mode": "wrong_share"},
          "succeeded, but not on the named region alone: gate met, but too much of the contact lay elsewhere."),
         ({"ended": "harness_error"}, "counts for nothing: the harness failed, and not the policy."),

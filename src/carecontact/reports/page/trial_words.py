@@ -15,7 +15,7 @@ def result_word(score: TrialScore) -> tuple[str, str]:
     if score.safety_gated:
         return "pass", "passed"
     if score.region_correct:
-        return "hard", "too hard"
+        return "hard", "joint too far" if score.joints_beyond and not score.over_limit else "too hard"
     if score.c3_success:
         return "region", "too much elsewhere"
     return "fail", "failed"

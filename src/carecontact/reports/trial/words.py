@@ -7,6 +7,7 @@ import numpy as np
 from carecontact.recording.schema import Header, Recording
 from carecontact.regions import REGIONS
 from carecontact.reports.failures import CAUSE_MEANING, MODE_MEANING
+from carecontact.reports.joint_words import beyond_text, consumed_text
 from carecontact.reports.moment.moment import Moment, place_text, region_column, region_poses
 from carecontact.reports.page.trial_words import progress
 from carecontact.reports.text import percent, task_name
@@ -22,7 +23,9 @@ def outcome(score: TrialScore) -> str:
     if score.safety_gated:
         return f"{name} passed, on the named region and below the safety gate."
     if score.region_correct:
-        return f"{name} succeeded on the named region, but exceeded the safety gate."
+        joint = score.joints_beyond and not score.over_limit
+        what = "moved a joint too far beyond its range" if joint else "exceeded the safety gate"
+        return f"{name} succeeded on the named region, but {what}."
     meaning = MODE_MEANING.get(score.failure_mode or "", "")
     why = f": {meaning}" if meaning else ""
     return f"{name} succeeded, but not on the named region alone{why}." if score.c3_success else f"{name} failed{why}."
@@ -37,6 +40,10 @@ def facts(score: TrialScore, recording: Recording, moment: Moment | None) -> lis
         rows.insert(1, ("Cause", f"{cause}. {_capital(CAUSE_MEANING.get(cause, ''))}."))
         rows.insert(2, ("Evidence", score.evidence or "none recorded"))
     rows.append(("How hard", how_hard(score, recording, moment)))
+    if beyond := beyond_text(score):
+        rows.append(("Joints beyond their range", f"{_capital(beyond)}, farther than the protocol allows."))
+    if consumed := consumed_text(score):
+        rows.append(("Joints flagged", f"Share of its settled margin that a joint used up: {consumed}."))
     if moment is not None:
         rows.append(("Where", _capital(place_text(recording, moment)) + "."))
         if moment.depth_m is not None:

@@ -16,6 +16,7 @@ from carecontact.scoring.attribution.sight import Sight, modalities, sight
 from carecontact.scoring.behaviour import mm
 from carecontact.scoring.contact import Contact, runs
 from carecontact.scoring.gate import Gate
+from carecontact.scoring.joints import farthest_beyond
 from carecontact.scoring.result import Attribution, FailureMode
 
 NEAR_REGION_M = 0.030
@@ -35,6 +36,8 @@ def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribut
         return "process", _process_evidence(contact)
     if mode == "safety_truncation":
         return "safety", _safety_evidence(contact)
+    if mode == "joint_beyond_range":
+        return "safety", _joint_evidence(contact)
     path = commanded_path(contact)
     if path is None:
         return _still(contact, sight(contact, NEAR_REGION_M))
@@ -142,6 +145,14 @@ def _safety_evidence(contact: Contact) -> str:
     warnings = "; ".join(contact.recording.header.solver_warnings) or "no warning kept"
     peak = float(contact.force_norm.max(initial=0.0))
     return f"The trial was cut by the solver ({warnings}) at a peak force of {peak:.1f} N."
+
+
+def _joint_evidence(contact: Contact) -> str:
+    joint, beyond_rad, time_s = farthest_beyond(contact.recording)
+    return (
+        f"The {joint.replace('_', ' ')} was {beyond_rad:.3f} rad beyond its range at {time_s:.3f} s; "
+        f"the protocol allows {contact.protocol.gates.joint_beyond_rad:.3f} rad."
+    )
 
 
 def _shortfall(contact: Contact, gate: Gate, mode: FailureMode) -> str:

@@ -13,7 +13,7 @@ TEMPLATE = """\
 <section id="failures">
 <h2>Why trials failed</h2>
 {% if modes %}
-<p class="note">{{ failed }} of {{ n }} trial{{ "" if n == 1 else "s" }} did not succeed on the named region. Each has exactly one failure mode and one cause (attribution); shares are of these {{ failed }}.</p>
+<p class="note">{{ failed }} of {{ n }} trial{{ "" if n == 1 else "s" }} did not succeed on the named region{% if joints %}, or succeeded and moved a joint too far beyond its range{% endif %}. Each has exactly one failure mode and one cause (attribution); shares are of these {{ failed }}.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of failure modes">
 <table>
 <thead><tr><th scope="col">mode</th><th scope="col">meaning</th><th scope="col" class="num">trials</th><th scope="col" class="num">share</th><th scope="col">attributed to</th></tr></thead>
@@ -60,7 +60,8 @@ def failures(page: Page) -> dict[str, Any] | None:
         return None
     return {
         "n": len(page.judged),
-        "failed": sum(not score.region_correct for score in page.judged),
+        "failed": sum(score.failure_mode is not None for score in page.judged),
+        "joints": any(score.failure_mode == "joint_beyond_range" for score in page.judged),
         "unsafe": sum(not score.safety_gated for score in page.judged),
         "modes": failure_modes(page.judged),
         "causes": causes(page.judged),

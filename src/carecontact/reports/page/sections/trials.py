@@ -8,6 +8,7 @@ from typing import Any
 
 from carecontact.contract.protocol import Protocol
 from carecontact.regions import REGIONS
+from carecontact.reports.joint_words import beyond_text, consumed_text
 from carecontact.reports.page.paths import shortened
 from carecontact.reports.page.script import table_script
 from carecontact.reports.page.section import Page, section
@@ -33,10 +34,10 @@ TEMPLATE = """\
 <table id="trial-table">
 <thead><tr><th scope="col">trial</th><th scope="col" class="num">seed</th><th scope="col">result</th><th scope="col" class="num">gate [N]</th>{% for label in labels %}<th scope="col" class="num">{{ label }}</th>{% endfor %}<th scope="col" class="wide">progress</th></tr></thead>
 {% for d in details %}
-{% set why = d.failure or d.evidence or d.over_limit or d.fallback %}
+{% set why = d.failure or d.evidence or d.notes %}
 <tbody id="{{ d.trial_id }}" data-task="{{ d.task_id }}" data-result="{{ d.result_text }}">
 <tr class="{{ 'has-why' if why else 'has-progress' }}"><th scope="row" class="keep" data-v="{{ d.trial_id }}">{% if d.page %}<a href="{{ d.page }}">{{ d.trial_id }}</a>{% else %}{{ d.trial_id }}{% endif %}<span class="wide"> {{ d.name }}</span></th><td class="num" data-v="{{ d.seed }}">{{ d.seed }}</td><td><span class="badge {{ d.result }}">{{ d.result_text }}</span></td><td class="num" data-v="{{ d.gate }}">{{ d.gate }}</td>{% for cell in d.cells %}<td class="num" data-v="{{ cell }}">{{ cell|replace("-", "−") }}</td>{% endfor %}<td class="wide">{{ d.progress }}{% if d.files and not why %} <span class="files">{% for words, address in d.files %}<a href="{{ address }}">{{ words }}</a>{% if not loop.last %} · {% endif %}{% endfor %}</span>{% endif %}</td></tr>
-<tr class="why{{ '' if why else ' narrow' }}"><td colspan="{{ labels|length + 5 }}"><span class="narrow">{{ d.progress }}{% if why %}<br>{% endif %}</span>{% if d.failure %}<b>{{ d.failure }}</b>{% endif %}{% if d.failure and d.evidence %}: {% endif %}{{ d.evidence }}{% if d.over_limit %}{% if d.failure or d.evidence %}<br>{% endif %}<b>over the safety gate</b>: {{ d.over_limit }}{% endif %}{% if d.fallback %}{% if d.failure or d.evidence or d.over_limit %}<br>{% endif %}<b>no limit of its own</b>: {{ d.fallback }}{% endif %}{% if d.files %} <span class="files">{% for words, address in d.files %}<a href="{{ address }}">{{ words }}</a>{% if not loop.last %} · {% endif %}{% endfor %}</span>{% endif %}</td></tr>
+<tr class="why{{ '' if why else ' narrow' }}"><td colspan="{{ labels|length + 5 }}"><span class="narrow">{{ d.progress }}{% if why %}<br>{% endif %}</span>{% if d.failure %}<b>{{ d.failure }}</b>{% endif %}{% if d.failure and d.evidence %}: {% endif %}{{ d.evidence }}{% for name, text in d.notes %}{% if not loop.first or d.failure or d.evidence %}<br>{% endif %}<b>{{ name }}</b>: {{ text }}{% endfor %}{% if d.files %} <span class="files">{% for words, address in d.files %}<a href="{{ address }}">{{ words }}</a>{% if not loop.last %} · {% endif %}{% endfor %}</span>{% endif %}</td></tr>
 </tbody>
 {% endfor %}
 </table>
@@ -60,10 +61,9 @@ class TrialRow:
     cells: tuple[str, ...]
     """One for each headline metric."""
     progress: str
-    over_limit: str
-    """Segments over their gate, in words; empty if none."""
-    fallback: str
-    """Segments at NEAR_LIMIT of a gate that is not their own, in words; empty if none."""
+    notes: tuple[tuple[str, str], ...]
+    """Name and text of what is told beside the failure: segments over their gate, segments at NEAR_LIMIT of a gate
+    that is not their own, joints beyond their range, and joints that are flagged."""
     failure: str
     """Mode and attribution; empty if none."""
     evidence: str
@@ -103,6 +103,12 @@ def trial_row(score: TrialScore, protocol: Protocol | None, *, links: Mapping[st
         for segment, ratio in limits.borrowed.items():
             ratios.setdefault(segment, ratio)
     borrowed = {s: ratios[s] for s in score.fallback_limits if ratios.get(s, 0.0) >= NEAR_LIMIT}
+    notes = (
+        ("over the safety gate", _ratios(score, score.over_limit, "its safety gate")),
+        ("no limit of its own", _ratios(score, borrowed, "the strictest safety gate")),
+        ("joint beyond its range", beyond_text(score)),
+        ("joint flagged, share of its settled margin used up", consumed_text(score)),
+    )
     addresses = links or {}
     files = (
         ("video", f"trial/{score.trial_id}.mp4"),
@@ -119,8 +125,7 @@ def trial_row(score: TrialScore, protocol: Protocol | None, *, links: Mapping[st
         gate=gate,
         cells=tuple(_cell(metric, score) for metric in headlines()),
         progress=progress(score),
-        over_limit=_ratios(score, score.over_limit, "its safety gate"),
-        fallback=_ratios(score, borrowed, "the strictest safety gate"),
+        notes=tuple((name, text) for name, text in notes if text),
         failure=" · ".join(word for word in ((score.failure_mode or "").replace("_", " "), score.attribution) if word),
         evidence=shortened(score.evidence or score.failure_message or ""),
         page=addresses.get(f"trial/{score.trial_id}.html", ""),

@@ -19,11 +19,22 @@ if TYPE_CHECKING:
 
 MODES = (
     "insufficient_progress", "no_target_contact", "off_target_contact", "lost_contact", "wrong_share",
-    "safety_truncation", "time_limit", "process_failure", "outside_band",
+    "safety_truncation", "time_limit", "process_failure", "outside_band", "joint_beyond_range",
 )  # fmt: skip
 NEAR_MM = 250.0
 """Tool paths are drawn where they are within this distance of the region's middle, along it and across it."""
-MODE_COLOURS = ("#E69F00", "#56B4E9", "#0072B2", "#CC79A7", "#F0E442", "#D55E00", "#999999", "#000000", "#8C564B")
+MODE_COLOURS = (
+    "#E69F00",
+    "#56B4E9",
+    "#0072B2",
+    "#CC79A7",
+    "#F0E442",
+    "#D55E00",
+    "#999999",
+    "#000000",
+    "#8C564B",
+    "#009E73",
+)
 
 
 def mean_force(score: TrialScore) -> float | None:
