@@ -73,6 +73,7 @@ def test_a_tissue_that_does_not_load_says_why(monkeypatch: pytest.MonkeyPatch) -
     finding = check_tissue()
     assert not finding.fine
     assert finding.detail.endswith("OSError: no such symbol")
+    assert finding.fix == f"rm {found.file()} && {found.making()}"
 
 
 @pytest.mark.parametrize(("fine", "status"), [(True, 0), (False, 1)])

@@ -59,6 +59,7 @@ class Sheet:
         bottom_m: distance of the geom's lowest point from its centre.
         give_m3_n: how far the tool's own surface gives way under pressure.
         frame: (3, 3) turns the whole world; nothing may depend on it.
+        free: let the tool turn and go anywhere, instead of slide; then ``move`` and ``hold`` do not work.
         vertices: (n, 3) of a mesh named "tool", for a geom of type MESH.
         more: further geoms of the tool, of ``MjsBody.add_geom``, whose ``pos`` is seen from the lowest point.
     """
@@ -66,7 +67,7 @@ class Sheet:
     def __init__(
         self, law: Tissue, mesh: Mesh, *, bottom_m: float, dt_s: float = 0.002, mass_kg: float = HEAVY_KG,
         ledger: bool = False, give_m3_n: float = 0.0, bone_mass_kg: float | None = None, frame: Array | None = None,
-        vertices: Array | None = None, more: tuple[dict[str, Any], ...] = (), **geom: object,
+        free: bool = False, vertices: Array | None = None, more: tuple[dict[str, Any], ...] = (), **geom: object,
     ) -> None:  # fmt: skip
         spec = mujoco.MjSpec()
         spec.option.timestep, spec.option.gravity = dt_s, [0, 0, 0]
@@ -81,7 +82,9 @@ class Sheet:
         tool = spec.worldbody.add_body(
             name="tool", quat=quat, mass=mass_kg, explicitinertial=True, inertia=[1.0, 1.0, 1.0]
         )
-        for axis in ([1, 0, 0], [0, 0, 1]):
+        if free:
+            tool.add_freejoint()
+        for axis in () if free else ([1, 0, 0], [0, 0, 1]):
             tool.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         if vertices is not None:
             spec.add_mesh(name="tool", uservert=vertices.ravel().tolist())

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from carecontact.contract.protocol import Tissue
 from carecontact.errors import SceneError
 from carecontact.kernel import library
 from carecontact.kernel.readings import RING_ROWS, Readings
@@ -19,6 +20,7 @@ from tests.kernel.sheets import (
     CAPSULE,
     CYLINDER,
     ELLIPSOID,
+    HEAVY_KG,
     MESH,
     SPHERE,
     Array,
@@ -50,7 +52,7 @@ TOOLS: dict[str, dict[str, Any]] = {
 }
 
 
-def soft(**fields: float) -> object:
+def soft(**fields: float) -> Tissue:
     return tissue(
         **{"coupling_length_m": 0.005, "membrane_n_m": 250.0, "contact_n_m3": 5e7, "damping_ns_m3": 2e4, **fields}
     )
@@ -64,21 +66,60 @@ def scrub_path(steps: int = 400) -> Array:
 
 @pytest.mark.parametrize("tool", TOOLS)
 def test_what_pushes_the_tool_pushes_the_bone_as_much_the_other_way(tool: str) -> None:
-    """Force and moment about the world's origin, seen by two bodies that nothing else holds."""
-    made = Sheet(soft(), sheet(), mass_kg=1.0, bone_mass_kg=2.0, **TOOLS[tool])
-    made.data.qpos[-1], made.data.qvel[-2:] = -0.003, [0.05, -0.05]
-    mujoco.mj_forward(made.model, made.data)
-    force = made.felt.generalised_force(made.model, made.data)
-    np.testing.assert_array_equal(force, made.data.qfrc_passive)
-    row = made.felt.now(made.data)
-    np.testing.assert_allclose(force[:3], row["force_n"], atol=1e-9)
-    np.testing.assert_allclose(force[-2:], -row["force_n"][[0, 2]], atol=1e-9)
-    # The bone turns about its origin, which is the world's: the moment is that of the force through the tool, so that
-    # both together turn nothing.
+    """Force and moment about the world's origin, where the bone's is, seen by two bodies that nothing else holds."""
+    made = Sheet(soft(), sheet(), mass_kg=1.0, bone_mass_kg=2.0, free=True, **TOOLS[tool])
+    model, data = made.model, made.data
+    place = [0.012, 0.008, -0.003]
+    data.qpos[7:10], data.qvel[6:9] = place, [0.05, 0.03, -0.05]
+    mujoco.mj_forward(model, data)
+    force = made.felt.generalised_force(model, data)
+    np.testing.assert_array_equal(force, data.qfrc_passive)
+    row = made.felt.now(data)
     assert row["force_n"][2] < -0.5
-    momentum = made.data.qvel[0] * 2.0 + made.data.qvel[-2]
-    mujoco.mj_step(made.model, made.data, 50)
-    assert made.data.qvel[0] * 2.0 + made.data.qvel[-2] == pytest.approx(momentum, abs=1e-6)
+    np.testing.assert_allclose(force[:3], row["force_n"], atol=1e-9)
+    np.testing.assert_allclose(force[6:9], -force[:3], atol=1e-9)
+    np.testing.assert_allclose(force[3:6], -force[9:12] - np.cross(place, force[6:9]), atol=1e-9)
+    assert np.linalg.norm(force[3:5]) > 0.01 * np.linalg.norm(force[:3]), "the tool presses beside the bone's origin"
+    before = momenta(model, data)
+    mujoco.mj_step(model, data, 50)
+    np.testing.assert_allclose(momenta(model, data), before, atol=1e-6)
+
+
+def momenta(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """(6,) linear and angular, of all bodies together."""
+    mujoco.mj_forward(model, data)
+    mujoco.mj_subtreeVel(model, data)
+    return np.concatenate([model.body_mass.sum() * data.subtree_linvel[0], data.subtree_angmom[0]])
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_the_moment_on_the_bone_is_that_of_the_anchors_and_of_the_force_where_it_acts(tool: str) -> None:
+    """A tool that was pushed sideways rests beside the bone's origin: each vertex bears what its springs say, where it
+    is."""
+    law = soft()
+    made = Sheet(law, sheet(), bone_mass_kg=HEAVY_KG, **TOOLS[tool])
+    made.hold(0.004, x_m=0.012, steps=50)
+    row = made.move(np.array([[min(0.016, 0.012 + 1e-4 * k), -0.004] for k in range(600)]))[-1]
+    felt, data = made.felt, made.data
+    force = felt.generalised_force(made.model, data)
+    moved = felt.displacement(data)
+    borne = law.a_n_m3 * felt.areas[:, None] * moved
+    for (first, second), weight in zip(*sheet().edges, strict=True):
+        stiffness = weight * np.array([law.a_n_m3 * law.coupling_length_m**2, law.membrane_n_m, law.membrane_n_m])
+        apart = stiffness * (moved[first] - moved[second])
+        borne[first] += apart
+        borne[second] -= apart
+    moving = (moved != 0).any(1)
+    in_bone = np.einsum("ij,ijk->ik", borne, felt.frames)[moving]
+    moment = np.cross(felt.vertices(data)[moving], in_bone).sum(0)
+    np.testing.assert_allclose(force[:3], in_bone.sum(0), atol=0.002 * np.linalg.norm(force[:3]))
+    assert force[0] > 0.05, "friction drags the skin along"
+    lever_m = 0.012
+    np.testing.assert_allclose(force[3:6], moment, atol=0.01 * lever_m * np.linalg.norm(force[:3]))
+    at_centre = np.cross(row["centroid_m"], row["force_n"])
+    # The wall of a flat tool that is pushed sideways presses too, and counts in the centre of pressure.
+    np.testing.assert_allclose(force[3:6], at_centre, atol=0.2 * lever_m * np.linalg.norm(force[:3]))
+    assert abs(force[4]) > 0.9 * lever_m * np.linalg.norm(force[:3])
 
 
 @pytest.mark.parametrize("dt_s", [0.002, 0.004])

@@ -104,12 +104,26 @@ class PushedTheWrongWay(Readings):
         return rows
 
 
-class WrongSign(Subject):
-    """A sound person whose simulations read the tissue's force with the wrong sign."""
+class PushedAtItsOrigin(Readings):
+    """Reads the generalised forces of a kernel that pushes the bone with the right force and no moment."""
+
+    def generalised_force(self, model: mujoco.MjModel, data: mujoco.MjData) -> npt.NDArray[np.float64]:
+        both, on_bone = super().generalised_force(model, data), np.zeros(model.nv)
+        force, at = self.now(data)["force_n"], data.xpos[self.bone]
+        mujoco.mj_applyFT(model, data, force, np.zeros(3), at, self.bone, on_bone)
+        return np.where(np.isin(np.arange(model.nv), _human_dofs(model)), on_bone, both)
+
+
+class ReadsWrong(Subject):
+    """A sound person whose simulations read the tissue wrongly."""
+
+    def __init__(self, protocol: Protocol, readings: type[Readings]) -> None:
+        super().__init__(protocol)
+        self._readings = readings
 
     def hovering(self, region: str) -> Simulation:
         simulation = super().hovering(region)
-        simulation.tissue.update({name: PushedTheWrongWay(simulation.model, name) for name in simulation.tissue})
+        simulation.tissue.update({name: self._readings(simulation.model, name) for name in simulation.tissue})
         return simulation
 
 

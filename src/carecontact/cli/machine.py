@@ -113,7 +113,10 @@ def check_tissue() -> Finding:
         return Finding(name="tissue", fine=False, detail=f"the compiled tissue {what}", fix=command)
     made = f"compiled for MuJoCo {binary.MUJOCO} and {binary.platform_here()}, sha256 {found.sha256()[:12]}"
     fault = _probe(TISSUE_PROBE, environment={})
-    return Finding(name="tissue", fine=fault is None, detail=f"{made}; {fault or 'it loads'}")
+    return Finding(
+        name="tissue", fine=fault is None, detail=f"{made}; {fault or 'it loads'}",
+        fix=found.making(afresh=True) if fault else None,
+    )  # fmt: skip
 
 
 def loads(library: str) -> bool:

@@ -64,8 +64,9 @@ PANDA = Embodiment(
     parked_joint_rad=(0.5324, -0.3907, 0.3589, -1.8387, 0.1348, 1.4716, 1.1415),
 )
 """Franka Emika Panda; joint limits as in the franka description package, from which the arm's meshes come too. The
-hand is permanently closed: a cap covers the fingertips. The cap is an ellipsoid, because an ellipsoid makes one contact
-with each triangle of a shell; a capsule made up to five, some of them millimetres too deep."""
+hand is permanently closed: a cap covers the fingertips. The cap is an ellipsoid, because an ellipsoid has
+no rims and no flat sides: the compiled tissue meets it in one point of each triangle, and the force does not jump where
+skin slides over it."""
 
 PANDA_MITT = replace(
     PANDA,

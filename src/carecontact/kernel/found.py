@@ -41,9 +41,11 @@ def problem() -> tuple[str, str | None] | None:
     return None
 
 
-def making() -> str:
-    """The command that makes or installs the right binary."""
+def making(*, afresh: bool = False) -> str:
+    """The command that makes or installs the right binary; ``afresh``: also where the one that is there has the right
+    mark, but does not load."""
     clone = binary.FOLDER.parents[2]
     if (clone / "tools" / "bootstrap.sh").is_file():
-        return f"make -C {clone} env"
+        make = f"make -C {clone} env"
+        return f"rm {binary.library_file(binary.platform_here())} && {make}" if afresh else make
     return f"{sys.executable} -m pip install --force-reinstall --no-deps CARECONTACT.whl"

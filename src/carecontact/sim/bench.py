@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import PANDA, Tip
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, SceneError
 from carecontact.kernel.readings import Readings
@@ -38,7 +38,7 @@ SEARCH_M = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class Indenter:
-    """A rigid indenter, pressed along its axis; ``cap`` is the shipped tool lying across the region.
+    """An indenter, pressed along its axis: rigid, but for a ``cap``, the robot's tool, which lies across the region.
 
     Args:
         size_m: radius of the flat disc, whose rim ``kernel/c/tool.c`` rounds with 2 mm, or of the hemisphere; None for
@@ -47,6 +47,8 @@ class Indenter:
 
     shape: Shape
     size_m: float | None = None
+    tip: Tip = PANDA.tip
+    """Gives the cap its size and its compliance."""
 
     def __post_init__(self) -> None:
         if self.shape not in ("flat", "hemisphere", "cap"):
@@ -349,12 +351,12 @@ def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter, *, glides: bool) -> N
     common = {"contype": 1, "conaffinity": 0, "condim": 3, "mass": 0}
     size = indenter.size_m or 0.0
     if indenter.shape == "cap":
-        probe.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-            size=PANDA.tip.half_m,
-            pos=[0, 0, PANDA.tip.half_m[2]],
-            **common,
+        tip = indenter.tip
+        geom = probe.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=tip.half_m, pos=[0, 0, tip.half_m[2]], **common
         )
+        if tip.give_m3_n:
+            spec.nuser_geom, geom.userdata = 1, [tip.give_m3_n]
     elif indenter.shape == "hemisphere":
         probe.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[size, 0, 0], pos=[0, 0, size], **common)
     else:

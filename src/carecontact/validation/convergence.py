@@ -18,7 +18,7 @@ from carecontact.validation.moves import PRESS, SCRUB, Motion
 from carecontact.validation.pressing import declared_bench, tool
 from carecontact.validation.reference import ABDOMEN, FOREARM, Reference
 from carecontact.validation.result import Array, CheckResult, Measure
-from carecontact.validation.rig import CAP, HEAVY_KG, Rig, middle
+from carecontact.validation.rig import HEAVY_KG, Rig, middle, robot_tool
 from carecontact.validation.scores import Scores, motion_scores
 from carecontact.validation.subject import Subject
 from carecontact.world.human.shell import Shell
@@ -146,8 +146,8 @@ def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curv
     same_law = _mean_response(bench, depths, HELD_OUT_M)
     fitted = recalibrated(bench, depths, _mean_response(shipped, depths, PLACES_M))
     new_law = _mean_response(bench, depths, HELD_OUT_M)
-    at_tool = _mean_response(declared_bench(subject, region, tool()), TOOL_DEPTHS_M, HELD_OUT_M)
-    fine_tool = declared_bench(fine, region, tool())
+    at_tool = _mean_response(declared_bench(subject, region, tool(subject)), TOOL_DEPTHS_M, HELD_OUT_M)
+    fine_tool = declared_bench(fine, region, tool(subject))
     tool_same = _mean_response(fine_tool, TOOL_DEPTHS_M, HELD_OUT_M)
     fine_tool.set_law(fitted)
     tool_new = _mean_response(fine_tool, TOOL_DEPTHS_M, HELD_OUT_M)
@@ -172,8 +172,8 @@ def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curv
 
 
 def finest_scrub(subject: Subject, region: str) -> list[Measure]:
-    """Scrub the held region with the cap at one depth, on the shipped mesh and on one so fine that it approximates a
-    continuous surface, both with the shipped law.
+    """Scrub the held region with the robot's tool at one depth, on the shipped mesh and on one so fine that it
+    approximates a continuous surface, both with the shipped law.
     """
     tissue = subject.tissue(region)
     coarse = min(tissue.coarse_spacing_m, tissue.coarse_spacing_m * FINEST_M / tissue.spacing_m)
@@ -204,7 +204,7 @@ def _held_scrub(
     """Return the largest force [N] and the standard deviation [N] of the force in contact, while the tool presses down
     and goes once back and forth.
     """
-    rig = Rig(subject, region, CAP, joints="slides", mass_kg=HEAVY_KG, at=at)
+    rig = Rig(subject, region, robot_tool(subject), joints="slides", mass_kg=HEAVY_KG, at=at)
     dt, data = rig.model.opt.timestep, rig.data
     down = np.arange(0.0, SCRUB_DEPTH_M + SCRUB_FROM_M, SCRUB_M_S / 2 * dt)
     across = np.arange(-SCRUB_HALF_M, SCRUB_HALF_M, SCRUB_M_S * dt)

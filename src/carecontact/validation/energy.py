@@ -60,7 +60,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         curves |= {f"drop/{name}": np.stack([time, energy - settled, own - settled])}
     for region in subject.regions(quick=quick):
         measures += ledger.measures(subject, region, quick=quick)
-        benches = person_bench(subject, region, tool()), declared_bench(subject, region, tool())
+        benches = person_bench(subject, region, tool(subject)), declared_bench(subject, region, tool(subject))
         for speed in QUICK_SPEEDS_M_S if quick else LOOP_SPEEDS_M_S:
             loop, declared = (
                 bench.press(depth_m=LOOP_DEPTH_M, speed_m_s=speed, unload=True, sample_s=bench.model.opt.timestep)

@@ -10,7 +10,7 @@ from carecontact.errors import SceneError
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS
 from carecontact.sim.simulation import Samples, Simulation
-from carecontact.validation.force_paths import AnchorForce, bed_reaction, tip_force, touches_hard_parts
+from carecontact.validation.force_paths import AnchorForce, bed_reaction, moment_on_bone, tip_force, touches_hard_parts
 from carecontact.validation.moves import move_to, surface_point
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
@@ -32,8 +32,11 @@ STIFFNESS = (1000.0, 20.0)
 """Translational [N/m] and rotational [N m/rad] stiffness: a stiffer robot needs less lead of the target over the
 tool."""
 GRAVITY_M_S2 = 9.81
+LEVER_MM = 1.0
+"""An error of 1 % of the force, as of the other lines, at a lever of 100 mm, which is about that of the middle of the
+forearm about the elbow."""
 LONGEST_PRESS_S = 10.0
-PATHS = ("contact", "anchors", "joint torques", "bed")
+PATHS, MOMENTS = ("contact", "anchors", "joint torques", "bed"), ("moment", "anchors' moment")
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -48,12 +51,14 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         def line(name: str, share: float, limit: float, region: str = region) -> Measure:
             return Measure(name=f"{region}: {name}", value=100 * float(share), unit="%", limit=limit)
 
-        deep = rows["indentation"]
+        deep, lever = rows["indentation"], np.linalg.norm(rows["moment"] - rows["anchors' moment"], axis=1) / size
         measures += [
             line("contact against anchors", gap["anchors"].max(), 1.0),
             line("contact against robot joint torques", gap["joint torques"].max(), 2.0),
             Measure(name=f"{region}: held by skin too far from the tool to move", unit="%",
                     value=float(100 * (np.linalg.norm(rows["held"], axis=1) / size).max())),
+            Measure(name=f"{region}: moment on the bone against the anchors' moment, over the force", unit="mm",
+                    value=1000 * float(lever.max()), limit=LEVER_MM),
             line("bed reaction against weight and press", gap["bed"].max(), 1.0),
             line("bed against weight before the press", abs(weight / wanted_weight - 1), 1.0),
             Measure(name=f"{region}: tool speed at the readings", value=1000 * float(rows["speed"].max()), unit="mm/s",
@@ -73,8 +78,9 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
 
     Returns one row per level, n of them, and the bed's upward force before [N]. Rows: indentation (n,) [m], speed (n,)
     of the tool [m/s], held (n, 3) force at the edge of the skin that moves [N], hard (n,) how often the tool met
-    something rigid, and for each of PATHS the force that the robot exerts on the person (n, 3) [N], with its value
-    before the press subtracted. Raises SceneError if a level is not reached.
+    something rigid, moment (n, 3) on the bone about its origin and anchors' moment (n, 3) [N m], and for
+    each of PATHS the force that the robot exerts on the person (n, 3) [N], with its value before the press subtracted.
+    Raises SceneError if a level is not reached.
     """
     column = SEGMENTS.index(REGIONS[region].segment)
     index = simulation.protocol.regions.index(region)
@@ -91,9 +97,9 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
         height -= speed * period * (1.0 + tangent / STIFFNESS[0])
         return move_to(simulation, np.array([*top[:2], height]), seconds=period)[-1]
 
-    def read() -> tuple[Array, float, int]:
-        """Return the forces (4, 3) [N] by path, the tool's largest speed [m/s] and the number of contacts with hard
-        parts, once the tool rests.
+    def read() -> tuple[Array, Array, float, int]:
+        """Return the forces (4, 3) [N] by path, the moments (2, 3) [N m] on the bone and of the anchors, the tool's
+        largest speed [m/s] and the number of contacts with hard parts, once the tool rests.
 
         They are read at every step of whole target periods, because within one the posture torque lets the tip swing a
         little.
@@ -101,16 +107,17 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
         for _ in range(round(LONGEST_REST_S / period)):
             if go(0.0).tcp_speed.max() < REST_M_S:
                 break
-        forces, speed, hard = [], 0.0, 0
+        forces, moments, speed, hard = [], [], 0.0, 0
         for _ in range(round(READ_S / simulation.model.opt.timestep)):
             samples = simulation.advance(1)[-1]
             forces.append([samples.force[-1, column], anchors(), tip_force(simulation), -bed_reaction(simulation)])
+            moments.append([moment_on_bone(simulation, region), anchors.moment()])
             speed = max(speed, float(samples.tcp_speed.max()))
             hard += touches_hard_parts(simulation)
-        return np.mean(forces, axis=0), speed, hard
+        return np.mean(forces, axis=0), np.mean(moments, axis=0), speed, hard
 
     before = read()[0]
-    rows: dict[str, list] = {name: [] for name in ("indentation", "speed", "held", "hard", *PATHS)}
+    rows: dict[str, list] = {name: [] for name in ("indentation", "speed", "held", "hard", *PATHS, *MOMENTS)}
     for level in levels_m:
         began = simulation.time_s
         while (depth := float(simulation.indentation()[index])) < level:
@@ -120,12 +127,12 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
             if depth - last[0] > 2e-4:
                 tangent = float(np.clip((force - last[1]) / (depth - last[0]), 0.0, 8000.0))
                 last = (depth, force)
-        forces, speed, hard = read()
+        forces, moments, speed, hard = read()
         rows["indentation"].append(float(simulation.indentation()[index]))
         rows["speed"].append(speed)
         rows["held"].append(anchors.held())
         rows["hard"].append(hard)
-        for path, of_path in zip(PATHS, forces - before, strict=True):
+        for path, of_path in zip((*PATHS, *MOMENTS), (*(forces - before), *moments), strict=True):
             rows[path].append(of_path)
     return {name: np.array(values) for name, values in rows.items()}, -float(before[PATHS.index("bed"), 2])
 

@@ -31,13 +31,19 @@ class AnchorForce:
 
     def __call__(self) -> Array:
         """Return the force (3,)."""
-        return self._sum(moving=True)
+        return self._wrench(moving=True)[0]
+
+    def moment(self) -> Array:
+        """Return the moment (3,) of the same about the bone's origin [N m]. The force of a vertex acts where the vertex
+        is now, as do the parts of a contact point's force that the corners of its triangle bear."""
+        return self._wrench(moving=True)[1]
 
     def held(self) -> Array:
         """(3,) force that holds the skin around the part that moves."""
-        return self._sum(moving=False)
+        return self._wrench(moving=False)[0]
 
-    def _sum(self, *, moving: bool) -> Array:
+    def _wrench(self, *, moving: bool) -> Array:
+        """Return force and moment (2, 3)."""
         law, felt = self._law, self._felt
         moved, rate = felt.displacement(self._data), felt.rate(self._data)
         borne = law.a_n_m3 * moved
@@ -51,8 +57,20 @@ class AnchorForce:
         np.add.at(force, first, apart)
         np.add.at(force, second, -apart)
         chosen = (moved != 0).any(1) == moving
-        in_bone = np.einsum("ij,ijk->k", force[chosen], felt.frames[chosen])
-        return self._data.xmat[felt.bone].reshape(3, 3) @ in_bone
+        in_bone = np.einsum("ij,ijk->ik", force[chosen], felt.frames[chosen])
+        moment = np.cross(felt.vertices(self._data)[chosen], in_bone)
+        return np.stack([in_bone.sum(0), moment.sum(0)]) @ self._data.xmat[felt.bone].reshape(3, 3).T
+
+
+def moment_on_bone(simulation: Simulation, region: str) -> Array:
+    """Return the moment (3,) of a region's compiled tissue on its bone about the bone's origin [N m], from the
+    generalised forces that it adds to the free joint of the person."""
+    model, data, felt = simulation.model, simulation.data, simulation.tissue[region]
+    root = int(model.body_rootid[felt.bone])
+    first = int(model.body_dofadr[root])
+    wrench = felt.generalised_force(model, data)[first : first + 6]
+    about_root = data.xmat[root].reshape(3, 3) @ wrench[3:]
+    return about_root + np.cross(data.xpos[root] - data.xpos[felt.bone], wrench[:3])
 
 
 def bed_reaction(simulation: Simulation) -> Array:

@@ -11,10 +11,9 @@ import numpy as np
 
 from carecontact.protocols import FAST_DT_S
 from carecontact.validation.result import Array, Measure
-from carecontact.validation.rig import CAP, FLANK, PAD, Rig, Tool
+from carecontact.validation.rig import FLANK, PAD, Rig, Tool, robot_tool
 from carecontact.validation.subject import Subject
 
-TOOLS, QUICK_TOOLS = (CAP, PAD, FLANK), (CAP,)
 SPEED_M_S, SIDEWAYS_M_S, GAP_M, BOUNCE_S = 0.2, 0.1, 0.003, 0.4
 PRESS_N, DRAG_M_S, DRAG_FROM_M, REST_S, RISE_S, DRAG_S = 3.0, 0.1, -0.04, 0.3, 0.05, 1.3
 DRAG_NS_M = 100.0
@@ -56,7 +55,7 @@ def measures(subject: Subject, region: str, *, quick: bool) -> list[Measure]:
     shipped = subject.protocol.physics.dt_s
     out: list[Measure] = []
     for dt_s in (shipped,) if quick else sorted({shipped, FAST_DT_S}):
-        for tool in QUICK_TOOLS if quick else TOOLS:
+        for tool in (robot_tool(subject), *(() if quick else (PAD, FLANK))):
             ledgers = [contact(subject, region, tool, case, dt_s=dt_s) for case in CASES]
             for case, found in zip(CASES, ledgers, strict=True):
                 name = f"{region}: {tool.name} of 1 kg {case} at {1000 * dt_s:g} ms"

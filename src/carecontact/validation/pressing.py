@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.sim.bench import Bench, Indenter
 from carecontact.validation.subject import Subject
 
@@ -29,6 +30,6 @@ def declared_bench(
     )  # fmt: skip
 
 
-def tool() -> Indenter:
-    """Return the shipped tool, lying across the region."""
-    return Indenter(shape="cap")
+def tool(subject: Subject) -> Indenter:
+    """Return the tool of the protocol's robot, lying across the region."""
+    return Indenter(shape="cap", tip=EMBODIMENTS[subject.protocol.scene.tool].tip)

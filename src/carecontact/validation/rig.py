@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import EMBODIMENTS, PANDA, Tip
 from carecontact.kernel.readings import Readings
 from carecontact.regions import REGIONS
 from carecontact.validation.result import Array
@@ -26,7 +26,7 @@ from carecontact.world.scene import set_physics
 HEAVY_KG = 1e6
 """A tool of this mass moves as prescribed, whatever force acts on it."""
 WIDE_M = 0.03
-"""Half the width of the widest tool here."""
+"""Half the width of the skin that a tool covers; of a wider tool of the robot, its own."""
 UPWARD = 0.3
 """Least cosine between the region's outward direction and the normals of skin on which a tool may be set."""
 
@@ -40,11 +40,20 @@ class Tool:
     size_m: tuple[float, ...]
     height_m: float
     """Height of its centre over its lowest point."""
+    give_m3_n: float = 0.0
+    """Compliance of its surface [m/Pa]."""
     turned: tuple[float, ...] = field(default=(1.0, 0.0, 0.0, 0.0))
     """quat_wxyz"""
 
 
-CAP = Tool(name="cap", kind=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size_m=PANDA.tip.half_m, height_m=PANDA.tool_radius_m)
+def _of_tip(name: str, tip: Tip) -> Tool:
+    return Tool(
+        name=name, kind=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size_m=tip.half_m, height_m=tip.half_m[2],
+        give_m3_n=tip.give_m3_n,
+    )  # fmt: skip
+
+
+CAP = _of_tip("cap", PANDA.tip)
 PAD = Tool(name="pad", kind=mujoco.mjtGeom.mjGEOM_BOX, size_m=(0.015, 0.020, 0.006), height_m=0.006)
 """30 x 40 x 12 mm, with the rounded edges that the compiled tissue gives a box."""
 FLANK = Tool(
@@ -52,6 +61,12 @@ FLANK = Tool(
     turned=(float(np.sqrt(0.5)), float(np.sqrt(0.5)), 0.0, 0.0),
 )  # fmt: skip
 """About the size of the side of the robot's hand, across the region."""
+
+
+def robot_tool(subject: Subject) -> Tool:
+    """Return the tool of the protocol's robot, which is the cap or the wash mitt."""
+    name = subject.protocol.scene.tool
+    return CAP if name == "caps" else _of_tip(name, EMBODIMENTS[name].tip)
 
 
 class Rig:
@@ -88,6 +103,7 @@ class Rig:
         self, spec: mujoco.MjSpec, tool: Tool, joints: str, mass_kg: float, point: Array, axes: Array
     ) -> None:  # fmt: skip
         self._skin = (self.shell.vertices - point) @ axes
+        self._wide_m = max(WIDE_M, *tool.size_m[:2]) if tool.kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID else WIDE_M
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, axes.ravel())
         body = spec.worldbody.add_body(name="tool", pos=point - self._origin + tool.height_m * axes[:, 2], quat=quat)
@@ -96,8 +112,11 @@ class Rig:
         else:
             for axis in ([1, 0, 0], [0, 0, 1]):
                 body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-        body.add_geom(type=tool.kind, size=[*tool.size_m, 0, 0][:3], quat=tool.turned, mass=mass_kg, contype=1,
-                      conaffinity=0)  # fmt: skip
+        geom = body.add_geom(
+            type=tool.kind, size=[*tool.size_m, 0, 0][:3], quat=tool.turned, mass=mass_kg, contype=1, conaffinity=0
+        )
+        if tool.give_m3_n:
+            spec.nuser_geom, geom.userdata = 1, [tool.give_m3_n]
 
     def reset(self, *, position: npt.ArrayLike = (), velocity: npt.ArrayLike = ()) -> None:
         """Put the tool, at rest or moving, on the first of its coordinates."""
@@ -108,7 +127,7 @@ class Rig:
 
     def clear_of_m(self, along_m: float) -> float:
         """Return how far [m] the tool must move away from the skin to touch none of it, at a place along the region."""
-        under = (np.abs(self._skin[:, 0] - along_m) < WIDE_M) & (np.abs(self._skin[:, 1]) < WIDE_M)
+        under = (np.abs(self._skin[:, :2] - [along_m, 0.0]) < self._wide_m).all(1)
         return float(self._skin[under, 2].max())
 
     def kinetic_j(self) -> float:

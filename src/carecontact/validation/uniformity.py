@@ -23,7 +23,8 @@ PLACES, QUICK_PLACES = 60, 20
 and a tenth for 60, so that the limit judges the region more than the draw."""
 SEED = 20
 BORDER_M = 0.019
-"""Width that is kept free along the mask's border: half the tool's width."""
+"""Width that is kept free along the mask's border: half the cap's width. The wash mitt is wider, and covers skin beyond
+the mask."""
 UPWARD = 0.5
 """Least cosine between normals in the mask, which a tool from above touches, and the region's outward direction: 60
 degrees."""
@@ -34,7 +35,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures: list[Measure] = []
     curves: dict[str, Array] = {}
     for region in subject.regions(quick=quick):
-        bench = person_bench(subject, region, tool())
+        bench = person_bench(subject, region, tool(subject))
         rng = np.random.default_rng([SEED, subject.regions().index(region)])
         places = random_places(bench.shell, rng, QUICK_PLACES if quick else PLACES)
         force = np.array([_press(bench, place) for place in places])
