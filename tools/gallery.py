@@ -1,6 +1,6 @@
 """A picture of the people of a protocol with levels: one column for each seed, one row for each level, from overhead.
 
-python tools/gallery.py --out gallery.png [--protocol bathing-wide-draft] [--task T1] [--seeds 0-8]
+python tools/gallery.py --out gallery.png [--protocol bathing-wide-v1] [--task T1] [--seeds 0-8]
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LABEL = 18
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--protocol", default="bathing-wide-draft")
+    parser.add_argument("--protocol", default="bathing-wide-v1")
     parser.add_argument("--task", default="T1")
     parser.add_argument("--seeds", default="0-8")
     parser.add_argument("--camera", default="overhead")

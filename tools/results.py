@@ -1,6 +1,6 @@
 """Tables of the evaluated methods beside the paper, from finished runs.
 
-    python tools/results.py runs/bathing-draft/* [--protocol bathing-draft] [--out docs/results]
+    python tools/results.py runs/bathing-v2/* [--protocol bathing-v2] [--out docs/results]
 
 Runs are folders with a results.json, or results files: state-machine, voxposer, voxposer-phased and the blind baselines
 on the protocol, and state-machine and voxposer under every stiffness and tissue of the sweeps. Their trials say which

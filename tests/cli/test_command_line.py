@@ -40,7 +40,7 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["run", "--policy", "hover", "--out", "r", "--seeds", "44"], "valid: 0-19"),
         (
             ["run", "--policy", "hover", "--out", "r", "--protocol", "p"],
-            "no protocol named 'p'; valid: bathing-draft, bathing-droid-draft, bathing-wide-draft",
+            "no protocol named 'p'; valid: bathing-droid-draft, bathing-v2, bathing-wide-v1",
         ),
         (["run", "--policy", "hover", "--out", "r", "--jobs", "0"], "must be at least 1"),
         (["run", "--policy", "hover", "--out", "broken.py"], "this is a file"),
@@ -49,8 +49,8 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["run", "--policy", "hover"], "Missing from carecontact run: --out PATH; For full helptext"),
         (["run", "--polixy", "hover", "--out", "r"], "run has no option --polixy (did you mean '--policy'?); "),
         (["validate", "--body", "man-adult", "--body", "woman-old-light"], "--body is given twice"),
-        (["look", "--task", "T9"], "--task: 'T9' is not a task of bathing-draft; valid: T1, T2, T3, T4, T5, T6, T7"),
-        (["look", "--task", "T1", "--seed", "20"], "--seed: 20 is not a seed of bathing-draft; valid: 0-19"),
+        (["look", "--task", "T9"], "--task: 'T9' is not a task of bathing-v2; valid: T1, T2, T3, T4, T5, T6, T7"),
+        (["look", "--task", "T1", "--seed", "20"], "--seed: 20 is not a seed of bathing-v2; valid: 0-19"),
         (["look", "--task", "T1", "--out", "r"], "a picture ends in .png, .jpg, .pdf"),
         (["look", "--task", "T1", "--body", "nobody"], "no body named 'nobody'"),
         (["look", "--task", "T1", "--set", "physics.dt_s=0.004", "--set", "physics.dt_m=1"], "physics.dt_m"),
@@ -85,7 +85,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     ("what", "expected"),
     [
         ("tasks", ["T1", "T2", "T3", "T4", "T5", "T6", "T7"]),
-        ("protocols", ["bathing-draft", "bathing-droid-draft", *4 * ["bathing-wide-draft"]]),
+        ("protocols", ["bathing-droid-draft", "bathing-v2", *4 * ["bathing-wide-v1"]]),
         ("metrics", sorted(METRICS)),
         ("segments", [*SEGMENTS, *LIMB_PARTS, *JOINTS]),
     ],

@@ -123,14 +123,14 @@ def test_compare(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_protocol(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["protocol", "list", "--json"]) == 0
-    assert "bathing-draft" in {row["id"] for row in lines(capsys)[0]["protocols"]}
-    assert main(["protocol", "show", "bathing-draft", "--json"]) == 0
+    assert "bathing-v2" in {row["id"] for row in lines(capsys)[0]["protocols"]}
+    assert main(["protocol", "show", "bathing-v2", "--json"]) == 0
     assert lines(capsys)[0]["fields"]["tasks"][0]["id"] == "T1"
-    assert main(["protocol", "verify", "bathing-draft", "--json"]) == 1
+    assert main(["protocol", "verify", "bathing-droid-draft", "--json"]) == 1
     (line,) = lines(capsys)
     assert (line["equal"], line["differences"]) == (False, [])
     own = tmp_path / "own.toml"
-    own.write_text('base = "bathing-draft"\nid = "own-1"\ndescription = "mine"\nfrozen = true\n')
+    own.write_text('base = "bathing-v2"\nid = "own-1"\ndescription = "mine"\nfrozen = true\n')
     assert main(["protocol", "lock", str(own), "--json"]) == 0
     assert Path(lines(capsys)[0]["lock"]).is_file()
     assert main(["protocol", "verify", str(own), "--json"]) == 0

@@ -19,7 +19,7 @@ class Helper: ...
 class MyPolicy:
     def act(self, observation): ...
 """
-HEIR = 'base = "bathing-draft"\nid = "mine-v1"\ndescription = "mine"\n'
+HEIR = 'base = "bathing-v2"\nid = "mine-v1"\ndescription = "mine"\n'
 RUN = ["run", "--out", "r", "--tasks", "T1", "--seeds", "0", "--policy"]
 MISTAKES = {
     "a misspelt option": (
@@ -33,7 +33,7 @@ MISTAKES = {
     "a word for a number": ([*RUN, "hover", "--jobs", "two"], "--jobs: expected INT, got 'two'"),
     "a task in lower case, and --task for --tasks": (
         ["run", "--policy", "hover", "--out", "r", "--task", "t1"],
-        "--tasks: 't1' is not a task of bathing-draft (did you mean 'T1'?); valid: T1, ",
+        "--tasks: 't1' is not a task of bathing-v2 (did you mean 'T1'?); valid: T1, ",
     ),
     "a misspelt policy": ([*RUN, "state_machine"], "no policy named 'state_machine' (did you mean 'state-machine'?)"),
     "the file in place of the policy": ([*RUN, "my_policy.py"], "(did you mean my_policy:MyPolicy?)"),
@@ -60,8 +60,8 @@ MISTAKES = {
     ),
     "a protocol without its base": (
         ["protocol", "show", "alone.toml"],
-        'alone.toml: add base = "bathing-draft" (valid: bathing-draft, bathing-droid-draft, '
-        "bathing-wide-draft, FILE.toml), or give all fields; 12 ",
+        'alone.toml: add base = "bathing-v2" (valid: bathing-v2, bathing-droid-draft, '
+        "bathing-wide-v1, FILE.toml), or give all fields; 12 ",
     ),
     "a protocol file without its ending": (
         ["protocol", "verify", "alone"],
@@ -117,7 +117,7 @@ def test_a_mistake_is_one_line_that_says_what_to_do(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("my_policy.py").write_text(POLICY)
-    Path("gone.toml").write_text(HEIR.replace("bathing-draft", "no.toml"))
+    Path("gone.toml").write_text(HEIR.replace("bathing-v2", "no.toml"))
     Path("field.toml").write_text(HEIR + "phsyics.dt_s = 0.004\n")
     Path("bsae.toml").write_text(HEIR.replace("base", "bsae"))
     Path("alone.toml").write_text(HEIR.partition("\n")[2])

@@ -65,6 +65,6 @@ def test_mistakes_are_one_line(run: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_results_alone_of_one_level_have_its_protocol() -> None:
-    protocol = load_protocol("bathing-wide-draft", level="L2")
+    protocol = load_protocol("bathing-wide-v1", level="L2")
     score = make_score("T1", 0).model_copy(update={"protocol_id": protocol.name, "protocol_sha256": protocol.sha256})
     assert paper._protocol([], [RunScores(scores=[score])]) == protocol  # pyright: ignore[reportPrivateUsage]

@@ -33,11 +33,11 @@ def sums_of(region: str, protocol: str) -> dict[str, float]:
 
 def test_list_and_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["protocol", "list"]) == 0
-    assert "bathing-draft            draft: " in capsys.readouterr().out
+    assert "bathing-v2               frozen: " in capsys.readouterr().out
     assert main(["protocol", "show"]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("# bathing-draft, sha256 ")
-    assert "# draft, no lock" in out
+    assert out.startswith("# bathing-v2, sha256 ")
+    assert "# frozen, bathing-v2.lock.json" in out
     assert "# paper-mapping, abdomen: " in out
     assert "[physics]" in out
 
@@ -53,8 +53,8 @@ def test_what_is_shipped_is_here_what_was_frozen(name: str, capsys: pytest.Captu
 
 
 def test_a_draft_does_not_verify(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["protocol", "verify"]) == 1
-    assert capsys.readouterr().out == "bathing-draft has no lock: a draft, which may change with every release\n"
+    assert main(["protocol", "verify", "bathing-droid-draft"]) == 1
+    assert capsys.readouterr().out == "bathing-droid-draft has no lock: a draft, which may change with every release\n"
 
 
 @pytest.fixture
@@ -122,7 +122,7 @@ def test_lock_verify_and_drift(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 @pytest.mark.parametrize(
     ("old", "new", "told"),
-    [("frozen = true", "frozen = false", "set frozen = true"), ("mine-v1", "bathing-draft", "own")],
+    [("frozen = true", "frozen = false", "set frozen = true"), ("mine-v1", "bathing-v2", "own")],
 )
 def test_what_cannot_be_locked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, told: str
@@ -134,5 +134,5 @@ def test_what_cannot_be_locked(
 
 
 def test_a_shipped_protocol_is_not_locked_in_place(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["protocol", "lock", "bathing-draft"]) == 2
+    assert main(["protocol", "lock", "bathing-v2"]) == 2
     assert "copy its file" in capsys.readouterr().err

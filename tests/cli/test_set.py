@@ -68,7 +68,7 @@ def test_a_run_says_what_was_set(fake: pytest.MonkeyPatch, capsys: pytest.Captur
 
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
     assert main([*command, "--set", "gates.touch.duration_s=1"]) == 0
-    assert "bathing-draft with gates.touch.duration_s 1" in capsys.readouterr().out
+    assert "bathing-v2 with gates.touch.duration_s 1" in capsys.readouterr().out
     assert main(command) == 2, "the folder holds trials of other rules"
 
 
@@ -76,7 +76,7 @@ def test_latency_is_an_option_of_run_in_milliseconds() -> None:
     run = parse(["run", "--policy", "hover", "--out", "r", "--latency-ms", "250"])
     assert isinstance(run, Run)
     assert run._protocol().phases.latency_s == 0.25
-    assert run._protocol().title == "bathing-draft with phases.latency_s 0.25"
+    assert run._protocol().title == "bathing-v2 with phases.latency_s 0.25"
     wrong = parse(["run", "--policy", "hover", "--out", "r", "--latency-ms", "250", "--set", "phases.latency_s=1"])
     assert isinstance(wrong, Run)
     with pytest.raises(ConfigError, match=r"--latency-ms: another option replaces phases\.latency_s"):

@@ -39,7 +39,7 @@ def test_exit_status_and_record_follow_the_verdict(
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [(["--checks", "energie"], "force-balance"), (["--checks", "energy,energy"], "each once"),
-     (["--body", "nobody"], "man-adult"), (["--protocol", "nothing"], "bathing-draft"),
+     (["--body", "nobody"], "man-adult"), (["--protocol", "nothing"], "bathing-v2"),
      (["--fem"], "--fem runs no check")],
 )  # fmt: skip
 def test_a_wrong_name_is_one_line(

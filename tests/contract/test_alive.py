@@ -13,7 +13,7 @@ from carecontact.protocols import load_protocol
 
 def loaded(folder: Path, alive: str) -> Protocol:
     file = folder / "mine.toml"
-    file.write_text(f'base = "bathing-draft"\nid = "mine"\ndescription = "x"\nfrozen = false\n{alive}')
+    file.write_text(f'base = "bathing-v2"\nid = "mine"\ndescription = "x"\nfrozen = false\n{alive}')
     return load_protocol(str(file))
 
 

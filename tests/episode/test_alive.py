@@ -28,7 +28,8 @@ from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import build_scene
 
 SEED = 1
-"""Its person moves the arm 0.24 s after the start."""
+"""Under the name DRAWN_AS, its person moves the arm 0.24 s after the start."""
+DRAWN_AS = "bathing-draft"
 OWN = {
     path
     for path in OPTIONAL_ARRAYS
@@ -39,7 +40,9 @@ CARD = PolicyCard(name="blind", modalities=(), cameras=(), control_hz=10)
 
 def living(alive: Alive) -> Protocol:
     protocol = load_protocol()
-    return protocol.model_copy(update={"person": protocol.person.model_copy(update={"alive": alive})})
+    drawn = protocol.randomization.model_copy(update={"drawn_as": DRAWN_AS})
+    person = protocol.person.model_copy(update={"alive": alive})
+    return protocol.model_copy(update={"person": person, "randomization": drawn})
 
 
 PROTOCOL = living(Alive(breathing=Breathing(), repositioning=Repositioning(), withdrawal=Withdrawal()))
@@ -186,6 +189,7 @@ def test_the_policy_is_shown_the_same_fields(begin: Callable[..., World], t1: Tr
 def test_the_state_of_a_person_who_is_awake_is_refused_by_a_world_in_which_nobody_is() -> None:
     scene = build_scene(PROTOCOL, target=None, skin=False)
     awake, fresh = Simulation(replace(scene, model=copy.deepcopy(scene.model))), Simulation(scene)
+    awake.settle(52.5)
     wake(awake, SEED)
     state = awake.integration_state()
     awake.restore(state, comfort_arm_deg=52.5)

@@ -59,13 +59,14 @@ class Sheet:
         bottom_m: distance of the geom's lowest point from its centre.
         give_m3_n: how far the tool's own surface gives way under pressure.
         frame: (3, 3) turns the whole world; nothing may depend on it.
+        vertices: (n, 3) of a mesh named "tool", for a geom of type MESH.
         more: further geoms of the tool, of ``MjsBody.add_geom``, whose ``pos`` is seen from the lowest point.
     """
 
     def __init__(
         self, law: Tissue, mesh: Mesh, *, bottom_m: float, dt_s: float = 0.002, mass_kg: float = HEAVY_KG,
         ledger: bool = False, give_m3_n: float = 0.0, bone_mass_kg: float | None = None, frame: Array | None = None,
-        more: tuple[dict[str, Any], ...] = (), **geom: object,
+        vertices: Array | None = None, more: tuple[dict[str, Any], ...] = (), **geom: object,
     ) -> None:  # fmt: skip
         spec = mujoco.MjSpec()
         spec.option.timestep, spec.option.gravity = dt_s, [0, 0, 0]
@@ -82,6 +83,8 @@ class Sheet:
         )
         for axis in ([1, 0, 0], [0, 0, 1]):
             tool.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        if vertices is not None:
+            spec.add_mesh(name="tool", uservert=vertices.ravel().tolist())
         tool.add_geom(name="tool", pos=[0, 0, bottom_m], mass=0, contype=1, conaffinity=0, **geom)
         for other in more:
             tool.add_geom(mass=0, contype=1, conaffinity=0, **other)
@@ -117,10 +120,24 @@ CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
 BOX = mujoco.mjtGeom.mjGEOM_BOX
 CAPSULE = mujoco.mjtGeom.mjGEOM_CAPSULE
 ELLIPSOID = mujoco.mjtGeom.mjGEOM_ELLIPSOID
+MESH = mujoco.mjtGeom.mjGEOM_MESH
 
 
-def model_xml(law: Tissue, mesh: Mesh) -> str:
-    """A ball of 0.1 kg that falls onto a sheet from 1 mm above it, as MJCF."""
+def corners_of_a_box(*half_m: float) -> Array:
+    """(8, 3)"""
+    return np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half_m
+
+
+def corners_of_a_prism(sides: int, radius_m: float, half_m: float) -> Array:
+    """(2 sides, 3) of a prism that lies along y on one of its sides."""
+    angle = 2 * np.pi * (np.arange(sides) + 0.5) / sides
+    round_m = radius_m * np.stack([np.sin(angle), np.zeros(sides), -np.cos(angle)], 1)
+    return np.concatenate([round_m + [0, y, 0] for y in (-half_m, half_m)])
+
+
+def model_xml(law: Tissue, mesh: Mesh, *, vertices: Array | None = None) -> str:
+    """A body of 0.1 kg that falls onto a sheet from 1 mm above it, as MJCF: a ball of 20 mm or the hull of (n, 3)
+    vertices."""
     made = Sheet(law, mesh, bottom_m=0.02, type=SPHERE, size=[0.02, 0, 0]).model
     numerics = "".join(
         f'<numeric name="{made.numeric(k).name}" size="{made.numeric(k).data.size}" '
@@ -132,6 +149,10 @@ def model_xml(law: Tissue, mesh: Mesh) -> str:
         f'<config key="{kind}" value="{made.numeric(f"sheet/{kind}").data.size // columns}"/>'
         for kind, columns in counts.items()
     )
+    asset, shape = "", 'size="0.02"'
+    if vertices is not None:
+        asset = f'<asset><mesh name="tool" vertex="{" ".join(map(str, vertices.ravel().tolist()))}"/></asset>'
+        shape = 'type="mesh" mesh="tool"'
     return f"""
 <mujoco>
   <extension><plugin plugin="carecontact.tissue"><instance name="sheet">
@@ -139,9 +160,10 @@ def model_xml(law: Tissue, mesh: Mesh) -> str:
     {config}
   </instance></plugin></extension>
   <custom>{numerics}</custom>
+  {asset}
   <worldbody>
     <body name="bone"><plugin instance="sheet"/></body>
-    <body name="ball" pos="0 0 0.021"><freejoint/><geom size="0.02" mass="0.1" conaffinity="0"/></body>
+    <body name="ball" pos="0 0 0.021"><freejoint/><geom {shape} mass="0.1" conaffinity="0"/></body>
   </worldbody>
 </mujoco>
 """

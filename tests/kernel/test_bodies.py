@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import mujoco
@@ -11,8 +12,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carecontact.errors import SceneError
+from carecontact.kernel import library
 from carecontact.kernel.readings import RING_ROWS, Readings
-from tests.kernel.sheets import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Array, Sheet, sheet, tissue
+from tests.kernel.sheets import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    MESH,
+    SPHERE,
+    Array,
+    Sheet,
+    corners_of_a_prism,
+    model_xml,
+    sheet,
+    tissue,
+)
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 TOOLS: dict[str, dict[str, Any]] = {
@@ -20,6 +35,12 @@ TOOLS: dict[str, dict[str, Any]] = {
     "pad": {"bottom_m": 0.006, "type": BOX, "size": [0.015, 0.020, 0.006]},
     "disc": {"bottom_m": 0.02, "type": CYLINDER, "size": [0.011, 0.02, 0]},
     "flank": {"bottom_m": 0.03, "type": CAPSULE, "size": [0.03, 0.03, 0], "quat": [0.5, 0.5, 0.5, 0.5]},
+    "hull": {
+        "bottom_m": 0.02 * np.cos(np.pi / 8),
+        "type": MESH,
+        "meshname": "tool",
+        "vertices": corners_of_a_prism(8, 0.02, 0.03),
+    },
     "cap in a pad": {
         "bottom_m": 0.012,
         "type": ELLIPSOID,
@@ -217,3 +238,37 @@ def test_a_region_that_the_model_does_not_have() -> None:
     made = Sheet(soft(), sheet(), **TOOLS["cap"])
     with pytest.raises(SceneError, match="no soft region knee"):
         Readings(made.model, "knee")
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "told"),
+    [
+        ("<custom>", '<option integrator="RK4"/><custom>', "take another integrator than RK4"),
+        (r'(/edges" size="\d+" data=")\S+', r"\g<1>81.0", "edges or triangles of sheet name vertices or cells outside"),
+        (r'(/edges" size="\d+" data=")\S+', r"\g<1>-1.0", "edges or triangles of sheet name vertices or cells outside"),
+        (r'(/triangles" size="\d+" data="\S+ )\S+', r"\g<1>1e9", "outside of its 81 and 4"),
+        (r'(/triangles" size="\d+" data="(\S+ ){4})\S+', r"\g<1>4.0", "outside of its 81 and 4"),
+    ],
+)
+def test_a_model_that_the_step_cannot_follow_is_refused(pattern: str, replacement: str, told: str) -> None:
+    library.load()
+    text, count = re.subn(pattern, replacement, model_xml(tissue(), sheet(half_m=0.02)), count=1)
+    assert count == 1
+    with pytest.raises(ValueError, match=r"plugin->init failed") as refusal:
+        mujoco.MjModel.from_xml_string(text)
+    assert told in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("number", "value"),
+    [(0, -5.0), (0, np.nan), (2, 1e7), (2, -1.0), (2, np.nan), ("point", 1e8), ("point", -1.0)],
+    ids=["steps below 0", "steps nan", "holds many", "holds below 0", "holds nan", "point outside", "point below 0"],
+)
+def test_a_state_that_the_tissue_did_not_write_is_refused(number: int | str, value: float) -> None:
+    made = Sheet(soft(), sheet(), **TOOLS["cap"])
+    made.hold(0.004, steps=10)
+    assert made.data.plugin_state[2] > 0, "points touch"
+    at = number if isinstance(number, int) else 3 + 6 * len(made.felt.places)
+    made.data.plugin_state[at] = value
+    with pytest.raises(mujoco.FatalError, match="plugin_state of sheet was not written by it"):
+        mujoco.mj_step(made.model, made.data)

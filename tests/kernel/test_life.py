@@ -205,6 +205,15 @@ def test_a_person_that_is_not_awake_has_no_muscles() -> None:
     assert data.qpos[0] == 0.0
 
 
+@pytest.mark.parametrize("number", ["NOW", "MOVED", "PULLED", "DRAWN"])
+def test_a_state_that_the_person_did_not_write_is_refused(number: str) -> None:
+    model, data = arm()
+    scalars = ("LIFTED", "EFFORT", "FROM", "NOW", "ONSET", "MOVED", "OVER", "PULLED", "DRAWN")
+    data.plugin_state[2 + 4 * 4 + scalars.index(number)] = 1e8
+    with pytest.raises(mujoco.FatalError, match=r"carecontact\.life: plugin_state was not written by it"):
+        mujoco.mj_step(model, data)
+
+
 def press(model: mujoco.MjModel, data: mujoco.MjData, newton: float, seconds: float) -> npt.NDArray[np.float64]:
     data.joint("finger").qfrc_applied[:] = -newton
     return run(model, data, seconds)

@@ -1,4 +1,4 @@
-"""A frozen protocol that is shipped with its lock for the length of one test: what is shipped now are drafts."""
+"""A frozen protocol that is shipped with its lock for the length of one test."""
 
 from __future__ import annotations
 
@@ -18,14 +18,13 @@ HELD = "held-v1"
 def frozen_text(name: str = HELD) -> str:
     """The default protocol's file as a frozen one under another id."""
     return (
-        protocol_file("bathing-draft").read_text(encoding="utf-8")
-        .replace('id = "bathing-draft"', f'id = "{name}"')
-        .replace("frozen = false", "frozen = true")
+        protocol_file("bathing-v2").read_text(encoding="utf-8")
+        .replace('id = "bathing-v2"', f'id = "{name}"')
     )  # fmt: skip
 
 
 def ship_frozen(monkeypatch: pytest.MonkeyPatch, folder: Path, *, worlds: bool = False) -> Protocol:
-    """Put HELD and its lock beside copies of the drafts and let ``folder`` be where protocols are shipped.
+    """Put HELD and its lock beside copies of the shipped ones and let ``folder`` be where protocols are shipped.
 
     Args:
         worlds: put sums of the compiled worlds into the lock; some seconds.

@@ -43,13 +43,13 @@ def test_drift_that_a_run_announced(held: Protocol) -> None:
 
 
 def test_files_of_ones_own() -> None:
-    own = load_protocol("bathing-draft").model_copy(update={"id": "mine-v1", "frozen": True})
+    own = load_protocol("bathing-v2").model_copy(update={"id": "mine-v1", "frozen": True})
     assert frozen_state(own).startswith("not verified as frozen: ")
     assert frozen_state(own.model_copy(update={"frozen": False})) == "draft"
 
 
-def test_what_is_shipped_now_is_a_draft_and_an_earlier_recording_is_not_verified() -> None:
-    draft = load_protocol("bathing-draft")
+def test_a_draft_is_one_and_an_earlier_recording_is_not_verified() -> None:
+    draft = load_protocol("bathing-droid-draft")
     assert frozen_state(draft) == "draft"
     assert frozen_state(softened(draft)) == "draft"
     earlier = draft.model_copy(update={"id": "bathing-v1", "frozen": True})

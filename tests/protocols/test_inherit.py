@@ -12,10 +12,10 @@ from carecontact.protocols import load_protocol
 from carecontact.protocols.tissue_sets import load_tissue_set
 from tests.scoring.gates_v2 import GATES
 
-BASE = load_protocol("bathing-draft")
-WIDE = (resources.files("carecontact") / "protocols/bathing-wide-draft.toml").read_text()
+BASE = load_protocol("bathing-v2")
+WIDE = (resources.files("carecontact") / "protocols/bathing-wide-v1.toml").read_text()
 GATES_V2 = WIDE[WIDE.index("[gates]") : WIDE.index("[levels.L0]")].rpartition("#")[0]
-HEAD = 'base = "bathing-draft"\nid = "mine-v1"\ndescription = "Mine."\n'
+HEAD = 'base = "bathing-v2"\nid = "mine-v1"\ndescription = "Mine."\n'
 
 
 def written(folder: Path, text: str, name: str = "mine.toml") -> str:
@@ -47,7 +47,7 @@ def test_a_shipped_protocol_in_a_few_lines(tmp_path: Path) -> None:
     joints = list(droid.scene.parked_joint_rad)
     camera = droid.cameras["exterior"]
     text = (
-        f'base = "bathing-draft"\nid = "{droid.id}"\ndescription = "{droid.description}"\nfrozen = false\n'
+        f'base = "bathing-v2"\nid = "{droid.id}"\ndescription = "{droid.description}"\nfrozen = false\n'
         f"[scene]\nparked_joint_rad = {joints}\n"
         f"[cameras.exterior]\nposition_m = {list(camera.position_m)}\nlook_at_m = {list(camera.look_at_m)}\n"
         "up = [0, 0, 1]\nfovy_deg = 71.5\nwidth = 640\nheight = 360\n"
@@ -96,12 +96,12 @@ def test_a_base_may_have_a_base_and_lies_relative_to_its_heir(tmp_path: Path) ->
     [
         (
             'base = "bathing"\n',
-            r"mine\.toml: base: no protocol named 'bathing'.*; valid: bathing-draft, .*FILE\.toml",
+            r"mine\.toml: base: no protocol named 'bathing'.*; valid: bathing-droid-draft, .*FILE\.toml",
         ),
         ("base = 3\n", r"mine\.toml: base: expected the id of a protocol or a \.toml file, got 3"),
         ('base = "mine.toml"\n', r"mine\.toml: base: .*inherits from this file itself"),
         ('base = "gone.toml"\n', r"mine\.toml: base: .*gone\.toml does not exist"),
-        ('base = "bathing-draft"\n', r"mine\.toml: 2 field\(s\) wrong\n  id: missing; .*\n  description: missing; "),
+        ('base = "bathing-v2"\n', r"mine\.toml: 2 field\(s\) wrong\n  id: missing; .*\n  description: missing; "),
         (f"{HEAD}[gates.touch]\nduration_s = -1\n", r"mine\.toml: gates\.touch\.duration_s: .*got -1"),
         (f"{HEAD}gates = 3\n", r"mine\.toml: gates: "),
     ],

@@ -43,7 +43,7 @@ def test_a_draft_says_so_in_plain_words(protocol: Protocol) -> None:
 
 @pytest.mark.parametrize(("earlier", "now"), SUCCESSORS.items())
 def test_an_earlier_protocol_names_its_successor(earlier: str, now: str, tmp_path: Path) -> None:
-    told = f"no protocol named '{earlier}': earlier releases had it.* its successor is the draft '{now}'"
+    told = f"no protocol named '{earlier}': earlier releases had it.* its successor is '{now}'"
     with pytest.raises(ConfigError, match=told):
         load_protocol(earlier)
     heir = tmp_path / "mine.toml"
@@ -115,12 +115,12 @@ def test_target_period_and_filters_fit_the_physics_step(protocol: Protocol) -> N
 
 
 def test_in_the_protocol_of_the_paper_only_the_arm_changes() -> None:
-    assert load_protocol("bathing-draft").variation == Variation()
+    assert load_protocol("bathing-v2").variation == Variation()
 
 
-# -- bathing-draft: what the written definition of the benchmark says ------------------------------------------------
+# -- bathing-v2: what the written definition of the benchmark says ------------------------------------------------
 
-BATHING = load_protocol("bathing-draft")
+BATHING = load_protocol("bathing-v2")
 
 
 def test_bathing_tasks() -> None:

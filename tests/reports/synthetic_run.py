@@ -22,7 +22,7 @@ from carecontact.recording.schema import (
 from carecontact.regions import REGIONS
 from carecontact.scoring.result import TrialScore
 
-PROTOCOL = load_protocol().model_copy(update={"frozen": False})  # a draft, which pages have to say
+PROTOCOL = load_protocol().model_copy(update={"frozen": False})  # not what is frozen, which pages have to say
 JOINTS = ["right_shoulder_abduction", "right_elbow_flexion"]
 HOSTILE = "<script>alert('x')</script> & \"quotes\" ]]> </svg>"
 

@@ -161,7 +161,7 @@ def test_a_file_with_a_shipped_id_is_held_to_the_shipped_lock(tmp_path: Path, sh
 
 
 def test_a_lock_holds_a_world_of_every_body_and_region() -> None:
-    varied = load_protocol("bathing-wide-draft", level="L3")
+    varied = load_protocol("bathing-wide-v1", level="L3")
     worlds = freeze.worlds_of(varied)
     assert [rules.person.body for rules, _ in worlds.values()] == list(varied.variation.bodies)
     assert {region for _, region in worlds.values()} == set(varied.regions)

@@ -1,11 +1,11 @@
-"""The draft protocol under gates-v2."""
+"""The paper's protocol under gates-v2."""
 
 from __future__ import annotations
 
 from carecontact.contract.protocol import Protocol
 from carecontact.protocols import load_protocol
 
-GATES = load_protocol("bathing-wide-draft", level="L0").gates
+GATES = load_protocol("bathing-wide-v1", level="L0").gates
 TABLE = GATES.model_dump(mode="json")
 
 
@@ -13,4 +13,4 @@ def gently(protocol: Protocol) -> Protocol:
     return protocol.model_copy(update={"gates": GATES})
 
 
-GENTLE = gently(load_protocol("bathing-draft"))
+GENTLE = gently(load_protocol("bathing-v2"))

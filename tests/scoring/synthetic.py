@@ -15,7 +15,7 @@ from carecontact.recording import SEGMENTS, Failure, Header, Recording, empty_ar
 from carecontact.regions import REGIONS
 
 F64 = npt.NDArray[np.float64]
-PROTOCOL = load_protocol("bathing-draft")
+PROTOCOL = load_protocol("bathing-v2")
 DT = 0.002
 JOINTS = ["right_shoulder_abduction", "right_elbow_flexion"]
 JOINT_RANGE = [[-0.5, 2.5], [0.0, 2.4]]

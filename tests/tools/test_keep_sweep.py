@@ -12,7 +12,7 @@ from carecontact.runs.stored_scores import read_scores
 from carecontact.scoring import TrialScore
 from tests.reports.synthetic_run import make_score
 
-LEVEL = "bathing-wide-draft L2"
+LEVEL = "bathing-wide-v1 L2"
 
 
 def cell(sweep: Path, name: str, policy: str, passed: int, *, seeds: int = 2, **changes: object) -> RunScores:
@@ -44,11 +44,11 @@ def test_what_is_kept_stands_beside_a_run_of_the_level(
     kept = tmp_path / "kept"
     assert main([str(sweep), "--out", str(kept)]) == 0
     assert "3 files of scores" in capsys.readouterr().out
-    page = (kept / "bathing-wide-draft.md").read_text()
-    assert page.startswith("# bathing-wide-draft: results\n\nSeeds 0 to 1, 2 trials")
+    page = (kept / "bathing-wide-v1.md").read_text()
+    assert page.startswith("# bathing-wide-v1: results\n\nSeeds 0 to 1, 2 trials")
     assert page.endswith("3 cells of 3 policies.\n")
     assert "# Sweep" not in page
-    folder = kept / "bathing-wide-draft-L2"
+    folder = kept / "bathing-wide-v1-L2"
     assert {file.name for file in folder.iterdir()} == {
         "mean-person.json.gz", "mean-person-person-worse.json.gz", "state-machine.json.gz",
     }  # fmt: skip

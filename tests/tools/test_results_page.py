@@ -50,13 +50,13 @@ def test_the_rates_of_the_page_are_those_of_the_kept_scores(protocol: str, metho
 def test_a_page_says_that_it_was_made_with_the_earlier_tissue(page: str) -> None:
     top = (RESULTS / page).read_text().split("\n\n")[1].replace("\n> ", " ")
     assert top.startswith("> **These results were made with an earlier model of the soft tissue**")
-    assert "do not hold for the present draft" in top
+    assert "do not hold for" in top or "have no successor" in top
 
 
-def test_a_run_of_the_draft_is_not_set_beside_them() -> None:
+def test_a_run_of_the_present_protocol_is_not_set_beside_them() -> None:
     earlier = read_scores(RESULTS / "bathing-v1" / "replay.json.gz")
     own = RunScores(scores=[make_score(s.task_id, s.seed) for s in earlier.scores])
-    told = r"A ran bathing-draft .*, B ran bathing-v1 .*: only runs of the same protocol"
+    told = r"A ran bathing-v2 .*, B ran bathing-v1 .*: only runs of the same protocol"
     with pytest.raises(ConfigError, match=told):
         compare_runs(own, earlier)
 

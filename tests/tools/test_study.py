@@ -61,7 +61,7 @@ def made(**runs: RunScores) -> Study:
 
 
 def page(found: Study) -> str:
-    return study_page(found, PAPER, command="python tools/results.py runs/bathing-draft/*", json_name="x.json")
+    return study_page(found, PAPER, command="python tools/results.py runs/bathing-v2/*", json_name="x.json")
 
 
 @pytest.fixture(scope="module")
@@ -77,17 +77,17 @@ def whole() -> Study:
 
 def test_runs_are_known_by_their_trials_and_the_rest_is_named(whole: Study) -> None:
     assert sorted(h.title for h in whole.heads) == [
-        "bathing-draft", "bathing-draft", "bathing-draft", "bathing-draft with stiffness 1000 N/m",
-        "bathing-draft with stiffness 1000 N/m", "bathing-draft with tissue manikin-like",
+        "bathing-v2", "bathing-v2", "bathing-v2", "bathing-v2 with stiffness 1000 N/m",
+        "bathing-v2 with stiffness 1000 N/m", "bathing-v2 with tissue manikin-like",
     ]  # fmt: skip
     missing = "\n".join(whole.missing)
-    assert "--policy voxposer-phased --protocol bathing-draft --out" in missing
-    assert "--policy state-machine --protocol bathing-draft --stiffness 200 " in missing
-    assert "--policy state-machine --protocol bathing-draft --tissue manikin-like " in missing
+    assert "--policy voxposer-phased --protocol bathing-v2 --out" in missing
+    assert "--policy state-machine --protocol bathing-v2 --stiffness 200 " in missing
+    assert "--policy state-machine --protocol bathing-v2 --tissue manikin-like " in missing
     assert len(whole.missing) == 1 + 3 + 2 + 1
     assert (
-        "carecontact run --policy voxposer --protocol bathing-draft --tissue manikin-like "
-        "--out runs/bathing-draft/voxposer-manikin-like"
+        "carecontact run --policy voxposer --protocol bathing-v2 --tissue manikin-like "
+        "--out runs/bathing-v2/voxposer-manikin-like"
     ) in whole.commands
     assert len(whole.commands) == len(whole.heads) == 6
     text = page(whole)
@@ -151,7 +151,7 @@ def test_a_sweep_of_which_nothing_was_run_has_no_table() -> None:
     text = page(found)
     assert f"## {SWEEP_TITLE[STIFFNESS]}" not in text
     assert f"## {SWEEP_TITLE[TISSUE]}" in text
-    assert "--policy voxposer --protocol bathing-draft --stiffness 1000 " in "\n".join(found.missing)
+    assert "--policy voxposer --protocol bathing-v2 --stiffness 1000 " in "\n".join(found.missing)
 
 
 def test_blind_baselines_stand_under_the_methods(whole: Study) -> None:
@@ -220,8 +220,8 @@ def test_what_does_not_belong_is_named_and_left_out() -> None:
         other=run("voxposer", lambda t, s: {"protocol_id": "bathing-droid-draft"}),
     )  # fmt: skip
     assert found.unused == {
-        "old": "state-machine on bathing-draft with body woman-old-light is no part of this study",
-        "mine": "lift on bathing-draft is no part of this study",
+        "old": "state-machine on bathing-v2 with body woman-old-light is no part of this study",
+        "mine": "lift on bathing-v2 is no part of this study",
         "other": "of bathing-droid-draft",
     }
     assert all(f"Not used: {name}: {why}." in page(found) for name, why in found.unused.items())
@@ -232,7 +232,7 @@ def test_what_does_not_belong_is_named_and_left_out() -> None:
     [
         (
             {"a": run("state-machine"), "b": run("state-machine", seeds=range(5, 7))},
-            r"a and b are both state-machine on bathing-draft and no parts of one run: 7 trial\(s\) are in both, T1-s0",
+            r"a and b are both state-machine on bathing-v2 and no parts of one run: 7 trial\(s\) are in both, T1-s0",
         ),
         (
             {
@@ -270,7 +270,7 @@ def test_a_run_may_come_in_parts(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         write_scores(tmp_path / name, scores)
     assert main([*(str(tmp_path / name) for name in parts), "--out", str(tmp_path)]) == 0
-    assert read_results(tmp_path / "bathing-draft" / "hover.json.gz").scores == sorted(
+    assert read_results(tmp_path / "bathing-v2" / "hover.json.gz").scores == sorted(
         run("hover").scores, key=lambda score: score.trial_id
     )
 
@@ -280,7 +280,7 @@ def test_the_command_writes_the_same_bytes_twice(tmp_path: Path, capsys: pytest.
         (tmp_path / name).mkdir()
         write_scores(tmp_path / name, scores)
     arguments = [str(tmp_path / "a"), str(tmp_path / "b" / "results.json"), "--out", str(tmp_path / "out")]
-    files = [tmp_path / "out" / f"bathing-draft{suffix}" for suffix in (".md", ".json")]
+    files = [tmp_path / "out" / f"bathing-v2{suffix}" for suffix in (".md", ".json")]
     assert main(arguments) == 0
     first = [file.read_bytes() for file in files]
     assert main(arguments) == 0
@@ -290,7 +290,7 @@ def test_the_command_writes_the_same_bytes_twice(tmp_path: Path, capsys: pytest.
     assert content["beside"][0]["agreement"] == "as in the paper"
     assert content == json.loads(json.dumps(study_json(made(a=run("state-machine", heavy), b=run("voxposer", light)))))
     # What was packed beside the page gives it again, in any order.
-    packed = sorted((tmp_path / "out" / "bathing-draft").iterdir(), reverse=True)
+    packed = sorted((tmp_path / "out" / "bathing-v2").iterdir(), reverse=True)
     assert [file.name for file in packed] == ["voxposer.json.gz", "state-machine.json.gz"]
     assert main([*map(str, packed), "--out", str(tmp_path / "again")]) == 0
     assert [(tmp_path / "again" / file.name).read_bytes() for file in files] == first
@@ -298,6 +298,6 @@ def test_the_command_writes_the_same_bytes_twice(tmp_path: Path, capsys: pytest.
     assert "nothing: no such folder" in capsys.readouterr().err
     assert main([*map(str, packed), "--out", str(packed[0])]) == 2
     assert f"--out {packed[0]}: {packed[0]}" in capsys.readouterr().err
-    (tmp_path / "taken" / "bathing-draft.md").mkdir(parents=True)
+    (tmp_path / "taken" / "bathing-v2.md").mkdir(parents=True)
     assert main([*map(str, packed), "--out", str(tmp_path / "taken")]) == 2
-    assert "bathing-draft.md cannot be written: Is a directory" in capsys.readouterr().err
+    assert "bathing-v2.md cannot be written: Is a directory" in capsys.readouterr().err

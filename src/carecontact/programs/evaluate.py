@@ -40,7 +40,7 @@ def evaluate(
     policy: str | type[Any] | Callable[..., Any] | Policy,
     *,
     out: str | Path,
-    protocol: str = "bathing-draft",
+    protocol: str = "bathing-v2",
     tasks: str | Iterable[str] = "all",
     seeds: str | int | Iterable[int] = "all",
     arguments: Mapping[str, object] | None = None,

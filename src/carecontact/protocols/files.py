@@ -8,11 +8,11 @@ from pathlib import Path
 from carecontact.errors import ConfigError, UnknownNameError
 
 SUCCESSORS = {
-    "bathing-v1": "bathing-draft",
-    "bathing-moved-v1": "bathing-wide-draft",
+    "bathing-v1": "bathing-v2",
+    "bathing-moved-v1": "bathing-wide-v1",
     "bathing-droid-v1": "bathing-droid-draft",
 }
-"""Protocol of an earlier release, which had another model of the tissue -> the draft with the same tasks."""
+"""Protocol of an earlier release, which had another model of the tissue -> the one that took its place."""
 
 
 def shipped_protocols() -> list[str]:
@@ -43,6 +43,6 @@ def protocol_file(name_or_path: str) -> Path:
 def no_longer(name: str) -> str:
     """The message about a protocol of an earlier release, which names its successor."""
     return (
-        f"no protocol named {name!r}: earlier releases had it, with another model of the tissue; its successor is the "
-        f"draft {SUCCESSORS[name]!r}, whose results cannot be compared with those of {name!r}"
+        f"no protocol named {name!r}: earlier releases had it, with another model of the tissue; its successor is "
+        f"{SUCCESSORS[name]!r}, whose results cannot be compared with those of {name!r}"
     )

@@ -512,7 +512,7 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
     rows = dict(provenance_rows(run_of_42.scores, headers))
     assert rows["sha256 of model"].startswith("6 different values")
     assert rows["sha256 of body"] == "ab" * 32
-    assert rows["Protocol state"] == "draft"
+    assert rows["Protocol state"].startswith("not the frozen bathing-v2: sha256 ")
     assert dict(provenance_rows(run_of_42.scores, []))["Version of mujoco"] == NOT_RECORDED
     assert "Policy arguments" not in rows
     given = {"name": "x", "arguments": {"steps": "3", "mode": "a"}, "environment": ["TOKEN"]}

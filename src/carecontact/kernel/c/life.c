@@ -53,6 +53,16 @@ static int region_on(const mjModel* m, int body) {
   return instance >= 0 && !strcmp(mjp_getPluginAtSlot(m->plugin[instance])->name, "carecontact.tissue") ? instance : -1;
 }
 
+// Its state, whose counts lie within the arrays; somebody may have written into it.
+static double* state_in(const mjModel* m, const mjData* d, int instance) {
+  double* state = d->plugin_state + m->plugin_stateadr[instance];
+  const Life* l = life_of(d, instance);
+  int sound = counts(state[LIFE_NOW] + 1, l->nmove + 2) && counts(state[LIFE_MOVED], l->nmove + 1) &&
+              counts(state[LIFE_PULLED], LIFE_PULLS + 1) && counts(state[LIFE_DRAWN], LIFE_PULLS + 1);
+  if (!sound) mju_error("carecontact.life: plugin_state was not written by it, or for another model");
+  return state;
+}
+
 static int nstate(const mjModel* m, int instance) {
   (void)m, (void)instance;
   return LIFE_STATE;
@@ -63,6 +73,7 @@ static int init(const mjModel* m, mjData* d, int instance) {
   int moves = numeric(m, "moves", 0), withdrawal = numeric(m, "withdrawal", PULL_NUMBERS);
   if (breath < 0 || muscle < 0 || moves < 0 || withdrawal < 0) return -1;
   Life* l = calloc(1, sizeof *l);
+  if (!l) return -1;
   l->breath = m->numeric_adr[breath];
   l->muscle = m->numeric_adr[muscle];
   l->moves = m->numeric_adr[moves];
@@ -196,7 +207,7 @@ static void tense(const mjModel* m, mjData* d, const Life* l, const double* stat
 static void compute(const mjModel* m, mjData* d, int instance, int capability) {
   (void)capability;
   const Life* l = life_of(d, instance);
-  const double *state = d->plugin_state + m->plugin_stateadr[instance], *x = m->numeric_data + l->breath;
+  const double *state = state_in(m, d, instance), *x = m->numeric_data + l->breath;
   int awake = state[LIFE_AWAKE] != 0;
   double t = d->time - state[LIFE_BEGAN], rate, out = breath(x, t, &rate);
   for (int k = 0; k < LIFE_PARTS; k++) {
@@ -241,7 +252,7 @@ static void watch(const mjModel* m, const mjData* d, const Life* l, double* stat
 // Positions and time are those at the end of the step, forces those during it.
 static void advance(const mjModel* m, mjData* d, int instance) {
   const Life* l = life_of(d, instance);
-  double* state = d->plugin_state + m->plugin_stateadr[instance];
+  double* state = state_in(m, d, instance);
   if (state[LIFE_AWAKE] == 0) return;
   for (int k = 0; k < LIFE_PARTS; k++)
     if (l->breathes[k] >= 0) {

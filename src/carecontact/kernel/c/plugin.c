@@ -14,7 +14,12 @@ static const char* ATTRIBUTES[] = {"key", "vertices", "edges", "triangles", "cel
 static Region* region_of(const mjData* d, int instance) { return (Region*)d->plugin_data[instance]; }
 
 static State state_in(const mjModel* m, mjData* d, int instance) {
-  return state_of(region_of(d, instance), d->plugin_state + m->plugin_stateadr[instance]);
+  const Region* r = region_of(d, instance);
+  State s = state_of(r, d->plugin_state + m->plugin_stateadr[instance]);
+  if (!state_sound(r, &s))
+    mju_error("carecontact.tissue: plugin_state of %s was not written by it, or for another model",
+              mj_getPluginConfig(m, instance, "key"));
+  return s;
 }
 
 // The compiler asks before it has copied the numerics, so that the counts have to be attributes.
@@ -29,6 +34,7 @@ static int nstate(const mjModel* m, int instance) {
 
 static int init(const mjModel* m, mjData* d, int instance) {
   Region* r = calloc(1, sizeof *r);
+  if (!r) return -1;
   if (region_init(m, instance, r)) {
     region_free(r);
     free(r);

@@ -24,6 +24,14 @@ State state_of(const Region* r, double* state) {
   return s;
 }
 
+int state_sound(const Region* r, const State* s) {
+  static const double LAST = 9e15;  // up to which a double holds every whole number
+  if (!counts(*s->steps, LAST) || !counts(*s->holds, r->npoint + 1)) return 0;
+  for (int k = 0; k < (int)*s->holds; k++)
+    if (!counts(s->held[HELD_SIZE * k], r->npoint)) return 0;
+  return 1;
+}
+
 static int attribute(const mjModel* m, int instance, const char* name) {
   const char* text = mj_getPluginConfig(m, instance, name);
   return text ? atoi(text) : 0;
@@ -124,22 +132,52 @@ static int find_tools(const mjModel* m, int instance, Region* r) {
     mju_warning("carecontact.tissue: the model has no body %s", mj_getPluginConfig(m, instance, "tools"));
     return -1;
   }
-  r->tool = calloc((size_t)m->ngeom, sizeof(Tool));
+  r->tool = calloc((size_t)m->ngeom + 1, sizeof(Tool));
+  if (!r->tool) {
+    mju_warning("carecontact.tissue: no memory for the tools");
+    return -1;
+  }
   for (int g = 0; g < m->ngeom; g++) {
     int body = m->geom_bodyid[g];
     while (body > root) body = m->body_parentid[body];
     if (body != root || !(m->geom_contype[g] & 1)) continue;
-    if (tool_init(m, g, r->tool + r->ntool)) {
+    if (tool_init(m, g, r->tool + r->ntool++)) {
       mju_warning("carecontact.tissue: geom %d under %s has no convex surface", g,
                   mj_getPluginConfig(m, instance, "tools"));
       return -1;
     }
-    r->ntool++;
   }
   return 0;
 }
 
-static void allocate(Region* r, int nedge) {
+// Whether edges and triangles name vertices and cells that there are; warns where they do not.
+static int refers_well(const Region* r, const char* key, const double* edge, int nedge, const double* triangle,
+                       int ntriangle) {
+  int wrong = r->nvertex < 1 || ntriangle < 1 || nedge < 1 || r->ncell < 0;
+  for (int e = 0; e < nedge; e++)
+    for (int way = 0; way < 2; way++) wrong |= !counts(edge[EDGE_SIZE * e + way], r->nvertex);
+  for (int t = 0; t < ntriangle; t++) {
+    const double* row = triangle + TRIANGLE_SIZE * t;
+    for (int c = 0; c < 3; c++) wrong |= !counts(row[TRIANGLE_CORNER + c], r->nvertex);
+    wrong |= row[TRIANGLE_CELL] != -1 && !counts(row[TRIANGLE_CELL], r->ncell);
+  }
+  if (wrong)
+    mju_warning("carecontact.tissue: edges or triangles of %s name vertices or cells outside of its %d and %d", key,
+                r->nvertex, r->ncell);
+  return !wrong;
+}
+
+enum { ARRAYS = 22 };
+
+static void arrays_of(const Region* r, void* all[ARRAYS]) {
+  void* each[ARRAYS] = {r->vertex, r->point, r->contact, r->rim, r->neighbour, r->neighbour_weight, r->live,
+                        r->live_contact, r->live_corner, r->window, r->held_of, r->moves, r->hit, r->in_patch,
+                        r->patch, r->px, r->py, r->pz, r->u, r->rate, r->balance, r->force};
+  memcpy(all, each, sizeof each);
+}
+
+// Returns 0, or -1 after a warning.
+static int allocate(Region* r, int nedge) {
   size_t n = (size_t)r->nvertex, q = (size_t)r->npoint, e = 2 * (size_t)nedge;
   r->vertex = calloc(n, sizeof(Vertex));
   r->point = calloc(q, sizeof(Point));
@@ -151,8 +189,7 @@ static void allocate(Region* r, int nedge) {
   r->live_contact = calloc(3 * q, sizeof(int));
   r->live_corner = calloc(3 * q, sizeof(int));
   r->window = calloc(n, sizeof(int));
-  r->held_of = malloc(q * sizeof(int));
-  for (size_t i = 0; i < q; i++) r->held_of[i] = -1;
+  r->held_of = calloc(q, sizeof(int));
   r->moves = calloc(n, 1);
   r->hit = calloc(n, 1);
   r->in_patch = calloc(n, sizeof(int));
@@ -163,7 +200,16 @@ static void allocate(Region* r, int nedge) {
   r->u = calloc(3 * n, sizeof(double));
   r->rate = calloc(3 * n, sizeof(double));
   r->balance = calloc(n, sizeof(Balance));
-  r->force = calloc((size_t)r->nv, sizeof(double));
+  r->force = calloc((size_t)r->nv + 1, sizeof(double));
+  void* all[ARRAYS];
+  arrays_of(r, all);
+  for (int k = 0; k < ARRAYS; k++)
+    if (!all[k]) {
+      mju_warning("carecontact.tissue: no memory for a region of %d vertices", r->nvertex);
+      return -1;
+    }
+  for (size_t i = 0; i < q; i++) r->held_of[i] = -1;
+  return 0;
 }
 
 int region_init(const mjModel* m, int instance, Region* r) {
@@ -181,6 +227,10 @@ int region_init(const mjModel* m, int instance, Region* r) {
     mju_warning("carecontact.tissue: no body carries the region %s", key);
     return -1;
   }
+  if (m->opt.integrator == mjINT_RK4) {
+    mju_warning("carecontact.tissue: a step asks for the tissue's force once; take another integrator than RK4");
+    return -1;
+  }
   if (m->opt.enableflags & mjENBL_SLEEP) {
     mju_warning("carecontact.tissue: a sleeping bone would not feel the tissue; take sleeping out of the model's flags");
     return -1;
@@ -191,15 +241,16 @@ int region_init(const mjModel* m, int instance, Region* r) {
   r->law_address = numeric(m, key, "law", LAW_SIZE);
   r->option_address = numeric(m, key, "options", OPTION_SIZE);
   if (vertices < 0 || edges < 0 || triangles < 0 || r->law_address < 0 || r->option_address < 0) return -1;
-  allocate(r, nedge);
+  const double *edge = m->numeric_data + edges, *triangle = m->numeric_data + triangles;
+  if (!refers_well(r, key, edge, nedge, triangle, ntriangle) || allocate(r, nedge)) return -1;
   for (int i = 0; i < r->nvertex; i++) {
     const double* row = m->numeric_data + vertices + VERTEX_SIZE * i;
     memcpy(r->vertex[i].place, row + VERTEX_PLACE, 3 * sizeof(double));
     memcpy(r->vertex[i].frame, row + VERTEX_INWARD, 9 * sizeof(double));
     r->vertex[i].area = row[VERTEX_AREA];
   }
-  link_vertices(r, m->numeric_data + edges, nedge);
-  place_points(r, m->numeric_data + triangles);
+  link_vertices(r, edge, nedge);
+  place_points(r, triangle);
   bound(r);
   patches_make(r);
   return find_tools(m, instance, r);
@@ -207,10 +258,10 @@ int region_init(const mjModel* m, int instance, Region* r) {
 
 void region_free(Region* r) {
   for (int k = 0; k < r->ntool; k++) tool_free(r->tool + k);
-  void* all[] = {r->vertex, r->point, r->contact, r->rim, r->tool, r->neighbour, r->neighbour_weight, r->live,
-                 r->live_contact, r->live_corner, r->window, r->held_of, r->moves, r->hit, r->in_patch, r->patch,
-                 r->px, r->py, r->pz, r->u, r->rate, r->balance, r->force};
-  for (size_t k = 0; k < sizeof all / sizeof *all; k++) free(all[k]);
+  void* all[ARRAYS];
+  arrays_of(r, all);
+  for (int k = 0; k < ARRAYS; k++) free(all[k]);
+  free(r->tool);
 }
 
 // What is not committed yet is copied as well: a copy made between a forward pass and the end of its step goes on alike.

@@ -159,6 +159,8 @@ enum { HELD_SIZE = 4 };
 
 int state_size(int nvertex, int ntriangle, int ncell);
 State state_of(const Region* r, double* state);
+// Whether its counts and numbers lie within the arrays; somebody may have written into the state.
+int state_sound(const Region* r, const State* s);
 
 int region_init(const mjModel* m, int instance, Region* r);  // 0, or -1 after mju_warning
 void region_free(Region* r);

@@ -27,6 +27,7 @@ static int hull_planes(const mjModel* m, int mesh, Tool* tool) {
   for (int i = 0; i < nvert; i++)
     for (int k = 0; k < 3; k++) middle[k] += vert[3 * hull_vertex[i] + k] / (double)nvert;
   tool->plane = malloc(sizeof(double) * 4 * (size_t)nface);
+  if (!tool->plane) return -1;
   tool->nplane = 0;
   for (int f = 0; f < nface; f++) {
     double corner[3][3], u[3], v[3], n[3], inner[3];
@@ -399,14 +400,14 @@ static int is_distance(const Tool* tool, double value) {
   }
 }
 
-int tool_gap(const Tool* tool, const double point[3], const double direction[3], double most, double* begins,
+int tool_gap(const Tool* tool, const double point[3], const double direction[3], double farthest, double* begins,
              double* gap, double normal[3]) {
   double x[3], v[3], y[3], n[3] = {0, 0, 0}, gradient[3], leaves = 0;
   to_local(tool, point, x);
   rotate_back(v, tool->axes, direction);
   *begins = 0;
   double value = outside(tool, x, gradient), found;
-  if (value > most) return 0;
+  if (value > farthest) return 0;
   if (value < 0 && !exit_of(tool, x, v, begins, &leaves, n)) return 0;
   *gap = -leaves * dot(n, v);
   // Deep inside, the nearest wall can be another than the one that the point has met.

@@ -17,7 +17,7 @@ typedef struct {
   double shift[3], turn[3];  // how far its centre moved in the last step against the bone [m], and turned [rad]
 } Tool;
 
-// Returns 0, or -1 for a geom of a kind that has no surface here.
+// Returns 0, or -1 for a geom that has no surface here. tool_free comes after both.
 int tool_init(const mjModel* m, int geom, Tool* tool);
 void tool_free(Tool* tool);
 
@@ -30,8 +30,8 @@ double tool_distance(const Tool* tool, const double point[3]);
 // The signed distance from a point to the tool's surface, negative inside, and the outward normal at its foot there. The
 // foot is the one that is found from where a ray from the point along a unit direction leaves the tool. A point so deep
 // that the walk from there does not end, as beside the wall of a flat tool, has the distance to the tangent plane there.
-// Returns 0 where the point is farther outside than `most`, and otherwise also how far on the ray the tool begins.
-int tool_gap(const Tool* tool, const double point[3], const double direction[3], double most, double* begins,
+// Returns 0 where the point is farther outside than `farthest`, and otherwise also how far on the ray the tool begins.
+int tool_gap(const Tool* tool, const double point[3], const double direction[3], double farthest, double* begins,
              double* gap, double normal[3]);
 
 // How far the surface bends away from its tangent plane at a foot on it (bone's frame), at an offset along that plane [m].

@@ -7,6 +7,9 @@ static inline double dot(const double a[3], const double b[3]) { return a[0] * b
 // The C library's fmax and fmin are calls; these are one instruction each.
 static inline double most(double a, double b) { return a > b ? a : b; }
 static inline double least(double a, double b) { return a < b ? a : b; }
+// Whether a number from a model or a state is one of the whole numbers 0 to n - 1 when its fraction is cut off.
+static inline int counts(double x, double n) { return x >= 0 && x < n; }
+
 static inline double most3(const double a[3]) { return most(fabs(a[0]), most(fabs(a[1]), fabs(a[2]))); }
 
 static inline void cross(double out[3], const double a[3], const double b[3]) {
