@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError, RecordingError
+from carecontact.protocols import load_protocol
 from carecontact.recording import Failure, Header, Recording, read_recording, write_recording
 from carecontact.reports.failures import failure_modes
 from carecontact.reports.frames import MAX_BYTES, jpeg_data_uri
@@ -492,6 +494,20 @@ def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     earlier = headers[0].model_copy(update={"spec": headers[0].spec.model_copy(update={"protocol": rules})})
     assert "earlier model of the soft tissue" in caveats(run_of_7.scores, [earlier])["Earlier tissue"]
     assert "stayed within" in caveats([make_score("T1", 0)], [])["Extrapolated tissue"]
+
+
+def test_what_the_person_does_and_what_seeds_draw_is_said_of_a_protocol_that_has_it(run_of_7: Run) -> None:
+    header = next(iter(run_of_7.recordings.values())).header
+
+    def of(protocol: Protocol) -> dict[str, str]:
+        spec = header.spec.model_copy(update={"protocol": protocol})
+        return caveats([make_score("T1", 0)], [header.model_copy(update={"spec": spec})])
+
+    wide = of(load_protocol("bathing-wide-v1", level="L3"))
+    assert wide["A person who moves"].startswith("The person breathes, changes its posture, withdraws the arm")
+    for drawn in ("the body", "the turn of shoulder and palm", "the place of the overhead camera"):
+        assert drawn in wide["What seeds change"]
+    assert "A person who moves" not in of(load_protocol("bathing-v2"))
 
 
 def test_less_isolation_than_there_is_and_opened_files_are_said(run_of_7: Run) -> None:
