@@ -101,7 +101,7 @@ def draw(figure) -> None:
         for stiffness in ELBOW_RANGE_NM_RAD:
             left.plot(angle, stiffness * np.radians(ELBOW_NEUTRAL_DEG + spread - angle), color="0.75", lw=0.7)
     left.plot([], [], color="0.75", lw=0.7, label="Wiegner and Watts 1986:\n0.40 and 1.8 N m/rad, 107 ± 10°")
-    for body in ("woman-adult-light", "man-adult", "man-adult-heavy"):
+    for body in ("man-adult-light", "man-adult", "man-adult-heavy"):
         hinge = next(h for h in hinges(load_body(body)) if h.name == ELBOW)
         left.plot(angle, passive_nm(hinge, angle), label=body)
     left.axhline(0.0, color="0.4", lw=0.6)
@@ -111,7 +111,7 @@ def draw(figure) -> None:
     left.legend(fontsize="small")
     past = np.linspace(0.0, np.degrees(REACHED_RAD) * 1.3, 200)
     cubic = -end_stop_nm(np.radians(past), np.array(1.0)) / REACHED_RAD**3
-    right.plot(past, cubic, label="end stop here, as the cubic of\nEngin and Chen 1987")
+    right.plot(past, cubic, label="end stop here: a cubic, the form that\nEngin and Chen 1987 found, strength chosen")
     rate = -KNEE_EXTENSION[1]
     reached = np.degrees(REACHED_RAD)
     right.plot(past, (np.exp(rate * past) - 1) / (np.exp(rate * reached) - 1), "--", color="0.4",

@@ -65,3 +65,16 @@ def test_the_gate_for_joints_is_told_where_there_is_one(
         in told
     )
     assert "joint" not in shown([make_score("T1", 0)], capsys, monkeypatch)
+
+
+def test_what_nursing_studies_ask_is_told_of_the_mitt_alone(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = [{"effective@1": 1.0, "comfortable@1": 0.0}, {"effective@1": 0.0, "comfortable@1": 1.0}]
+    scores = [make_score("T3", seed, additional=found) for seed, found in enumerate(values)]
+    scores.append(make_score("T1", 0, additional={"effective@1": 0.0, "comfortable@1": 1.0}))
+    mitt = [score.model_copy(update={"overrides": {"scene.tool": "mitt"}}) for score in scores]
+    told = shown(mitt, capsys, monkeypatch)
+    assert "Wiped clean (effective@1): 1 of 2" in told, "of scrub tasks"
+    assert "Wiped below 25 mmHg (comfortable@1): 2 of 3" in told
+    assert "effective@1" not in shown(scores, capsys, monkeypatch)

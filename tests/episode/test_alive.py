@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -14,6 +16,8 @@ from carecontact.contract.protocol import Alive, Breathing, Protocol, Reposition
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
 from carecontact.episode.prepare import World, settled_world
+from carecontact.episode.randomization import wake
+from carecontact.errors import SceneError
 from carecontact.kernel.life import JOINTS
 from carecontact.protocols import load_protocol
 from carecontact.recording import OPTIONAL_ARRAYS, Recording, check_recording
@@ -21,6 +25,7 @@ from carecontact.scoring import score_recording
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.world.human.skeleton import body_name
+from carecontact.world.scene import build_scene
 
 SEED = 1
 """Under the name DRAWN_AS, its person moves the arm 0.24 s after the start."""
@@ -179,3 +184,14 @@ def test_the_policy_is_shown_the_same_fields(begin: Callable[..., World], t1: Tr
     living_one, still_one = shown
     assert vars(living_one).keys() == vars(still_one).keys()
     assert living_one.cameras.keys() == still_one.cameras.keys()
+
+
+def test_the_state_of_a_person_who_is_awake_is_refused_by_a_world_in_which_nobody_is() -> None:
+    scene = build_scene(PROTOCOL, target=None, skin=False)
+    awake, fresh = Simulation(replace(scene, model=copy.deepcopy(scene.model))), Simulation(scene)
+    awake.settle(52.5)
+    wake(awake, SEED)
+    state = awake.integration_state()
+    awake.restore(state, comfort_arm_deg=52.5)
+    with pytest.raises(SceneError, match="nobody woke the person of this world"):
+        fresh.restore(state, comfort_arm_deg=52.5)

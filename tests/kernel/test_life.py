@@ -271,3 +271,17 @@ def test_pages_and_checks_know_when_muscles_tense() -> None:
     found = re.search(r"RISE = ([0-9.]+)", source.read_text())
     assert found is not None
     assert float(found[1]) == TENSE_S == TENSES_S
+
+
+def test_the_state_of_a_person_who_is_awake_needs_a_world_that_knows_what_it_does() -> None:
+    model, data = arm()
+    Life(model).wake(data, MOVES)
+    state = run(model, data, 0.1)[-1]
+    fresh, other = arm()
+    Life(fresh).check_known(other)
+    mujoco.mj_setState(fresh, other, state, STATE)
+    with pytest.raises(SceneError, match="nobody woke the person of this world"):
+        Life(fresh).check_known(other)
+    Life(fresh).wake(other, MOVES)
+    mujoco.mj_setState(fresh, other, state, STATE)
+    Life(fresh).check_known(other)

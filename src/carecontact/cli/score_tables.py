@@ -92,6 +92,7 @@ def _print_counts(scores: Sequence[TrialScore], terminal: Console) -> None:
     from carecontact.cli.console import plain_table
     from carecontact.reports.joint_words import joint_counts
     from carecontact.reports.limit_rows import limit_rows
+    from carecontact.reports.nursing import nursing_rows
     from carecontact.runs.aggregate import quadrants, valid_ratio
     from carecontact.runs.pooling import judged
 
@@ -105,6 +106,8 @@ def _print_counts(scores: Sequence[TrialScore], terminal: Console) -> None:
     terminal.print("; ".join(f"{name.replace('_', ' ')}: {k}" for name, k in found))
     over = sum(s.is_crash and bool(s.over_limit) for s in counted)
     terminal.print(f"crashed: {crashed[1]}" + (f", {over} of them after a force above the safety gate" if over else ""))
+    for row in nursing_rows(counted):
+        terminal.print(f"{row.title} ({row.metric}): {row.yes} of {row.n}")
     if joints := joint_counts(counted):
         terminal.print(joints)
     rows = limit_rows(counted, gamma=None)

@@ -145,6 +145,20 @@ class Life:
                 data.qpos[joint.qposadr[0]], data.qvel[joint.dofadr[0]] = size * height, size * rate
         mujoco.mj_forward(self._model, data)
 
+    def check_known(self, data: mujoco.MjData) -> None:
+        """Raises SceneError where the state is that of a person who is awake, and this model does not know what the
+        person does: ``Doings`` are in the model and not in the state.
+        """
+        asleep = all(
+            np.array_equal(self._model.numeric(f"{NAME}/{name}").data, values)
+            for name, values in Doings().numbers().items()
+        )
+        if asleep and data.plugin_state[self._state][AWAKE]:
+            raise SceneError(
+                "the state is of a person who is awake, and nobody woke the person of this world; call "
+                "life.wake(data, doings) with the same doings before the state is restored"
+            )
+
     def breath_m(self, data: mujoco.MjData) -> Array:
         """(2,) how far out each of PARTS is now [m]; 0 where the person does not breathe."""
         length = data.actuator_length

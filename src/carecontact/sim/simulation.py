@@ -263,10 +263,14 @@ class Simulation:
     def restore(self, state: F64, *, comfort_arm_deg: float) -> None:
         """Continue from a vector of ``integration_state`` at a new t = 0; the impedance target stays where it was.
 
-        ``comfort_arm_deg`` is the angle at which the person was laid: the joints' rest angles are not in the state.
+        ``comfort_arm_deg`` is the angle at which the person was laid: the joints' rest angles are not in the state, and
+        neither is what a person does by itself. Raises SceneError for the state of a person who is awake where nobody
+        woke the person of this world.
         """
         self._rest_joints_at(comfort_arm_deg)
         mujoco.mj_setState(self.model, self.data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
+        if self.life is not None:
+            self.life.check_known(self.data)
         mujoco.mj_forward(self.model, self.data)
         self.control.resume()
         self.start()

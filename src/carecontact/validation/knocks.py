@@ -138,7 +138,9 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     for blow in blows:
         measures += _measures(blow)
     curves = {
-        site.name: np.array([[b.mass_kg, b.speed_m_s, b.peak_n, b.predicted_n] for b in blows if b.site == site.name])
+        site.name: np.array(
+            [[b.mass_kg, b.speed_m_s, b.peak_n, b.predicted_n, b.on_one_spring] for b in blows if b.site == site.name]
+        )
         for site in sites()
     }
     return CheckResult(check="knocks", title=TITLE, measures=tuple(measures), curves=curves)
@@ -284,7 +286,10 @@ def draw(result: CheckResult, figure: Figure) -> None:
     figure.set_size_inches(6.0, 3.2)
     axes = figure.subplots()
     for number, (name, rows) in enumerate(result.curves.items()):
-        axes.plot(rows[:, 3], rows[:, 2], "o", ms=3.5, color=f"C{number}", label=name)
+        decides = rows[:, 4] > 0
+        axes.plot(rows[decides, 3], rows[decides, 2], "o", ms=3.5, color=f"C{number}")
+        axes.plot(rows[~decides, 3], rows[~decides, 2], "o", ms=3.5, mfc="none", color=f"C{number}")
+        axes.plot([], [], "o", ms=3.5, color=f"C{number}", label=name)
     low, high = axes.get_xlim()
     line = np.array([max(low, 0.5), high])
     axes.plot(line, line, color="0.4", lw=0.8)
@@ -292,4 +297,5 @@ def draw(result: CheckResult, figure: Figure) -> None:
         axes.plot(line, line * (1 + share * TOLERANCE_PERCENT / 100), color="0.4", lw=0.8, ls=":")
     axes.set(xscale="log", yscale="log", xlabel="largest force that the published stiffness predicts [N]",
              ylabel="largest force [N]", title="knocks")  # fmt: skip
+    axes.plot([], [], "o", ms=3.5, mfc="none", color="0.4", label="does not decide")
     axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from carecontact.recording import Recording
+from carecontact.replaying.film.panel import MARGIN, WIDTH, Panel
 from carecontact.replaying.film.story import story_of
 
 
@@ -43,3 +44,13 @@ def test_the_heading_names_the_level_of_the_protocol(pressed: Recording) -> None
         pressed, header=header.model_copy(update={"spec": header.spec.model_copy(update={"protocol": protocol})})
     )
     assert story_of(levelled).about.endswith(f"{protocol.id} L3")
+
+
+def test_a_long_subtitle_stays_inside_the_frame(pressed: Recording) -> None:
+    story = story_of(pressed)
+    bare = Panel(replace(story, about=""), note="").at(0.0)
+    words = " ".join(["person.alive.breathing.abdomen_m=[0.015, 0.015]"] * 6)
+    long = Panel(replace(story, about=words), note="").at(0.0)
+    written = np.flatnonzero((long != bare).any(axis=(0, 2)))
+    assert MARGIN - 2 <= written.min()
+    assert written.max() < WIDTH - MARGIN / 2, "the ellipsis may stand in the margin"

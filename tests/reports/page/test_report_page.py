@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError, RecordingError
+from carecontact.protocols import load_protocol
 from carecontact.recording import Failure, Header, Recording, read_recording, write_recording
 from carecontact.reports.failures import failure_modes
 from carecontact.reports.frames import MAX_BYTES, jpeg_data_uri
@@ -494,6 +496,20 @@ def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     assert "stayed within" in caveats([make_score("T1", 0)], [])["Extrapolated tissue"]
 
 
+def test_what_the_person_does_and_what_seeds_draw_is_said_of_a_protocol_that_has_it(run_of_7: Run) -> None:
+    header = next(iter(run_of_7.recordings.values())).header
+
+    def of(protocol: Protocol) -> dict[str, str]:
+        spec = header.spec.model_copy(update={"protocol": protocol})
+        return caveats([make_score("T1", 0)], [header.model_copy(update={"spec": spec})])
+
+    wide = of(load_protocol("bathing-wide-v1", level="L3"))
+    assert wide["A person who moves"].startswith("The person breathes, changes its posture, withdraws the arm")
+    for drawn in ("the body", "the turn of shoulder and palm", "the place of the overhead camera"):
+        assert drawn in wide["What seeds change"]
+    assert "A person who moves" not in of(load_protocol("bathing-v2"))
+
+
 def test_less_isolation_than_there_is_and_opened_files_are_said(run_of_7: Run) -> None:
     def said(*reached: str) -> str | None:
         kept = {"caveats": {f"T1-s{n:03}": text for n, text in enumerate(reached)}}
@@ -606,6 +622,16 @@ def test_a_joint_beyond_its_range_and_a_flag_are_told(tmp_path: Path) -> None:
     assert "right elbow 250\N{NO-BREAK SPACE}%" in text
     assert "a joint beyond the protocol's limit: 1 of 1" in text
     assert "succeeded and moved a joint too far beyond its range" in text
+
+
+def test_the_table_of_load_counts_what_nursing_studies_ask_of_the_mitt(tmp_path: Path) -> None:
+    mitt = make_score("T3", 0, additional={"effective@1": 1.0, "coverage@1": 0.9}, overrides={"scene.tool": "mitt"})
+    pages = []
+    for number, score in enumerate((mitt, mitt.model_copy(update={"overrides": {}}))):
+        (folder := tmp_path / str(number)).mkdir()
+        path = write_report(folder, scores=[score], recordings=_no_recording, skipped={})
+        pages.append("trials that pass, of those with a value" in Page(path.read_text()).text)
+    assert pages == [True, False]
 
 
 def _no_recording(trial_id: str) -> Recording:

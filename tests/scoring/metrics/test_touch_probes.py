@@ -63,6 +63,11 @@ def peak_pressed(kilopascals: float) -> tuple[Recording, float]:
     )
 
 
+def utilised(kilopascals: float) -> tuple[Recording, float]:
+    """Over the 180 N/cm^2 of ISO/TS 15066 for the forearm."""
+    return peak_pressed(kilopascals)[0], kilopascals / 1800
+
+
 def above(mmhg: float) -> Level:
     """So many strokes 5 mmHg above a level, three at 5 below it, and one that lasts as long as the other strokes at
     a tenth of the level."""
@@ -135,6 +140,7 @@ FAMILIES = {
     "effective_wiping@1": Family(levels=WIDTHS[:4], level=cleaned),
     "pressure_mean@1": Family(levels=(2.0, 5.0, 8.0, 12.0, 16.0), level=mean_pressed),
     "pressure_peak@1": Family(levels=(8.0, 12.0, 16.0, 24.0, 32.0), level=peak_pressed),
+    "pressure_utilisation@1": Family(levels=(8.0, 12.0, 16.0, 24.0, 32.0), level=utilised),
     "exposure_uncomfortable@1": Family(levels=(1, 2, 3, 4, 5), level=above(25.0)),
     "exposure_fragile@1": Family(levels=(1, 2, 3, 4, 5), level=above(14.0)),
     "shear_dose@1": Family(levels=(0.2, 0.4, 0.6, 0.8, 1.0), level=sheared),
@@ -225,6 +231,12 @@ SPECIAL: dict[str, dict[str, Compute]] = {
         "99th percentile": of_cells(lambda t: np.percentile(t.pressure_pa, 99) / 1000),
         "over whole cells": of_cells(lambda t: (t.press_ns.sum(axis=1) / t.area_m2.sum() / t.period_s).max() / 1000),
         "mmHg": scaled("pressure_peak@1", 1000 / MMHG_PA),
+    },
+    "pressure_utilisation@1": {
+        "of the upper arm's limit": scaled("pressure_utilisation@1", 1800 / 1900),
+        "of the strictest limit": scaled("pressure_utilisation@1", 1800 / 1200),
+        "of the mean pressure": lambda c: (right("pressure_mean@1")(c) or 0.0) / 1800,
+        "of what is comfortable": lambda c: (right("pressure_peak@1")(c) or 0.0) * 1000 / (25 * MMHG_PA),
     },
     "exposure_uncomfortable@1": {
         "cells times time": of_cells(lambda t: ((t.pressure_pa > 25 * MMHG_PA) * t.period_s[:, None]).sum()),

@@ -64,7 +64,8 @@ class Panel:
         write(paper, MARGIN, 44, story.title, 22, bold=True)
         for row, words in enumerate(wrapped(f"“{story.prompt}”", 15, WIDTH - 2 * MARGIN)):
             write(paper, MARGIN, 72 + 21 * row, words, 15)
-        write(paper, MARGIN, 118, story.about, 12, colour=SOFT)
+        for row, words in enumerate(wrapped(story.about, 12, WIDTH - 2 * MARGIN)):
+            write(paper, MARGIN, 114 + 15 * row, words, 12, colour=SOFT)
         for x, label in zip(COLUMNS, ("time", "force", "indentation"), strict=True):
             write(paper, x, 152, label, 12, colour=SOFT)
         write(paper, MARGIN, HEIGHT - 14, note, 11, colour=SOFT)

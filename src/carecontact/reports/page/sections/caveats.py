@@ -45,6 +45,7 @@ def cannot_say(page: Page) -> list[Caveat]:
         *_privileged(page.scores),
         *_few(page.scores),
         *_bodies(headers),
+        *_alive(headers),
         *_variation(headers),
         *_protocol(headers),
         *_extrapolation(page.scores),
@@ -94,6 +95,23 @@ def _bodies(headers: Sequence[Header]) -> list[Caveat]:
         f"This run simulates only {', '.join(bodies)}; it says nothing about other body shapes, ages and skin colours."
     )
     return [(count, text)]
+
+
+def _alive(headers: Sequence[Header]) -> list[Caveat]:
+    """What the person does by itself, whether a command or the protocol's file asked for it."""
+    asked = [h.spec.protocol.person.alive for h in headers]
+    texts = {
+        "breathes": any(alive.breathing for alive in asked),
+        "changes its posture": any(alive.repositioning for alive in asked),
+        "withdraws the arm from a force": any(alive.withdrawal for alive in asked),
+        "helps when the arm is moved": any(alive.manner == "helps" for alive in asked),
+        "holds against being moved": any(alive.manner == "holds" for alive in asked),
+    }
+    does = [text for text, on in texts.items() if on]
+    if not does:
+        return []
+    told = f"The person {', '.join(does)}. Force and joints include what the person does, also before any contact."
+    return [("A person who moves", told)]
 
 
 def _protocol(headers: Sequence[Header]) -> list[Caveat]:
@@ -185,6 +203,11 @@ def _varied(variation: Variation) -> list[str]:
         "depth noise": variation.depth_noise != "none",
         "encoder noise": variation.encoder_noise_rad > 0,
         "the error of the cameras' calibration": variation.calibration_m > 0 or variation.calibration_deg > 0,
+        "the stiffness of the soft regions": variation.tissue != "declared",
+        "the body": bool(variation.bodies),
+        "the turn of shoulder and palm": any((*variation.shoulder_rotation_deg, *variation.palm_deg)),
+        "the place of the overhead camera": variation.overhead_shift_m > 0 or variation.overhead_turn_deg > 0,
+        "the place of the robot": variation.parking is not None,
     }
     return [text for text, on in texts.items() if on]
 

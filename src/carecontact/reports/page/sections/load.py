@@ -6,6 +6,7 @@ from typing import Any
 
 from carecontact.reports.failures import only_crashes
 from carecontact.reports.load import load
+from carecontact.reports.nursing import nursing_rows
 from carecontact.reports.page.section import Page, section
 
 TEMPLATE = """\
@@ -22,6 +23,9 @@ TEMPLATE = """\
 {% for row in load.rows %}
 <tr><th scope="row">{{ row.metric.title }}</th><td class="keep">{{ row.unit }}</td>{% for cell in row.cells(load.contacts) %}<td class="num">{{ cell|replace("-", "−") }}</td>{% endfor %}</tr>
 {% endfor %}
+{% for row in nursing %}
+<tr><th scope="row">{{ row.title }}<span class="meaning">trials that pass, of those with a value</span></th><td></td>{% for task in load.tasks %}<td></td>{% endfor %}<td class="num">{{ row.yes }} of {{ row.n }}</td></tr>
+{% endfor %}
 </tbody>
 </table>
 </div>
@@ -35,4 +39,4 @@ def load_section(page: Page) -> dict[str, Any] | None:
     if only_crashes(page.judged):
         return None
     found = load(page.judged)
-    return {"load": found} if found.rows else None
+    return {"load": found, "nursing": nursing_rows(page.judged, page.protocol)} if found.rows else None

@@ -1,0 +1,42 @@
+"""How many trials pass what nursing studies ask of a wipe: the yes-or-no metrics, for the soft mitt alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from carecontact.contract.protocol import Protocol
+from carecontact.runs.pooling import judged
+from carecontact.scoring.metrics.metric import METRICS
+from carecontact.scoring.result import TrialScore
+
+ASKED = ("effective@1", "comfortable@1", "comfortable_fragile@1")
+TOOL = "mitt"
+"""A rigid cap presses a few square centimetres, so that these metrics say nothing of it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NursingRow:
+    metric: str
+    title: str
+    yes: int
+    n: int
+    """Trials with a value."""
+
+
+def nursing_rows(scores: Sequence[TrialScore], protocol: Protocol | None = None) -> list[NursingRow]:
+    """Return one row per metric of ASKED over the trials that are ``judged``; none where the tool is not the mitt.
+
+    Args:
+        protocol: of the run; None: a mitt is known where a command put it on the hand.
+    """
+    counted = judged(scores)
+    tool = protocol.scene.tool if protocol is not None else next((s.overrides.get("scene.tool") for s in counted), None)
+    if tool != TOOL:
+        return []
+    rows: list[NursingRow] = []
+    for name in ASKED:
+        values = [value for value in METRICS[name].pooled(counted) if value is not None]
+        if values:
+            rows.append(NursingRow(metric=name, title=METRICS[name].title, yes=sum(map(int, values)), n=len(values)))
+    return rows
