@@ -85,7 +85,8 @@ def test_a_knock_that_is_over_before_the_filter_sees_it_is_reported_and_scored()
     assert contact.reported is not None
     assert contact.segments[contact.reported] == "right_hand"
     assert len(contact.force_in_window) > 0
-    assert score_recording(make_recording(normal={"right_hand": knock})).peak_force_n["right_hand"] == pytest.approx(28.0)
+    score = score_recording(make_recording(normal={"right_hand": knock}))
+    assert score.peak_force_n["right_hand"] == pytest.approx(28.0)
 
 
 def test_region_share_is_the_share_of_impulse() -> None:
