@@ -25,9 +25,9 @@ from carecontact.runs.stored_scores import read_scores
 TOP = """# {protocol}: results
 
 Seeds {seeds}, {trials} trials of each policy on each level. [What it means](README.md);
-[the protocol](../bathing-wide.md); [the baselines](../baselines.md); [intervals and orders](../statistics.md). The plan
-is [examples/cluster/results.toml](../../examples/cluster/results.toml). `tools/keep_sweep.py` wrote it, and keeps
-the scores of every trial beside it.
+[the protocol](../bathing-wide.md); [the baselines](../baselines.md); [intervals and orders](../statistics.md). These
+are the cells of [the plan](../../examples/cluster/results.toml) that were run; `tools/keep_sweep.py` wrote it and
+keeps the scores of every trial beside this page.
 """
 
 

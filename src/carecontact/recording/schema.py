@@ -132,6 +132,11 @@ class Header(BaseModel):
     """What the seed drew of body, arm, place, robot's base and overhead camera (``episode.drawn``); empty where the
     protocol draws none of them. For the scorer, never for a policy."""
 
+    @property
+    def body(self) -> str:
+        """Name of the body that lay there: the one that was drawn, or the protocol's where none is drawn."""
+        return str(self.drawn.get("body") or self.spec.protocol.person.body)
+
     @model_serializer(mode="wrap")
     def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out ``drawn`` where it is empty: such a trial keeps the header that it had before."""

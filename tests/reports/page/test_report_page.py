@@ -467,6 +467,16 @@ def caveats(scores: list[TrialScore], headers: list[Header], **changes: Any) -> 
     return dict(cannot_say(page))
 
 
+def test_the_bodies_are_those_that_were_drawn_and_not_the_protocols_own(run_of_7: Run) -> None:
+    headers = [r.header for r in run_of_7.recordings.values()]
+    bodies = ["woman-old-heavy", "man-old-light"]
+    drawn = [h.model_copy(update={"drawn": {"body": bodies[k % 2]}}) for k, h in enumerate(headers)]
+    assert "only man-old-light, woman-old-heavy;" in caveats(run_of_7.scores, drawn)["2 bodies"]
+    body = dict(provenance_rows(run_of_7.scores, drawn))["Body"]
+    assert all(name in body for name in bodies)
+    assert "man-adult" not in body
+
+
 def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     headers = [r.header for r in run_of_7.recordings.values()]
     said = caveats(run_of_7.scores, headers, skipped={"T1-s008.h5": "damaged", "T1-s009.h5": "damaged"})

@@ -87,7 +87,7 @@ def _few(scores: Sequence[TrialScore]) -> list[Caveat]:
 
 
 def _bodies(headers: Sequence[Header]) -> list[Caveat]:
-    bodies = sorted({h.spec.protocol.person.body for h in headers})
+    bodies = sorted({h.body for h in headers})
     if not bodies:
         return []
     count = "One body" if len(bodies) == 1 else f"{len(bodies)} bodies"
@@ -218,9 +218,8 @@ def _extrapolation(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
         return []
     beyond = sum(share > 0 for share in shares)
     if not beyond:
-        text = (
-            f"In all {len(shares)} trials with contact on the region, the indentation stayed within the measured range."
-        )
+        trials = "the trial" if len(shares) == 1 else f"all {len(shares)} trials"
+        text = f"In {trials} with contact on the region, the indentation stayed within the measured range."
     else:
         text = (
             f"In {beyond} of {len(shares)} trials with contact on the region, part of the contact time "

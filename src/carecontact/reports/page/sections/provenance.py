@@ -59,7 +59,7 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
         ("Language backend", _distinct(s.language_backend for s in scores)),
         *_language(scores),
         ("Embodiment", _distinct(h.embodiment for h in headers)),
-        ("Body", _distinct(p.person.body for p in protocols)),
+        ("Body", _distinct(h.body for h in headers)),
         ("Tissue set", _distinct(p.person.tissue_set for p in protocols)),
     ]
     regions = sorted({(region, t.source) for p in protocols for region, t in p.person.tissue.items()})
