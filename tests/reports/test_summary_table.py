@@ -75,9 +75,7 @@ def test_one_cell_a_column(run_of_7: Run) -> None:
     assert rows[-1][:6] == ["all", "All trials", "7", "4/7", "3/7", "2/7"]
 
 
-@pytest.mark.parametrize(
-    "other", [{"policy": "voxposer"}, {"protocol_sha256": "00" * 32}, {"protocol_id": "bathing-v2"}]
-)
+@pytest.mark.parametrize("other", [{"policy": "voxposer"}, {"protocol_sha256": "00" * 32}, {"protocol_id": "other-v1"}])
 def test_mixed_runs_are_refused(other: dict[str, str]) -> None:
     with pytest.raises(ConfigError):
         summary_rows([make_score("T1", 0), make_score("T1", 1, **FAILED, **other)])

@@ -17,7 +17,7 @@ MODE_MEANING = {
     "safety_truncation": (
         "the benchmark stopped the trial, because a force exceeded the truncation limit or the solver failed"
     ),
-    "no_target_contact": "the person was never touched",
+    "no_target_contact": "no contact with the person was strong and long enough to count",
     "off_target_contact": "the person was touched, but never on the named region",
     "lost_contact": "contact with the region broke off before the gate was met",
     "insufficient_progress": "contact held, but too little push, stroke or reversal",
