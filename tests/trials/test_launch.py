@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -78,13 +79,21 @@ def test_a_forked_trial_is_that_of_a_program_and_knows_nothing_of_the_one_before
     assert canonical_hash(read_recording(alone)) == first
 
 
+def descriptors(pid: int) -> set[str]:
+    """What a process has open; what it closes meanwhile is left out."""
+    found: set[str] = set()
+    for fd in Path(f"/proc/{pid}/fd").iterdir():
+        with suppress(FileNotFoundError):
+            found.add(os.readlink(fd))
+    return found
+
+
 def test_a_forked_worker_has_no_descriptor_of_the_server_or_of_another(launcher: Launcher, tmp_path: Path) -> None:
     one, told = start(launcher, tmp_path / "one.h5", policy="hover")
     two, _ = start(launcher, tmp_path / "two.h5", policy="hover")
     soon(lambda: (told.read(), told.policy_runs)[1])
-    ends = [{os.readlink(fd) for fd in Path(f"/proc/{process.pid}/fd").iterdir()} for process in (one, two)]
     server = int(stat(one.pid)[1])
-    ends.append({os.readlink(fd) for fd in Path(f"/proc/{server}/fd").iterdir()})
+    ends = [descriptors(pid) for pid in (one.pid, two.pid, server)]
     for k, mine in enumerate(ends[:2]):
         others = set[str]().union(*ends[:k], *ends[k + 1 :])
         assert {end for end in mine & others if end.startswith(("pipe:", "socket:", "anon_inode:"))} == set()
