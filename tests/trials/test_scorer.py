@@ -8,7 +8,7 @@ import pytest
 
 from carecontact.recording import write_recording
 from carecontact.runs import score_folder, score_run
-from carecontact.trials.scorer import Scorer
+from carecontact.trials.scorer import FEW, Scorer
 from tests.scoring.synthetic import make_recording, push, touch
 
 
@@ -21,9 +21,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.fixture(scope="module")
-def scorer() -> Iterator[Scorer]:
-    with closing(Scorer(1)) as scorer:
+@pytest.fixture(scope="module", params=[1, FEW], ids=["thread", "processes"])
+def scorer(request: pytest.FixtureRequest) -> Iterator[Scorer]:
+    with closing(Scorer(1, trials=request.param)) as scorer:
         yield scorer
 
 
@@ -49,3 +49,13 @@ def test_the_score_of_another_recording_does_not_count(folder: Path, scorer: Sco
     assert scorer.take(changed.with_name("T9-s000.h5")) is None, "nobody gave it"
     assert before is not None
     assert scorer.take(whole) == before
+
+
+def test_each_score_is_told(folder: Path, scorer: Scorer) -> None:
+    told: list[str] = []
+    paths = sorted(folder.glob("*.h5"))
+    for path in paths:
+        scorer.give(path, then=lambda score: told.append(score.trial_id))
+    scorer.wait()
+    assert sorted(told) == ["T1-s000", "T1-s001", "T2-s000"]
+    assert [scorer.score_of(path) is None for path in paths] == [False, False, False, True]

@@ -153,8 +153,9 @@ class Sweep:
         from carecontact.trials.workers import available_cores
 
         cores = min(available_cores(), self.parallel.jobs or available_cores())
+        trials = sum(len(cell.specs) for cell in cells)
         # One thread writes the results, so that no trial waits for them.
-        with closing(Scorer(cores)) as scorer, ThreadPoolExecutor(1) as writer:
+        with closing(Scorer(cores, trials=trials)) as scorer, ThreadPoolExecutor(1) as writer:
             written: list[Future[None]] = []
 
             def take(cell: Cell, event: TrialEvent) -> None:
