@@ -1,4 +1,4 @@
-"""Contacts of which the region's cells feel a known share: numbers about pressure exist where it is most of the force."""
+"""Contacts of which the cells feel a known share: numbers about pressure exist where it is most of the force."""
 
 from __future__ import annotations
 
