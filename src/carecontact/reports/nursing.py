@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from carecontact.contract.protocol import Protocol
 from carecontact.runs.pooling import judged
-from carecontact.scoring.metrics.metric import METRICS
+from carecontact.scoring.metrics.metric import METRICS, newest
 from carecontact.scoring.result import TrialScore
 
-ASKED = ("effective@1", "comfortable@1", "comfortable_fragile@1")
+ASKED = ("effective", "comfortable", "comfortable_fragile")
+"""Of each, the newest version that the trials were scored by."""
 TOOL = "mitt"
 """A rigid cap presses a few square centimetres, so that these metrics say nothing of it."""
 
@@ -34,7 +35,8 @@ def nursing_rows(scores: Sequence[TrialScore], protocol: Protocol | None) -> lis
         return []
     counted = judged(scores)
     rows: list[NursingRow] = []
-    for name in ASKED:
+    scored = newest({id_ for score in counted for id_ in score.additional if id_ in METRICS})
+    for name in (id_ for asked in ASKED for id_ in scored if id_.partition("@")[0] == asked):
         values = [value for value in METRICS[name].pooled(counted) if value is not None]
         if values:
             rows.append(NursingRow(metric=name, title=METRICS[name].title, yes=sum(map(int, values)), n=len(values)))
