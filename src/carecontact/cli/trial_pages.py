@@ -28,7 +28,8 @@ def write_page_of(file: Path) -> Path:
 def write_trial_pages(folder: Path, run: RunScores) -> None:
     """The page of every scored trial. A recording that cannot be drawn is named, and the others are."""
     from carecontact.recording import read_recording
-    from carecontact.reports.trial.page import FOLDER, write_trial_page
+    from carecontact.reports.page_links import FOLDER
+    from carecontact.reports.trial.page import write_trial_page
 
     done = 0
     for score in run.scores:

@@ -44,7 +44,7 @@ class Run:
 
     def __repr__(self) -> str:
         policy = self.scores[0].policy_title if self.scores else "no policy"
-        return f"Run({str(self.path)!r}: {policy}, {len(self.scores)} trials)"
+        return f"Run({str(self.path)!r}: {policy}, {len(self.scores)} trial{'' if len(self.scores) == 1 else 's'})"
 
     @property
     def scores(self) -> list[TrialScore]:

@@ -140,12 +140,12 @@ def test_every_link_of_the_page_leads_somewhere(run_of_7: Run, tmp_path: Path) -
     ids = [a["id"] for _, a in page.tags if "id" in a]
     assert len(ids) == len(set(ids))
     assert {f"{score.trial_id}" for score in run_of_7.scores} <= set(ids)
-    assert [a["href"] for a in page.all("a") if (a["href"] or "").removeprefix("#") not in ids] == []
+    assert [a["href"] for a in page.all("a") if (a.get("href") or "").removeprefix("#") not in {*ids, ""}] == []
     (tmp_path / "trial").mkdir()
     for name in ("T1-s000.h5", "T7-s000.log", "trial/T1-s000.html", "trial/T1-s000.mp4"):
         (tmp_path / name).write_bytes(b"")
     page = Page(write(run_of_7, tmp_path))
-    files = [a["href"] for a in page.all("a") if not (a["href"] or "").startswith("#")]
+    files = [a["href"] for a in page.all("a") if "href" in a and not (a["href"] or "").startswith("#")]
     assert sorted({str(file) for file in files}) == [
         "T1-s000.h5",
         "T7-s000.log",
@@ -547,16 +547,20 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("force", "changes", "told"),
     [
-        (NO_CONTACT, "nothing touched, seed 0"),
-        ({"c1_peak_force_n": None}, "contact too brief to score at 1.50"),
-        ({"c1_peak_force_n": 7.25}, "7.2 N on the right forearm at 1.50"),
+        (0.0, NO_CONTACT, "nothing touched, seed 0"),
+        (
+            0.3,
+            NO_CONTACT,
+            "the robot pressed the right forearm for 3.0 s with at most 0.3 N; contact counts from 0.5 N",
+        ),
+        (7.25, {"c1_peak_force_n": 7.25}, "7.2 N on the right forearm at 1.50"),
     ],
 )
-def test_what_the_frame_at_peak_force_shows(changes: dict[str, Any], told: str) -> None:
+def test_what_the_frame_at_peak_force_shows(force: float, changes: dict[str, Any], told: str) -> None:
     stored = {"report/peak_rgb": np.zeros((4, 4, 3), np.uint8), "report/peak_time_s": np.array([1.5])}
-    base = make_recording("T1", 0, {}, duration_s=0)
+    base = make_recording("T1", 0, {"right_forearm": np.full(1500, force)}, duration_s=3)
     frame = peak_frame(make_score("T1", 0, **changes), Recording(header=base.header, arrays=base.arrays | stored))
     assert frame is not None
     assert frame.text.startswith(told)
@@ -632,16 +636,6 @@ def test_a_joint_beyond_its_range_and_a_flag_are_told(tmp_path: Path) -> None:
     assert "right elbow 250\N{NO-BREAK SPACE}%" in text
     assert "a joint beyond the protocol's limit: 1 of 1" in text
     assert "succeeded and moved a joint too far beyond its range" in text
-
-
-def test_the_table_of_load_counts_what_nursing_studies_ask_of_the_mitt(tmp_path: Path) -> None:
-    mitt = make_score("T3", 0, additional={"effective@1": 1.0, "coverage@1": 0.9}, overrides={"scene.tool": "mitt"})
-    pages = []
-    for number, score in enumerate((mitt, mitt.model_copy(update={"overrides": {}}))):
-        (folder := tmp_path / str(number)).mkdir()
-        path = write_report(folder, scores=[score], recordings=_no_recording, skipped={})
-        pages.append("trials that pass, of those with a value" in Page(path.read_text()).text)
-    assert pages == [True, False]
 
 
 def _no_recording(trial_id: str) -> Recording:
