@@ -11,6 +11,7 @@ from carecontact.errors import ConfigError, DependencyError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from carecontact.contract.protocol import Protocol
     from carecontact.runs.run_scores import RunScores
     from carecontact.scoring.result import TrialScore
 
@@ -44,7 +45,7 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None, allo
     if path is not None:
         for line in differences(before, _results(folder)):
             print(line)
-        _print_scores(run.scores)
+        _print_scores(run.scores, folder)
     _print_left_out(run)
     if kept and run.scores:
         print(f"{folder / RESULTS} was not replaced: --allow-missing replaces it with the scores of what is there")
@@ -84,7 +85,7 @@ def need_recordings(folder: Path) -> None:
         raise ConfigError(f"{folder}: holds no recordings (*.h5); name the --out of a run{told}")
 
 
-def _print_scores(scores: Sequence[TrialScore]) -> None:
+def _print_scores(scores: Sequence[TrialScore], folder: Path) -> None:
     from carecontact.cli.score_tables import print_table
     from carecontact.protocols.frozen_state import drifted_sha256
     from carecontact.runs.pooling import judged
@@ -95,7 +96,15 @@ def _print_scores(scores: Sequence[TrialScore]) -> None:
         print(f"protocol: {first.protocol_title}{f', {changed}' if changed else ''}")
     if backends := sorted({s.language_backend for s in judged(scores)} - {"none"}):
         print(f"language: {', '.join(backends)}")
-    print_table(scores)
+    print_table(scores, _protocol(scores, folder))
+
+
+def _protocol(scores: Sequence[TrialScore], folder: Path) -> Protocol | None:
+    """Of the run, from a recording that was scored; None where the folder has none of them."""
+    from carecontact.recording.reader import read_header
+
+    paths = (folder / f"{score.trial_id}.h5" for score in scores)
+    return next((read_header(path).spec.protocol for path in paths if path.is_file()), None)
 
 
 def _print_left_out(run: RunScores) -> None:

@@ -25,16 +25,15 @@ class NursingRow:
     """Trials with a value."""
 
 
-def nursing_rows(scores: Sequence[TrialScore], protocol: Protocol | None = None) -> list[NursingRow]:
+def nursing_rows(scores: Sequence[TrialScore], protocol: Protocol | None) -> list[NursingRow]:
     """Return one row per metric of ASKED over the trials that are ``judged``; none where the tool is not the mitt.
 
     Args:
-        protocol: of the run; None: a mitt is known where a command put it on the hand.
+        protocol: of the run, as a recording of it holds it; None where none could be read: then the tool is unknown.
     """
-    counted = judged(scores)
-    tool = protocol.scene.tool if protocol is not None else next((s.overrides.get("scene.tool") for s in counted), None)
-    if tool != TOOL:
+    if protocol is None or protocol.scene.tool != TOOL:
         return []
+    counted = judged(scores)
     rows: list[NursingRow] = []
     scored = newest({id_ for score in counted for id_ in score.additional if id_ in METRICS})
     for name in (id_ for asked in ASKED for id_ in scored if id_.partition("@")[0] == asked):

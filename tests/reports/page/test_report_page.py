@@ -672,15 +672,5 @@ def test_a_joint_beyond_its_range_and_a_flag_are_told(tmp_path: Path) -> None:
     assert "succeeded and moved a joint too far beyond its range" in text
 
 
-def test_the_table_of_load_counts_what_nursing_studies_ask_of_the_mitt(tmp_path: Path) -> None:
-    mitt = make_score("T3", 0, additional={"effective@1": 1.0, "coverage@1": 0.9}, overrides={"scene.tool": "mitt"})
-    pages = []
-    for number, score in enumerate((mitt, mitt.model_copy(update={"overrides": {}}))):
-        (folder := tmp_path / str(number)).mkdir()
-        path = write_report(folder, scores=[score], recordings=_no_recording, skipped={})
-        pages.append("trials that pass, of those with a value" in Page(path.read_text()).text)
-    assert pages == [True, False]
-
-
 def _no_recording(trial_id: str) -> Recording:
     raise RecordingError(trial_id)
