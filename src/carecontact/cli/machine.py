@@ -30,6 +30,15 @@ PACKAGES = {
     "mediapipe": "--no-deps mediapipe==0.10.21",
 }
 """Distribution -> the requirement that pip installs."""
+EXTRAS = {
+    "tables": (("pyarrow",), "results.parquet, run.trials() and export lerobot"),
+    "viz": (("av", "rerun-sdk"), "video and view"),
+    "live": (("openai",), "language models"),
+    "fem": (("scikit-fem",), "validate --fem"),
+    "cluster": (("ray",), "run --engine ray"),
+    "grounded-sam": (("torch", "transformers"), "--segmenter grounded-sam"),
+}
+"""Extra of this package -> the distributions that it installs, and what needs it."""
 GL_LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}
 GL_PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 MEMORY_PER_TRIAL_GIB = 1.0
@@ -72,6 +81,7 @@ def findings() -> Iterator[Finding]:
     for check in (
         check_python,
         check_packages,
+        check_extras,
         check_tissue,
         check_gl,
         check_frame,
@@ -102,6 +112,24 @@ def check_packages() -> Finding:
         lines = [f"{sys.executable} -m pip install {PACKAGES[package]}" for package in absent]
         return Finding(name="packages", fine=False, detail=f"not installed: {', '.join(absent)}", fix="; ".join(lines))
     return Finding(name="packages", fine=True, detail=", ".join(f"{name} {version}" for name, version in found.items()))
+
+
+def check_extras() -> Finding:
+    """Tell which optional parts can be used. No trial needs any of them."""
+    lacking = [name for name, (packages, _) in EXTRAS.items() if not all(map(_is_installed, packages))]
+    if not lacking:
+        return Finding(name="extras", fine=True, detail="all installed")
+    parts = ", ".join(f"{name} (for {EXTRAS[name][1]})" for name in lacking)
+    command = f"pip install 'carecontact[{lacking[0]}]'"
+    return Finding(name="extras", fine=True, detail=f"optional and not installed: {parts}; {command} adds the first")
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
 
 
 def check_tissue() -> Finding:

@@ -34,8 +34,9 @@ class Protocols:
     """For feasible: seeds to check, one (3), a list (0,4,7), a range (0-19), or all."""
     salts: int = 0
     """For feasible: how many salted seeds to check besides, each with a fresh salt."""
-    picture: Path = Path("feasible.png")
-    """For feasible: .png or .svg file for the map of the bed from above, with every place where the robot stands."""
+    picture: Path | None = None
+    """For feasible: .png or .svg file for the map of the bed from above, with every place where the robot stands;
+    default: feasible.png, and no map with --json."""
     output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
 
     after_interrupt: ClassVar[str] = ""
@@ -53,9 +54,8 @@ class Protocols:
         if self.what == "feasible":
             from carecontact.cli.feasible import feasible
 
-            return feasible(
-                self._levels(), seeds=self.seeds, salts=self.salts, picture=self.picture, json=self.output.json
-            )
+            picture = self.picture or (None if self.output.json else Path("feasible.png"))
+            return feasible(self._levels(), seeds=self.seeds, salts=self.salts, picture=picture, json=self.output.json)
         each = {"verify": verify, "lock": lock}[self.what]
         return max(each(self.name, rules, json=self.output.json) for rules in self._levels())
 
