@@ -17,7 +17,11 @@ WIDTH = 140
 
 
 def print_overview(overview: Overview, runs: Sequence[Path]) -> None:
-    """``runs``: where they lie, in the order of the overview."""
+    """Print the overview of several runs.
+
+    Args:
+        runs: places of the runs, in the order of the overview.
+    """
     from carecontact.contract.protocol import protocol_title
 
     print(f"{protocol_title(overview.protocol_id, overview.overrides)} ({overview.protocol_sha256[:12]})")
@@ -92,11 +96,15 @@ def _print_ranking(ranking: Ranking) -> None:
 
 
 ROLE_WORDS = {"privileged": " (ceiling)", "probe": " (probe)"}
-"""After the name of what stands among blind baselines and is none."""
+"""Role of a policy -> words after its name in the table of blind baselines, if the policy is none itself."""
 
 
 def print_baselines(found: Baselines, letter: str) -> None:
-    """``letter``: of the run among several; empty for one alone."""
+    """Print the blind baselines beside a run.
+
+    Args:
+        letter: letter of the run among several; empty for one run alone.
+    """
     from carecontact.cli.console import console, plain_table
 
     name = f"{letter} ({found.method.policy})" if letter else found.method.policy
@@ -134,7 +142,11 @@ def _baseline_cells(row: Passed, tasks: Sequence[str]) -> list[str]:
 
 
 def _points(found: RateDifference, n: int) -> str:
-    """``n``: trials or pairs that the difference rests on; with too few there is no interval."""
+    """Return a difference in percentage points with its interval.
+
+    Args:
+        n: number of trials or pairs that the difference rests on; with too few, there is no interval.
+    """
     from carecontact.reports.compare.paired_lines import FEWEST_PAIRS
     from carecontact.reports.text import number
 
