@@ -16,6 +16,7 @@ from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.protocols import load_protocol
 from carecontact.recording import Failure, Header, Recording, read_recording, write_recording
+from carecontact.reports.compare.baselines import Baselines, beside_baselines
 from carecontact.reports.failures import failure_modes
 from carecontact.reports.frames import MAX_BYTES, jpeg_data_uri
 from carecontact.reports.page.chosen import FAILURES_SHOWN, trials_in_detail
@@ -29,6 +30,7 @@ from carecontact.reports.page.sections.head import verdict
 from carecontact.reports.page.sections.provenance import NOT_RECORDED, provenance_rows
 from carecontact.reports.page.sections.trials import trial_row
 from carecontact.runs import score_run
+from carecontact.runs.run_scores import RunScores
 from carecontact.scoring import TrialScore
 from tests.reports.synthetic_run import FAILED, HOSTILE, NO_CONTACT, Run, make_recording, make_score, plateau
 
@@ -615,6 +617,38 @@ def test_a_page_without_blind_replay_says_how_to_get_it(tmp_path: Path) -> None:
     text = Page(path.read_text()).text
     assert "None are kept. To learn whether" in text
     assert "carecontact report DIR --baseline" in text.partition("From success to safe success")[0]
+
+
+def test_the_page_of_a_blind_baseline_does_not_set_it_beside_itself(tmp_path: Path) -> None:
+    scores = [make_score("T1", seed, policy="replay") for seed in range(2)]
+    path = write_report(tmp_path, scores=scores, recordings=_no_recording, skipped={}, kept_scores="None are kept.")
+    text = Page(path.read_text()).text
+    assert "replay is a blind baseline, which lacks what the tasks require" in text
+    assert "To learn whether" not in text
+    assert "Run zero-action, hover, random, replay-registered and mean-person with" in text
+
+
+def beside(method: list[TrialScore], *others: list[TrialScore]) -> Baselines:
+    return beside_baselines(RunScores(scores=method), [], kept=[RunScores(scores=scores) for scores in others])
+
+
+def test_without_blind_replay_the_best_blind_baseline_stands_in_the_head(tmp_path: Path) -> None:
+    def run(policy: str, passed: int, **arguments: str) -> list[TrialScore]:
+        return [
+            make_score("T1", seed, policy=policy, policy_arguments=arguments, **({} if seed < passed else FAILED))
+            for seed in range(8)
+        ]
+
+    method = run("mine", 8)
+    others = (run("hover", 0), run("mean-person", 2, person="bathing-wide-L2"), run("mean-person", 1, person="other"))
+    path = write_report(
+        tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=beside(method, *others)
+    )
+    text = Page(path.read_text()).text
+    assert "The best blind baseline, mean-person, passed 2 of 8; mine 8 of 8. The difference, 75 points" in text
+    assert "mean-person (1) 2/8" in text
+    assert "mean-person (2) 1/8" in text
+    assert "mean-person (1): mean-person person=bathing-wide-L2; mean-person (2): mean-person person=other." in text
 
 
 def test_a_success_above_the_safety_gate_is_no_failure_and_is_told(tmp_path: Path) -> None:
