@@ -14,16 +14,17 @@ if TYPE_CHECKING:
 TESTS = ("paired", "Holm", "worst rank", "unpaired")
 COLUMNS = ("", "A", "B", "A - B [95 %]", "pairs", *(f"p\n{test}" for test in TESTS), "verdict")
 WIDTH = 174
-"""A narrower terminal gets no table."""
+"""Least width of the terminal [columns] at which a table is printed."""
 
 
 def print_comparison(comparison: Comparison, a: Path, b: Path, *, crashed: Sequence[str] = ("", "")) -> None:
-    """
+    """Print the comparison of two runs.
+
     Args:
-        comparison: of the runs in ``a`` and ``b``.
-        a: where the run A lies.
-        b: where the run B lies.
-        crashed: for A and for B, in which trials the policy crashed; empty for none.
+        comparison: the comparison of the runs in ``a`` and ``b``.
+        a: place of the run A.
+        b: place of the run B.
+        crashed: the trials in which the policy crashed, for A and for B; empty if there are none.
     """
     from carecontact.contract.protocol import protocol_title
     from carecontact.protocols.frozen_state import drifted_sha256
@@ -61,7 +62,7 @@ def _counted(n: int, what: str) -> str:
 
 
 def _say(text: str) -> None:
-    """Print a text: wrapped between words on a narrow terminal, and as one line elsewhere."""
+    """Print a text, wrapped between words on a narrow terminal and as one line elsewhere."""
     from carecontact.cli.console import console
 
     terminal = console(WIDTH)
@@ -117,7 +118,8 @@ def _print_lines(lines: Sequence[Line]) -> None:
 
 
 def _reasons(lines: Sequence[Line]) -> dict[str, list[str]]:
-    """Why a verdict is as it is, with its notes -> the lines that it holds for. Nothing for a word that says it all."""
+    """Return the reason of each verdict with its notes -> the lines for which it holds. Verdicts that explain
+    themselves are left out."""
     from carecontact.reports.compare.paired_lines import RateLine
 
     found: dict[str, list[str]] = {}

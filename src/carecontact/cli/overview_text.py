@@ -17,7 +17,11 @@ WIDTH = 140
 
 
 def print_overview(overview: Overview, runs: Sequence[Path]) -> None:
-    """``runs``: where they lie, in the order of the overview."""
+    """Print the overview of several runs.
+
+    Args:
+        runs: places of the runs, in the order of the overview.
+    """
     from carecontact.contract.protocol import protocol_title
 
     print(f"{protocol_title(overview.protocol_id, overview.overrides)} ({overview.protocol_sha256[:12]})")
@@ -95,11 +99,15 @@ def _print_ranking(ranking: Ranking) -> None:
 
 
 ROLE_WORDS = {"privileged": " (ceiling)", "probe": " (probe)"}
-"""After the name of what stands among blind baselines and is none."""
+"""Role of a policy -> words after its name in the table of blind baselines, if the policy is none itself."""
 
 
 def print_baselines(found: Baselines, letter: str) -> None:
-    """``letter``: of the run among several; empty for one alone."""
+    """Print the blind baselines beside a run.
+
+    Args:
+        letter: letter of the run among several; empty for one run alone.
+    """
     from carecontact.cli.console import console, plain_table
 
     name = f"{letter} ({found.method.policy})" if letter else found.method.policy
@@ -137,6 +145,11 @@ def _baseline_cells(row: Passed, tasks: Sequence[str]) -> list[str]:
 
 
 def _points(found: RateDifference, seeds: int) -> str:
+    """Return a difference in percentage points with its interval.
+
+    Args:
+        seeds: number of seeds that the difference rests on; with too few, there is no interval.
+    """
     points = None if found.estimate is None else 100 * found.estimate
     return _interval(points, 100 * found.low, 100 * found.high, seeds=seeds)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 RESULTS = "results.json"
 FEW = 12
-"""Up to this many recordings a second process costs more than it saves."""
+"""Number of recordings up to which a second process costs more time than it saves."""
 
 
 def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None, allow_missing: bool = True) -> RunScores:
@@ -57,7 +57,7 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None, allo
 
 
 def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:
-    """Write results.parquet where that is possible; return a line on what became of it."""
+    """Write results.parquet if pyarrow is installed. Return one line that says what was written, or why nothing was."""
     from carecontact.reports.trial_table import TABLE_NAME, write_trial_table
 
     try:
@@ -68,14 +68,14 @@ def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:
 
 
 def processes(recordings: int) -> int:
-    """How many processes pay."""
+    """Return the number of processes that saves time."""
     from carecontact.trials.workers import available_cores
 
     return max(1, min(available_cores(), recordings // FEW))
 
 
 def need_recordings(folder: Path) -> None:
-    """Raises ConfigError for a folder that does not exist or holds no recordings."""
+    """Check a run's folder. Raises ConfigError if it does not exist or holds no recordings."""
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; name the --out of a run")
     if not any(folder.glob("*.h5")):
@@ -100,7 +100,7 @@ def _print_scores(scores: Sequence[TrialScore], folder: Path) -> None:
 
 
 def _protocol(scores: Sequence[TrialScore], folder: Path) -> Protocol | None:
-    """Of the run, from a recording that was scored; None where the folder has none of them."""
+    """Return the protocol of the run, from a recording that was scored, or None if the folder has none of these."""
     from carecontact.recording.reader import read_header
 
     paths = (folder / f"{score.trial_id}.h5" for score in scores)

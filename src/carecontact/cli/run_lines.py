@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def say_trial(event: TrialEvent, folder: Path) -> None:
-    """Say what became of a trial, if the event is its end."""
+    """Write how a trial ended, if the event is its end."""
     from carecontact.cli.answers.run import TrialAnswer
     from carecontact.runs.score_files import score_file
 
@@ -37,7 +37,11 @@ def say_trial(event: TrialEvent, folder: Path) -> None:
 
 
 def say_run(spec: TrialSpec, folder: Path, summary: RunSummary, *, status: int) -> None:
-    """Say what the run came to. ``spec``: any trial of it."""
+    """Write the summary of the run.
+
+    Args:
+        spec: any trial of the run.
+    """
     from carecontact.cli.answers.run import RunAnswer, RunProtocol
     from carecontact.cli.rescoring import RESULTS
 

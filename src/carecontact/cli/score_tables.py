@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from carecontact.scoring.result import TrialScore
 
 WIDTH = 120
-"""[columns] Where the output does not go to a terminal."""
+"""Width of the tables if the output does not go to a terminal [columns]."""
 
 
 def print_table(scores: Sequence[TrialScore], protocol: Protocol | None) -> None:
-    """Counts by task, medians of every metric, and the counts that a success rate hides.
+    """Print counts by task, medians of every metric, and the counts that a success rate hides.
 
     Args:
-        protocol: of the run, as a recording of it holds it; None where none could be read.
+        protocol: the run's protocol, from one of its recordings; None if none could be read.
     """
     from carecontact.cli.console import console, plain_table
     from carecontact.reports.failures import only_crashes
@@ -66,7 +66,7 @@ def _modes(scores: Sequence[TrialScore]) -> str:
 
 
 def _print_medians(scores: Sequence[TrialScore], terminal: Console) -> None:
-    """In as many tables, one under another, as the width needs."""
+    """Print the medians in as many tables, one below another, as the width needs."""
     from carecontact.cli.console import plain_table
     from carecontact.reports.load import load
 
