@@ -1,5 +1,5 @@
-"""What a policy of a varied and living world must not know: true camera poses, the bed's height, what the person does
-next. Each is planted, and the audit names the place."""
+"""What a policy must not know on the exam's hardest level: true camera poses, the bed's exact height, the phase of
+breath, what the person does next. Each is planted, and the audit names the place."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from carecontact.audit.readings import audit_readings
 from carecontact.audit.region import two_starts
 from carecontact.audit.watched import watch
 from carecontact.contract.observation import Observation
-from carecontact.contract.protocol import Alive, Breathing, Protocol, Repositioning, Variation
 from carecontact.contract.session import Session
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.drawn import drawn
 from carecontact.episode.episode import Episode
 from carecontact.episode.prepare import World, settled_world
 from carecontact.observation import segmentation
@@ -35,18 +35,7 @@ from carecontact.sim.simulation import Simulation
 OVERHEAD = "observation.cameras.overhead"
 
 
-def varied() -> Protocol:
-    protocol = load_protocol()
-    alive = Alive(breathing=Breathing(), repositioning=Repositioning())
-    return protocol.model_copy(
-        update={
-            "variation": Variation(calibration_m=0.003, calibration_deg=0.2, depth_noise="structured-light-v1"),
-            "person": protocol.person.model_copy(update={"alive": alive}),
-        }
-    )
-
-
-LONG = varied()
+LONG = load_protocol("bathing-wide-v1", level="L3")
 SHORT = LONG.model_copy(update={"phases": LONG.phases.model_copy(update={"time_limit_s": 0.1})})
 SPEC = TrialSpec(protocol=SHORT, task_id="T1", seed=1, policy="hover", salt="5a" * 32)
 
@@ -85,12 +74,12 @@ def planted(where: str) -> Iterator[None]:
         seen = build(self, data, **known)
         true = self._renderer.pose_camera_in_base(data, "overhead")
         view = dataclasses.replace(seen.cameras["overhead"], pose_camera_in_base=true)
-        soon = np.array([1e-3 * hidden(data.model)["next"]])
-        return dataclasses.replace(seen, cameras={"overhead": view}, gripper_position=soon)
+        phase = np.array([1e-3 * hidden(data.model)["phase"]])
+        return dataclasses.replace(seen, cameras={"overhead": view}, gripper_position=phase)
 
     def exact_bed(points: np.ndarray, **known: Any) -> np.ndarray:
         assert plane(points, **known) is not None
-        scene = SPEC.protocol.scene
+        scene = drawn(SPEC).protocol.scene
         return np.array([0.0, 0.0, scene.mattress_top_m - scene.robot_base_m[2]])
 
     def phase_in_speed(self: Proprioception, data: mujoco.MjData) -> np.ndarray:

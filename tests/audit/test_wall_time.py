@@ -105,4 +105,4 @@ def test_a_paced_run_without_contact_has_nothing_to_examine(tmp_path: Path, caps
 
 def test_what_is_given_with_a_run(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["audit", "--run", "somewhere", "--quick"]) == 2
-    assert "leave out --policy and --quick" in capsys.readouterr().err
+    assert "leave out --policy, --quick, --tasks and --seed" in capsys.readouterr().err

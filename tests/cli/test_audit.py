@@ -24,7 +24,7 @@ def test_nothing_leaks_to_any_registered_policy(tmp_path: Path, capsys: pytest.C
     assert said["passed"] is True
     assert (said["policies"], said["privileged"]) == (AUDITED, ["oracle"])
     counts = {part["part"]: part["counts"] for part in said["parts"]}
-    assert counts["schema"] == {"policies": len(AUDITED), "messages": len(AUDITED)}
+    assert counts["schema"] == {"trials": len(AUDITED), "messages": len(AUDITED)}
     assert "1 card, " in printed
     # The press that is seen, at every third action, and the blind one at every action.
     # How many of them are in contact depends on the laws of the tissue, which may change while the protocol is a draft.
@@ -34,6 +34,20 @@ def test_nothing_leaks_to_any_registered_policy(tmp_path: Path, capsys: pytest.C
     assert counts["readings"]["images drawn again"] > 30
     assert counts["canary"]["observations before contact"] >= 2
     assert counts["frozen frames"]["fields of the world scrambled"] > 100
+
+
+def test_named_tasks_and_another_person(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    named = ["--policy", "zero-action", "--tasks", "T1,T3", "--seed", "5"]
+    assert main(["audit", "--quick", *named, "-o", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("bathing-v2, seed 5, man-adult, quick: zero-action\n")
+    # Both tasks are on the forearm, which is pressed once, with a card that names each policy once.
+    assert printed.count("running two presses on the forearm with the card of zero-action\n") == 1
+    assert printed.count("running two presses") == 1
+    said = json.loads((tmp_path / "audit.json").read_text())
+    assert (said["protocol"]["id"], said["protocol"]["level"], said["protocol"]["seed"]) == ("bathing-v2", "", 5)
+    rows = [(row["task"], row["observations"], row["recomputed"]) for row in said["trials"]]
+    assert rows == [("T1", 1, 1), ("T3", 1, 1)]
 
 
 def test_a_leak_ends_with_status_1_and_its_name(
@@ -56,6 +70,8 @@ def test_a_leak_ends_with_status_1_and_its_name(
         (["--policy", "no-such"], "no policy named 'no-such'; valid: feint-and-wait, hover"),
         (["--policy", "oracle"], "oracle: this policy is privileged"),
         (["--policy", "hover", "hover"], "hover is named twice"),
+        (["--seed", "20"], "--seed: 20 is not a seed of bathing-v2; valid: 0-19"),
+        (["--tasks", "T8"], "'T8' is not a task of bathing-v2"),
         (["--protocol", "none"], "no protocol named 'none'"),
         (["-o", __file__], "this is a file; name a folder"),
         (["--policy", "nowhere:Policy"], "does not start"),

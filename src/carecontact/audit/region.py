@@ -32,7 +32,7 @@ class RegionAudit:
     """Runs the trials of one region. Call the methods in their order; each passes its findings to ``add``."""
 
     spec: TrialSpec
-    """Trial spec of the region's task; each trial fills in its policy."""
+    """Trial spec of a task of the region; each trial fills in its policy, and a policy's own trial its task."""
     number: int
     """Number of the region, from 0."""
     keyframe: Keyframe
@@ -66,17 +66,21 @@ class RegionAudit:
         yield
         shutil.rmtree(self._log)
 
-    def try_policies(self, policies: Sequence[PolicySetup]) -> list[Watched]:
-        """Run one trial of every policy, and check its messages against its card."""
-        for index, policy in enumerate(policies):
-            self.on_event(f"running a trial of {policy.ref}")
-            trial = watch(
-                _shortened(self.spec, policy, quick=self.quick), policy=policy.ref.text, prepare=self.keyframe.parked,
-                log=self._log / f"real-{index:02d}", setup=policy,
-            )  # fmt: skip
-            self.add(schema.audit_schema([trial]))
-            trial.forget()
-            self._real.append(trial)
+    def try_policies(self, policies: Sequence[PolicySetup], task_ids: Sequence[str]) -> list[Watched]:
+        """Run one trial of every policy for each of these tasks of the region, and check its messages against its
+        card.
+        """
+        for task_id in task_ids:
+            for index, policy in enumerate(policies):
+                self.on_event(f"running a trial of {policy.ref}, {task_id}")
+                spec = _shortened(self.spec, policy, quick=self.quick).model_copy(update={"task_id": task_id})
+                trial = watch(
+                    spec, policy=policy.ref.text, prepare=self.keyframe.parked,
+                    log=self._log / f"real-{task_id}-{index:02d}", setup=policy,
+                )  # fmt: skip
+                self.add(schema.audit_schema([trial]))
+                trial.forget()
+                self._real.append(trial)
         return self._real
 
     def press_with(self, cards: Sequence[PolicyCard]) -> None:
@@ -144,7 +148,7 @@ def cards_of(trials: Sequence[Watched], *, together: bool) -> list[PolicyCard]:
         names = [name for group in asked.values() for name in group]
         asked = {(_in_order(modalities, MODALITIES), _in_order(cameras, CAMERAS)): names}
     return [
-        PolicyCard(name=", ".join(names), modalities=modalities, cameras=cameras, control_hz=CONTROL_HZ)
+        PolicyCard(name=", ".join(dict.fromkeys(names)), modalities=modalities, cameras=cameras, control_hz=CONTROL_HZ)
         for (modalities, cameras), names in asked.items()
     ]
 

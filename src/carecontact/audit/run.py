@@ -30,6 +30,9 @@ class Audit:
     protocol: Protocol
     policies: tuple[str, ...]
     quick: bool
+    seed: int
+    trials: tuple[Watched, ...]
+    """The policies' own trials, without those of the witness."""
     parts: tuple[Part, ...]
     privileged: tuple[str, ...] = ()
     """Policies that were left out because they are given the whole simulation."""
@@ -44,8 +47,11 @@ class Audit:
         """
         return {
             "schema": SCHEMA, "passed": self.passed, "quick": self.quick, "policies": list(self.policies),
-            "privileged": list(self.privileged),
-            "protocol": {"id": self.protocol.name, "sha256": self.protocol.sha256, "body": self.protocol.person.body},
+            "privileged": list(self.privileged), "trials": [trial.as_json() for trial in self.trials],
+            "protocol": {
+                "id": self.protocol.name, "level": self.protocol.level, "sha256": self.protocol.sha256,
+                "body": self.protocol.person.body, "seed": self.seed,
+            },
             "versions": package_versions(), "parts": [part.as_json() for part in self.parts],
         }  # fmt: skip
 
@@ -55,41 +61,49 @@ def audit(
     policies: Sequence[PolicySetup],
     *,
     quick: bool,
+    tasks: Sequence[str] = (),
+    seed: int | None = None,
     salt: str = "",
     privileged: Sequence[str] = (),
     on_event: Callable[[str], None] = lambda said: None,
 ) -> Audit:
     """Run every part on every policy.
 
-    The quick form presses one region, with one card that requests all that the policies request. The full form presses
-    every region of the protocol with each card, and lets the policies' own trials run to their end. ``salt``: the
-    secret of a salted run, on whose person the audit then runs.
+    The quick form presses with one card that requests all that the policies request. The full form presses with each
+    card, and lets the policies' own trials run to their end.
 
-    ``privileged``: names of policies that are left out; the result names them.
+    Args:
+        tasks: each policy runs a trial of each of these tasks, and the audit presses on their regions. By default the
+            first task of every region of the protocol, in the quick form only the first of all.
+        seed: of the person; by default the protocol's first seed.
+        salt: the secret of a salted run, on whose person the audit then runs.
+        privileged: names of policies that are left out; the result names them.
 
     Raises SceneError or SettleError where no world can be made, CarecontactError if the audit itself breaks.
     """
-    seed = protocol.randomization.seeds[0] if protocol.randomization.seeds else 0
-    tasks = list({task.region: task.id for task in reversed(protocol.tasks)}.values())[::-1]
+    if seed is None:
+        seed = protocol.randomization.seeds[0] if protocol.randomization.seeds else 0
     found: dict[str, list[Part]] = defaultdict(list)
-    real: list[Watched] = []
+    trials: list[Watched] = []
     with tempfile.TemporaryDirectory(prefix="carecontact-audit-") as folder:
-        for number, task_id in enumerate(tasks[:1] if quick else tasks):
+        for number, task_ids in enumerate(_by_region(protocol, tasks, quick=quick)):
             region = RegionAudit(
-                spec=TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy="", salt=salt), number=number,
-                keyframe=Keyframe(protocol, task_id=task_id, seed=seed, salt=salt), folder=Path(folder), quick=quick,
-                on_event=on_event, add=lambda part: found[part.name].append(part),
+                spec=TrialSpec(protocol=protocol, task_id=task_ids[0], seed=seed, policy="", salt=salt), number=number,
+                keyframe=Keyframe(protocol, task_id=task_ids[0], seed=seed, salt=salt), folder=Path(folder),
+                quick=quick, on_event=on_event, add=lambda part: found[part.name].append(part),
             )  # fmt: skip
             with region.logs():
-                if number == 0:
-                    real = region.try_policies(policies)
-                cards = cards_of(real, together=quick)
+                trials += region.try_policies(policies, task_ids)
+                cards = cards_of(trials, together=quick)
                 region.press_with(cards)
                 region.scramble(cards)
                 region.make_again()
     parts = tuple(_merged(part.NAME, part.TITLE, found[part.NAME]) for part in PARTS)
     names = tuple(policy.ref.text for policy in policies)
-    return Audit(protocol=protocol, policies=names, quick=quick, parts=parts, privileged=tuple(privileged))
+    return Audit(
+        protocol=protocol, policies=names, quick=quick, seed=seed, trials=tuple(trials), parts=parts,
+        privileged=tuple(privileged),
+    )  # fmt: skip
 
 
 def write(result: Audit, folder: Path) -> Path:
@@ -98,6 +112,16 @@ def write(result: Audit, folder: Path) -> Path:
     path = folder / "audit.json"
     path.write_text(json.dumps(result.as_json(), indent=2) + "\n")
     return path
+
+
+def _by_region(protocol: Protocol, tasks: Sequence[str], *, quick: bool) -> list[list[str]]:
+    """Return the ids of the tasks to audit, those of one region together."""
+    regions: dict[str, list[str]] = defaultdict(list)
+    for task in protocol.tasks:
+        if task.id in tasks or not (tasks or regions[task.region]):
+            regions[task.region].append(task.id)
+    named = [task_ids for task_ids in regions.values() if task_ids]
+    return named[:1] if quick and not tasks else named
 
 
 def _merged(name: str, title: str, parts: Sequence[Part]) -> Part:

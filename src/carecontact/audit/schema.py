@@ -54,7 +54,7 @@ def audit_schema(trials: list[Watched]) -> Part:
             ]
     return Part(
         name=NAME, title=TITLE,
-        counts={"policies": len(trials), "messages": messages},
+        counts={"trials": len(trials), "messages": messages},
         findings=tuple(dict.fromkeys(findings)),
     )  # fmt: skip
 

@@ -55,11 +55,14 @@ class Watched:
 
     policy: str
     """Name of the policy whose card was shown."""
+    task_id: str
     recording: Recording | None = None
     error: str | None = None
     """Why the harness could not run the trial, or why the policy's process failed; None if neither happened."""
     looks: list[Message] = field(default_factory=list["Message"])
     """The observations in the first MAX_KEPT_BYTES; ``forget`` frees them."""
+    kept: int = 0
+    """How many of the observations are or were in ``looks``, and so in the log."""
     sent: list[bytes] = field(default_factory=list[bytes])
     """Every message that was sent to the policy, in order; those beyond MAX_KEPT_BYTES are empty."""
     instruction: str = ""
@@ -90,6 +93,14 @@ class Watched:
         force_n = self.force_n
         return sum(0 < steps <= len(force_n) and bool(force_n[steps - 1]) for steps in self.look_steps)
 
+    def as_json(self) -> dict[str, Any]:
+        """Return what the trial was, and how many of its observations the audit saw."""
+        return {
+            "policy": self.policy, "task": self.task_id, "observations": len(self.look_times_s),
+            "recomputed": self.kept, "in_contact": self.looks_in_contact,
+            "ended": None if self.recording is None else self.recording.header.ended, "error": self.error,
+        }  # fmt: skip
+
     def forget(self) -> None:
         """Free the memory of the observations and keep their times."""
         self.looks.clear()
@@ -103,7 +114,7 @@ def watch(
 
     ``setup``: how to start or reach the policy; by default, the policy's name in ``spec`` decides.
     """
-    watched = Watched(policy=policy, instruction=spec.protocol.task(spec.task_id).prompt)
+    watched = Watched(policy=policy, task_id=spec.task_id, instruction=spec.protocol.task(spec.task_id).prompt)
     readers: list[StateReader] = []
     drawn: list[Protocol] = []
     kept = 0
@@ -126,6 +137,7 @@ def watch(
         kept += len(look.sent)
         if kept > MAX_KEPT_BYTES:
             return
+        watched.kept += 1
         watched.looks.append(Message(time_s=time_s, sent=look.sent))
         if log is not None:
             write_look(log, number, observation=look.observation, raw=look.raw, sent=look.sent, state=state)

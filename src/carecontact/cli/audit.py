@@ -15,9 +15,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from carecontact.audit.finding import Finding, Part
+    from carecontact.contract.protocol import Protocol
 
 SHOWN = 8
-"""Findings of one part that are printed; all are in the file."""
+"""Largest number of findings of one part that are printed. The file has all of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +31,11 @@ class Audit:
     given: Annotated[ArgumentsGroup, FLAT] = field(default_factory=ArgumentsGroup)
     quick: Switch = False
     """Audit a single region with short trials. The full audit takes minutes."""
+    tasks: str = ""
+    """Each policy runs a trial of each of these tasks (list or range), and the audit presses on their regions; default:
+    the first task of every region, and with --quick only the first task."""
+    seed: int | None = None
+    """Seed of the person; default: the protocol's first."""
     run: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Examine nothing but the recordings of this run: does the wall time between two acts tell contact? Only a run with
     --pace fails if it does. A run in which no trial has acts both with and without contact has nothing to examine."""
@@ -44,6 +50,7 @@ class Audit:
         """Return 1 if a part found a leak or examined nothing. Raises ConfigError for what cannot be audited."""
         from carecontact.audit.run import audit, write
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
+        from carecontact.episode.draws import body_of
         from carecontact.policies.registry import POLICIES, is_privileged
         from carecontact.runs.preflight import check_protocol
 
@@ -72,12 +79,14 @@ class Audit:
                 "recording of it says, so there is nothing to audit"
             )
         setups = [setup for setup in setups if setup.ref.text not in privileged]
+        tasks, seed = self._trials(rules)
         for setup in setups:
             check_policy(setup, deadline_s=rules.phases.first_call_deadline_s)
         # Now, not after minutes of work.
         self.out.mkdir(parents=True, exist_ok=True)
         names = ", ".join(f"{setup.ref}{arguments_text(setup)}" for setup in setups)
-        print(f"{rules.title}, {rules.person.body}{', quick' if self.quick else ''}: {names}", flush=True)
+        body = body_of(rules, seed, self.salted.salt)
+        print(f"{rules.title}, seed {seed}, {body}{', quick' if self.quick else ''}: {names}", flush=True)
         for name in privileged:
             print(f"{name}: privileged, so not audited: it is given the whole simulation", flush=True)
         result = audit(
@@ -85,6 +94,8 @@ class Audit:
             setups,
             privileged=privileged,
             quick=self.quick,
+            tasks=tasks,
+            seed=seed,
             salt=self.salted.salt,
             on_event=lambda event: print(f"  {event}", flush=True),
         )
@@ -92,13 +103,25 @@ class Audit:
         print(f"{'passed' if result.passed else 'FAILED'}: {write(result, self.out)}")
         return 0 if result.passed else 1
 
+    def _trials(self, rules: Protocol) -> tuple[list[str], int]:
+        """Return the tasks that --tasks names (none by default) and the seed. Raises ConfigError for what the protocol
+        does not have."""
+        from carecontact.cli.one_trial import check_seed
+        from carecontact.runs.plan import parse_tasks
+
+        seeds = rules.randomization.seeds
+        seed = (seeds[0] if seeds else 0) if self.seed is None else self.seed
+        if self.seed is not None:
+            check_seed(rules, seed=seed)
+        return parse_tasks(self.tasks, protocol=rules) if self.tasks else [], seed
+
     def _audit_time(self, run: Path) -> int:
         from carecontact.audit.wall_time import audit_time
         from carecontact.cli.rescoring import need_recordings
         from carecontact.recording import read_recording
 
-        if self.policy or self.quick:
-            raise ConfigError("--run examines only recordings; leave out --policy and --quick")
+        if self.policy or self.quick or self.tasks or self.seed is not None:
+            raise ConfigError("--run examines only recordings; leave out --policy, --quick, --tasks and --seed")
         need_recordings(run)
         part = audit_time(read_recording(path) for path in sorted(run.glob("*.h5")))
         _print([part])
@@ -125,7 +148,7 @@ def _looked_at(part: Part) -> str:
 
 
 def _one(what: str) -> str:
-    """``policies`` -> ``policy``, ``observations in contact`` -> ``observation in contact``."""
+    """Return the singular: ``policies`` -> ``policy``, ``observations in contact`` -> ``observation in contact``."""
     first, space, rest = what.partition(" ")
     return (f"{first[:-3]}y" if first.endswith("ies") else first.removesuffix("s")) + space + rest
 

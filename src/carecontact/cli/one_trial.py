@@ -11,12 +11,17 @@ if TYPE_CHECKING:
 
 
 def check_trial(rules: Protocol, *, task: str, seed: int) -> None:
-    """Raises ConfigError for a task or seed that the protocol does not have."""
-    from carecontact.runs.plan import compact
-
+    """Check the options. Raises ConfigError for a task or seed that the protocol does not have."""
     ids = [row.id for row in rules.tasks]
     if task not in ids:
         meant = did_you_mean(task, ids)
         raise ConfigError(f"--task: {task!r} is not a task of {rules.id}{meant}; valid: {', '.join(ids)}")
+    check_seed(rules, seed=seed)
+
+
+def check_seed(rules: Protocol, *, seed: int) -> None:
+    """Check the option. Raises ConfigError for a seed that the protocol does not have."""
+    from carecontact.runs.plan import compact
+
     if seed not in rules.randomization.seeds:
         raise ConfigError(f"--seed: {seed} is not a seed of {rules.id}; valid: {compact(rules.randomization.seeds)}")

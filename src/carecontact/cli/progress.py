@@ -21,7 +21,7 @@ HEARTBEAT_S = 30.0
 
 
 def told(event: TrialEvent) -> str | None:
-    """One line about an event, or None where a line would only be noise."""
+    """Return one line about an event, or None for an event that needs no line."""
     place = f"[{event.done}/{event.total}] {event.trial_id}"
     if event.kind == "redo":
         return f"{place} runs again: {event.message}"
@@ -35,7 +35,7 @@ def told(event: TrialEvent) -> str | None:
 
 @contextmanager
 def progress(out: Path, scorer: Scorer) -> Iterator[Callable[[TrialEvent], None]]:
-    """Yields the callback for run_trials.
+    """Yield the callback for ``run_trials``.
 
     Args:
         out: folder of the run, whose finished trials are counted.
@@ -65,14 +65,15 @@ def _bar(tally: Tally) -> Iterator[Callable[[TrialEvent], None]]:
 
 
 class Silence:
-    """When the line of a policy that does not answer is due: at once, then every HEARTBEAT_S."""
+    """Decides when to print that a policy does not answer: at once, and then every HEARTBEAT_S."""
 
     def __init__(self) -> None:
         self._seen: dict[str, float] = {}
         self._told: dict[str, float] = {}
 
     def is_due(self, trial_id: str) -> bool:
-        """Call it for every report of silence: without one for two times WAIT_REPORT_S, the policy has answered."""
+        """Return whether to print a line now. Call this for every report of silence: if there is none for twice
+        WAIT_REPORT_S, the policy has answered."""
         now = time.monotonic()
         lasts = now - self._seen.get(trial_id, -math.inf) < 2 * WAIT_REPORT_S
         self._seen[trial_id] = now

@@ -188,7 +188,7 @@ class Run:
             say_trial(event, self.out, scorer)
 
     def _finish(self, summary: RunSummary, scorer: Scorer) -> int:
-        """Score and report what there is; returns the exit status."""
+        """Score the recordings, write the report, and return the exit status."""
         from carecontact.cli.failed_trials import failed_status, print_failed
         from carecontact.cli.report_page import write_page
         from carecontact.cli.rescoring import rescore
@@ -212,7 +212,11 @@ class Run:
         return failed_status(summary.ended, allow_failures=self.allow_failures) if not scores.skipped else 1
 
     def _protocol(self) -> Protocol:
-        """Raises ConfigError for a protocol that cannot run or be scored, and UnknownNameError."""
+        """Return the protocol of the run.
+
+        Raises ConfigError for a protocol that cannot run or be scored, and UnknownNameError for a name that no protocol
+        has.
+        """
         from carecontact.cli.vision import with_vision
         from carecontact.protocols import load_protocol
         from carecontact.runs.freeze import check_frozen
@@ -232,12 +236,16 @@ class Run:
 
 
 def throughput(trials: int, wall_s: float, most_at_once: int) -> str:
-    """One line about how fast trials ran; ``wall_s`` [s]."""
+    """Return one line about how fast the trials ran.
+
+    Args:
+        wall_s: time that they took [s].
+    """
     return f"{trials} trial(s) in {wall_s:.0f} s, at most {most_at_once} at once: {60 * trials / wall_s:.1f} a minute"
 
 
 def restart(out: Path) -> bool:
-    """Move an earlier run aside and name where it is now; returns whether there was one.
+    """Move an earlier run aside and print its new place. Return whether there was an earlier run.
 
     Raises ConfigError for a folder that is not a run."""
     from carecontact.trials.restart import move_aside

@@ -15,7 +15,11 @@ if TYPE_CHECKING:
 
 
 def say_trial(event: TrialEvent, folder: Path, scorer: Scorer) -> None:
-    """Say what became of a trial, if the event is its end. ``scorer``: was given the trials that ran."""
+    """Write how a trial ended, if the event is its end.
+
+    Args:
+        scorer: was given the trials that ran.
+    """
     from carecontact.cli.answers.run import TrialAnswer
 
     if event.kind not in ("kept", "finished") or event.ended is None:
@@ -37,7 +41,11 @@ def say_trial(event: TrialEvent, folder: Path, scorer: Scorer) -> None:
 
 
 def say_run(spec: TrialSpec, folder: Path, summary: RunSummary, *, status: int) -> None:
-    """Say what the run came to. ``spec``: any trial of it."""
+    """Write the summary of the run.
+
+    Args:
+        spec: any trial of the run.
+    """
     from carecontact.cli.answers.run import RunAnswer, RunProtocol
     from carecontact.cli.rescoring import RESULTS
 

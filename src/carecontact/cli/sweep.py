@@ -98,7 +98,7 @@ class Sweep:
         return self._table(plan, cells, stored) or progress.status()
 
     def _planned(self, plan: Plan) -> tuple[list[Cell], list[PolicySetup]]:
-        """What can be wrong with the plan itself is found here, before the first trial."""
+        """Return the planned cells. Mistakes in the plan itself are found here, before the first trial."""
         from carecontact.cli.policy import policy_setup
         from carecontact.runs.sweep.cells import cells_of, places_of, with_noise
 
@@ -118,7 +118,7 @@ class Sweep:
         return cells if self.noise_salt is None else with_noise(cells, self.noise_salt), setups
 
     def _checked(self, plan: Plan, setups: Sequence[PolicySetup], cells: Sequence[Cell]) -> list[SweptPolicy]:
-        """Start every policy once that a trial of these cells still needs: a server that is not may be gone."""
+        """Start every policy once that a trial of these cells still needs. The server of another policy may be gone."""
         from carecontact.cli.policy import check_policy
         from carecontact.trials.engines import check_engine
         from carecontact.trials.sweep import SweptPolicy
@@ -142,7 +142,7 @@ class Sweep:
         return self.out / CELLS / cell.name
 
     def _lacking(self, cell: Cell) -> int:
-        """How many trials of the cell have no recording."""
+        """Return how many trials of a cell have no recording."""
         folder = self._folder(cell)
         return sum(not (folder / f"{spec.trial_id}.h5").is_file() for spec in cell.specs)
 
@@ -181,7 +181,7 @@ class Sweep:
                 each.result()
 
     def _table(self, plan: Plan, cells: Sequence[Cell], read: Callable[[Path], RunScores | None]) -> int:
-        """Write the table of all cells; returns 1 if a recording could not be scored.
+        """Write the table of all cells. Return 1 if a recording could not be scored.
 
         Args:
             read: the scores of a cell's folder.
@@ -257,6 +257,6 @@ def _title(planned: PlannedPolicy) -> str:
 
 
 def _of_plan(cell: Cell, run: RunScores | None) -> list[TrialScore]:
-    """The scores of the trials that the plan has: the folder may hold those of an earlier, longer one."""
+    """Return the scores of the trials in the plan. The folder may hold more trials, of an earlier and longer plan."""
     wanted = {spec.trial_id for spec in cell.specs}
     return [score for score in run.scores if score.trial_id in wanted] if run is not None else []

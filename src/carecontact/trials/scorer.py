@@ -29,7 +29,8 @@ class Scorer:
     """
 
     def __init__(self, cores: int, *, trials: int) -> None:
-        """
+        """Start nothing yet.
+
         Args:
             cores: number of cores that trials and scores share.
             trials: how many there may be.
@@ -93,7 +94,7 @@ class Scorer:
         return None
 
     def wait(self) -> None:
-        """Until every recording is scored, and its score told."""
+        """Wait until every recording is scored and its score told."""
         for told in self._told:
             told.wait()
 
