@@ -13,6 +13,7 @@ import pytest
 
 from carecontact.cli.commands import COMMANDS
 from carecontact.protocols import load_protocol
+from tests.reports.browser import Browser, found
 
 ROOT = Path(__file__).parents[1]
 
@@ -72,6 +73,29 @@ def test_a_linked_file_of_the_repository_is_there(site: Path) -> None:
     copy = re.search(r'href="(files/examples/standalone_policy\.py\.txt)"', page)
     assert copy
     assert (site / copy[1]).read_text() == (ROOT / "examples/standalone_policy.py").read_text()
+
+
+def test_the_search_works_on_pages_that_are_opened_from_a_folder(site: Path, tmp_path: Path) -> None:
+    program = found()
+    if program is None:
+        pytest.skip("no Chromium on this machine")
+    search = """
+    new Promise(resolve => {
+      const field = document.querySelector("input[data-md-component=search-query]");
+      field.value = "indentation"; field.focus(); field.dispatchEvent(new Event("keyup", { bubbles: true }));
+      let left = 100;
+      const look = () => {
+        const hits = [...document.querySelectorAll(".md-search-result__link")].map(link => link.getAttribute("href"));
+        if (hits.length || !left--) resolve(hits); else setTimeout(look, 100);
+      };
+      look();
+    })
+    """
+    with Browser(program, tmp_path / "profile") as browser:
+        page = browser.open(site / "reference" / "commands.html")
+        answer = page.call("Runtime.evaluate", expression=search, returnByValue=True, awaitPromise=True)
+        assert any("scoring.html" in hit for hit in answer["result"]["value"])
+        assert not [address for address in page.requests if not address.startswith(("file:", "data:"))]
 
 
 def test_the_tasks_page_has_every_task_of_the_paper() -> None:

@@ -22,7 +22,7 @@ from carecontact.protocols import load_protocol
 from carecontact.recording import Recording
 from carecontact.replaying.film.frames import Film
 from carecontact.replaying.film.video import write_gif
-from carecontact.replaying.film.views import CONTACT, view_of
+from carecontact.replaying.film.views import Camera
 from carecontact.scoring.contact import find_contact
 
 STIFFNESS = (1000.0, 20.0)
@@ -62,10 +62,11 @@ def main() -> None:
     header = recording.header
     print(f"protocol {header.spec.protocol.sha256[:12]}, tissue kernel {header.sha256['kernel'][:12]}")
     print(f"touched at {touched_s:.2f} s; at most {contact.force_in_window.max():.1f} N and {depth_mm:.1f} mm")
-    near = replace(view_of(CONTACT, recording)(0.0), distance_m=DISTANCE_M, radius_m=SHADOWS_M)
-    with Film(recording, view=lambda time_s: near, fps=FPS, lamps=LAMPS, panel=False, size=SIZE) as film:
-        begin_s = touched_s - LEAD_S
-        write_gif(out, film.frames(begin_s, begin_s + LENGTH_S), fps=FPS, colours=COLOURS)
+    film = Film(recording, fps=FPS, lamps=LAMPS, panel=False, size=SIZE)
+    near = replace(film.view(0.0), distance_m=DISTANCE_M, radius_m=SHADOWS_M)
+    film.view = Camera(view=near)
+    begin_s = touched_s - LEAD_S
+    write_gif(out, film.frames(begin_s, begin_s + LENGTH_S), fps=FPS, colours=COLOURS)
     print(f"{out}: {out.stat().st_size / 1e6:.2f} MB")
 
 

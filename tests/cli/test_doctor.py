@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from importlib import metadata
+
 import pytest
 
 from carecontact.cli import machine
 from carecontact.cli.doctor import Doctor
-from carecontact.cli.machine import Finding, apt_line, check_assets, check_gl, check_packages, check_tissue, gl_backend
+from carecontact.cli.machine import (
+    Finding,
+    apt_line,
+    check_assets,
+    check_extras,
+    check_gl,
+    check_packages,
+    check_tissue,
+    gl_backend,
+)
 from carecontact.kernel import binary, found
 
 
@@ -44,6 +55,22 @@ def test_missing_package_is_named_with_the_line_that_installs_it(monkeypatch: py
     assert not finding.fine
     assert finding.detail == "not installed: no-such-distribution"
     assert (finding.fix or "").endswith("-m pip install no-such-distribution==1")
+
+
+def test_what_an_extra_would_add_is_told_and_fails_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        machine, "EXTRAS", {"tables": (("no-such-distribution",), "run.trials()"), "x": (("numpy",), "y")}
+    )
+    finding = check_extras()
+    assert finding.fine
+    assert finding.detail == (
+        "optional and not installed: tables (for run.trials()); pip install 'carecontact[tables]' adds the first"
+    )
+
+
+def test_the_extras_are_those_of_the_package() -> None:
+    declared = metadata.metadata("carecontact").get_all("Provides-Extra") or []
+    assert set(machine.EXTRAS) == set(declared)
 
 
 def test_shipped_assets_match_their_provenance() -> None:

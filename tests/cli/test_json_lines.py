@@ -15,6 +15,8 @@ from tools.json_schemas import FOLDER, written
 import carecontact
 from carecontact.cli import machine, main
 from carecontact.cli.answers.kinds import ANSWERS, name_of
+from carecontact.episode.parking import survey
+from carecontact.episode.parking.survey import Surveyed
 from carecontact.recording import write_recording
 from carecontact.runs import score_run, write_scores
 from carecontact.trials import supervisor
@@ -185,3 +187,22 @@ def test_what_people_read_goes_to_standard_error(runs: Path, capsys: pytest.Capt
     told = capsys.readouterr()
     assert told.err == before
     assert len(told.out.splitlines()) == 1
+
+
+def test_feasible_draws_a_map_only_where_it_is_asked_for_beside_json(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def none_fits(protocol: object, seed: int, *, salt: str = "") -> Surveyed:
+        return Surveyed(seed=seed, salt=salt, found=None, why="no base serves it")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(survey, "survey", none_fits)
+    asked = ["protocol", "feasible", "bathing-wide-v1", "--level", "L2", "--seeds", "0", "--json"]
+    assert main(asked) == 1
+    (line,) = lines(capsys)
+    assert [row["feasible"] for row in line["seeds"]] == [False]
+    assert list(tmp_path.iterdir()) == []
+    assert main([*asked, "--picture", "map.svg"]) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["map.svg"]
+    assert main(asked[:-1]) == 1
+    assert (tmp_path / "feasible.png").exists()

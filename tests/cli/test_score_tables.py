@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
+from carecontact.cli import main
 from carecontact.cli.score_tables import print_table
-from tests.reports.synthetic_run import FAILED, NO_CONTACT, Run, fill, make_score
+from carecontact.contract.protocol import Protocol
+from carecontact.recording import Recording, write_recording
+from tests.reports.synthetic_run import FAILED, NO_CONTACT, PROTOCOL, Run, fill, make_score
 
 CRASHED = NO_CONTACT | {"ended": "process_failure", "failure_mode": "process_failure"}
 PRESSED = FAILED | {
@@ -14,9 +20,16 @@ PRESSED = FAILED | {
 }  # fmt: skip
 
 
-def shown(scores: list, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> str:
+def with_mitt(protocol: Protocol) -> Protocol:
+    """The same protocol, with the mitt on the robot's hand; no command is said to have put it there."""
+    return protocol.model_copy(update={"scene": protocol.scene.model_copy(update={"tool": "mitt"})})
+
+
+def shown(
+    scores: list, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, protocol: Protocol = PROTOCOL
+) -> str:
     monkeypatch.setenv("COLUMNS", "80")
-    print_table(scores)
+    print_table(scores, protocol)
     return capsys.readouterr().out
 
 
@@ -73,8 +86,24 @@ def test_what_nursing_studies_ask_is_told_of_the_mitt_alone(
     values = [{"effective@1": 1.0, "comfortable@1": 0.0}, {"effective@1": 0.0, "comfortable@1": 1.0}]
     scores = [make_score("T3", seed, additional=found) for seed, found in enumerate(values)]
     scores.append(make_score("T1", 0, additional={"effective@1": 0.0, "comfortable@1": 1.0}))
-    mitt = [score.model_copy(update={"overrides": {"scene.tool": "mitt"}}) for score in scores]
-    told = shown(mitt, capsys, monkeypatch)
+    told = shown(scores, capsys, monkeypatch, with_mitt(PROTOCOL))
     assert "Wiped clean (effective@1): 1 of 2" in told, "of scrub tasks"
     assert "Wiped below 25 mmHg (comfortable@1): 2 of 3" in told
     assert "effective@1" not in shown(scores, capsys, monkeypatch)
+
+
+def test_terminal_and_page_know_the_mitt_of_a_protocol_that_no_command_changed(
+    pressed: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = {}
+    for name, change in (("caps", lambda protocol: protocol), ("mitt", with_mitt)):
+        spec = pressed.header.spec
+        header = pressed.header.model_copy(update={"spec": spec.model_copy(update={"protocol": change(spec.protocol)})})
+        (folder := tmp_path / name).mkdir()
+        write_recording(replace(pressed, header=header), folder / "T1-s000.h5")
+        assert main(["score", str(folder)]) == 0
+        told = capsys.readouterr().out
+        assert main(["report", str(folder)]) == 0
+        page = (folder / "report.html").read_text()
+        found[name] = ["Wiped below 25 mmHg (" in told, "trials that pass, of those with a value" in page]
+    assert found == {"caps": [False, False], "mitt": [True, True]}

@@ -12,7 +12,7 @@ from carecontact.cli import main
 from carecontact.recording import Recording
 from carecontact.replaying.film.frames import SIZE
 
-FAST = ["--fps", "1"]
+FAST = ["--fps", "1", "--draft"]
 
 
 def decoded(path: Path) -> list[np.ndarray]:

@@ -111,3 +111,12 @@ def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
         port = int(address.rpartition(":")[2])
         with pytest.raises(ConfigError, match=f"cannot listen on 127.0.0.1, port {port}: .*; give another port"):
             cc.evaluate(Still(), out=tmp_path / "a", tasks="T1", seeds=0, port=port)
+
+
+def test_a_level_of_a_protocol_is_chosen_by_name(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"bathing-wide-v1.*L0, L1, L2, L3"):
+        cc.evaluate("hover", out=tmp_path, protocol="bathing-wide-v1")
+    with pytest.raises(ConfigError, match="--seeds"):
+        cc.evaluate("hover", out=tmp_path, protocol="bathing-wide-v1", level="L2", seeds="100000")
+    with pytest.raises(ConfigError, match="seeds=None: expected a text, a number or a list"):
+        cc.evaluate("hover", out=tmp_path, seeds=None)  # type: ignore[arg-type]

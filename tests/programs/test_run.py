@@ -101,3 +101,34 @@ def test_compare_is_that_of_the_command(runs: Path) -> None:
     assert [line.outcome.id for line in found.overall][:3] == ["success", "region_correct", "safety_gated"]
     assert found.per_task is not None
     assert found.as_json()["schema"] == "carecontact-comparison-2"
+
+
+def test_a_recording_lists_its_arrays_and_names_them_when_one_is_not_there(runs: Path) -> None:
+    recording = cc.load(runs / "a").recordings["T1-s000"]
+    assert list(recording) == list(recording.arrays) == list(recording.keys())
+    assert len(recording) == len(recording.arrays)
+    assert "scorer/time_s" in recording
+    assert "scorer/time" not in recording
+    with pytest.raises(KeyError, match=r"no array named 'scorer/tim_s' \(did you mean 'scorer/time_s'\?\); valid: "):
+        recording["scorer/tim_s"]
+    with pytest.raises(ConfigError, match="no array named '0'; valid: "):
+        recording[0]  # type: ignore[index]
+
+
+def test_wrong_names_are_told_with_the_right_ones(runs: Path) -> None:
+    run = cc.load(runs / "a")
+    with pytest.raises(ConfigError, match="has no recording of 0; it has T1-s000 to T2-s000"):
+        run.recordings[0]  # type: ignore[index]
+    assert run.recordings.get("T9-s000") is None
+    with pytest.raises(KeyError, match=r"no part of the results named 'overal' \(did you mean 'overall'\?\); valid: "):
+        run.results["overal"]
+    with pytest.raises(ConfigError, match="there is no table for 3; valid: pandas, polars, pyarrow"):
+        run.trials(3)  # type: ignore[arg-type]
+
+
+def test_a_place_that_is_no_run_is_told(runs: Path) -> None:
+    with pytest.raises(ConfigError, match=r"load the run's folder, then .* run\.recordings\['T1-s000'\]"):
+        cc.load(runs / "a" / "T1-s000.h5")
+    (runs / "a" / "report.html").write_text("<html>")
+    with pytest.raises(ConfigError, match="this is no run; name the folder of a run"):
+        cc.load(runs / "a" / "report.html")

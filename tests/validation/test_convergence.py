@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carecontact.validation.convergence import RADIUS_FACTORS, TREND_DEPTH_M, TRENDS
+from carecontact.protocols import load_protocol
+from carecontact.validation.convergence import MESH_REFERENCES, RADIUS_FACTORS, TREND_DEPTH_M, TRENDS
 
 
 def layer(u: np.ndarray) -> np.ndarray:
@@ -53,3 +54,7 @@ def test_known_exponents_are_those_of_layers_fifty_to_thirty_millimetres_thick()
     assert layers
     for name, known in layers.items():
         assert (thick[name], thin[name]) == pytest.approx(known, abs=0.01), name
+
+
+def test_meshes_are_compared_on_every_soft_region() -> None:
+    assert {reference.region for reference in MESH_REFERENCES} == set(load_protocol().soft_regions)

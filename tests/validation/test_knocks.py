@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from carecontact.errors import SceneError
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Simulation
 from carecontact.validation import knocks
-from carecontact.validation.knocks import Site, sites, strike_all
+from carecontact.validation.knocks import Blow, Site, sites, strike_all
 from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
 from carecontact.world.scene import Scene, build_scene
 
@@ -61,20 +62,64 @@ class GivesWay(Simulation):
         return super().advance(steps)
 
 
-def test_a_ball_that_goes_through_the_skin_is_a_miss_although_bone_stops_it() -> None:
+def struck(kind: type[Simulation], mass_kg: float, speed_m_s: float) -> Blow:
+    """A blow of the ball onto the belly in a simulation of this kind."""
     belly = next(site for site in sites() if site.name == "belly")
-    scene = knocks.with_striker(Subject(PROTOCOL).scene("forearm"), 3.0, belly.ball_m)
-    blows = {}
-    for kind in (Simulation, GivesWay):
-        simulation = kind(scene)
-        simulation.settle(COMFORT_ARM_DEG)
-        simulation.restore(simulation.integration_state(), comfort_arm_deg=COMFORT_ARM_DEG)
-        blows[kind] = knocks.strike(simulation, belly, 3.0, 0.5)
-    held, lost = blows[Simulation], blows[GivesWay]
+    simulation = kind(knocks.with_striker(Subject(PROTOCOL).scene("forearm"), mass_kg, belly.ball_m))
+    simulation.settle(COMFORT_ARM_DEG)
+    simulation.restore(simulation.integration_state(), comfort_arm_deg=COMFORT_ARM_DEG)
+    return knocks.strike(simulation, belly, mass_kg, speed_m_s)
+
+
+def missed(blow: Blow) -> dict[str, bool]:
+    """The lines that the blow misses, by the end of their names, and whether they decide."""
+    found = [measure for measure in knocks._measures(blow, knocks.robot_brings_j(PROTOCOL)) if measure.met is False]
+    return {measure.name.removeprefix(f"{blow.name}: "): measure.decides for measure in found}
+
+
+def test_a_ball_that_goes_through_the_skin_is_a_miss_although_bone_stops_it() -> None:
+    held, lost = (struck(kind, 1.0, 0.5) for kind in (Simulation, GivesWay))
+    assert np.isnan(lost.predicted_n), "the curve ends before, but the robot itself brings more"
+    assert lost.energy_j < knocks.robot_brings_j(PROTOCOL)
     assert held.held == held.momentum > knocks.STOPPED
+    assert held.taken_j is None
+    assert missed(held) == {}
     assert lost.momentum > knocks.STOPPED > lost.held
-    missed = [measure.name for measure in knocks._measures(lost) if measure.met is False]
-    assert missed == [f"{lost.name}: impulse over momentum before it goes through"]
+    assert missed(lost) == {"impulse over momentum before it goes through": True}
+
+
+def test_a_blow_that_nobody_predicts_and_no_robot_makes_tells_where_it_goes_through_and_does_not_decide() -> None:
+    lost = struck(GivesWay, 3.0, 0.5)
+    assert lost.energy_j > knocks.robot_brings_j(PROTOCOL)
+    assert missed(lost) == {"impulse over momentum before it goes through": False}
+    told = {
+        measure.name.rpartition(": ")[2]: measure.value
+        for measure in knocks._measures(lost, knocks.robot_brings_j(PROTOCOL))
+    }
+    # The skin holds nothing from 50 ms on: less than 25 mm at 0.5 m/s, and more than half of that.
+    assert 12 < told["deepest before it goes through"] < 25
+    assert 0 < told["energy taken before it goes through"] == lost.taken_j < lost.energy_j
+
+
+def test_the_robots_tool_is_held_with_all_that_the_robot_brings() -> None:
+    blow = knocks.strike_with_tool(Subject(PROTOCOL))
+    assert blow.energy_j == pytest.approx(knocks.robot_brings_j(PROTOCOL))
+    assert missed(blow) == {}
+    decides = {measure.name.rpartition(": ")[2] for measure in knocks._measures(blow, blow.energy_j) if measure.decides}
+    assert "impulse over momentum before it goes through" in decides
+
+
+def test_a_tool_that_cannot_be_driven_in_is_a_miss_and_hides_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuses(subject: Subject) -> None:
+        raise SceneError("this robot takes commands of its joints only")
+
+    monkeypatch.setattr(knocks, "strike_all", lambda *_: iter(()))
+    monkeypatch.setattr(knocks, "drive", refuses)
+    result = knocks.run(Subject(PROTOCOL), quick=True)
+    assert [measure.name.rpartition(": ")[2] for measure in result.missed] == [
+        "this robot takes commands of its joints only"
+    ]
+    assert any("under the robot's tool" in measure.name for measure in result.measures)
 
 
 def test_plates_of_another_stiffness_are_caught() -> None:

@@ -1,7 +1,7 @@
 """What the website has beyond the pages of docs/: the README as its first page, references made from the code, and
 copies of the files outside docs/ that pages link to.
 
-mkdocs.yml names this file; mkdocs calls ``on_files`` and ``on_page_markdown``.
+mkdocs.yml names this file; mkdocs calls the functions whose names begin with ``on_``.
 """
 
 from __future__ import annotations
@@ -22,6 +22,10 @@ from references import commands_page, python_page
 ROOT = Path(__file__).resolve().parents[2]
 LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)\s]*)?(\))")
 HOME = "README.md"
+SHIM = re.compile(r'src="https://unpkg\.com/iframe-worker/[^"]*"')
+"""What the theme loads from a content network so that its search works on pages that are opened from a folder."""
+WORKER = "frame_worker.js"
+"""Our own script for the same, in the folder of this file and at the root of the site."""
 COPIES = "files"
 """Folder of the site with copies of linked files of the repository."""
 
@@ -35,6 +39,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     }
     for path, text in generated.items():
         files.append(File.generated(config, path, content=text))
+    files.append(File.generated(config, WORKER, content=(Path(__file__).parent / WORKER).read_text()))
     for page in [file for file in files if file.is_documentation_page()]:
         for target in _outside(page.src_uri, page.content_string):
             if files.get_file_from_path(f"{COPIES}/{target}") is None:
@@ -55,6 +60,16 @@ def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> str:
         return f"{link[1]}{posixpath.relpath(_copied(target), folder or '.')}{link[4]}"
 
     return LINK.sub(changed, markdown)
+
+
+def on_post_page(output: str, *, page: Page, **_: Any) -> str:
+    """Let the search of a page run without a request to another host."""
+    return SHIM.sub(f'src="{posixpath.relpath(WORKER, posixpath.dirname(page.file.dest_uri) or ".")}"', output)
+
+
+def on_post_template(output_content: str, *, template_name: str, **_: Any) -> str:
+    """The same for the page that a web server shows for a wrong address, whose links begin at the site's root."""
+    return SHIM.sub(f'src="/{WORKER}"', output_content) if template_name.endswith(".html") else output_content
 
 
 def _home() -> str:

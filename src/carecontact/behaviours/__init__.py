@@ -8,9 +8,9 @@ a trial meets the gate, the sweeps of its values, and the words for a failure.""
 from carecontact.contract.protocol import BEHAVIOURS, Fraction, Positive, Section
 from carecontact.scoring.attribution.commanded import CommandedContact
 from carecontact.scoring.axis_passes import wiping
-from carecontact.scoring.behaviour import Behaviour, ForceBand, Sweep, let_go, middle_force, mm
+from carecontact.scoring.behaviour import Behaviour, ForceBand, Sweep, exact_mm, let_go, middle_force, mm, reversals
 from carecontact.scoring.contact import Contact, Mask, longest_run, steps
-from carecontact.scoring.gate import Attempt, Gate, Judgement
+from carecontact.scoring.gate import Attempt, Gate, GatePart, Judgement
 from carecontact.scoring.held_force import held_force, held_in_band
 from carecontact.scoring.progress import Episode, wrist_from_onset
 from carecontact.scoring.result import TrialScore
@@ -25,18 +25,21 @@ __all__ = [
     "ForceBand",
     "Fraction",
     "Gate",
+    "GatePart",
     "Judgement",
     "Mask",
     "Positive",
     "Section",
     "Sweep",
     "TrialScore",
+    "exact_mm",
     "held_force",
     "held_in_band",
     "let_go",
     "longest_run",
     "middle_force",
     "mm",
+    "reversals",
     "steps",
     "wiping",
     "wrist_from_onset",

@@ -11,12 +11,14 @@ from carecontact.behaviours import (
     CommandedContact,
     Contact,
     Gate,
+    GatePart,
     Judgement,
     Mask,
     Positive,
     Section,
     Sweep,
     TrialScore,
+    exact_mm,
     let_go,
     mm,
     steps,
@@ -70,6 +72,23 @@ class Push(Behaviour[PushGate]):
             f"the longest hold was {result.longest_on_s:.2f} s of {gate.duration_s:g} s and the wrist moved "
             f"{mm(result.wrist_m)} of {mm(gate.wrist_displacement_m)}"
         )
+
+    def parts(self, contact: Contact, gate: PushGate, result: Gate) -> list[GatePart]:
+        hardest = float(contact.neighbourhood_force.max(initial=0.0))
+        return [
+            GatePart(
+                name=f"Pressed with at least {gate.force_n:g} N without interruption",
+                needed=f"{gate.duration_s:g} s",
+                reached=f"{result.longest_on_s:.2f} s (largest force {hardest:.1f} N)",
+                met=result.time_met,
+            ),
+            GatePart(
+                name="Way of the wrist while the arm is touched",
+                needed=f"at least {mm(gate.wrist_displacement_m)}",
+                reached=exact_mm(result.wrist_m),
+                met=result.progress_met,
+            ),
+        ]
 
     def progress(self, score: TrialScore) -> str:
         return f"wrist moved {mm(score.wrist_displacement_m)}, pressed for {score.longest_on_s:.2f} s"

@@ -13,12 +13,14 @@ from carecontact.behaviours import (
     CommandedContact,
     Contact,
     Gate,
+    GatePart,
     Judgement,
     Mask,
     Positive,
     Section,
     Sweep,
     TrialScore,
+    exact_mm,
     let_go,
     mm,
     steps,
@@ -91,6 +93,23 @@ class PushFromOnset(Behaviour[PushFromOnsetGate]):
             f"began, the wrist moved {mm(wrist_from_onset(contact))}, where {mm(gate.least_wrist_m)} to "
             f"{mm(gate.most_wrist_m)} are required"
         )
+
+    def parts(self, contact: Contact, gate: PushFromOnsetGate, result: Gate) -> list[GatePart]:
+        hardest = float(contact.neighbourhood_force.max(initial=0.0))
+        return [
+            GatePart(
+                name=f"Pressed with at least {gate.force_n:g} N without interruption",
+                needed=f"{gate.duration_s:g} s",
+                reached=f"{result.longest_on_s:.2f} s (largest force {hardest:.1f} N)",
+                met=result.time_met,
+            ),
+            GatePart(
+                name="Way of the wrist from where it was when the contact began",
+                needed=f"{mm(gate.least_wrist_m)} to {mm(gate.most_wrist_m)}",
+                reached=exact_mm(wrist_from_onset(contact)),
+                met=result.progress_met and result.band_met,
+            ),
+        ]
 
     def progress(self, score: TrialScore) -> str:
         moved = score.additional.get("wrist_from_onset@1")

@@ -13,12 +13,15 @@ from carecontact.behaviours import (
     Episode,
     Fraction,
     Gate,
+    GatePart,
     Judgement,
     Positive,
     Section,
     Sweep,
     TrialScore,
+    exact_mm,
     mm,
+    reversals,
 )
 from carecontact.behaviours.scrub_passes import ScrubPasses
 
@@ -87,13 +90,26 @@ class Scrub(Behaviour[ScrubGate]):
             return "there was no contact episode to judge"
         return (
             f"the best episode had {mm(best.stroke_m)} of {mm(gate.stroke_m)} stroke, {mm(best.extent_m)} of "
-            f"{mm(gate.extent_m)} extent, {best.reversals} of {gate.reversals} reversal(s) and was on for "
+            f"{mm(gate.extent_m)} extent, {best.reversals} of {reversals(gate.reversals)} and was on for "
             f"{best.on_share:.0%} of {gate.on_share:.0%}"
         )
 
+    def parts(self, contact: Contact, gate: ScrubGate, result: Gate) -> list[GatePart]:
+        best = result.best
+        share, stroke, extent, turns = (
+            (0.0, 0.0, 0.0, 0) if best is None else (best.on_share, best.stroke_m, best.extent_m, best.reversals)
+        )
+        rows = (
+            ("Share of the contact's time that the tool touches", f"{gate.on_share:.0%}", f"{share:.1%}",
+             best is not None and share >= gate.on_share),
+            ("Way of the tool along the skin", mm(gate.stroke_m), exact_mm(stroke), stroke >= gate.stroke_m),
+            ("Length of the region that it covers", mm(gate.extent_m), exact_mm(extent), extent >= gate.extent_m),
+            ("Turns of the tool", str(gate.reversals), str(turns), best is not None and turns >= gate.reversals),
+        )  # fmt: skip
+        return [GatePart(name=name, needed=f"at least {need}", reached=had, met=met) for name, need, had, met in rows]
+
     def progress(self, score: TrialScore) -> str:
-        reversals = "1 reversal" if score.reversals == 1 else f"{score.reversals} reversals"
-        return f"stroke {mm(score.stroke_m)}, extent {mm(score.extent_m)}, {reversals}"
+        return f"stroke {mm(score.stroke_m)}, extent {mm(score.extent_m)}, {reversals(score.reversals)}"
 
 
 def _scrubbed(gate: ScrubGate, episode: Episode) -> bool:

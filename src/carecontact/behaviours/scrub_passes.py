@@ -14,12 +14,15 @@ from carecontact.behaviours import (
     ForceBand,
     Fraction,
     Gate,
+    GatePart,
     Judgement,
     Positive,
     Sweep,
     TrialScore,
+    exact_mm,
     middle_force,
     mm,
+    reversals,
     wiping,
 )
 
@@ -75,7 +78,7 @@ class ScrubPasses(Behaviour[ScrubPassesGate]):
 
     def requested(self, gate: ScrubPassesGate, asked: CommandedContact) -> str | None:
         enough = asked.extent_m >= gate.passed_m and asked.reversals >= gate.passes - 1
-        return f"{mm(asked.extent_m)} of extent and {asked.reversals} reversal(s) there" if enough else None
+        return f"{mm(asked.extent_m)} of extent and {reversals(asked.reversals)} there" if enough else None
 
     def shortfall(self, contact: Contact, gate: ScrubPassesGate, result: Gate) -> str:
         found = wiping(contact)
@@ -91,6 +94,21 @@ class ScrubPasses(Behaviour[ScrubPassesGate]):
             f"with at least {gate.least_n:g} N ({mm(found.passed_m(gate.passes, 0.0))} with any force), and {slid}"
             f"{middle_force(found.force[1:][found.moving])}"
         )
+
+    def parts(self, contact: Contact, gate: ScrubPassesGate, result: Gate) -> list[GatePart]:
+        found = wiping(contact)
+        passed, firmly = found.passed_m(gate.passes, 0.0), found.passed_m(gate.passes, gate.least_n)
+        share = found.share_in_band(gate.least_n, gate.most_n)
+        length = f"Length of the region passed {gate.passes:g} times"
+        rows = (
+            (f"{length} with any force", mm(gate.passed_m), exact_mm(passed), result.progress_met),
+            (f"{length} with at least {gate.least_n:g} N", mm(gate.passed_m), exact_mm(firmly),
+             firmly >= gate.passed_m),
+            (f"Share of the sliding with {gate.least_n:g} to {gate.most_n:g} N", f"{gate.band_share:.0%}",
+             "the tool never slid" if share is None else f"{share:.1%}",
+             share is not None and share >= gate.band_share),
+        )  # fmt: skip
+        return [GatePart(name=name, needed=f"at least {need}", reached=had, met=met) for name, need, had, met in rows]
 
     def progress(self, score: TrialScore) -> str:
         passed, share = (score.additional.get(name) for name in ("axis_passed@1", "gentle_share@1"))

@@ -11,6 +11,7 @@ from carecontact.behaviours import (
     CommandedContact,
     Contact,
     Gate,
+    GatePart,
     Judgement,
     Positive,
     Section,
@@ -40,6 +41,16 @@ class Touch(Behaviour[TouchGate]):
 
     def shortfall(self, contact: Contact, gate: TouchGate, result: Gate) -> str:
         return f"the longest hold was {result.longest_on_s:.2f} s of {gate.duration_s:g} s"
+
+    def parts(self, contact: Contact, gate: TouchGate, result: Gate) -> list[GatePart]:
+        return [
+            GatePart(
+                name="Touched without interruption",
+                needed=f"{gate.duration_s:g} s",
+                reached=f"{result.longest_on_s:.2f} s",
+                met=result.time_met,
+            )
+        ]
 
 
 BEHAVIOURS.register("touch", Touch())

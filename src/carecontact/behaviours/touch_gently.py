@@ -9,6 +9,7 @@ from carecontact.behaviours import (
     Contact,
     ForceBand,
     Gate,
+    GatePart,
     Judgement,
     Positive,
     Sweep,
@@ -59,6 +60,24 @@ class GentleTouch(Behaviour[GentleTouchGate]):
             f"the longest contact was {result.longest_on_s:.2f} s"
             f"{middle_force(held_force(contact)[contact.neighbourhood_on])}"
         )
+
+    def parts(self, contact: Contact, gate: GentleTouchGate, result: Gate) -> list[GatePart]:
+        held = longest_run(held_in_band(contact, gate.least_n, gate.most_n)) * contact.dt_s
+        needed = f"{gate.duration_s:g} s"
+        return [
+            GatePart(
+                name="Touched without interruption",
+                needed=needed,
+                reached=f"{result.longest_on_s:.2f} s",
+                met=result.time_met,
+            ),
+            GatePart(
+                name=f"Touched without interruption with {gate.least_n:g} to {gate.most_n:g} N",
+                needed=needed,
+                reached=f"{held:.2f} s",
+                met=result.band_met,
+            ),
+        ]
 
     def progress(self, score: TrialScore) -> str:
         held = score.additional.get("gentle_hold@1")

@@ -19,11 +19,11 @@ REPEATABLE = ("--set", "--policy-arg", "--policy-env", "--policy-read", "--polic
 """Options that a command line may hold several times."""
 STOPPING = ("SIGTERM", "SIGHUP", "SIGQUIT")
 INTERRUPTED, BROKEN_PIPE = 130, 141
-"""128 and the signal's number, as a shell counts."""
+"""Exit statuses after SIGINT and SIGPIPE: 128 plus the signal's number, as shells count."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command line; returns its exit status. Errors that the user can fix give one message and status 2."""
+    """Run one command line and return its exit status. Errors that the user can fix give one message and status 2."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     hide_options(arguments)
     _open_closed()
@@ -81,7 +81,7 @@ class _Command:
 
 
 def _ended(as_json: bool, error: str, message: str, status: int) -> int:
-    """Tell a program why the command ended; returns the exit status."""
+    """Tell a program that reads JSON why the command ended, and return the exit status."""
     from carecontact.cli.json_lines import say_error
 
     try:
@@ -93,15 +93,17 @@ def _ended(as_json: bool, error: str, message: str, status: int) -> int:
 
 
 def _nobody_reads() -> int:
-    """Whoever read the output has gone; what is still buffered must not be tried again while Python ends."""
+    """Drop the output that is still buffered: its reader has gone, and Python would try to write it again at its
+    end."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return BROKEN_PIPE
 
 
 def _open_closed() -> None:
-    """Give a command that was started without standard output or errors ones that keep nothing.
+    """Open standard output and standard error to nowhere for a command that was started without them.
 
-    First of all: else the next file that is opened gets their number, and what libraries print goes into it.
+    This must happen first: otherwise the next file that is opened gets their number, and what libraries print goes into
+    that file.
     """
     if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison]
         sys.stdout = open(os.devnull, "w")
@@ -120,7 +122,7 @@ def _readable(arguments: Sequence[str]) -> None:
 
 
 def _stop_as_interrupted() -> None:
-    """A polite kill and a closed terminal stop the trials' processes, which live in sessions of their own, as Ctrl-C
+    """Let SIGTERM and a closed terminal stop the trials' processes, which live in sessions of their own, as Ctrl-C
     does.
 
     What the caller ignores, as nohup does, stays ignored.
@@ -140,10 +142,10 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _drop_if_gone(stream: TextIO | None) -> None:
-    """What is still printed must not fail where the terminal is gone or nobody reads the pipe any more.
+    """Drop further output if the terminal is gone or nobody reads the pipe any more, so that printing does not fail.
 
-    It is looked at and not written to, because a terminal that is full and not read would keep the writer waiting.
-    """
+    The function asks the system and writes nothing, because a terminal that is full and not read would keep the writer
+    waiting."""
     if stream is None:
         return
     watch = select.poll()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from carecontact.contract.protocol import Protocol
 
 SHOWN = 8
-"""Findings of one part that are printed; all are in the file."""
+"""Largest number of findings of one part that are printed. The file has all of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,9 +104,8 @@ class Audit:
         return 0 if result.passed else 1
 
     def _trials(self, rules: Protocol) -> tuple[list[str], int]:
-        """The tasks that --tasks names, none by default, and the seed. Raises ConfigError for what the protocol does
-        not have.
-        """
+        """Return the tasks that --tasks names (none by default) and the seed. Raises ConfigError for what the protocol
+        does not have."""
         from carecontact.cli.one_trial import check_seed
         from carecontact.runs.plan import parse_tasks
 
@@ -149,7 +148,7 @@ def _looked_at(part: Part) -> str:
 
 
 def _one(what: str) -> str:
-    """``policies`` -> ``policy``, ``observations in contact`` -> ``observation in contact``."""
+    """Return the singular: ``policies`` -> ``policy``, ``observations in contact`` -> ``observation in contact``."""
     first, space, rest = what.partition(" ")
     return (f"{first[:-3]}y" if first.endswith("ies") else first.removesuffix("s")) + space + rest
 

@@ -9,10 +9,11 @@ from carecontact.errors import ConfigError, DependencyError
 
 if TYPE_CHECKING:
     from carecontact.runs.run_scores import RunScores
+    from carecontact.trials.scorer import Scorer
 
 
 def stored(folder: Path) -> RunScores | None:
-    """What its results.json says; None where there is none that belongs to its recordings."""
+    """Return the scores in a cell's results.json, or None if there is none that belongs to the cell's recordings."""
     from carecontact.runs.stored_scores import read_scores
 
     try:
@@ -22,7 +23,7 @@ def stored(folder: Path) -> RunScores | None:
 
 
 def computed(folder: Path) -> RunScores | None:
-    """``stored``, or else the scores of the recordings that are there; nothing is written."""
+    """Return the scores that ``stored`` finds, or else those of the recordings in the folder. Nothing is written."""
     from carecontact.runs import score_run
     from carecontact.runs.stored_scores import beside_plan
 
@@ -31,10 +32,19 @@ def computed(folder: Path) -> RunScores | None:
     return beside_plan(folder, score_run(folder))
 
 
-def store(folder: Path, *, anew: bool) -> None:
-    """Write the results of a cell; unless ``anew``, those that are there and belong to its recordings stay."""
+def store(folder: Path, *, anew: bool, scorer: Scorer | None = None) -> None:
+    """Write the results of a cell. Unless ``anew`` is true, existing results that belong to its recordings stay.
+
+    Args:
+        scorer: has scored the trials that ran; it scores the others too.
+    """
     from carecontact.runs import score_run, write_scores
     from carecontact.runs.stored_scores import beside_plan
 
     if anew or stored(folder) is None:
-        write_scores(folder, beside_plan(folder, score_run(folder)))
+        if scorer is None:
+            scores = score_run(folder)
+        else:
+            scorer.fill(sorted(folder.glob("*.h5")))
+            scores = score_run(folder, scored=scorer.take)
+        write_scores(folder, beside_plan(folder, scores))

@@ -9,7 +9,7 @@ MOST_LINES = 20
 
 
 def differences(before: object, after: object) -> list[str]:
-    """What a rescoring changed, one line per value; empty if there was nothing before."""
+    """Return one line for each value that a rescoring changed. The list is empty if there were no earlier results."""
     if before is None:
         return []
     changed = sorted(_changed("", before, after))
@@ -32,7 +32,7 @@ def _changed(place: str, before: object, after: object) -> list[str]:
 
 
 def _by_trial(rows: list) -> dict | None:
-    """Rows keyed by trial, so that a trial more does not make every later one look changed."""
+    """Return the rows by trial, so that one more trial does not make every later one look changed."""
     if rows and all(isinstance(row, dict) and "trial_id" in row for row in rows):
         return {row["trial_id"]: row for row in rows}
     return None

@@ -30,8 +30,8 @@ class UsageError(ConfigError):
 
 
 CONFIG = (tyro.conf.DisallowNone, tyro.conf.HelptextFromCommentsOff)
-"""An option that is not given is left out: nobody types None. ``described`` gives the help texts, so that tyro need not
-look for comments in the sources."""
+"""Settings of the parser. The help leaves out the default None, which nobody types. ``described`` gives the help texts,
+so that tyro need not look for comments in the sources."""
 COMMANDS = {
     "run": "run:Run",
     "merge": "merge:Merge",
@@ -61,7 +61,7 @@ COMMANDS = {
 
 
 def command_class(name: str) -> type[Any]:
-    """Raises UsageError for a command that does not exist."""
+    """Return the class of a command. Raises UsageError if no command has this name."""
     if name not in COMMANDS:
         raise UsageError(unknown_command(name, COMMANDS))
     module, _, made = COMMANDS[name].partition(":")

@@ -122,7 +122,11 @@ def _say(comparison: Comparison | None, found: Overview | None, beside: dict[str
 
 
 def _print_crashed(named: Sequence[tuple[str, RunScores]]) -> None:
-    """``named``: letter of a run, or nothing, and the run."""
+    """Print in which trials the policies crashed.
+
+    Args:
+        named: pairs of a run's letter (empty for one run alone) and the run.
+    """
     from carecontact.reports.text import crashed_text
 
     for letter, run in named:

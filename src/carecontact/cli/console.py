@@ -11,12 +11,17 @@ if TYPE_CHECKING:
 
 
 def console(width: int) -> Console:
-    """As wide as the terminal or as COLUMNS says; ``width`` columns where the output goes elsewhere without COLUMNS."""
+    """Return a console as wide as the terminal or as the variable COLUMNS says.
+
+    Args:
+        width: number of columns if the output does not go to a terminal and COLUMNS is not set.
+    """
     from rich.console import Console
 
     class OurConsole(Console):
         def on_broken_pipe(self) -> None:
-            """For the command to answer as it does elsewhere: rich's own answer is status 1, that of a failed check."""
+            """Raise the error, so that the command ends as for any other output: rich itself would end with status 1,
+            which means a failed check."""
             raise BrokenPipeError
 
     known = "COLUMNS" in os.environ or Console().is_terminal
@@ -24,14 +29,14 @@ def console(width: int) -> Console:
 
 
 def plain_table() -> Table:
-    """A table without lines, under bold heads."""
+    """Return a table with bold headings and without lines."""
     from rich.table import Table
 
     return Table(box=None, pad_edge=False, header_style="bold")
 
 
 def p_text(value: float | None) -> str:
-    """A p-value with three decimals, small ones in powers of ten."""
+    """Return a p-value with three decimals, or as a power of ten if it is small."""
     if value is None:
         return "NA"
     return f"{value:.3f}" if value >= 0.001 else f"{value:.1e}"

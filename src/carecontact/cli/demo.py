@@ -102,7 +102,7 @@ def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
 
 
 def missing_successes(scores: Sequence[TrialScore]) -> list[str]:
-    """A line for each action of the demo's protocol of which no trial succeeded."""
+    """Return one line for each action of the demo's protocol in which no trial succeeded."""
     from carecontact.protocols import load_protocol
 
     done = {score.action for score in scores if score.c3_success}

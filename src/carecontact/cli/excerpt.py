@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 TRACE_LINES, PRINTED_LINES = 6, 4
-"""Last lines of a traceback and of what the policy printed; the report has all of them."""
+"""Number of last lines of a traceback, and of what the policy printed, that are shown. The report has all lines."""
 
 
 def excerpt(message: str) -> list[str]:

@@ -59,7 +59,7 @@ class Export:
         return 1 if left_out else 0
 
     def _trials(self) -> list[str]:
-        """Raises ConfigError where there are no such trials."""
+        """Return the recordings to export. Raises ConfigError if there are none."""
         from carecontact.cli.rescoring import need_recordings
         from carecontact.runs.stored_scores import read_scores
 

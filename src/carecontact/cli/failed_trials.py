@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from carecontact.recording.schema import EndReason, Failure
 
 HARNESS_FAILED, POLICY_CRASHED = 1, 3
-"""Exit status."""
+"""Exit status if the harness failed in a trial, and if only policies crashed."""
 SHOWN, LOGS = 3, 3
-"""Different failures that a terminal shows with their tracebacks, and logs that it names for each."""
+"""Number of different failures that are printed with their tracebacks, and number of logs named for each."""
 
 
 def print_failed(ended: Mapping[str, EndReason], *, out: Path) -> None:
@@ -38,7 +38,7 @@ def print_failed(ended: Mapping[str, EndReason], *, out: Path) -> None:
 
 
 def failed_status(ended: Mapping[str, EndReason], *, allow_failures: bool) -> int:
-    """The harness's failures count first, because they leave trials without a result."""
+    """Return the exit status. Failures of the harness take precedence, because they leave trials without a result."""
     if _of(ended, "harness_error"):
         return HARNESS_FAILED
     return POLICY_CRASHED if _of(ended, "process_failure") and not allow_failures else 0
@@ -49,7 +49,11 @@ def _of(ended: Mapping[str, EndReason], end: EndReason) -> list[str]:
 
 
 def _print_groups(trials: Sequence[str], out: Path, *, whole: bool) -> None:
-    """``whole``: whether to print more of a failure than its reason."""
+    """Print equal failures together.
+
+    Args:
+        whole: whether to print more of a failure than its reason.
+    """
     from carecontact.recording.reason import alike, reason_of
     from carecontact.recording.remedies import remedies
 

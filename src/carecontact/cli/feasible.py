@@ -15,12 +15,13 @@ if TYPE_CHECKING:
     from carecontact.episode.parking.survey import Surveyed
 
 
-def feasible(levels: Sequence[Protocol], *, seeds: str, salts: int, picture: Path, json: bool) -> int:
-    """Survey every seed on every level that parks the robot, print a line for each level and draw the map.
+def feasible(levels: Sequence[Protocol], *, seeds: str, salts: int, picture: Path | None, json: bool) -> int:
+    """Survey every seed on every level that parks the robot, and print a line for each level.
 
     Args:
         seeds: as ``--seeds`` of ``carecontact run``.
         salts: how many salted seeds besides, each with a fresh salt.
+        picture: file for the map; None draws no map.
 
     Returns 1 if a seed is not feasible. Raises ConfigError for levels of which none parks the robot.
     """
@@ -34,7 +35,7 @@ def feasible(levels: Sequence[Protocol], *, seeds: str, salts: int, picture: Pat
     if not parking:
         names = ", ".join(rules.name for rules in levels)
         raise ConfigError(f"{names}: the robot stands at scene.robot_base_m in every trial; nothing is drawn")
-    if picture.suffix not in (".png", ".svg"):
+    if picture is not None and picture.suffix not in (".png", ".svg"):
         raise ConfigError(f"--picture {picture}: expected a .png or .svg file")
     wanted = [(seed, "") for seed in parse_seeds(seeds, protocol=parking[0])]
     wanted += [(number, secrets.token_hex(16)) for number in range(salts)]
@@ -45,8 +46,9 @@ def feasible(levels: Sequence[Protocol], *, seeds: str, salts: int, picture: Pat
         _print(rules, found)
         if json:
             _say(rules, found)
-    draw_map(picture, rows)
-    print(f"map: {picture}")
+    if picture is not None:
+        draw_map(picture, rows)
+        print(f"map: {picture}")
     return 0 if all(each.found is not None for _, found in rows for each in found) else 1
 
 

@@ -9,11 +9,11 @@ from typing import TypeVar
 
 T = TypeVar("T")
 TERMINAL_S, PLAIN_S = 0.25, 30.0
-"""Between two lines."""
+"""Time between two lines, on a terminal and elsewhere."""
 
 
 def counted(items: Iterable[T], total: int, name: str) -> Iterator[T]:
-    """The items, while lines on standard output tell how many of ``total`` there have been and what is left."""
+    """Yield the items, and print how many of ``total`` there have been and how much time is left."""
     began = told = time.monotonic()
     terminal = sys.stdout.isatty()
     for number, item in enumerate(items, 1):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from carecontact.contract.protocol import Protocol
 
 FLAT = tyro.conf.arg(name="")
-"""The options of a group keep their own names, without the name of the field that holds the group."""
+"""Marks a group whose options keep their own names, without the name of the field that holds the group."""
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR", help="The --out folder of a run.")]
 
@@ -48,14 +48,17 @@ class ChangedProtocolGroup(ProtocolGroup):
     more. Every output names the change. If a field does not exist, the error lists those that do."""
 
     def load(self) -> Protocol:
-        """The protocol with its changes. Raises UnknownNameError, or ConfigError naming file, field and what was
-        expected."""
+        """Return the protocol with its changes.
+
+        Raises UnknownNameError for a name that no protocol has, and ConfigError, which names the file, the field and
+        what was expected.
+        """
         from carecontact.protocols import load_protocol
 
         return self.changed(load_protocol(self.protocol, level=self.level))
 
     def changed(self, protocol: Protocol, **options: Mapping[str, object]) -> Protocol:
-        """``protocol`` with these changes and those of other options, by the option's name.
+        """Return ``protocol`` with these changes and those of other options, by the option's name.
 
         Raises ConfigError where two options replace one field.
         """
@@ -123,7 +126,8 @@ class PhysicsGroup:
     """Use physics steps of 4 ms in place of the protocol's. This is faster and less exact: use it for development."""
 
     def changes(self, rules: Protocol) -> dict[str, Mapping[str, object]]:
-        """The option's name -> fields of ``rules`` that it replaces, as ``ChangedProtocolGroup.changed`` takes them."""
+        """Return the option's name -> the fields of ``rules`` that it replaces, as ``ChangedProtocolGroup.changed``
+        takes them."""
         from carecontact.protocols import FAST_DT_S
         from carecontact.protocols.friction import friction_changes
 
@@ -176,14 +180,15 @@ class SaltGroup:
 
     @property
     def salt(self) -> str:
-        """Empty without a file. Raises ConfigError for a file that cannot be read or holds no salt."""
+        """The salt, which is empty without a file. Raises ConfigError for a file that cannot be read or holds no
+        salt."""
         from carecontact.runs.salt import read_salt
 
         return "" if self.salt_file is None else read_salt(self.salt_file)
 
     @property
     def closed(self) -> tuple[str, ...]:
-        """What an isolated policy must not read."""
+        """Paths that an isolated policy must not read."""
         return () if self.salt_file is None else (str(self.salt_file.resolve()),)
 
 

@@ -16,9 +16,10 @@ _output: TextIO | None = None
 
 @contextlib.contextmanager
 def only_json(wanted: bool) -> Iterator[None]:
-    """Within the block, what is printed goes to standard error, and ``say`` writes to standard output.
+    """Within the block, print to standard error, and let ``say`` alone write to standard output.
 
-    ``wanted``: False leaves everything as it is.
+    Args:
+        wanted: whether to do so; False leaves everything as it is.
     """
     global _output
     if not wanted:
@@ -33,7 +34,7 @@ def only_json(wanted: bool) -> Iterator[None]:
 
 
 def say(answer: Answer) -> None:
-    """Write one line, at once."""
+    """Write one line without delay."""
     print(answer.line(), file=_output or sys.stdout, flush=True)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from importlib import metadata, resources
 
 PYTHON = ((3, 11), (3, 13))
-"""At least, and below."""
+"""The lowest version that is supported, and the first above it that is not."""
 PACKAGES = {
     "mujoco": "mujoco==4.0.0",
     "numpy": "'numpy>=2,<3'",
@@ -29,11 +29,20 @@ PACKAGES = {
     "protobuf": "'protobuf>=4.25,<7'",
     "mediapipe": "--no-deps mediapipe==0.10.21",
 }
-"""Distribution -> the requirement that pip installs."""
+"""Name of a distribution -> the requirement that pip installs for it."""
+EXTRAS = {
+    "tables": (("pyarrow",), "results.parquet, run.trials() and export lerobot"),
+    "viz": (("av", "rerun-sdk"), "video and view"),
+    "live": (("openai",), "language models"),
+    "fem": (("scikit-fem",), "validate --fem"),
+    "cluster": (("ray",), "run --engine ray"),
+    "grounded-sam": (("torch", "transformers"), "--segmenter grounded-sam"),
+}
+"""Extra of this package -> the distributions that it installs, and what needs it."""
 GL_LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}
 GL_PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 MEMORY_PER_TRIAL_GIB = 1.0
-"""Measured: 0.6 for a trial, and its policy's process comes on top."""
+"""Memory that a trial needs: 0.6 GiB (measured), and its policy's process comes on top."""
 PROBE_LIMIT_S = 120.0
 
 FRAME_PROBE = """
@@ -62,7 +71,7 @@ class Finding:
     fine: bool
     detail: str
     warning: bool = False
-    """Whether trials run, but with less than they should have."""
+    """Whether trials can run, but lack something that they should have."""
     fix: str | None = None
     """The command that installs what is missing."""
 
@@ -72,6 +81,7 @@ def findings() -> Iterator[Finding]:
     for check in (
         check_python,
         check_packages,
+        check_extras,
         check_tissue,
         check_gl,
         check_frame,
@@ -104,6 +114,24 @@ def check_packages() -> Finding:
     return Finding(name="packages", fine=True, detail=", ".join(f"{name} {version}" for name, version in found.items()))
 
 
+def check_extras() -> Finding:
+    """Tell which optional parts can be used. No trial needs any of them."""
+    lacking = [name for name, (packages, _) in EXTRAS.items() if not all(map(_is_installed, packages))]
+    if not lacking:
+        return Finding(name="extras", fine=True, detail="all installed")
+    parts = ", ".join(f"{name} (for {EXTRAS[name][1]})" for name in lacking)
+    command = f"pip install 'carecontact[{lacking[0]}]'"
+    return Finding(name="extras", fine=True, detail=f"optional and not installed: {parts}; {command} adds the first")
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
 def check_tissue() -> Finding:
     """Load the compiled tissue, and say what it was made of."""
     from carecontact.kernel import binary, found
@@ -128,7 +156,8 @@ def loads(library: str) -> bool:
 
 
 def gl_backend(*, loads: Callable[[str], bool] = loads) -> tuple[str, list[str]]:
-    """The OpenGL backend a trial will use (``MUJOCO_GL`` if set, else egl, else osmesa), and libraries it lacks."""
+    """Return the OpenGL backend that a trial will use (``MUJOCO_GL`` if set, else egl, else osmesa), and the libraries
+    that it lacks."""
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     candidates = [wanted] if wanted in GL_LIBRARIES else list(GL_LIBRARIES)
     lacking = {backend: [lib for lib in GL_LIBRARIES[backend] if not loads(lib)] for backend in candidates}
@@ -233,7 +262,8 @@ def check_machine() -> Finding:
 
 
 def _probe(code: str, *, environment: dict[str, str]) -> str | None:
-    """Run code in a process of its own, since what is broken here may crash it; None or its last line of output."""
+    """Run code in a process of its own, which a broken library may crash. Return None, or the last line of its
+    output."""
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-c", code],

@@ -125,7 +125,7 @@ def _policies(protocol: str) -> list[tuple[str, str]]:
 
 
 def _arguments(target: str) -> str:
-    """What --policy-arg may give."""
+    """Return what --policy-arg may give to a policy."""
     from carecontact.hosting.arguments import load_factory, parameters_of
 
     try:
@@ -182,7 +182,7 @@ def _metrics(protocol: str) -> list[tuple[str, str]]:
 
 
 def _rows(registry: Registry[T], meaning: Callable[[T], str]) -> list[tuple[str, str]]:
-    """A line for each row; one that cannot be loaded is listed with the reason."""
+    """Return one line for each row. A name that cannot be loaded is listed with the reason."""
     found: list[tuple[str, str]] = []
     for name in registry:
         try:

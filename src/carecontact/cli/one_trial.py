@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def check_trial(rules: Protocol, *, task: str, seed: int) -> None:
-    """Raises ConfigError for a task or seed that the protocol does not have."""
+    """Check the options. Raises ConfigError for a task or seed that the protocol does not have."""
     ids = [row.id for row in rules.tasks]
     if task not in ids:
         meant = did_you_mean(task, ids)
@@ -20,7 +20,7 @@ def check_trial(rules: Protocol, *, task: str, seed: int) -> None:
 
 
 def check_seed(rules: Protocol, *, seed: int) -> None:
-    """Raises ConfigError for a seed that the protocol does not have."""
+    """Check the option. Raises ConfigError for a seed that the protocol does not have."""
     from carecontact.runs.plan import compact
 
     if seed not in rules.randomization.seeds:

@@ -16,7 +16,8 @@ import tyro
 
 @cache
 def described(command: type[Any]) -> type[Any]:
-    """The command, or a group of options, with help texts that tyro prints as they are. Done once for each class."""
+    """Return the command, or a group of options, with help texts that tyro prints unchanged. A class is changed only
+    once."""
     for owner in reversed(command.__mro__):
         if is_dataclass(owner) and isinstance(owner, type):
             _describe(owner)
@@ -24,7 +25,8 @@ def described(command: type[Any]) -> type[Any]:
 
 
 def option_names(command: type[Any]) -> list[str]:
-    """Every option of a command as it is typed, those of its groups included; positional arguments have none."""
+    """Return every option of a command as it is typed, including those of its groups. Positional arguments are left
+    out."""
     names: list[str] = []
     for field, hint in _options(command):
         if is_dataclass(_bare(hint)):
@@ -36,7 +38,7 @@ def option_names(command: type[Any]) -> list[str]:
 
 
 def positional_names(command: type[Any]) -> list[str]:
-    """Fields of a command that are typed without an option."""
+    """Return the fields of a command that are typed without an option."""
     return [field.name for field, hint in _options(command) if tyro.conf.Positional in get_args(hint)[1:]]
 
 
@@ -79,7 +81,7 @@ def _parsed(module: ModuleType) -> ast.Module:
 
 
 def _docstrings(owner: type[Any]) -> dict[str, str]:
-    """Field -> the docstring under it. The class has to be at the top of its module."""
+    """Return each field -> the docstring under it. The class must be at the top level of its module."""
     made = next(
         node for node in _parsed(sys.modules[owner.__module__]).body
         if isinstance(node, ast.ClassDef) and node.name == owner.__name__

@@ -64,7 +64,8 @@ class Paper:
 
 
 def _protocol(places: Sequence[Path], runs: Sequence[RunScores]) -> Protocol | None:
-    """What the runs ran, from a recording or, if the hash is the same, from this release; None if neither has it."""
+    """Return the protocol of the runs, from a recording or, if the hash is the same, from this release. Return None if
+    neither has it."""
     from carecontact.protocols import load_protocol, shipped_protocols
     from carecontact.recording import read_header
 

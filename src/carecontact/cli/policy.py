@@ -21,10 +21,11 @@ from carecontact.policies.registry import POLICIES, is_privileged
 from carecontact.recording.reason import reason
 
 CREDENTIALS = "CARECONTACT_POLICY_CREDENTIALS"
-"""Variable that may hold USER:PASSWORD of a remote policy, so that no shell history does."""
+"""Environment variable for USER:PASSWORD of a remote policy, which keeps them out of the shell's history."""
 NOT_FOUND = re.compile(r"ModuleNotFoundError|ImportError")
 CLOSED = ("CARECONTACT_", "PYTHON")
-"""Beginnings of variables that never pass: the harness's own, and those that would undo the process's isolation."""
+"""Beginnings of the names of variables that never reach a policy: the harness's own, and those that would undo the
+isolation of the process."""
 
 
 def policy_setup(policy: str, options: PolicyGroup) -> PolicySetup:
@@ -72,7 +73,7 @@ def _setup(ref: PolicyRef, options: PolicyGroup) -> PolicySetup:
 
 
 def _secret(ref: PolicyRef) -> str:
-    """What a remote policy's server may ask for, from the variable that is there for its scheme."""
+    """Return the credentials that a remote policy's server may ask for, from the environment variable of its scheme."""
     if ref.scheme == "ws":
         return os.environ.get(CREDENTIALS, "")
     key = os.environ.get(API_KEY, "")
@@ -142,7 +143,7 @@ def _arguments(given: Sequence[str]) -> dict[str, str]:
 
 
 def _places(option: str, paths: Sequence[str]) -> tuple[str, ...]:
-    """Paths that hold in every folder."""
+    """Return the paths as absolute ones, which hold in every folder."""
     found = tuple(os.path.abspath(os.path.expanduser(path)) for path in paths)
     absent = next((path for path in found if not os.path.exists(path)), None)
     if absent is not None:

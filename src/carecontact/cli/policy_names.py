@@ -1,4 +1,4 @@
-"""What a --policy that does not exist may have meant, from the files of the current folder; nothing is imported."""
+"""Guesses, from the files of the current folder, which policy a wrong --policy meant. Nothing is imported."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def meant(policy: str, folder: Path) -> str:
-    """`` (did you mean my_policy:MyPolicy?)``, or nothing where no file of the folder is close.
+    """Return `` (did you mean my_policy:MyPolicy?)``, or an empty text if no file of the folder has a similar name.
 
     Args:
         policy: as it was typed: a name, ``my_policy.py``, ``my_policy.MyPolicy``, ``my_policy:MyPolcy`` or
@@ -30,14 +30,15 @@ def meant(policy: str, folder: Path) -> str:
 
 
 def _last_part(policy: str) -> tuple[str, str, str]:
-    """``my_policy.MyPolicy``, with a dot where the colon belongs, split there; a file has no such part."""
+    """Split ``my_policy.MyPolicy``, which has a dot where the colon belongs, at that dot. The name of a file is not
+    split."""
     if policy.endswith(".py") or "." not in policy:
         return policy, "", ""
     return policy.rpartition(".")
 
 
 def classes(file: Path) -> list[str]:
-    """The classes of a module that have a method ``act``; where none has, all of them."""
+    """Return the classes of a module that have a method ``act``, or all classes if none has."""
     with suppress(OSError, SyntaxError, ValueError):
         made = [node for node in ast.parse(file.read_bytes()).body if isinstance(node, ast.ClassDef)]
         acting = [node.name for node in made if any(getattr(part, "name", "") == "act" for part in node.body)]

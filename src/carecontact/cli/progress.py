@@ -14,13 +14,14 @@ from pathlib import Path
 from carecontact.cli.tally import Tally
 from carecontact.hosting.conversation import WAIT_REPORT_S
 from carecontact.recording.reason import ended_text
+from carecontact.trials.scorer import Scorer
 from carecontact.trials.supervisor import TrialEvent
 
 HEARTBEAT_S = 30.0
 
 
 def told(event: TrialEvent) -> str | None:
-    """One line about an event, or None where a line would only be noise."""
+    """Return one line about an event, or None for an event that needs no line."""
     place = f"[{event.done}/{event.total}] {event.trial_id}"
     if event.kind == "redo":
         return f"{place} runs again: {event.message}"
@@ -33,17 +34,22 @@ def told(event: TrialEvent) -> str | None:
 
 
 @contextmanager
-def progress(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
-    """Yields the callback for run_trials. ``out``: folder of the run, whose finished trials are counted."""
-    with _bar(out) if sys.stdout.isatty() else _plain(out) as show:
+def progress(out: Path, scorer: Scorer) -> Iterator[Callable[[TrialEvent], None]]:
+    """Yield the callback for ``run_trials``.
+
+    Args:
+        out: folder of the run, whose finished trials are counted.
+        scorer: is given each of them.
+    """
+    tally = Tally(out, scorer)
+    with _bar(tally) if sys.stdout.isatty() else _plain(tally) as show:
         yield show
 
 
 @contextmanager
-def _bar(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
+def _bar(tally: Tally) -> Iterator[Callable[[TrialEvent], None]]:
     from carecontact.cli.run_bar import RunBar
 
-    tally = Tally(out)
     with RunBar(tally) as bar:
 
         def show(event: TrialEvent) -> None:
@@ -53,23 +59,21 @@ def _bar(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
                 bar.console.print(line, highlight=False, markup=False)
             bar.advance_to(event.done, event.total)
 
-        try:
-            yield show
-            # The bar stays on the terminal, so that it has to count the last trial too.
-            tally.close(wait=True)
-        finally:
-            tally.close()
+        yield show
+        # The bar stays on the terminal, so that it has to count the last trial too.
+        tally.wait()
 
 
 class Silence:
-    """When the line of a policy that does not answer is due: at once, then every HEARTBEAT_S."""
+    """Decides when to print that a policy does not answer: at once, and then every HEARTBEAT_S."""
 
     def __init__(self) -> None:
         self._seen: dict[str, float] = {}
         self._told: dict[str, float] = {}
 
     def is_due(self, trial_id: str) -> bool:
-        """Call it for every report of silence: without one for two times WAIT_REPORT_S, the policy has answered."""
+        """Return whether to print a line now. Call this for every report of silence: if there is none for twice
+        WAIT_REPORT_S, the policy has answered."""
         now = time.monotonic()
         lasts = now - self._seen.get(trial_id, -math.inf) < 2 * WAIT_REPORT_S
         self._seen[trial_id] = now
@@ -80,10 +84,10 @@ class Silence:
 
 
 @contextmanager
-def _plain(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
+def _plain(tally: Tally) -> Iterator[Callable[[TrialEvent], None]]:
     began = time.monotonic()
     kept = 0
-    tally, silence, ended = Tally(out), Silence(), threading.Event()
+    silence, ended = Silence(), threading.Event()
 
     def beat() -> None:
         while not ended.wait(HEARTBEAT_S):
@@ -112,4 +116,3 @@ def _plain(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
         say_kept()
     finally:
         ended.set()
-        tally.close()

@@ -34,8 +34,9 @@ class Protocols:
     """For feasible: seeds to check, one (3), a list (0,4,7), a range (0-19), or all."""
     salts: int = 0
     """For feasible: how many salted seeds to check besides, each with a fresh salt."""
-    picture: Path = Path("feasible.png")
-    """For feasible: .png or .svg file for the map of the bed from above, with every place where the robot stands."""
+    picture: Path | None = None
+    """For feasible: .png or .svg file for the map of the bed from above, with every place where the robot stands;
+    default: feasible.png, and no map with --json."""
     output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
 
     after_interrupt: ClassVar[str] = ""
@@ -53,14 +54,13 @@ class Protocols:
         if self.what == "feasible":
             from carecontact.cli.feasible import feasible
 
-            return feasible(
-                self._levels(), seeds=self.seeds, salts=self.salts, picture=self.picture, json=self.output.json
-            )
+            picture = self.picture or (None if self.output.json else Path("feasible.png"))
+            return feasible(self._levels(), seeds=self.seeds, salts=self.salts, picture=picture, json=self.output.json)
         each = {"verify": verify, "lock": lock}[self.what]
         return max(each(self.name, rules, json=self.output.json) for rules in self._levels())
 
     def _levels(self) -> list[Protocol]:
-        """The level that was named, or all of them; the protocol alone where it has none."""
+        """Return the level that was named, or all levels; for a protocol without levels, return the protocol alone."""
         from carecontact.protocols import load_levels, load_protocol
 
         if self.level is not None:
@@ -79,7 +79,7 @@ def say_list() -> None:
 
 
 def say_fields(name: str, levels: Sequence[Protocol]) -> None:
-    """One answer for each level."""
+    """Write one answer for each level."""
     from carecontact.cli.answers.protocol import ProtocolShowAnswer
     from carecontact.cli.json_lines import say
     from carecontact.protocols.lock import lock_path, read_lock
@@ -131,7 +131,7 @@ def show(name: str, levels: Sequence[Protocol]) -> int:
 
 
 def verify(name: str, protocol: Protocol, *, json: bool = False) -> int:
-    """Return 1 where anything differs from the lock, compiled worlds included, or where there is no lock."""
+    """Return 1 if anything differs from the lock, including the compiled worlds, or if there is no lock."""
     from carecontact.cli.answers.protocol import ProtocolVerifyAnswer
     from carecontact.cli.json_lines import say
     from carecontact.protocols.lock import lock_path
@@ -160,7 +160,7 @@ def verify(name: str, protocol: Protocol, *, json: bool = False) -> int:
 
 
 def lock(name: str, protocol: Protocol, *, json: bool = False) -> int:
-    """Write FILE.lock.json beside a protocol file of the user's."""
+    """Write FILE.lock.json beside the user's own protocol file."""
     from carecontact.protocols import shipped_protocols
     from carecontact.protocols.lock import lock_path, write_lock
     from carecontact.runs.freeze import make_lock

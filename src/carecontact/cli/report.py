@@ -57,7 +57,7 @@ class Report:
         return 0
 
     def _one_trial(self) -> int:
-        """Raises ConfigError for an option of a run's report."""
+        """Write the page of one trial. Raises ConfigError for an option that only a run's report has."""
         from carecontact.cli.trial_pages import write_page_of
 
         given = [name for name, on in (("--baseline", self.baseline), ("--trials", self.trials)) if on]
@@ -68,7 +68,9 @@ class Report:
 
 
 def _need_rows(folder: Path, run: RunScores) -> None:
-    """Raises ConfigError where no recording could be scored, and RecordingError, which names the recording and its
+    """Check that there is something to show.
+
+    Raises ConfigError if no recording could be scored, and RecordingError, which names the recording and its
     package, for an action or a region that nothing here registers: the report that is there stays."""
     from carecontact.contract.protocol import BEHAVIOURS
     from carecontact.recording import read_header

@@ -52,7 +52,7 @@ def _named(folder: Path, run: RunScores, baselines: Sequence[Path]) -> list[RunS
 
 
 def _remembered(folder: Path, run: RunScores) -> tuple[list[RunScores], dict[str, str]]:
-    """The baselines of the last report, and each that cannot be shown any more -> why."""
+    """Return the baselines of the last report, and each baseline that can no longer be shown -> the reason."""
     from carecontact.reports.compare.baselines import beside_baselines
     from carecontact.runs.baselines import BASELINES, named_in, remembered
     from carecontact.runs.stored_scores import read_scores

@@ -9,17 +9,26 @@ from typing import TYPE_CHECKING
 from carecontact.errors import ConfigError, DependencyError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
+    from carecontact.contract.protocol import Protocol
     from carecontact.runs.run_scores import RunScores
+    from carecontact.runs.score_files import ScoredFile
     from carecontact.scoring.result import TrialScore
 
 RESULTS = "results.json"
 FEW = 12
-"""Up to this many recordings a second process costs more than it saves."""
+"""Number of recordings up to which a second process costs more time than it saves."""
 
 
-def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None, allow_missing: bool = True) -> RunScores:
+def rescore(
+    folder: Path,
+    *,
+    compare: bool = True,
+    jobs: int | None = None,
+    allow_missing: bool = True,
+    scored: Callable[[Path], ScoredFile | None] = lambda path: None,
+) -> RunScores:
     """Score every recording, write results.json and print the table.
 
     Where nothing could be scored, results.json stays as it is.
@@ -28,6 +37,7 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None, allo
         compare: whether to print what differs from the earlier results.json.
         jobs: processes; default: as many as pay.
         allow_missing: whether to replace results.json although planned trials have no score.
+        scored: the score that a recording has already got, or None to compute it.
     """
     from carecontact.cli.changes import differences
     from carecontact.runs import score_run, write_scores
@@ -38,13 +48,13 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None, allo
     need_recordings(folder)
     before = _results(folder) if compare else None
     many = processes(sum(1 for _ in folder.glob("*.h5"))) if jobs is None else jobs
-    run = beside_plan(folder, score_run(folder, jobs=many))
+    run = beside_plan(folder, score_run(folder, jobs=many, scored=scored))
     kept = not allow_missing and bool(run.missing) and (folder / RESULTS).is_file()
     path = write_scores(folder, run) if run.scores and not kept else None
     if path is not None:
         for line in differences(before, _results(folder)):
             print(line)
-        _print_scores(run.scores)
+        _print_scores(run.scores, folder)
     _print_left_out(run)
     if kept and run.scores:
         print(f"{folder / RESULTS} was not replaced: --allow-missing replaces it with the scores of what is there")
@@ -56,7 +66,7 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None, allo
 
 
 def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:
-    """Write results.parquet where that is possible; return a line on what became of it."""
+    """Write results.parquet if pyarrow is installed. Return one line that says what was written, or why nothing was."""
     from carecontact.reports.trial_table import TABLE_NAME, write_trial_table
 
     try:
@@ -67,14 +77,14 @@ def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:
 
 
 def processes(recordings: int) -> int:
-    """How many processes pay."""
+    """Return the number of processes that saves time."""
     from carecontact.trials.workers import available_cores
 
     return max(1, min(available_cores(), recordings // FEW))
 
 
 def need_recordings(folder: Path) -> None:
-    """Raises ConfigError for a folder that does not exist or holds no recordings."""
+    """Check a run's folder. Raises ConfigError if it does not exist or holds no recordings."""
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; name the --out of a run")
     if not any(folder.glob("*.h5")):
@@ -84,7 +94,7 @@ def need_recordings(folder: Path) -> None:
         raise ConfigError(f"{folder}: holds no recordings (*.h5); name the --out of a run{told}")
 
 
-def _print_scores(scores: Sequence[TrialScore]) -> None:
+def _print_scores(scores: Sequence[TrialScore], folder: Path) -> None:
     from carecontact.cli.score_tables import print_table
     from carecontact.protocols.frozen_state import drifted_sha256
     from carecontact.runs.pooling import judged
@@ -95,7 +105,15 @@ def _print_scores(scores: Sequence[TrialScore]) -> None:
         print(f"protocol: {first.protocol_title}{f', {changed}' if changed else ''}")
     if backends := sorted({s.language_backend for s in judged(scores)} - {"none"}):
         print(f"language: {', '.join(backends)}")
-    print_table(scores)
+    print_table(scores, _protocol(scores, folder))
+
+
+def _protocol(scores: Sequence[TrialScore], folder: Path) -> Protocol | None:
+    """Return the protocol of the run, from a recording that was scored, or None if the folder has none of these."""
+    from carecontact.recording.reader import read_header
+
+    paths = (folder / f"{score.trial_id}.h5" for score in scores)
+    return next((read_header(path).spec.protocol for path in paths if path.is_file()), None)
 
 
 def _print_left_out(run: RunScores) -> None:

@@ -11,7 +11,7 @@ from rich.text import Text
 from carecontact.cli.tally import Tally
 
 MOST_WAITING = 4
-"""Lines about silent policies that are shown at once."""
+"""Largest number of lines about silent policies that are shown at the same time."""
 
 
 class RunBar(Progress):

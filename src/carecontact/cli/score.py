@@ -75,7 +75,7 @@ class Score:
 
 
 def append(folder: Path) -> Appended:
-    """Add what results.json lacks; an error leaves it as it was."""
+    """Add the metrics that results.json lacks. An error leaves the file unchanged."""
     from carecontact.cli.rescoring import RESULTS, need_recordings, write_table
     from carecontact.runs import append_metrics, read_results
 

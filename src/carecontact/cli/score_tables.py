@@ -10,14 +10,19 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from carecontact.contract.protocol import Protocol
     from carecontact.scoring.result import TrialScore
 
 WIDTH = 120
-"""[columns] Where the output does not go to a terminal."""
+"""Width of the tables if the output does not go to a terminal [columns]."""
 
 
-def print_table(scores: Sequence[TrialScore]) -> None:
-    """Counts by task, medians of every metric, and the counts that a success rate hides."""
+def print_table(scores: Sequence[TrialScore], protocol: Protocol | None) -> None:
+    """Print counts by task, medians of every metric, and the counts that a success rate hides.
+
+    Args:
+        protocol: the run's protocol, from one of its recordings; None if none could be read.
+    """
     from carecontact.cli.console import console, plain_table
     from carecontact.reports.failures import only_crashes
     from carecontact.runs.pooling import judged
@@ -39,7 +44,7 @@ def print_table(scores: Sequence[TrialScore]) -> None:
         terminal.print("\nthe policy crashed in every trial before any contact, so that there are no medians")
     else:
         _print_medians(scores, terminal)
-    _print_counts(scores, terminal)
+    _print_counts(scores, protocol, terminal)
 
 
 def _task_cells(of_task: Sequence[TrialScore]) -> list[str]:
@@ -61,7 +66,7 @@ def _modes(scores: Sequence[TrialScore]) -> str:
 
 
 def _print_medians(scores: Sequence[TrialScore], terminal: Console) -> None:
-    """In as many tables, one under another, as the width needs."""
+    """Print the medians in as many tables, one below another, as the width needs."""
     from carecontact.cli.console import plain_table
     from carecontact.reports.load import load
 
@@ -88,7 +93,7 @@ def _print_medians(scores: Sequence[TrialScore], terminal: Console) -> None:
         columns = columns[shown:]
 
 
-def _print_counts(scores: Sequence[TrialScore], terminal: Console) -> None:
+def _print_counts(scores: Sequence[TrialScore], protocol: Protocol | None, terminal: Console) -> None:
     from carecontact.cli.console import plain_table
     from carecontact.reports.joint_words import joint_counts
     from carecontact.reports.limit_rows import limit_rows
@@ -106,7 +111,7 @@ def _print_counts(scores: Sequence[TrialScore], terminal: Console) -> None:
     terminal.print("; ".join(f"{name.replace('_', ' ')}: {k}" for name, k in found))
     over = sum(s.is_crash and bool(s.over_limit) for s in counted)
     terminal.print(f"crashed: {crashed[1]}" + (f", {over} of them after a force above the safety gate" if over else ""))
-    for row in nursing_rows(counted):
+    for row in nursing_rows(counted, protocol):
         terminal.print(f"{row.title} ({row.metric}): {row.yes} of {row.n}")
     if joints := joint_counts(counted):
         terminal.print(joints)

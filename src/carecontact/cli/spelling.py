@@ -13,11 +13,11 @@ SYNONYMS = {
     "compare": {"--null": "--baseline"},
     "report": {"--null": "--baseline"},
 }
-"""Command -> option that it understands -> the option of its help."""
+"""Command -> option that it understands -> the option that its help shows."""
 
 
 def with_synonyms(arguments: Sequence[str]) -> list[str]:
-    """The command line with the names of options that the help shows."""
+    """Return the command line with the names of options that the help shows."""
     if not arguments:
         return []
     if arguments[0] == "help":
@@ -33,7 +33,7 @@ def unknown_command(name: str, commands: Iterable[str]) -> str:
 
 
 def unknown_option(name: str, command: type[Any], arguments: Iterable[str]) -> str | None:
-    """What is wrong with the first option that a command does not have; None where it has all of them."""
+    """Return a message about the first option that a command does not have, or None if it has all of them."""
     valid = option_names(command)
     for argument in arguments:
         option = argument.partition("=")[0]
@@ -44,7 +44,8 @@ def unknown_option(name: str, command: type[Any], arguments: Iterable[str]) -> s
 
 
 def _option_meant(option: str, command: type[Any]) -> str:
-    """Without the dashes, which every option shares; a positional argument is typed without its name."""
+    """Return the option that was meant. The dashes, which all options share, do not count, and the name of a positional
+    argument is never meant."""
     bare = option.removeprefix("--").replace("_", "-")
     if bare in positional_names(command):
         return f"; give the {bare} without {option}"

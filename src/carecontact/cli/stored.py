@@ -10,7 +10,8 @@ if TYPE_CHECKING:
 
 
 def read_run(run: Path, *, rescore: bool = False) -> RunScores:
-    """As ``read_scores``; for a folder of recordings, print which registered metrics it was scored without."""
+    """Read the scores as ``read_scores`` does. For a folder of recordings, also print which registered metrics they
+    lack."""
     from carecontact.runs.stored_scores import lacking, read_scores
 
     scores = read_scores(run, rescore=rescore)

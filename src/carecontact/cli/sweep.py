@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from carecontact.runs.sweep.cells import Cell
     from carecontact.runs.sweep.plan import Plan, PlannedPolicy
     from carecontact.scoring.result import TrialScore
-    from carecontact.trials.supervisor import RunSummary
+    from carecontact.trials.supervisor import RunSummary, TrialEvent
     from carecontact.trials.sweep import SweptPolicy
 
 
@@ -97,7 +98,7 @@ class Sweep:
         return self._table(plan, cells, stored) or progress.status()
 
     def _planned(self, plan: Plan) -> tuple[list[Cell], list[PolicySetup]]:
-        """What can be wrong with the plan itself is found here, before the first trial."""
+        """Return the planned cells. Mistakes in the plan itself are found here, before the first trial."""
         from carecontact.cli.policy import policy_setup
         from carecontact.runs.sweep.cells import cells_of, places_of, with_noise
 
@@ -117,7 +118,7 @@ class Sweep:
         return cells if self.noise_salt is None else with_noise(cells, self.noise_salt), setups
 
     def _checked(self, plan: Plan, setups: Sequence[PolicySetup], cells: Sequence[Cell]) -> list[SweptPolicy]:
-        """Start every policy once that a trial of these cells still needs: a server that is not may be gone."""
+        """Start every policy once that a trial of these cells still needs. The server of another policy may be gone."""
         from carecontact.cli.policy import check_policy
         from carecontact.trials.engines import check_engine
         from carecontact.trials.sweep import SweptPolicy
@@ -141,17 +142,26 @@ class Sweep:
         return self.out / CELLS / cell.name
 
     def _lacking(self, cell: Cell) -> int:
-        """How many trials of the cell have no recording."""
+        """Return how many trials of a cell have no recording."""
         folder = self._folder(cell)
         return sum(not (folder / f"{spec.trial_id}.h5").is_file() for spec in cell.specs)
 
     def _run(self, cells: Sequence[Cell], policies: Sequence[SweptPolicy], progress: SweepProgress) -> None:
         from carecontact.cli.cell_scores import store
+        from carecontact.trials.scorer import Scorer
         from carecontact.trials.sweep import run_cells
+        from carecontact.trials.workers import available_cores
 
-        # One thread: what scores must not take the cores of the trials.
-        with ThreadPoolExecutor(1) as scorer:
-            scored: list[Future[None]] = []
+        cores = min(available_cores(), self.parallel.jobs or available_cores())
+        trials = sum(len(cell.specs) for cell in cells)
+        # One thread writes the results, so that no trial waits for them.
+        with closing(Scorer(cores, trials=trials)) as scorer, ThreadPoolExecutor(1) as writer:
+            written: list[Future[None]] = []
+
+            def take(cell: Cell, event: TrialEvent) -> None:
+                progress.take(cell, event)
+                if event.kind == "finished":
+                    scorer.give(self._folder(cell) / f"{event.trial_id}.h5")
 
             def done(cell: Cell, summary: RunSummary) -> None:
                 if summary.unreached is not None:
@@ -159,19 +169,19 @@ class Sweep:
                         f"the sweep stops in {cell.name}: {summary.unreached}; give the same command again"
                     )
                 progress.done(cell, summary)
-                scored.append(scorer.submit(store, self._folder(cell), anew=bool(summary.ran)))
+                written.append(writer.submit(store, self._folder(cell), anew=bool(summary.ran), scorer=scorer))
 
             run_cells(
-                cells, policies, folder=self._folder, jobs=self.parallel.jobs, on_event=progress.take, on_done=done,
+                cells, policies, folder=self._folder, jobs=self.parallel.jobs, on_event=take, on_done=done,
                 options={
                     "engine": self.parallel.engine, "gpus": self.parallel.gpus, "retry_failed": self.retry_failed
                 },
             )  # fmt: skip
-            for each in scored:
+            for each in written:
                 each.result()
 
     def _table(self, plan: Plan, cells: Sequence[Cell], read: Callable[[Path], RunScores | None]) -> int:
-        """Write the table of all cells; returns 1 if a recording could not be scored.
+        """Write the table of all cells. Return 1 if a recording could not be scored.
 
         Args:
             read: the scores of a cell's folder.
@@ -247,6 +257,6 @@ def _title(planned: PlannedPolicy) -> str:
 
 
 def _of_plan(cell: Cell, run: RunScores | None) -> list[TrialScore]:
-    """The scores of the trials that the plan has: the folder may hold those of an earlier, longer one."""
+    """Return the scores of the trials in the plan. The folder may hold more trials, of an earlier and longer plan."""
     wanted = {spec.trial_id for spec in cell.specs}
     return [score for score in run.scores if score.trial_id in wanted] if run is not None else []

@@ -21,7 +21,7 @@ class SweepProgress:
         self._running = 0
         self._ended: dict[str, int] = {}
         self._warned: dict[int, str] = {}
-        """Policy -> the cell whose first answer was told: it answers alike in all of them."""
+        """Policy -> the cell whose first answer was printed. The policy answers alike in all cells."""
 
     def take(self, cell: Cell, event: TrialEvent) -> None:
         self._running += (event.kind == "started") - (event.kind in ("finished", "redo") and self._running > 0)

@@ -1,15 +1,15 @@
-"""How far a run is: what its finished trials came to, and when it may end."""
+"""Counts the finished trials of a run by result, and estimates when the run ends."""
 
 from __future__ import annotations
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carecontact.errors import ConfigError
 from carecontact.hosting.conversation import WAIT_REPORT_S
+from carecontact.trials.scorer import Scorer
 from carecontact.trials.supervisor import TrialEvent
 
 if TYPE_CHECKING:
@@ -17,12 +17,16 @@ if TYPE_CHECKING:
 
 
 class Tally:
-    """Counts the trials of a run as they end. Each is scored once, in a thread of its own, so that nobody waits."""
+    """Counts the trials of a run as they end. Each is scored once, and nobody waits."""
 
-    def __init__(self, out: Path) -> None:
-        """``out``: folder of the run."""
-        self._out = out
-        self._scorer = ThreadPoolExecutor(1)
+    def __init__(self, out: Path, scorer: Scorer) -> None:
+        """Make a tally without a trial.
+
+        Args:
+            out: folder of the run.
+            scorer: scores the trials that run, which the tally gives it.
+        """
+        self._out, self._scorer = out, scorer
         self._earlier: dict[str, TrialScore] | None = None
         self._began = time.monotonic()
         self._done = self._total = self._ran = 0
@@ -49,10 +53,10 @@ class Tally:
         elif event.kind == "kept":
             self._count(self._stored().get(event.trial_id), last=False)
         else:
-            self._scorer.submit(self._score, event.trial_id)
+            self._scorer.give(self._out / f"{event.trial_id}.h5", then=lambda score: self._count(score, last=True))
 
     def counts(self) -> str:
-        """``5 passed, 6 failed, 1 crashed, last C1 12.3 N``."""
+        """Return the counts, such as ``5 passed, 6 failed, 1 crashed, last C1 12.3 N``."""
         parts = [f"{self.passed} passed", f"{self.failed} failed", f"{self.crashed} crashed"]
         if self.harness_failed:
             parts.append(f"{self.harness_failed} failed in the harness")
@@ -61,7 +65,7 @@ class Tally:
         return ", ".join(parts)
 
     def left(self) -> str:
-        """``about 14 min left``; empty once every trial has ended."""
+        """Return the time left, such as ``about 14 min left``, or an empty text once every trial has ended."""
         if self._total and self._done == self._total:
             return ""
         if not self._ran:
@@ -72,28 +76,21 @@ class Tally:
         return f"about {seconds / 60:.0f} min left" if seconds < 5400 else f"about {seconds / 3600:.1f} h left"
 
     def waiting(self) -> list[str]:
-        """A line for each trial whose policy does not answer, as the supervisor last said it."""
+        """Return one line for each trial whose policy does not answer, as the supervisor last reported it."""
         since = time.monotonic() - 2 * WAIT_REPORT_S
         return [f"{trial_id} {line}" for trial_id, (at, line) in list(self._silent.items()) if at > since]
 
     def running(self) -> list[str]:
-        """Trials that have started and not ended."""
+        """Return the trials that have started and not ended."""
         return list(self._running)
 
     def heartbeat(self) -> str:
         told = ", ".join(filter(None, (self.counts(), self.left())))
         return f"{time.monotonic() - self._began:6.0f} s [{self._done}/{self._total}] {told}"
 
-    def close(self, *, wait: bool = False) -> None:
-        """Stop scoring; ``wait``: once every trial is scored."""
-        self._scorer.shutdown(wait=wait, cancel_futures=not wait)
-
-    def _score(self, trial_id: str) -> None:
-        from carecontact.runs.score_files import score_file
-
-        found = score_file(self._out / f"{trial_id}.h5")
-        if not isinstance(found, str):
-            self._count(found.score, last=True)
+    def wait(self) -> None:
+        """Wait until every trial is scored."""
+        self._scorer.wait()
 
     def _count(self, score: TrialScore | None, *, last: bool) -> None:
         if score is None:
@@ -105,7 +102,7 @@ class Tally:
             self._last_c1 = "last trial without contact" if force is None else f"last C1 {force:.1f} N"
 
     def _stored(self) -> dict[str, TrialScore]:
-        """Scores that an earlier command wrote."""
+        """Return the scores that an earlier command wrote."""
         if self._earlier is None:
             from carecontact.runs.results_file import RESULTS_NAME, read_results
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def write_page_of(file: Path) -> Path:
-    """Score one recording and write the page of its trial into the folder ``trial`` beside it; returns its path.
+    """Score one recording, write the page of its trial into the folder ``trial`` beside it, and return the page's path.
 
     Raises RecordingError, naming the file, for one that cannot be read, scored or drawn.
     """
@@ -26,9 +26,10 @@ def write_page_of(file: Path) -> Path:
 
 
 def write_trial_pages(folder: Path, run: RunScores) -> None:
-    """The page of every scored trial. A recording that cannot be drawn is named, and the others are."""
+    """Write the page of every scored trial. A recording that cannot be drawn is named, and the others are drawn."""
     from carecontact.recording import read_recording
-    from carecontact.reports.trial.page import FOLDER, write_trial_page
+    from carecontact.reports.page_links import FOLDER
+    from carecontact.reports.trial.page import write_trial_page
 
     done = 0
     for score in run.scores:

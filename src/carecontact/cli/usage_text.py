@@ -1,4 +1,4 @@
-"""What the parser says of a wrong command line, as one line."""
+"""Makes one line of what the parser prints about a wrong command line."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ NO_CHOICE = re.compile(r"invalid choice '(.*?)' for argument '(.*?)'\. Expected 
 RULE = re.compile(r"─{8,}|-{8,}")
 """The parser's words, as tyro writes them, and its rules with and without UTF-8."""
 LISTED = re.compile(r"T\d+|\d+")
-"""A task or a seed."""
+"""A word that looks like a task or a seed."""
 MISSING, UNRECOGNIZED = "Missing from carecontact ", "Unrecognized options: "
 
 
 def in_one_line(box: str) -> str:
-    """Keep from tyro's framed page what is wrong and where help is; drop the indented help texts."""
+    """Return what is wrong and where help is from tyro's framed page, without the indented help texts."""
     rows = [line.strip("│╰╯ \n") for line in box.splitlines() if not line.startswith(" " * 8, 2)]
     sections = [" ".join(section.split()) for section in RULE.split("\n".join(rows[1:])) if section.strip()]
     if not sections:
@@ -36,7 +36,7 @@ def in_one_line(box: str) -> str:
 
 
 def _stray(words: Sequence[str], missing: Sequence[str]) -> str:
-    """Of words that no option takes: the first of them may be the values of options that are missing."""
+    """Describe words that no option takes. The first of them may be values whose options are missing."""
     meant = " ".join(f"{option} {word}" for option, word in zip(missing, words, strict=False))
     if not meant and all(LISTED.fullmatch(word) for word in words):
         meant = "a list with commas, such as --tasks T1,T2 or --seeds 0,1"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -18,9 +19,16 @@ if TYPE_CHECKING:
     from carecontact.replaying.film.ink import Picture
 
 FOLDER = "trial"
-"""Of a run: where the pages of its trials look for their videos."""
+"""Folder inside a run's folder in which the pages of its trials look for their videos."""
 GIF_WIDTH = 640
+"""Width of an animation [px]."""
 FPS = (1.0, 60.0)
+"""Lowest and highest rate that can be asked for [1/s]."""
+FILM_FPS, DRAFT_FPS = 25.0, 10.0
+MOST_JOBS = 8
+"""Number of processes that draw where --jobs is not given, at most: each holds a renderer in memory."""
+FRAMES_EACH = 25
+"""Least number of frames for which another process pays, because it takes 2 s to start."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +44,13 @@ class Video:
     exterior or wrist."""
     out: Path | None = None
     """File for the video of one trial, .mp4 or .gif; default: trial/NAME.mp4 beside the recording."""
-    fps: float = 25.0
-    """Frames in a second of the trial, 1 to 60."""
+    fps: float | None = None
+    """Frames in a second of the trial, 1 to 60; default: 25, with --draft 10."""
+    draft: Switch = False
+    """Draw no shadows and fewer frames, for a first look: about five times faster."""
+    jobs: int | None = None
+    """Number of processes that draw; default: one per core, at most 8, and fewer for a short video. The video does not
+    depend on it."""
     no_grid: Switch = False
     """Draw no lines on the region's skin."""
     again: Switch = False
@@ -52,9 +65,11 @@ class Video:
         where the extra is not installed or nothing can be rendered.
         """
         from carecontact.replaying.film.video import pyav
+        from carecontact.trials.supervisor import check_jobs
 
-        if not FPS[0] <= self.fps <= FPS[1]:
-            raise ConfigError(f"--fps {self.fps:g}: valid are {FPS[0]:g} to {FPS[1]:g}")
+        if not FPS[0] <= self._fps <= FPS[1]:
+            raise ConfigError(f"--fps {self._fps:g}: valid are {FPS[0]:g} to {FPS[1]:g}")
+        check_jobs(self.jobs)
         trials = self._trials()
         pyav()
         left_out = 0
@@ -67,6 +82,10 @@ class Video:
                 left_out += 1
                 print(f"left out: {error}", flush=True)
         return 1 if left_out else 0
+
+    @property
+    def _fps(self) -> float:
+        return self.fps if self.fps is not None else DRAFT_FPS if self.draft else FILM_FPS
 
     def _trials(self) -> list[Path]:
         from carecontact.cli.rescoring import need_recordings
@@ -89,35 +108,38 @@ class Video:
         from carecontact.recording import read_verified
         from carecontact.replaying.film.frames import Film
         from carecontact.replaying.film.video import comment_of, write_gif, write_mp4
+        from carecontact.trials.workers import available_cores
 
         verified = read_verified(trial)
         comment = self._comment(verified.sha256)
         if not self.again and target.suffix == ".mp4" and comment_of(target) == comment:
             print(f"{place}{target}: is there already", flush=True)
             return
-        with Film(verified.recording, view=self.view, fps=self.fps, grid=not self.no_grid) as film:
-            try:
-                target.parent.mkdir(parents=True, exist_ok=True)
-            except FileExistsError:
-                raise ConfigError(f"{target.parent}: this is a file; the video needs a folder there") from None
-            frames = counted(film.frames(), film.count, f"{place}{trial.stem}")
+        film = Film(verified.recording, view=self.view, fps=self._fps, grid=not self.no_grid, shadows=not self.draft)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        except FileExistsError:
+            raise ConfigError(f"{target.parent}: this is a file; the video needs a folder there") from None
+        jobs = self.jobs or max(1, min(available_cores(), MOST_JOBS, film.count // FRAMES_EACH))
+        with closing(film.frames(jobs=jobs)) as pictures:
+            frames = counted(pictures, film.count, f"{place}{trial.stem}")
             if target.suffix == ".gif":
-                write_gif(target, _smaller(frames), fps=self.fps)
+                write_gif(target, _smaller(frames), fps=self._fps)
             else:
-                write_mp4(target, frames, fps=self.fps, comment=comment)
-            self._say(film, target, place)
+                write_mp4(target, frames, fps=self._fps, comment=comment)
+        self._say(film, target, place)
 
     def _say(self, film: Film, target: Path, place: str) -> None:
         size = target.stat().st_size / 1e6
         print(f"{place}{target}: {film.count} frames, {size:.1f} MB; {film.found}", flush=True)
 
     def _comment(self, sha256: str) -> str:
-        """What a video was made of, which decides whether it is kept."""
+        """Return what a video was made of: a video with another comment is made again."""
         from carecontact import __version__
 
         facts = {
-            "recording": sha256, "carecontact": __version__, "view": self.view, "fps": self.fps,
-            "grid": not self.no_grid,
+            "recording": sha256, "carecontact": __version__, "view": self.view, "fps": self._fps,
+            "grid": not self.no_grid, "draft": self.draft,
         }  # fmt: skip
         return json.dumps(facts, sort_keys=True)
 

@@ -9,8 +9,8 @@ from carecontact.protocols import overridden
 
 
 def with_vision(protocol: Protocol, options: VisionGroup) -> Protocol:
-    """The protocol with the options' segmenter, if they name one. Loads its models once, since every trial would fail
-    in the same way.
+    """Return the protocol with the options' segmenter, if they name one, and load its models once, since every trial
+    would fail in the same way.
 
     Raises ConfigError for weights that nothing uses, that are missing, or that do not load; DependencyError.
     """

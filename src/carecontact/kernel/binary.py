@@ -1,4 +1,4 @@
-"""Which binary belongs to the C sources in this folder, on which platform, and whether the one that is there is theirs.
+"""Says which binary belongs to the C sources in this folder on which platform, and whether the installed one is it.
 
 This module imports nothing but Python's standard library, because the build reads it before anything is installed.
 `python src/carecontact/kernel/binary.py` ends with status 1 and prints why, if the library of this machine is missing
@@ -17,25 +17,28 @@ from pathlib import Path
 FOLDER = Path(__file__).parent
 SOURCES = FOLDER / "c"
 MUJOCO = "4.0.0"
-"""The plugin reads MuJoCo's structures in memory, whose layout changes from version to version."""
+"""The only version of MuJoCo that the binary fits: the plugin reads MuJoCo's structures in memory, whose layout changes
+from version to version."""
 ZIG = "0.16.0"
-"""Version of the package `ziglang`, whose C compiler makes every binary: others round some expressions differently."""
+"""Version of the package `ziglang`. Its C compiler makes every binary, because others round some expressions
+differently."""
 FLAGS = (
     "-std=c17", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-fPIC", "-g0",
     "-Wall", "-Wextra", "-Wshadow", "-Werror",
 )  # fmt: skip
-"""No fused multiply-add and no reordering of sums, so that a result does not depend on the processor.
+"""Flags of the compiler. They forbid fused multiply-adds and the reordering of sums, so that a result does not depend
+on the processor.
 -fno-math-errno changes no number: it lets the processor's square root stand for the library's."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Platform:
     triple: str
-    """As zig calls it, with the oldest C library or system that the binary runs on."""
+    """Zig's name of the target, with the oldest C library or system that the binary runs on."""
     cpu: str
-    """The oldest processor that MuJoCo's own wheels run on."""
+    """Zig's name of the oldest processor that MuJoCo's own wheels run on."""
     tag: str
-    """Of the wheel."""
+    """Platform tag of the wheel that contains the binary."""
     library: str
     """File name of the binary in this folder."""
 
@@ -51,23 +54,23 @@ PLATFORMS = {
         triple="aarch64-macos.11.0", cpu="apple_m1", tag="macosx_11_0_arm64", library="libcarecontact_kernel.dylib"
     ),
 }  # fmt: skip
-"""Those that MuJoCo 4.0.0 has wheels for, without Windows: policies need the processes of POSIX."""
+"""The platforms for which MuJoCo 4.0.0 has wheels, except Windows: policies need the processes of POSIX."""
 
 
 def platform_here() -> str:
-    """Name of the machine's platform, in PLATFORMS or not."""
+    """Return the name of this machine's platform, whether or not PLATFORMS has it."""
     system = {"darwin": "macos"}.get(sys.platform, sys.platform)
     machine = platform.machine().lower()
     return f"{system}-{'x86_64' if machine == 'amd64' else machine}"
 
 
 def library_file(name: str) -> Path:
-    """Where the binary of a platform lies. Raises KeyError where PLATFORMS does not have it."""
+    """Return the path of a platform's binary. Raises KeyError if PLATFORMS does not have the platform."""
     return FOLDER / PLATFORMS[name].library
 
 
 def sources_sha256() -> str:
-    """Of the C sources, the compiler's version and its flags: the same on every platform."""
+    """Return the sha256 (hex) of the C sources, the compiler's version and its flags, the same on every platform."""
     digest = hashlib.sha256("\0".join((ZIG, *FLAGS)).encode())
     for source in sorted(SOURCES.glob("*.[ch]")):
         digest.update(f"\0{source.name}\0".encode())
@@ -76,18 +79,22 @@ def sources_sha256() -> str:
 
 
 def mark(name: str) -> str:
-    """What the binary of a platform says of itself: its platform, the sha256 of its sources, MuJoCo's version."""
+    """Return the text that the binary of a platform must contain: its platform, the sha256 of its sources, and MuJoCo's
+    version."""
     return f"carecontact kernel for {name}, sources {sources_sha256()}, MuJoCo {MUJOCO}"
 
 
 def mark_in(file: Path) -> str | None:
-    """The mark of a binary, without loading it; None where it has none. Raises FileNotFoundError."""
+    """Return the mark that a binary contains, without loading the binary, or None if it contains none.
+
+    Raises FileNotFoundError if there is no such file.
+    """
     found = re.search(rb"carecontact kernel for [\w-]+, sources [0-9a-f]{64}, MuJoCo [\w.]+", file.read_bytes())
     return found[0].decode() if found else None
 
 
 def fault(name: str) -> str | None:
-    """Why a platform's binary cannot be used, as the end of a sentence about it; None where it can."""
+    """Return why a platform's binary cannot be used, as the end of a sentence about it, or None if it can."""
     if name not in PLATFORMS:
         return f"does not exist for the platform {name}; it exists for {', '.join(PLATFORMS)}"
     file = library_file(name)

@@ -1,4 +1,5 @@
-"""The binary that this machine would load, checked, and its hash; loads neither it nor MuJoCo."""
+"""Finds and checks the binary that this machine would load, and computes its hash. Neither the binary nor MuJoCo is
+loaded."""
 
 from __future__ import annotations
 
@@ -12,12 +13,15 @@ from carecontact.kernel import binary
 
 
 def sha256() -> str:
-    """Of the binary: what a result depends on besides MuJoCo's version. Raises DependencyError as ``file`` does."""
+    """Return the sha256 (hex) of the binary, on which every result depends besides MuJoCo's version.
+
+    Raises DependencyError as ``file`` does.
+    """
     return hashlib.sha256(file().read_bytes()).hexdigest()
 
 
 def file() -> Path:
-    """Path of the binary. Raises DependencyError where ``problem`` finds one."""
+    """Return the path of the binary. Raises DependencyError if ``problem`` finds one."""
     if found := problem():
         what, command = found
         raise DependencyError(f"the compiled tissue {what}" + (f"; run `{command}`" if command else ""))
@@ -25,9 +29,12 @@ def file() -> Path:
 
 
 def problem() -> tuple[str, str | None] | None:
-    """Why this machine cannot load the binary, as the end of a sentence about it, and the command that helps, if any
-    does: there is none for the platform, it is missing, it does not belong to the C sources beside it, or MuJoCo has
-    another version. None where nothing is wrong."""
+    """Return why this machine cannot load the binary, or None if it can.
+
+    The reason is the end of a sentence about the binary: it does not exist for the platform, it is missing, it does not
+    belong to the C sources beside it, or MuJoCo has another version. The second item is the command that helps, or None
+    if no command does.
+    """
     name = binary.platform_here()
     if fault := binary.fault(name):
         return fault, making() if name in binary.PLATFORMS else None
@@ -42,8 +49,11 @@ def problem() -> tuple[str, str | None] | None:
 
 
 def making(*, afresh: bool = False) -> str:
-    """The command that makes or installs the right binary; ``afresh``: also where the one that is there has the right
-    mark, but does not load."""
+    """Return the command that makes or installs the right binary.
+
+    Args:
+        afresh: whether the command shall replace a binary that has the right mark but does not load.
+    """
     clone = binary.FOLDER.parents[2]
     if (clone / "tools" / "bootstrap.sh").is_file():
         make = f"make -C {clone} env"

@@ -1,4 +1,4 @@
-"""Loads the compiled tissue into this process, once, and only where it is the one that belongs here."""
+"""Loads the compiled tissue into this process once, after checking that it is the right binary."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ from carecontact.kernel import found
 PLUGIN = "carecontact.tissue"
 """Name of the tissue's plugin in a MuJoCo model."""
 LIFE_PLUGIN = "carecontact.life"
-"""Name of the plugin of what a person does by itself."""
+"""Name of the plugin that moves a person who breathes or moves the arm."""
 
 _loading = threading.Lock()
 
 
 def load() -> ctypes.CDLL:
-    """Register the plugins with MuJoCo, so that models that name them can be compiled; return the library's functions.
+    """Register the plugins with MuJoCo, so that models that name them can be compiled, and return the library.
 
-    Later calls return the same object. Raises DependencyError as ``found.file`` does, where the binary does not load,
-    and where another library has registered a plugin of one of their names.
+    Later calls return the same object.
+
+    Raises DependencyError as ``found.file`` does, if the binary does not load, and if another library has registered a
+    plugin with one of these names.
     """
     with _loading:
         return _load()

@@ -1,8 +1,9 @@
-"""What a person does by itself, in a compiled model: an instance of the plugin ``carecontact.life``, the numbers that
-it reads, and its state. The layouts are those of ``c/life.h``.
+"""A person who breathes and moves the arm, in a compiled model.
 
-The plugin commands actuators: ``breathes_<part>``, a position servo of a slide, and for every muscle's joint
-``holds_<joint>``, whose command is an activation from 0 to 1, and ``turns_<joint>``, a torque.
+An instance of the plugin ``carecontact.life`` moves the person. This module writes the numbers that it reads, and reads
+its state; their layouts are those of ``c/life.h``. The plugin commands actuators: ``breathes_<part>`` is a position
+servo of a slide joint. Each joint with muscles has two: the command of ``holds_<joint>`` is an activation from 0 to 1,
+and that of ``turns_<joint>`` is a torque [N m].
 """
 
 from __future__ import annotations
@@ -19,61 +20,65 @@ from carecontact.kernel import library
 Array = npt.NDArray[np.float64]
 
 NAME = "life"
-"""Of the plugin's instance, and before its numerics."""
+"""Name of the plugin's instance, and prefix of the names of its custom numerics."""
 PARTS = ("abdomen", "chest")
-"""Of the trunk, which breathing moves."""
+"""Parts of the trunk that breathing moves."""
 JOINTS = ("right_upper_arm_abduction", "right_upper_arm_flexion", "right_upper_arm_rotation", "right_forearm_flexion")
-"""That muscles move."""
+"""Joints that the muscles move."""
 MOST_MOVES = 64
-"""Changes of posture in a trial."""
+"""Largest number of changes of posture in a trial."""
 AWAKE, BEGAN, POSTURE, BASE, REST, WANT, PULLED, PULL_TIME, WORK, STATE_SIZE = 0, 1, 2, 6, 10, 14, 25, 27, 30, 32
 
 
 @dataclass(frozen=True, kw_only=True)
 class Move:
-    """A change of posture."""
+    """One change of the arm's posture."""
 
     time_s: float
-    """When it begins, since the person woke."""
+    """Time from when the person wakes until the change begins."""
     duration_s: float
     lift_rad: float
-    """By which the shoulder flexes on the way, so that the arm lies lighter on its board."""
+    """Angle by which the shoulder flexes meanwhile, so that the arm rests more lightly on its board."""
     shift_rad: Array
-    """(4,) of JOINTS, from the posture before it"""
+    """(4,) change of the angle of each of JOINTS, relative to the posture before"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pull:
-    """When and how the arm is withdrawn."""
+    """When and how the person withdraws the arm from a force."""
 
     force_n: float
+    """Force above which the person withdraws the arm."""
     for_s: float
+    """Time for which the force must stay above it."""
     delay_s: float
+    """Reaction time: from then until the withdrawal begins."""
     duration_s: float
+    """Time that the withdrawal takes."""
     shift_rad: Array
-    """(4,) of JOINTS"""
+    """(4,) change of the angle of each of JOINTS"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Doings:
-    """What one person does; by default nothing."""
+    """What one person does. By default, the person does nothing."""
 
     breath_hz: float = 0.0
     inspiration_share: float = 0.5
     phase: float = 0.0
-    """Share of a breath that is over when the person wakes; 0 is the end of a breath out."""
+    """Part of a breath that is over when the person wakes; 0 is the end of breathing out."""
     breath_m: tuple[float, float] = (0.0, 0.0)
-    """How far each of PARTS moves."""
+    """Distance by which each of PARTS moves during a breath."""
     tone: float = 0.0
-    """Activation of the muscles at rest."""
+    """Activation of the muscles at rest, from 0 to 1."""
     help: float = 0.0
-    """Share of the passive joints' stiffness and damping that the person takes away."""
+    """Part of the passive joints' stiffness and damping that the person removes by helping, from 0 to 1."""
     moves: tuple[Move, ...] = ()
-    """In the order of their times, at most MOST_MOVES."""
+    """The changes of posture in the order of their times, at most MOST_MOVES."""
     pull: Pull | None = None
 
     def numbers(self) -> dict[str, Array]:
-        """Name of a numeric, without NAME -> its values."""
+        """Return the custom numerics that the plugin reads: name without the prefix NAME -> values."""
         moves = np.zeros((MOST_MOVES, 3 + len(JOINTS)))
         for row, move in zip(moves, self.moves, strict=False):
             row[:] = move.time_s, move.duration_s, move.lift_rad, *move.shift_rad
@@ -106,7 +111,7 @@ def add_life(spec: mujoco.MjSpec, carrier: mujoco.MjsBody) -> None:
 
 
 class Life:
-    """Of one compiled model."""
+    """The plugin's instance in one compiled model."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         instance = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_PLUGIN, NAME)
@@ -130,7 +135,10 @@ class Life:
         return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_PLUGIN, NAME) >= 0
 
     def wake(self, data: mujoco.MjData, doings: Doings) -> None:
-        """Let the person begin now, from the posture that it has, in the middle of a breath."""
+        """Let the person begin to breathe and move now, from the present posture and at the given phase of a breath.
+
+        Changes ``data`` and the numerics of the model.
+        """
         for name, values in doings.numbers().items():
             self._model.numeric(f"{NAME}/{name}").data[:] = values
         state = data.plugin_state[self._state]
@@ -146,8 +154,9 @@ class Life:
         mujoco.mj_forward(self._model, data)
 
     def check_known(self, data: mujoco.MjData) -> None:
-        """Raises SceneError where the state is that of a person who is awake, and this model does not know what the
-        person does: ``Doings`` are in the model and not in the state.
+        """Check that this model knows what the person in a state does: ``Doings`` are in the model, not in the state.
+
+        Raises SceneError if the person in the state is awake and this model's person never woke.
         """
         asleep = all(
             np.array_equal(self._model.numeric(f"{NAME}/{name}").data, values)
@@ -160,29 +169,29 @@ class Life:
             )
 
     def breath_m(self, data: mujoco.MjData) -> Array:
-        """(2,) how far out each of PARTS is now [m]; 0 where the person does not breathe."""
+        """Return (2,) how far each of PARTS has moved outward [m], which is 0 if the person does not breathe."""
         length = data.actuator_length
         return np.array([length[a] if a >= 0 else 0.0 for a in self._parts])
 
     def torque_nm(self, data: mujoco.MjData) -> Array:
-        """(4,) of the muscles at JOINTS in the last step [N m]; 0 where the arm has none."""
+        """Return (4,) the torque of the muscles at JOINTS in the last step [N m]; it is 0 at joints without muscles."""
         out = np.zeros(len(JOINTS))
         for k, pair in self._muscles.items():
             out[k] = data.actuator_force[pair].sum()
         return out
 
     def moves(self) -> Array:
-        """(n, 2) changes of posture that were drawn: when each begins, since the person woke [s], and the turn of the
+        """Return (n, 2) the changes of posture: the time from waking until each begins [s], and the change of the
         shoulder's abduction [rad]."""
         rows = self._model.numeric(f"{NAME}/moves").data.reshape(MOST_MOVES, -1)
         return rows[rows[:, 1] > 0][:, [0, 3]]
 
     def work_j(self, data: mujoco.MjData) -> Array:
-        """(2,) that breathing and the arm's muscles have done since the person woke [J]."""
+        """Return (2,) the work that breathing and the arm's muscles have done since the person woke [J]."""
         return data.plugin_state[self._state][WORK : WORK + 2].copy()
 
     def pulls_s(self, data: mujoco.MjData) -> Array:
-        """(3,) when each withdrawal began or will begin, since the person woke [s]; -1 for what did not happen."""
+        """Return (3,) the time from waking until each withdrawal begins [s]; it is -1 for those that did not happen."""
         state = data.plugin_state[self._state]
         times = state[PULL_TIME:WORK].copy()
         times[int(state[PULLED]) :] = -1.0
@@ -190,7 +199,10 @@ class Life:
 
 
 def breath(doings: Doings, time_s: float) -> tuple[float, float]:
-    """How far the person has breathed in, from 0 to 1, and its rate [1/s]: half a cosine in, and another out."""
+    """Return how far the person has breathed in at a time, from 0 to 1, and the rate of that [1/s].
+
+    Breathing in follows half a period of a cosine, and breathing out follows another.
+    """
     cycle = (doings.breath_hz * time_s + doings.phase) % 1.0
     inward = cycle < doings.inspiration_share
     share = doings.inspiration_share if inward else 1.0 - doings.inspiration_share

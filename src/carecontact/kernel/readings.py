@@ -1,4 +1,4 @@
-"""What the plugin has to say of a region: its state in ``MjData.plugin_state``, laid out as ``c/region.h`` has it."""
+"""Reads the state of a soft region from ``MjData.plugin_state``. The layout is that of ``c/region.h``."""
 
 from __future__ import annotations
 
@@ -23,14 +23,16 @@ ROW = np.dtype(
         ("kinetic_j", "f8"), ("damped_j", "f8"), ("rubbed_j", "f8"),
     ]
 )  # fmt: skip
-"""One physics step: force on the person in the world, sum of the forces along the tools' normals, centre of pressure in
-the world, largest indentation, largest pressure, area in contact, number of contact points, sweeps of the solver and
-the largest change in the last; with the ledger, energy held at the end, and lost to dampers and friction during it."""
+"""One physics step: the force on the person in world coordinates, the sum of the forces along the tools' normals, the
+centre of pressure in world coordinates, the largest indentation, the largest pressure, the area in contact, the number
+of contact points, the number of sweeps of the solver, and the largest change in the last sweep. If the region keeps a
+ledger of energy, the row also has the energy at the end of the step, and the energy that dampers and friction dissipate
+during it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cells:
-    """Sums since the state was last reset, (C,) each."""
+    """Sums over time for each declared cell, since the state was last reset. Each array has the shape (C,)."""
 
     press_ns: Array
     """normal force times time"""
@@ -43,7 +45,7 @@ class Cells:
 
 
 class Readings:
-    """Of one region in one compiled model."""
+    """Reads the state of one region of one compiled model."""
 
     def __init__(self, model: mujoco.MjModel, name: str) -> None:
         self.instance = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_PLUGIN, name))
@@ -56,7 +58,7 @@ class Readings:
         self.places = vertices[:, :3].copy()
         """(N, 3) vertices at rest, in the bone's frame [m]"""
         self.frames = vertices[:, 3:12].reshape(-1, 3, 3).copy()
-        """(N, 3, 3) by rows: inward, and two tangents"""
+        """(N, 3, 3) frame of each vertex; its rows are the inward normal and two tangents"""
         self.areas = vertices[:, 12].copy()
         first, size = int(model.plugin_stateadr[self.instance]), int(model.plugin_statenum[self.instance])
         n, cells = len(vertices), int(triangles[:, 4].max(initial=-1)) + 1
@@ -68,9 +70,9 @@ class Readings:
             raise SceneError(f"the state of {name} has {size} numbers, which is not what its mesh needs")
 
     def last(self, data: mujoco.MjData, count: int) -> npt.NDArray[np.void]:
-        """(count,) rows of the last physics steps, oldest first, with the fields of ROW.
+        """Return (count,) rows of the last physics steps, the oldest first, with the fields of ROW.
 
-        Raises SceneError for more steps than the ring holds or than were made.
+        Raises SceneError if ``count`` is more than the ring buffer holds or than there were steps.
         """
         state = data.plugin_state
         made = int(state[self._first])
@@ -80,7 +82,7 @@ class Readings:
         return ring[(made - count + np.arange(count)) % RING_ROWS]
 
     def now(self, data: mujoco.MjData) -> npt.NDArray[np.void]:
-        """() row of the last forward pass, as of ``last``."""
+        """Return the row () of the last forward pass, with the fields of ROW."""
         out = np.zeros(1, ROW)
         library.load().carecontact_tissue_row(
             ctypes.c_void_p(data._address), ctypes.c_int(self.instance), ctypes.c_void_p(out.ctypes.data)
@@ -88,15 +90,15 @@ class Readings:
         return out[0]
 
     def displacement(self, data: mujoco.MjData) -> Array:
-        """(N, 3) of the vertices, along the rows of their frames: inward, and two tangents [m]."""
+        """Return (N, 3) the displacement of each vertex along the rows of its frame: inward, and two tangents [m]."""
         return data.plugin_state[self._u].reshape(-1, 3)
 
     def rate(self, data: mujoco.MjData) -> Array:
-        """(N, 3) of the displacement [m/s]."""
+        """Return (N, 3) the rate of ``displacement`` [m/s]."""
         return data.plugin_state[self._rate].reshape(-1, 3)
 
     def vertices(self, data: mujoco.MjData) -> Array:
-        """(N, 3) where the vertices are, in the bone's frame [m]."""
+        """Return (N, 3) the positions of the vertices in the bone's frame [m]."""
         return self.places + np.einsum("ij,ijk->ik", self.displacement(data), self.frames)
 
     def cells(self, data: mujoco.MjData) -> Cells:
@@ -104,7 +106,7 @@ class Readings:
         return Cells(press_ns=sums[0], shear_ns=sums[1], slip_m3=sums[2], touch_m2s=sums[3])
 
     def generalised_force(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-        """(nv,) what the region added to qfrc_passive in the last forward pass."""
+        """Return (nv,) the force that the region added to ``qfrc_passive`` in the last forward pass [N or N m]."""
         out = np.zeros(model.nv)
         library.load().carecontact_tissue_force(
             ctypes.c_void_p(data._address), ctypes.c_int(self.instance), ctypes.c_void_p(out.ctypes.data)

@@ -1,4 +1,4 @@
-"""A soft region in a MuJoCo model: an instance of the plugin on the bone, and the numbers that it reads.
+"""Adds a soft region to a MuJoCo model: an instance of the plugin on the bone, and the numbers that it reads.
 
 The arrays travel as custom numerics ``<name>/vertices``, ``/edges``, ``/triangles``, ``/law`` and ``/options``; their
 columns are those of ``c/region.h``.
@@ -21,12 +21,14 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 REACH_M, REACH_LENGTHS = 0.025, 5.0
-"""Vertices farther from every tool than this distance, and than so many coupling lengths, stay at rest. A dimple falls
-by e in a coupling length, so what is cut off there bears about a hundredth of the load."""
+"""Vertices stay at rest if they are farther from every tool than this distance and than this number of coupling
+lengths. The depth of a dimple falls by a factor of e in each coupling length, so the part that is cut off bears about a
+hundredth of the load."""
 TOLERANCE_M = 1e-6
-"""The solver stops when no vertex moves farther in a sweep: 0.1 of this changed the peaks by less than 0.1 %."""
+"""The solver stops when no vertex moves farther than this in a sweep. With a tenth of it, measured peaks changed by
+less than 0.1 %."""
 SWEEPS = 60
-"""At most; scrubs take 3 to 20."""
+"""Largest number of sweeps of the solver in a step. Scrubs take 3 to 20 (measured)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,26 +38,26 @@ class Mesh:
     places: Array
     """(N, 3) vertices [m]"""
     inward: Array
-    """(N, 3) unit"""
+    """(N, 3) inward unit normal of each vertex"""
     along: Array
     """(3,) the direction from which every vertex takes its first tangent"""
     triangles: Indices
-    """(M, 3)"""
+    """(M, 3) indices of the vertices of each triangle"""
     areas: Array
-    """(N,) share of the surface [m^2]"""
+    """(N,) area of the surface that belongs to each vertex [m^2]"""
     cells: Indices
-    """(M,) the declared cell in which each triangle's middle lies; -1 for none"""
+    """(M,) index of the declared cell in which each triangle's centre lies, or -1 if it lies in none"""
 
     @cached_property
     def frames(self) -> Array:
-        """(N, 3, 3) of each vertex, by rows: inward, and two tangents."""
+        """(N, 3, 3) frame of each vertex; its rows are the inward normal and two tangents."""
         first = self.along - (self.inward @ self.along)[:, None] * self.inward
         first /= np.linalg.norm(first, axis=1, keepdims=True)
         return np.stack([self.inward, first, np.cross(self.inward, first)], 1).astype(np.float64)
 
     @cached_property
     def edges(self) -> tuple[Indices, Array]:
-        """Pairs of vertices (E, 2) and their cotangent weights (E,).
+        """The edges as pairs of vertices (E, 2), and their cotangent weights (E,).
 
         The sum over edges of weight times squared difference is the linear finite element form of the integral of
         |grad w|^2 over the surface (Pinkall and Polthier 1993), so that it does not depend on the mesh.
@@ -71,7 +73,7 @@ class Mesh:
 
     @cached_property
     def rows(self) -> Array:
-        """(M, 5) of each triangle: corners, area, cell."""
+        """(M, 5) one row for each triangle: three vertices, area [m^2], declared cell."""
         a, b, c = (self.places[self.triangles[:, k]] for k in range(3))
         return np.c_[self.triangles, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2, self.cells]
 
@@ -82,7 +84,10 @@ class Mesh:
 
 @dataclass(frozen=True, kw_only=True)
 class Law:
-    """The numeric ``/law``, in the order of ``c/region.h``. Per area of the surface where the unit says so."""
+    """The constants of the tissue as the numeric ``/law`` holds them, in the order of ``c/region.h``.
+
+    Stiffness, damping and mass are per area of the surface, as their units say.
+    """
 
     a_n_m3: float
     b_n_m4: float
@@ -98,7 +103,10 @@ class Law:
 
     @classmethod
     def of(cls, tissue: Tissue) -> Law:
-        """Raises SceneError for a row of an earlier release's recording, which has no contact layer."""
+        """Return the constants of a row of tissue.
+
+        Raises SceneError for a row from a recording of an earlier release, which has no contact layer.
+        """
         if (contact_n_m3 := tissue.contact_n_m3) is None:
             raise SceneError(
                 "this row of tissue has no contact_n_m3: it comes from a recording made with the earlier model of the "
@@ -122,14 +130,18 @@ def add_region(
     tools: str,
     ledger: bool = False,
 ) -> None:
-    """Let a bone carry a soft region.
+    """Add a soft region to a bone of an uncompiled model.
 
     Args:
-        name: of the plugin's instance and before its numerics.
-        tools: name of a body; every geom of it and of the bodies under it that collides (bit 1 of contype) can touch.
-        ledger: keep the energy of every step (``Readings``), which takes a tenth of the time.
+        name: name of the plugin's instance, and prefix of the names of its custom numerics.
+        bone: the body that carries the region.
+        mesh: the region's surface.
+        tissue: the constants of the tissue.
+        tools: name of a body. The region can be touched by the geoms of this body and of the bodies below it whose
+            contype has bit 1.
+        ledger: whether to keep the energy of every step (``Readings``), which takes a tenth of the solver's time.
 
-    Raises DependencyError where the compiled tissue is missing.
+    Raises DependencyError if the compiled tissue is missing.
     """
     library.load()
     spec.activate_plugin(library.PLUGIN)
@@ -150,5 +162,8 @@ def add_region(
 
 
 def set_law(model: mujoco.MjModel, name: str, tissue: Tissue) -> None:
-    """Give a region of a compiled model another law; the next step follows it."""
+    """Change the constants of a region's tissue in a compiled model. They hold from the next step.
+
+    Raises SceneError as ``Law.of`` does.
+    """
     model.numeric(f"{name}/law").data[:] = astuple(Law.of(tissue))

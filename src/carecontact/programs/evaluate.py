@@ -41,6 +41,7 @@ def evaluate(
     *,
     out: str | Path,
     protocol: str = "bathing-v2",
+    level: str | None = None,
     tasks: str | Iterable[str] = "all",
     seeds: str | int | Iterable[int] = "all",
     arguments: Mapping[str, object] | None = None,
@@ -59,6 +60,7 @@ def evaluate(
             interface; it is not isolated, and its trials run one after another.
         out: folder for recordings, results.json and results.parquet (the table only where pyarrow is installed).
         protocol: id of a shipped protocol, or a .toml file.
+        level: name of a level, for a protocol that has levels: ``"L2"`` of bathing-wide-v1.
         tasks: ``"T1,T2"``, ``"T1-T7"``, ``"all"``, or task ids.
         seeds: ``"0-4"``, ``"all"``, a seed, or seeds.
         arguments: for the constructor or factory; texts that its annotations convert, so not for an object.
@@ -72,9 +74,9 @@ def evaluate(
     Raises ConfigError for anything given wrongly, for a policy that does not start, and for a server that stays out of
     reach. A trial in which the policy crashes is a result.
     """
-    rules = _protocol(protocol, overrides or {})
-    task_ids = parse_tasks(_listed(tasks), protocol=rules)
-    seed_numbers = parse_seeds(_listed(seeds), protocol=rules)
+    rules = _protocol(protocol, level, overrides or {})
+    task_ids = parse_tasks(_listed("tasks", tasks), protocol=rules)
+    seed_numbers = parse_seeds(_listed("seeds", seeds), protocol=rules)
     place = Path(out)
     given = {name: str(value) for name, value in (arguments or {}).items()}
     with _reached(policy, given, port=port, jobs=jobs) as (text, search_path):
@@ -95,15 +97,17 @@ def evaluate(
     return _scored(place)
 
 
-def _protocol(name: str, overrides: Mapping[str, object]) -> Protocol:
-    rules = overridden(check_frozen(name, load_protocol(name), unfrozen=False), overrides)
+def _protocol(name: str, level: str | None, overrides: Mapping[str, object]) -> Protocol:
+    rules = overridden(check_frozen(name, load_protocol(name, level=level), unfrozen=False), overrides)
     check_protocol(rules)
     check_rows(rules)
     return rules
 
 
-def _listed(given: str | int | Iterable[object]) -> str:
-    """``["T1", "T2"]`` -> ``T1,T2``, which the planner reads and checks."""
+def _listed(name: str, given: object) -> str:
+    """``["T1", "T2"]`` -> ``T1,T2``, which the planner reads and checks. Raises ConfigError for what is no list."""
+    if not isinstance(given, str | int | Iterable):
+        raise ConfigError(f"{name}={given!r}: expected a text, a number or a list")
     return str(given) if isinstance(given, str | int) else ",".join(map(str, given))
 
 

@@ -25,7 +25,7 @@ def frame(scores: Sequence[TrialScore], *, library: FrameLibrary | None = None) 
     chosen = library or _installed()
     if chosen not in LIBRARIES:
         raise ConfigError(
-            f"there is no table for {chosen!r}{did_you_mean(chosen, LIBRARIES)}; valid: {', '.join(LIBRARIES)}"
+            f"there is no table for {chosen!r}{did_you_mean(str(chosen), LIBRARIES)}; valid: {', '.join(LIBRARIES)}"
         )
     table = trial_table(scores)
     if chosen == "pyarrow":

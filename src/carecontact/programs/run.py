@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, UnknownNameError, did_you_mean
 from carecontact.runs.stored_scores import read_scores
 
 if TYPE_CHECKING:
@@ -26,10 +26,17 @@ def load(path: str | Path, *, rescore: bool = False) -> Run:
             ``.json.gz``).
         rescore: compute the scores again from the recordings instead of reading ``results.json``. Nothing is written.
 
-    Raises ConfigError if there is no run, if its scores cannot be read, or if they do not belong to the recordings
+    Raises ConfigError if the path is no run, if its scores cannot be read, or if they do not belong to the recordings
     beside them.
     """
     path = Path(path)
+    if path.suffix == ".h5":
+        raise ConfigError(
+            f"{path}: this names the recording of one trial; load the run's folder, then read the recording with "
+            f"run.recordings[{path.stem!r}]"
+        )
+    if path.is_file() and not path.name.endswith((".json", ".json.gz")):
+        raise ConfigError(f"{path}: this is no run; name the folder of a run, or its results.json")
     return Run(path=path, scored=read_scores(path, rescore=rescore))
 
 
@@ -44,7 +51,7 @@ class Run:
 
     def __repr__(self) -> str:
         policy = self.scores[0].policy_title if self.scores else "no policy"
-        return f"Run({str(self.path)!r}: {policy}, {len(self.scores)} trials)"
+        return f"Run({str(self.path)!r}: {policy}, {len(self.scores)} trial{'' if len(self.scores) == 1 else 's'})"
 
     @property
     def scores(self) -> list[TrialScore]:
@@ -67,7 +74,7 @@ class Run:
         provenance, with rates in percent."""
         from carecontact.runs.results_content import results
 
-        return results(self.scored)
+        return _Results(results(self.scored))
 
     @cached_property
     def recordings(self) -> Recordings:
@@ -87,6 +94,19 @@ class Run:
         return frame(self.scores, library=library)
 
 
+class _Results(dict[str, Any]):
+    """The content of a results file, whose unknown names are told with the known ones."""
+
+    def __missing__(self, name: object) -> Any:
+        raise UnknownNameError("part of the results", str(name), self)
+
+
+class NoRecordingError(ConfigError, KeyError):
+    """A trial that has no recording in a folder. Also a KeyError, as ``get`` of a mapping expects."""
+
+    __str__ = Exception.__str__  # KeyError would show the message in quotes
+
+
 class Recordings(Mapping[str, "Recording"]):
     """The recordings of a folder by trial id."""
 
@@ -96,15 +116,16 @@ class Recordings(Mapping[str, "Recording"]):
     def __getitem__(self, trial_id: str) -> Recording:
         """The trial's header and its arrays by path, such as ``["scorer/normal_force"]`` (docs/python.md).
 
-        Raises ConfigError for a trial that has no recording here, and RecordingError for a file that is damaged.
+        Raises NoRecordingError, which is a ConfigError and a KeyError, for a trial that has no recording here, and
+        RecordingError for a file that is damaged.
         """
-        from carecontact.errors import did_you_mean
         from carecontact.recording import read_recording
 
         if trial_id not in self:
             known = list(self)
             has = f"it has {known[0]} to {known[-1]}" if known else "it has no recordings"
-            raise ConfigError(f"{self._folder} has no recording of {trial_id!r}{did_you_mean(trial_id, known)}; {has}")
+            meant = did_you_mean(str(trial_id), known)
+            raise NoRecordingError(f"{self._folder} has no recording of {trial_id!r}{meant}; {has}")
         return read_recording(self._folder / f"{trial_id}.h5")
 
     def __contains__(self, trial_id: object) -> bool:

@@ -7,6 +7,7 @@ order, E changes of posture. World frame unless said otherwise; SI units.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, KeysView
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -15,6 +16,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, field_validator, model_serializer
 
 from carecontact.contract.trial import TrialSpec
+from carecontact.errors import UnknownNameError
 from carecontact.regions import SEGMENTS, STANDARD_REGIONS
 
 SCHEMA_VERSION = "carecontact-recording-3"
@@ -168,11 +170,29 @@ class Header(BaseModel):
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
+    """One trial. It behaves as a mapping from the paths of its arrays to the arrays."""
+
     header: Header
     arrays: dict[str, npt.NDArray[Any]] = field(default_factory=dict[str, npt.NDArray[Any]])
 
     def __getitem__(self, path: str) -> npt.NDArray[Any]:
+        """Raises UnknownNameError, which is a KeyError, for an array that this recording does not have."""
+        if path not in self.arrays:
+            raise UnknownNameError("array", str(path), self.arrays)
         return self.arrays[path]
+
+    def __contains__(self, path: object) -> bool:
+        return path in self.arrays
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.arrays)
+
+    def __len__(self) -> int:
+        return len(self.arrays)
+
+    def keys(self) -> KeysView[str]:
+        """Return the paths of the arrays, such as ``scorer/normal_force``."""
+        return self.arrays.keys()
 
 
 def empty_arrays(joint_count: int, *, regions: int = len(STANDARD_REGIONS)) -> dict[str, npt.NDArray[Any]]:

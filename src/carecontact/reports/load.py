@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from carecontact.reports.table import sorted_scores
-from carecontact.reports.text import shown
+from carecontact.reports.text import NOT_DEFINED, shown
 from carecontact.runs.pooling import judged
-from carecontact.scoring.metrics.metric import METRICS, Metric, described
+from carecontact.scoring.metrics.metric import METRICS, Metric, described, newest
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Median, median
 
@@ -30,6 +30,8 @@ class LoadRow:
         return [self._cell(found, n) for found, n in zip(self.medians, contacts, strict=True)]
 
     def _cell(self, found: Median, n: int) -> str:
+        if not found.n:
+            return NOT_DEFINED
         text = shown(found.estimate, digits=self.metric.digits, unit=self.metric.unit)
         return text + (f" (n={found.n_valid})" if found.estimate is not None and found.n_valid != n else "")
 
@@ -58,15 +60,19 @@ def load(scores: Sequence[TrialScore], *, headlines: bool = False) -> Load:
         n=tuple(map(len, groups)),
         contacts=tuple(sum(s.valid_contact for s in group) for group in groups),
         rows=tuple(
-            LoadRow(metric=metric, medians=tuple(median(metric.pooled(group)) for group in groups))
+            LoadRow(metric=metric, medians=tuple(_median(metric, group) for group in groups))
             for metric in _metrics(counted)
             if metric.median and (headlines or not metric.headline)
         ),
     )
 
 
+def _median(metric: Metric, group: Sequence[TrialScore]) -> Median:
+    return median(metric.pooled([score for score in group if metric.concerns(score.action)]))
+
+
 def _metrics(scores: Sequence[TrialScore]) -> list[Metric]:
-    """Those that any of these trials was scored by, as tables order them."""
-    further = {id_ for score in scores for id_ in score.additional}
+    """Those that any of these trials was scored by, of several versions the newest, as tables order them."""
+    further = newest({id_ for score in scores for id_ in score.additional})
     with_field = [metric for metric in METRICS.values() if metric.field is not None] if scores else []
     return sorted([*with_field, *map(described, further)], key=lambda metric: (metric.order, metric.id))

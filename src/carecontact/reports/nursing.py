@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from carecontact.contract.protocol import Protocol
 from carecontact.runs.pooling import judged
-from carecontact.scoring.metrics.metric import METRICS
+from carecontact.scoring.metrics.metric import METRICS, newest
 from carecontact.scoring.result import TrialScore
 
-ASKED = ("effective@1", "comfortable@1", "comfortable_fragile@1")
+ASKED = ("effective", "comfortable", "comfortable_fragile")
+"""Of each, the newest version that the trials were scored by."""
 TOOL = "mitt"
 """A rigid cap presses a few square centimetres, so that these metrics say nothing of it."""
 
@@ -24,18 +25,18 @@ class NursingRow:
     """Trials with a value."""
 
 
-def nursing_rows(scores: Sequence[TrialScore], protocol: Protocol | None = None) -> list[NursingRow]:
+def nursing_rows(scores: Sequence[TrialScore], protocol: Protocol | None) -> list[NursingRow]:
     """Return one row per metric of ASKED over the trials that are ``judged``; none where the tool is not the mitt.
 
     Args:
-        protocol: of the run; None: a mitt is known where a command put it on the hand.
+        protocol: of the run, as a recording of it holds it; None where none could be read: then the tool is unknown.
     """
-    counted = judged(scores)
-    tool = protocol.scene.tool if protocol is not None else next((s.overrides.get("scene.tool") for s in counted), None)
-    if tool != TOOL:
+    if protocol is None or protocol.scene.tool != TOOL:
         return []
+    counted = judged(scores)
     rows: list[NursingRow] = []
-    for name in ASKED:
+    scored = newest({id_ for score in counted for id_ in score.additional if id_ in METRICS})
+    for name in (id_ for asked in ASKED for id_ in scored if id_.partition("@")[0] == asked):
         values = [value for value in METRICS[name].pooled(counted) if value is not None]
         if values:
             rows.append(NursingRow(metric=name, title=METRICS[name].title, yes=sum(map(int, values)), n=len(values)))

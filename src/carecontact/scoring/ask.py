@@ -20,6 +20,7 @@ ANSWERS: dict[str, tuple[tuple[Any, ...], str]] = {
     "lost": ((bool, np.bool_), "True or False"),
     "passes": ((bool, np.bool_), "True or False"),
     "requested": ((str, type(None)), "a text or None"),
+    "parts": ((list,), "a list of GatePart"),
     "shortfall": ((str,), "a text"),
 }
 """Method of a Behaviour -> classes of its answer, and the same in words."""

@@ -18,7 +18,7 @@ from carecontact.errors import ConfigError
 from carecontact.scoring.attribution.commanded import CommandedContact
 from carecontact.scoring.contact import Contact, Mask, runs, steps
 from carecontact.scoring.filters import F64
-from carecontact.scoring.gate import Attempt, Gate, Judgement
+from carecontact.scoring.gate import Attempt, Gate, GatePart, Judgement
 from carecontact.scoring.progress import Episode
 from carecontact.scoring.result import TrialScore
 
@@ -119,6 +119,11 @@ class Behaviour(ABC, Generic[G]):
         """What the trial lacked, with the figures of the gate: words that continue the sentence "The commanded path
         came to the region, but"."""
 
+    def parts(self, contact: Contact, gate: G, result: Gate) -> list[GatePart]:
+        """The requirements of the gate one by one, for the page of a trial; none by default. Where there are any, they
+        are all met exactly if ``judge`` finds every part of the gate met."""
+        return []
+
     def progress(self, score: TrialScore) -> str:
         """The figures that the gate judges, for a row of the report."""
         return f"touched for {score.longest_on_s:.2f} s"
@@ -156,6 +161,16 @@ def let_go(contact: Contact, holding: Mask, duration_s: float) -> bool:
 def mm(metres: float) -> str:
     """Whole millimetres with their unit."""
     return f"{metres * 1000:.0f} mm"
+
+
+def reversals(n: int) -> str:
+    """``1 reversal``, ``2 reversals``."""
+    return f"{n} reversal{'' if n == 1 else 's'}"
+
+
+def exact_mm(metres: float) -> str:
+    """Millimetres with one decimal, so that a length just below a gate does not look like one that meets it."""
+    return f"{metres * 1000:.1f} mm"
 
 
 def middle_force(force: F64) -> str:

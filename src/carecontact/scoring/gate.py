@@ -44,6 +44,16 @@ class Judgement:
 
 
 @dataclass(frozen=True, kw_only=True)
+class GatePart:
+    """One of the requirements of a gate, in words, with what was reached."""
+
+    name: str
+    needed: str
+    reached: str
+    met: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class Gate:
     """The result of a trial under its gate."""
 

@@ -25,6 +25,7 @@ FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "better": (lambda value: value in get_args(Better), f"one of {', '.join(get_args(Better))}"),
     "measure": (callable, "a function"),
     "pool": (_is_pool, "None, moving or a tuple of actions"),
+    "only": (_is_pool, "None, moving or a tuple of actions"),
     "digits": (lambda value: value is None or (isinstance(value, int) and value >= 0), "None, or a number from 0 up"),
     "matters": (lambda value: value is None or (isinstance(value, int | float) and value > 0), "None, or above 0"),
     "order": (lambda value: isinstance(value, int), "a whole number"),

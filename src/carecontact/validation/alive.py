@@ -1,6 +1,7 @@
-"""A person who moves by itself: the breath that cameras see and a tool feels, the way of the arm, the same run again.
+"""Checks a person who breathes and moves the arm: what cameras see of a breath, the force that a tool measures
+meanwhile, how far the arm moves, and whether a second run is the same.
 
-The person of the protocol is given a breath and a movement of the arm of known sizes, whatever the protocol asks for.
+The check gives the protocol's person a breath and a movement of the arm of known sizes, whatever the protocol states.
 """
 
 from __future__ import annotations
@@ -34,26 +35,30 @@ if TYPE_CHECKING:
 TITLE = "A person who moves by itself"
 REGION, CAMERA = "abdomen", "overhead"
 BREATH_HZ, IN_SHARE, BREATH_M = 0.33, 0.455, (0.015, 0.005)
-"""The quickest and largest breath of the shipped levels, with an ordinary share of breathing in."""
+"""Rate [1/s], part of a breath that is breathing in, and size [m] of a breath: the fastest and largest breath of the
+shipped protocols' levels, of which an ordinary part is breathing in."""
 BREATHES = Doings(breath_hz=BREATH_HZ, inspiration_share=IN_SHARE, breath_m=BREATH_M)
 SIZE_LIMIT_MM, FORCE_LIMIT_PERCENT, WAY_LIMIT_MM = 1.0, 10.0, 8.0
 DEEP_M = 0.006
-"""How far under the skin of a breath out the fixed tool is."""
+"""Depth of the fixed tool below the skin at the end of breathing out."""
 HEIGHTS, QUICK_HEIGHTS = 7, 3
-"""Breaths that are held, evenly between the two ends."""
+"""Number of heights at which a breath is held, at equal distances from breathed out to breathed in; the second number
+is that of the short form."""
 STILL_S = 0.6
 FROZEN = 1e6
-"""Armature of the joints of a robot that nothing moves [kg m^2]."""
+"""Armature of the robot's joints that keeps the robot in its place [kg m^2]."""
 WAY_M, MOVE_S, ONSET_S, LET_GO_S = 0.06, 1.0, 1.5, 1.0
-"""Of the movement of the arm, and how long it is looked at after it has ended."""
+"""The movement of the arm: how far the wrist moves, how long that takes, when it begins, and for how long the check
+goes on after its end."""
 TENSES_S, ASIDE_RAD = 0.1, 0.1
-"""How long before a movement its muscles tense; how far the shoulder is turned until then."""
+"""How long before a movement its muscles tense, and the angle by which an external torque has turned the shoulder until
+then."""
 GUIDE_NM_RAD, GUIDE_NMS_RAD = 100.0, 10.0
-"""Of what turns it."""
+"""Stiffness and damping of that torque."""
 CUT_S, GO_ON_S = 2.0, 1.0
-"""Where a run is interrupted, in mid-breath and in mid-movement, and how far it goes on."""
+"""When a run is interrupted, in the middle of a breath and of a movement, and for how long it then goes on."""
 WINDOW = 2
-"""Pixels to each side of that at which depth is read."""
+"""Number of pixels on each side of the central one at which the depth image is read."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -80,13 +85,13 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
 
 
 def alive(subject: Subject) -> Subject:
-    """The same person, who can breathe and move the arm."""
+    """Return the same person, who can breathe and move the arm."""
     asked = Alive(breathing=Breathing(), repositioning=Repositioning())
     return subject.variant(person=subject.protocol.person.model_copy(update={"alive": asked}))
 
 
 def seen(living: Subject) -> list[Measure]:
-    """How far visible skin and depth image are from the declared breath, at its ends."""
+    """Return how much the visible skin's and the depth image's movement differs from the declared size of a breath."""
     scene = living.make_scene(living.protocol, target=REGION, skin=True)
     simulation = Simulation(scene)
     simulation.restore(living.at_rest(REGION).integration_state(), comfort_arm_deg=COMFORT_ARM_DEG)
@@ -127,7 +132,13 @@ def seen(living: Subject) -> list[Measure]:
 
 
 def fixed_tool(living: Subject, *, heights: int) -> tuple[Array, Array, Array]:
-    """Time [s], force of a tool that stays where it is through one breath [N], and what held breaths give there."""
+    """Measure the force on a tool that stays in its place through one breath.
+
+    Args:
+        heights: number of heights at which a breath is held for comparison.
+
+    Returns three arrays (n,): time [s], force [N], and the force that held breaths give at the same height [N].
+    """
     simulation = _pressed(living)
     begin = simulation.integration_state()
     held = []
@@ -145,7 +156,7 @@ def fixed_tool(living: Subject, *, heights: int) -> tuple[Array, Array, Array]:
 
 
 def _pressed(living: Subject) -> Simulation:
-    """The person at the end of a breath out, and a tool in the skin that nothing moves any more."""
+    """Return the person at the end of breathing out, with a tool in the skin that stays in its place."""
     simulation = living.hovering(REGION)
     move_to(simulation, surface_point(simulation, REGION) - [0.0, 0.0, DEEP_M], seconds=STILL_S)
     move_to(simulation, surface_point(simulation, REGION) - [0.0, 0.0, DEEP_M], seconds=STILL_S)
@@ -157,7 +168,7 @@ def _pressed(living: Subject) -> Simulation:
 
 
 def _hold(simulation: Simulation, height: float) -> None:
-    """Let the person breathe in to a height from 0, breathed out, to 1, and hold the breath there."""
+    """Let the person breathe in to a height, from 0 (breathed out) to 1 (breathed in), and hold the breath there."""
     share = float(np.arccos(1 - 2 * height)) / np.pi
     life = Life(simulation.model)
     life.wake(simulation.data, BREATHES)
@@ -170,7 +181,8 @@ def _force(samples: list[Samples]) -> Array:
 
 
 def arm(living: Subject) -> list[Measure]:
-    """How far the wrist goes when the arm changes its place, also after it was pushed aside."""
+    """Return how much the distance that the wrist moves differs from the wanted one, both for the arm as it was laid
+    down and after something pushed it aside."""
     found: list[Measure] = []
     for name, aside_rad in (("as it was laid", 0.0), ("after a push", ASIDE_RAD)):
         simulation = living.at_rest(REGION)
@@ -200,7 +212,8 @@ def _moves(simulation: Simulation) -> Doings:
 
 
 def again(living: Subject) -> list[Measure]:
-    """What differs in any bit in a second run, and in one that goes on from a state in its middle."""
+    """Return how many numbers of the final state differ in any bit in a second run, and in a run that continues from a
+    state in its middle."""
     runs = [living.at_rest(REGION) for _ in range(3)]
     steps = [round(seconds / runs[0].model.opt.timestep) for seconds in (CUT_S, GO_ON_S)]
     for simulation in runs:

@@ -16,7 +16,7 @@ from carecontact.errors import ConfigError, SceneError
 from carecontact.sim.bench import Bench, Indenter, Shape
 from carecontact.validation.moves import PRESS, SCRUB, Motion
 from carecontact.validation.pressing import declared_bench, tool
-from carecontact.validation.reference import ABDOMEN, FOREARM, Reference
+from carecontact.validation.reference import ABDOMEN, FOREARM, UPPER_ARM_ANTERIOR, Reference
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.rig import HEAVY_KG, Rig, middle, robot_tool
 from carecontact.validation.scores import Scores, motion_scores
@@ -40,7 +40,8 @@ SCRUB_DEPTH_M, SCRUB_HALF_M, SCRUB_M_S, SCRUB_FROM_M = 0.008, 0.040, 0.10, 0.004
 along the skin, and height above the skin at which the tool begins."""
 TOUCHED_N = 0.5
 """Force from which that scrub counts as contact, as in contact-v1."""
-MESH_REFERENCES = (FOREARM, ABDOMEN)
+MESH_REFERENCES = (FOREARM, UPPER_ARM_ANTERIOR, ABDOMEN)
+"""Indenter and depths at which meshes are compared; whether the law was fitted to that curve makes no difference."""
 Places = tuple[tuple[float, float], ...]
 PLACES_M: Places = ((0.0, 0.0), (0.020, 0.008))
 """Places (along, across) in the region's frame at which a law is fitted to a finer mesh."""
@@ -280,7 +281,7 @@ def draw(result: CheckResult, figure: Figure) -> None:
             panel.plot(depth, fitted, style, color="C0", lw=0.9, label="finer, fitted" if kind == "reference" else None)
         # A press that diverged must not hide the results of the others.
         highest = max(result.curves[f"mesh/{region}/{kind}"][1].max() for kind in ("reference", "tool"))
-        panel.set(xlabel="indentation [mm]", title=region, ylim=(0, 1.25 * highest))
+        panel.set(xlabel="indentation [mm]", title=region.replace("_", " "), ylim=(0, 1.25 * highest))
     if regions:
         axes[1].set_ylabel("force [N]")
         figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=4)

@@ -4,6 +4,11 @@ brought.
 A ball flies straight at a part of the settled person and is free to come back. Without losses, its largest force is
 that at which the spring of the part holds the energy of the blow. On trunk and legs the spring is that of a plate
 (``world.human.plates``), on the belly the published curve under the ball of the same size that it was measured with.
+
+That the belly holds a blow decides up to what the published curve stores, and up to what the robot brings at its speed
+limit. A harder blow of the ball is reported: no publication says what a belly does, and the tissue would have to be
+pressed onto the spine. The robot's own tool strikes the belly with all that the robot brings, and is driven into it
+(``driven_deep``), and both decide.
 """
 
 from __future__ import annotations
@@ -15,9 +20,11 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import EMBODIMENTS, PANDA, Tip
+from carecontact.contract.protocol import Protocol
 from carecontact.errors import SceneError
 from carecontact.sim.simulation import Simulation, lengths
+from carecontact.validation.driven_deep import MIDDLE_PERCENT, drive
 from carecontact.validation.moves import surface_point
 from carecontact.validation.reference import ABDOMEN
 from carecontact.validation.result import Array, CheckResult, Measure
@@ -52,6 +59,7 @@ a plate swings in."""
 STRAY = 0.05
 """Share of the largest force that other parts may bear: a blow so deep that they bear more does not decide."""
 STRIKER = "striker"
+DOWNWARD = (0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +97,14 @@ class Blow:
     deeper, such as bone, is not in it."""
     stray_n: float
     """Largest force on anything but the site."""
+    depth_m: float
+    """How deep the ball pressed what it met first: at most, or when it went through."""
+    taken_j: float | None
+    """Energy that this had taken from the ball when it went through; None where it did not."""
+
+    @property
+    def energy_j(self) -> float:
+        return self.mass_kg * self.speed_m_s**2 / 2
 
     @property
     def name(self) -> str:
@@ -120,13 +136,12 @@ def sites() -> list[Site]:
                     force_n=plate.give.force_n(depth))  # fmt: skip
 
     rows = {plate.name: plate for plate in plates()}
-    down = (0.0, 0.0, -1.0)
     struck = ("chest", "shoulder_cap", "hip", "thigh", "shank")
-    found = [of(rows[f"{REACHED_FROM_THE_SIDE}_{part}"], down, part.replace("_", " ")) for part in struck]
+    found = [of(rows[f"{REACHED_FROM_THE_SIDE}_{part}"], DOWNWARD, part.replace("_", " ")) for part in struck]
     # The person's right is the world's +y.
     found.append(of(rows[f"{REACHED_FROM_THE_SIDE}_thigh"], (0.0, -1.0, 0.0), "thigh from the side"))
     assert ABDOMEN.indenter.size_m is not None
-    belly = Site(name="belly", plate=None, towards=down,
+    belly = Site(name="belly", plate=None, towards=DOWNWARD,
                  ball_m=ABDOMEN.indenter.size_m, depth_m=ABDOMEN.depth_m, force_n=ABDOMEN.force_n)  # fmt: skip
     return [*found, belly]
 
@@ -136,7 +151,14 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     blows = list(strike_all(subject, masses, speeds))
     measures = list(_counts(blows))
     for blow in blows:
-        measures += _measures(blow)
+        measures += _measures(blow, robot_brings_j(subject.protocol))
+    measures += _measures(strike_with_tool(subject), robot_brings_j(subject.protocol))
+    try:
+        measures += drive(subject).measures()
+    except SceneError as error:
+        # Without this measure, the others are still useful.
+        name = f"belly, {subject.protocol.scene.tool} driven in by the robot, not measured: {error}"
+        measures.append(Measure(name=name, value=float("nan"), unit="%", limit=MIDDLE_PERCENT))
     curves = {
         site.name: np.array(
             [[b.mass_kg, b.speed_m_s, b.peak_n, b.predicted_n, b.on_one_spring] for b in blows if b.site == site.name]
@@ -159,14 +181,27 @@ def _counts(blows: list[Blow]) -> Iterator[Measure]:
     yield Measure(name="blows without a prediction", value=len(blows) - len(predicted))
 
 
-def _measures(blow: Blow) -> Iterator[Measure]:
+def robot_brings_j(protocol: Protocol) -> float:
+    """Return the energy of the robot's declared mass at the fastest that a policy can move it [J]."""
+    return protocol.impedance.effective_mass_kg * protocol.physics.max_tcp_speed_m_s**2 / 2
+
+
+def _measures(blow: Blow, robot_j: float) -> Iterator[Measure]:
+    """Yield what a blow measured. That it is held decides where a published curve reaches so far, and up to the energy
+    that the robot brings (``robot_j``).
+    """
+    claimed = bool(np.isfinite(blow.predicted_n)) or blow.energy_j <= robot_j
     yield Measure(name=f"{blow.name}: largest force", value=blow.peak_n, unit="N")
     if np.isfinite(blow.predicted_n):
         yield Measure(name=f"{blow.name}: off the prediction of {blow.predicted_n:.1f} N", value=abs(blow.off_percent),
                       unit="%", limit=TOLERANCE_PERCENT, decides=blow.on_one_spring)  # fmt: skip
     yield Measure(name=f"{blow.name}: impulse over momentum", value=blow.momentum, limit=MOMENTUM)
     yield Measure(name=f"{blow.name}: impulse over momentum before it goes through", value=blow.held, limit=STOPPED,
-                  side="at least", decides=not blow.gives_way)  # fmt: skip
+                  side="at least", decides=claimed and not blow.gives_way)  # fmt: skip
+    if not claimed or blow.taken_j is not None:
+        yield Measure(name=f"{blow.name}: deepest before it goes through", value=1000 * blow.depth_m, unit="mm")
+    if blow.taken_j is not None:
+        yield Measure(name=f"{blow.name}: energy taken before it goes through", value=blow.taken_j, unit="J")
     if not blow.on_one_spring:
         yield Measure(name=f"{blow.name}: largest force on something else", value=blow.stray_n, unit="N")
 
@@ -187,8 +222,24 @@ def strike_all(subject: Subject, masses: tuple[float, ...], speeds: tuple[float,
                     yield strike(simulation, site, mass, speed)
 
 
-def with_striker(scene: Scene, mass_kg: float, ball_m: float) -> Scene:
-    """Return the same world with a weightless ball that moves freely without turning.
+def strike_with_tool(subject: Subject) -> Blow:
+    """Return the blow of the robot's tool onto the belly, with the robot's declared mass and at the fastest that a
+    policy can move it. Nothing is predicted, because the published curve is of a ball.
+    """
+    protocol = subject.protocol
+    mass, speed, tip = (
+        protocol.impedance.effective_mass_kg, protocol.physics.max_tcp_speed_m_s, EMBODIMENTS[protocol.scene.tool].tip
+    )  # fmt: skip
+    belly = Site(name=f"belly under the robot's tool ({protocol.scene.tool})", plate=None, towards=DOWNWARD,
+                 ball_m=tip.half_m[2], depth_m=np.zeros(1), force_n=np.zeros(1))  # fmt: skip
+    simulation = Simulation(with_striker(subject.scene("forearm"), mass, tip))
+    simulation.settle(COMFORT_ARM_DEG)
+    simulation.restore(simulation.integration_state(), comfort_arm_deg=COMFORT_ARM_DEG)
+    return strike(simulation, belly, mass, speed)
+
+
+def with_striker(scene: Scene, mass_kg: float, shape: float | Tip) -> Scene:
+    """Return the same world with a weightless ball of a radius [m], or tool, that moves freely without turning.
 
     It is a child of the robot's base, so that sensors and tissue treat it as a part of the robot.
     """
@@ -197,7 +248,13 @@ def with_striker(scene: Scene, mass_kg: float, ball_m: float) -> Scene:
     made = base.add_body(name=STRIKER, gravcomp=1.0)
     for axis in np.eye(3):
         made.add_joint(name=f"{STRIKER}_{'xyz'[int(axis.argmax())]}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-    made.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[ball_m, 0, 0], mass=mass_kg, contype=1, conaffinity=0)
+    if isinstance(shape, Tip):
+        geom = made.add_geom(type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=shape.half_m)
+        if shape.give_m3_n:
+            spec.nuser_geom, geom.userdata = max(spec.nuser_geom, 1), [shape.give_m3_n]
+    else:
+        geom = made.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[shape, 0, 0])
+    geom.mass, geom.contype, geom.conaffinity = mass_kg, 1, 0
     return replace(scene, model=spec.compile(), spec=spec)
 
 
@@ -210,14 +267,17 @@ def strike(simulation: Simulation, site: Site, mass_kg: float, speed_m_s: float)
     _aim(simulation, site, speed_m_s * towards)
     step_s = simulation.model.opt.timestep
     peak, stray, impulse, silent_s, touched, held = 0.0, 0.0, 0.0, 0.0, False, None
+    start_m, depth, taken = _way_m(simulation, towards) + GAP_M, 0.0, None
     while silent_s < AFTER_S or _speed_m_s(simulation, towards) > 0:
         force = simulation.advance(1)[0].force[0]
         peak, stray = max(peak, float(lengths(force.sum(0)))), max(stray, _stray_n(simulation, site))
         impulse += float((force @ towards).sum()) * step_s
         touched |= bool(force.any())
         silent_s = 0.0 if force.any() or not touched else silent_s + step_s
+        if held is None and force.any():
+            depth = max(depth, _way_m(simulation, towards) - start_m)
         if held is None and silent_s > (THROUGH_STEPS - 0.5) * step_s and _speed_m_s(simulation, towards) > 0:
-            held = impulse
+            held, taken = impulse, mass_kg * (speed_m_s**2 - _speed_m_s(simulation, towards) ** 2) / 2
         if simulation.time_s > LONGEST_S:
             if silent_s >= AFTER_S:
                 break
@@ -228,16 +288,25 @@ def strike(simulation: Simulation, site: Site, mass_kg: float, speed_m_s: float)
     return Blow(
         site=site.name, mass_kg=mass_kg, speed_m_s=speed_m_s, peak_n=peak, momentum=impulse / momentum,
         held=(impulse if held is None else held) / momentum,
-        predicted_n=site.predicted_n(mass_kg * speed_m_s**2 / 2), stray_n=stray,
+        predicted_n=site.predicted_n(mass_kg * speed_m_s**2 / 2), stray_n=stray, depth_m=depth, taken_j=taken,
     )  # fmt: skip
 
 
 def _speed_m_s(simulation: Simulation, towards: Array) -> float:
     """Of the ball, along a direction of the world."""
-    data = simulation.data
     first = simulation.model.joint(f"{STRIKER}_x").dofadr[0]
-    into_world = data.body(PANDA.base_body).xmat.reshape(3, 3)
-    return float(into_world @ data.qvel[first : first + 3] @ towards)
+    return _along(simulation, simulation.data.qvel[first : first + 3], towards)
+
+
+def _way_m(simulation: Simulation, towards: Array) -> float:
+    """Where the ball is along a direction of the world."""
+    first = simulation.model.joint(f"{STRIKER}_x").qposadr[0]
+    return _along(simulation, simulation.data.qpos[first : first + 3], towards)
+
+
+def _along(simulation: Simulation, of_slides: Array, towards: Array) -> float:
+    into_world = simulation.data.body(PANDA.base_body).xmat.reshape(3, 3)
+    return float(into_world @ of_slides @ towards)
 
 
 def _stray_n(simulation: Simulation, site: Site) -> float:

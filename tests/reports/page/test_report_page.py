@@ -16,6 +16,7 @@ from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.protocols import load_protocol
 from carecontact.recording import Failure, Header, Recording, read_recording, write_recording
+from carecontact.reports.compare.baselines import Baselines, beside_baselines
 from carecontact.reports.failures import failure_modes
 from carecontact.reports.frames import MAX_BYTES, jpeg_data_uri
 from carecontact.reports.page.chosen import FAILURES_SHOWN, trials_in_detail
@@ -29,6 +30,7 @@ from carecontact.reports.page.sections.head import verdict
 from carecontact.reports.page.sections.provenance import NOT_RECORDED, provenance_rows
 from carecontact.reports.page.sections.trials import trial_row
 from carecontact.runs import score_run
+from carecontact.runs.run_scores import RunScores
 from carecontact.scoring import TrialScore
 from tests.reports.synthetic_run import FAILED, HOSTILE, NO_CONTACT, Run, make_recording, make_score, plateau
 
@@ -140,12 +142,12 @@ def test_every_link_of_the_page_leads_somewhere(run_of_7: Run, tmp_path: Path) -
     ids = [a["id"] for _, a in page.tags if "id" in a]
     assert len(ids) == len(set(ids))
     assert {f"{score.trial_id}" for score in run_of_7.scores} <= set(ids)
-    assert [a["href"] for a in page.all("a") if (a["href"] or "").removeprefix("#") not in ids] == []
+    assert [a["href"] for a in page.all("a") if (a.get("href") or "").removeprefix("#") not in {*ids, ""}] == []
     (tmp_path / "trial").mkdir()
     for name in ("T1-s000.h5", "T7-s000.log", "trial/T1-s000.html", "trial/T1-s000.mp4"):
         (tmp_path / name).write_bytes(b"")
     page = Page(write(run_of_7, tmp_path))
-    files = [a["href"] for a in page.all("a") if not (a["href"] or "").startswith("#")]
+    files = [a["href"] for a in page.all("a") if "href" in a and not (a["href"] or "").startswith("#")]
     assert sorted({str(file) for file in files}) == [
         "T1-s000.h5",
         "T7-s000.log",
@@ -547,16 +549,20 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("force", "changes", "told"),
     [
-        (NO_CONTACT, "nothing touched, seed 0"),
-        ({"c1_peak_force_n": None}, "contact too brief to score at 1.50"),
-        ({"c1_peak_force_n": 7.25}, "7.2 N on the right forearm at 1.50"),
+        (0.0, NO_CONTACT, "nothing touched, seed 0"),
+        (
+            0.3,
+            NO_CONTACT,
+            "the robot pressed the right forearm for 3.0 s with at most 0.3 N; contact counts from 0.5 N",
+        ),
+        (7.25, {"c1_peak_force_n": 7.25}, "7.2 N on the right forearm at 1.50"),
     ],
 )
-def test_what_the_frame_at_peak_force_shows(changes: dict[str, Any], told: str) -> None:
+def test_what_the_frame_at_peak_force_shows(force: float, changes: dict[str, Any], told: str) -> None:
     stored = {"report/peak_rgb": np.zeros((4, 4, 3), np.uint8), "report/peak_time_s": np.array([1.5])}
-    base = make_recording("T1", 0, {}, duration_s=0)
+    base = make_recording("T1", 0, {"right_forearm": np.full(1500, force)}, duration_s=3)
     frame = peak_frame(make_score("T1", 0, **changes), Recording(header=base.header, arrays=base.arrays | stored))
     assert frame is not None
     assert frame.text.startswith(told)
@@ -613,6 +619,38 @@ def test_a_page_without_blind_replay_says_how_to_get_it(tmp_path: Path) -> None:
     assert "carecontact report DIR --baseline" in text.partition("From success to safe success")[0]
 
 
+def test_the_page_of_a_blind_baseline_does_not_set_it_beside_itself(tmp_path: Path) -> None:
+    scores = [make_score("T1", seed, policy="replay") for seed in range(2)]
+    path = write_report(tmp_path, scores=scores, recordings=_no_recording, skipped={}, kept_scores="None are kept.")
+    text = Page(path.read_text()).text
+    assert "replay is a blind baseline, which lacks what the tasks require" in text
+    assert "To learn whether" not in text
+    assert "Run zero-action, hover, random, replay-registered and mean-person with" in text
+
+
+def beside(method: list[TrialScore], *others: list[TrialScore]) -> Baselines:
+    return beside_baselines(RunScores(scores=method), [], kept=[RunScores(scores=scores) for scores in others])
+
+
+def test_without_blind_replay_the_best_blind_baseline_stands_in_the_head(tmp_path: Path) -> None:
+    def run(policy: str, passed: int, **arguments: str) -> list[TrialScore]:
+        return [
+            make_score("T1", seed, policy=policy, policy_arguments=arguments, **({} if seed < passed else FAILED))
+            for seed in range(8)
+        ]
+
+    method = run("mine", 8)
+    others = (run("hover", 0), run("mean-person", 2, person="bathing-wide-L2"), run("mean-person", 1, person="other"))
+    path = write_report(
+        tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=beside(method, *others)
+    )
+    text = Page(path.read_text()).text
+    assert "The best blind baseline, mean-person, passed 2 of 8; mine 8 of 8. The difference, 75 points" in text
+    assert "mean-person (1) 2/8" in text
+    assert "mean-person (2) 1/8" in text
+    assert "mean-person (1): mean-person person=bathing-wide-L2; mean-person (2): mean-person person=other." in text
+
+
 def test_a_success_above_the_safety_gate_is_no_failure_and_is_told(tmp_path: Path) -> None:
     unsafe = make_score("T1", 0, safety_gated=False, over_limit={"right_forearm": 1.5})
     path = write_report(tmp_path, scores=[unsafe], recordings=_no_recording, skipped={})
@@ -632,16 +670,6 @@ def test_a_joint_beyond_its_range_and_a_flag_are_told(tmp_path: Path) -> None:
     assert "right elbow 250\N{NO-BREAK SPACE}%" in text
     assert "a joint beyond the protocol's limit: 1 of 1" in text
     assert "succeeded and moved a joint too far beyond its range" in text
-
-
-def test_the_table_of_load_counts_what_nursing_studies_ask_of_the_mitt(tmp_path: Path) -> None:
-    mitt = make_score("T3", 0, additional={"effective@1": 1.0, "coverage@1": 0.9}, overrides={"scene.tool": "mitt"})
-    pages = []
-    for number, score in enumerate((mitt, mitt.model_copy(update={"overrides": {}}))):
-        (folder := tmp_path / str(number)).mkdir()
-        path = write_report(folder, scores=[score], recordings=_no_recording, skipped={})
-        pages.append("trials that pass, of those with a value" in Page(path.read_text()).text)
-    assert pages == [True, False]
 
 
 def _no_recording(trial_id: str) -> Recording:

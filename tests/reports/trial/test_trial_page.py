@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,9 @@ def test_the_page_says_what_happened_how_hard_and_where(tmp_path: Path) -> None:
         "Look 0 at 0.00 s, answered after 0.25 s of wall time; 2 actions from 0.00 to 3.00 s",
         "Look 1 at 6.00 s, answered after 1.50 s of wall time; 1 action at 6.00 s",
         "(median of 2), and at most 1.50 s, at look 1", "subtask touch it", "stored arrays: map (4, 5)",
-        "All 3 actions", "hello &lt;b&gt;world&lt;/b&gt;", "Seen from outside", "Seen from the side",
+        "All 3 actions", "hello &lt;b&gt;world&lt;/b&gt;",
+        "Seen from outside: straight onto the skin of the region, toward the bone. Right is toward the hand.",
+        "Seen from the side: along the skin", "Up is away from the bone",
         "gate of touch met", "target that the policy noted",
     ):  # fmt: skip
         assert told in words
@@ -114,7 +117,7 @@ def test_a_trial_without_steps_has_a_page(tmp_path: Path) -> None:
     failure = Failure(kind="died", message=f"it died\nTraceback (most recent call last):\nValueError: {HOSTILE}")
     recording = make_recording("T7", 0, {}, duration_s=0, ended="process_failure", failure=failure)
     text, words = written(tmp_path, recording)
-    assert "T7 Scrub abdomen, seed 0, failed: the policy did not start" in words
+    assert "T7 Scrub abdomen, seed 0, failed: the policy crashed before the first physics step: ValueError:" in words
     assert "Failure and traceback it died Traceback (most recent call last):" in words
     assert "The trial ended before its first physics step." in words
     assert "The policy was shown nothing." in words
@@ -151,13 +154,79 @@ def test_the_heading(changes: dict[str, Any], said: str, tmp_path: Path) -> None
     assert said in written(tmp_path, whole_trial(), make_score("T1", 0, **changes))[1]
 
 
+def faint(level: float) -> Recording:
+    """Pressed from 3 to 9 s with this force."""
+    press = plateau((np.arange(6000) + 1) * 0.002, start=3, end=9, level=level, ripple=0)
+    return make_recording("T2", 0, {"right_forearm": press}, duration_s=12)
+
+
+def test_a_press_that_does_not_count_is_told_and_not_denied(tmp_path: Path) -> None:
+    _, words = written(tmp_path, faint(0.3))
+    assert "The robot pressed the right forearm for 6." in words
+    assert "with at most 0.3 N; contact counts from 0.5 N." in words
+    assert "first force, below the 0.5 N that contact needs" in words
+    assert "largest force, 0.3 N on the right forearm" in words
+    for denied in ("touched nobody", "touched nothing", "never touched", "Nothing was touched", "too brief"):
+        assert denied not in words
+
+
+def test_a_failed_push_shows_its_gate_beside_what_it_reached(tmp_path: Path) -> None:
+    """2 N for six seconds are contact, and no push; the wrist stays."""
+    text, words = written(tmp_path, faint(2.0))
+    for told in (
+        "Pressed with at least 3 N without interruption 1 s 0.00 s (largest force 2.0 N) missed",
+        "Way of the wrist while the arm is touched at least 20 mm 0.0 mm missed",
+        "Contact that counts, from 0.5 N 0.05 s in all 5.",
+        "Safety gate: largest force on the right forearm at most 35 N 2.0 N met",
+    ):
+        assert told in words
+    assert "missed" not in written(tmp_path, whole_trial())[1]
+    assert StrictReader(text).faults == []
+
+
+def test_metrics_of_other_actions_are_folded_away(tmp_path: Path) -> None:
+    """Of a push: what says something about pushes, and the newest version of what has several."""
+    recording = faint(4.0)
+    additional = {
+        "wrist_from_onset@1": 0.03, "coverage@1": 0.25, "gentle_share@1": 0.5, "comfortable@1": 1.0,
+        "pressure_mean@1": 5.0, "pressure_mean@2": 6.0,
+    }  # fmt: skip
+    score = make_score("T2", 0, additional=additional)
+    _, words = written(tmp_path, recording, score)
+    _, _, found = words.partition("Metrics of this trial")
+    own, _, other = found.partition("metrics made for other actions")
+    assert "Wrist moved since contact" in own
+    assert "Mean pressure in contact 6.00 kPa" in own
+    assert "5.00" not in found, "an older version beside a newer one"
+    for title in ("Share of the region wiped 0.25", "Share of gentle wiping", "Wiped below 25 mmHg"):
+        assert title in other
+        assert title not in own
+
+
+def test_a_crash_is_told_with_its_reason_where_and_why_nothing_was_printed(tmp_path: Path) -> None:
+    message = "policy failed at act: Traceback (most recent call last):\n  File x\nValueError: no forearm in it"
+    recording = whole_trial(ended="process_failure", failure=Failure(kind="exception", message=message))
+    recording.arrays["wall/policy_output"] = np.zeros(0, "u1")
+    _, words = written(tmp_path, recording)
+    assert "failed: the policy crashed after 12.00 s: ValueError: no forearm in it." in words
+    assert "After 12.00 s, the policy crashed: ValueError: no forearm in it." in words
+    assert "Traceback (most recent call last):." not in words
+    assert "The policy printed nothing." in words
+    del recording.arrays["wall/policy_output"]
+    assert "The recording does not say what the policy printed." in written(tmp_path, recording)[1]
+    spec = recording.header.spec.model_copy(update={"policy": "ws://127.0.0.1:8765"})
+    afar = replace(recording, header=recording.header.model_copy(update={"spec": spec}))
+    words = written(tmp_path, afar, make_score("T1", 0, ended="process_failure"))[1]
+    assert "the policy ran behind ws://127.0.0.1:8765, outside the benchmark" in words
+
+
 def test_video_recording_log_and_report_are_linked_where_they_are(tmp_path: Path) -> None:
     assert "<video" not in written(tmp_path, whole_trial())[0]
     for name in ("report.html", "T1-s000.h5", "T1-s000.log", "trial/T1-s000.mp4"):
         (tmp_path / name).write_bytes(b"")
     text, _ = written(tmp_path, whole_trial())
     assert '<video controls preload="metadata" src="T1-s000.mp4">' in text
-    links = re.findall(r'href="([^"#]*)[#"]', text)
+    links = re.findall(r'<a href="([^"#]*)[#"]', text)
     assert "media-src 'self' file:;" in text
     assert [link for link in links if link and not link.startswith("data:")] == [
         "../report.html", "../T1-s000.h5", "../T1-s000.log", "T1-s000.mp4",

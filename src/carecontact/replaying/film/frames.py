@@ -1,56 +1,56 @@
-"""The frames of a video: the world as one or two cameras see it, with charts beside it."""
+"""A recorded trial as a video: its states, its view, and its frames."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
+from itertools import groupby
 
-import mujoco
 import numpy as np
-import numpy.typing as npt
 
 from carecontact.episode.randomization import dress, lay
 from carecontact.recording.schema import Recording
+from carecontact.replaying.film.clear_view import clear_view
 from carecontact.replaying.film.grid import SkinGrid
-from carecontact.replaying.film.ink import PAPER, Picture, box, faded, text_width, write
+from carecontact.replaying.film.helpers import drawn
+from carecontact.replaying.film.ink import Picture
+from carecontact.replaying.film.painter import Moment, Picturing
 from carecontact.replaying.film.panel import HEIGHT as PANEL_HEIGHT
 from carecontact.replaying.film.panel import WIDTH as PANEL_WIDTH
-from carecontact.replaying.film.panel import Panel
-from carecontact.replaying.film.skin import film_scene
-from carecontact.replaying.film.stage import Stage
-from carecontact.replaying.film.story import Story, story_of
-from carecontact.replaying.film.views import CONTACT, ViewAt, view_of
-from carecontact.replaying.replay import SAID, STATE, Found, Kind, Replay
-from carecontact.reports.trial.events import Event
+from carecontact.replaying.film.skin import FilmSkin, film_scene
+from carecontact.replaying.film.story import story_of
+from carecontact.replaying.film.views import CONTACT, Camera, ViewAt, check_view, view_of
+from carecontact.replaying.replay import Found, Replay
 
 SIZE = (1280, 720)
+"""(width, height) of a video [px]"""
 PICTURE = (SIZE[0] - PANEL_WIDTH, PANEL_HEIGHT)
-INSET = (268, 151)
 INSET_CAMERA = "exterior"
-EVENT_S = 1.6
-"""Time for which the picture shows the text of an event [s]."""
-LAMPS = 2
+INSET_HZ = 5.0
+"""How often the small picture of the room is drawn anew: it costs a fifth of a frame, and shows little motion."""
 
 
 class Film:
-    """The video of one trial. Iterate over ``frames`` once. Use it as a context manager, because it holds a
-    renderer."""
+    """The video of one trial. Iterate over ``frames`` once."""
 
     def __init__(
         self,
         recording: Recording,
         *,
-        view: str | ViewAt = CONTACT,
+        view: str = CONTACT,
         fps: float = 25.0,
         grid: bool = True,
-        lamps: int = LAMPS,
+        shadows: bool = True,
+        lamps: int = 1,
         panel: bool = True,
-        size: tuple[int, int] | None = None,
+        size: tuple[int, int] = PICTURE,
     ) -> None:
         """
         Args:
-            view: a name of ``views.view_names``, or where the camera is at each time.
+            view: a name of ``views.view_names``.
+            fps: frames in a second of the trial.
             grid: whether lines on the region's skin show how it gives way.
+            shadows: whether the picture has shadows, which cost more than half of its time.
             lamps: see ``Stage``.
             panel: whether the charts stand beside the picture.
             size: (width, height) of the picture without the charts [px].
@@ -58,23 +58,26 @@ class Film:
         Raises:
             ConfigError: no such view.
             RecordingError: the recording cannot be shown.
-            DependencyError: nothing can be rendered here.
         """
-        self._view, self._fps = view_of(view, recording) if isinstance(view, str) else view, fps
-        self.replay = Replay(recording)
         spec = recording.header.spec
+        check_view(view, spec.protocol)
+        self._fps = fps
+        self.replay = Replay(recording)
         region = spec.protocol.task(spec.task_id).region
         scene = film_scene(self.replay.scene, region)
         dress(scene, spec.seed)
         lay(scene, scene.place)
-        self._model, self._data = scene.model, mujoco.MjData(scene.model)
-        self.story: Story | None = story_of(recording) if panel else None
-        self._size = size or PICTURE
+        skin = FilmSkin(scene)
+        near = clear_view(recording, scene.model, skin) if view == CONTACT else None
+        self.view: ViewAt = view_of(view, recording) if near is None else Camera(view=near)
+        """The camera at each time."""
         inset = panel and view != INSET_CAMERA and INSET_CAMERA in spec.protocol.cameras
-        self._inset = view_of(INSET_CAMERA, recording) if inset else None
-        self._grid = SkinGrid(scene, region) if grid and region in scene.regions else None
-        self._panels: dict[Kind, Panel] = {}
-        self._stage = Stage(scene, width=self._size[0], height=self._size[1], lamps=lamps)
+        self._what = Picturing(
+            model=scene.model, skin=skin, view=self.view, size=size, lamps=lamps, shadows=shadows,
+            inset=view_of(INSET_CAMERA, recording) if inset else None,
+            story=story_of(recording) if panel else None,
+            grid=SkinGrid(scene, region) if grid and region in scene.regions else None,
+        )  # fmt: skip
         self.found = Found()
 
     @property
@@ -82,49 +85,25 @@ class Film:
         """Number of frames."""
         return int(self.replay.step_count * self.replay.dt_s * self._fps + 1e-9) + 1
 
-    def __enter__(self) -> Film:
-        return self
+    def frames(self, begin_s: float = 0.0, end_s: float = np.inf, *, jobs: int = 1) -> Generator[Picture, None, None]:
+        """Yield a picture (height, width, 3) for each frame between two times, by default of the whole trial.
 
-    def __exit__(self, *_: object) -> None:
-        self._stage.__exit__()
+        Args:
+            jobs: number of processes that draw. The pictures do not depend on it.
 
-    def frames(self, begin_s: float = 0.0, end_s: float = np.inf) -> Iterator[Picture]:
-        """(height, width, 3) between two times, by default of the whole trial."""
+        Raises:
+            DependencyError: nothing can be rendered here.
+        """
+        yield from drawn(replace(self._what, view=self.view), self._batches(begin_s, end_s), jobs=jobs)
+
+    def _batches(self, begin_s: float, end_s: float) -> Iterator[list[Moment]]:
+        """Frames with one small picture of the room in common."""
         for stretch in self.replay.stretches(self._fps):
             self.found.take(stretch)
-            for step, state in zip(stretch.steps, stretch.states, strict=True):
-                time_s = float(step) * self.replay.dt_s
-                if begin_s <= time_s <= end_s:
-                    yield self._frame(time_s, state, stretch.kind)
-
-    def _frame(self, time_s: float, state: npt.NDArray[np.float64], kind: Kind) -> Picture:
-        mujoco.mj_setState(self._model, self._data, state, STATE)
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_camlight(self._model, self._data)
-        picture = self._stage.picture(self._data, self._view(time_s), self._size, grid=self._grid)
-        if self.story is None:
-            return picture
-        if self._inset is not None:
-            small = replace(self._inset(time_s), radius_m=0.0)
-            _put_inset(picture, self._stage.picture(self._data, small, INSET))
-        _write_events(picture, self.story.events, time_s)
-        if kind not in self._panels:
-            self._panels[kind] = Panel(self.story, note=SAID[kind])
-        return np.hstack([picture, self._panels[kind].at(time_s)])
-
-
-def _put_inset(picture: Picture, inset: Picture) -> None:
-    height, width = inset.shape[:2]
-    x, y = 20, picture.shape[0] - height - 20
-    box(picture, x - 2, y - 2, x + width + 2, y + height + 2, PAPER)
-    picture[y : y + height, x : x + width] = inset
-
-
-def _write_events(picture: Picture, events: list[Event], time_s: float) -> None:
-    """One under the other where several came shortly after each other."""
-    now = [event for event in events if event.time_s <= time_s < event.time_s + EVENT_S and event.text != "start"]
-    for row, event in enumerate(now):
-        top = 20 + 42 * row
-        width = round(text_width(event.text, 17, bold=True)) + 28
-        faded(picture, 20, top, 20 + width, top + 38, (24, 26, 30), 0.72)
-        write(picture, 34, top + 25, event.text, 17, colour=PAPER, bold=True)
+            moments = [
+                Moment(time_s=float(step) * self.replay.dt_s, state=state, kind=stretch.kind)
+                for step, state in zip(stretch.steps, stretch.states, strict=True)
+            ]
+            shown = [moment for moment in moments if begin_s <= moment.time_s <= end_s]
+            for _, batch in groupby(shown, key=lambda moment: int(moment.time_s * INSET_HZ + 1e-6)):
+                yield list(batch)

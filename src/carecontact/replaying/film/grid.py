@@ -23,6 +23,8 @@ NEAR_M = 0.008
 TOLERANCE_M = 0.0025
 """A line is drawn where nothing lies farther in front of it."""
 FRACTION_BITS = 4
+LINE_COLOUR, DARKNESS = (60, 30, 22), 0.42
+"""A line's colour, and the share of it in a pixel that the line covers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +83,9 @@ class SkinGrid:
         lines = np.round(pixels.reshape(-1, 2, 2)[both] * (1 << FRACTION_BITS)).astype(np.int32)
         mask = np.zeros((height, width), np.uint8)
         cv2.polylines(mask, list(lines), False, 255, 1, cv2.LINE_AA, FRACTION_BITS)
-        share = (mask.astype(np.float32) / 255 * 0.42)[..., None]
-        picture[:] = (picture * (1 - share) + np.array([60, 30, 22]) * share).astype(np.uint8)
+        on = mask > 0
+        share = mask[on][:, None].astype(np.float32) * (DARKNESS / 255)
+        picture[on] = (picture[on] * (1 - share) + np.array(LINE_COLOUR) * share).astype(np.uint8)
 
 
 def _crossings(value: F64, faces: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int64], F64]:

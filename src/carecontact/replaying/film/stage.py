@@ -13,21 +13,25 @@ from carecontact.errors import DependencyError
 from carecontact.replaying.film.grid import SkinGrid, eye_of
 from carecontact.replaying.film.skin import FilmSkin
 from carecontact.sim.rendering import import_opengl
-from carecontact.world.scene import Scene
 
 F64 = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
 
 SAMPLES = 4
 """Number of samples for each pixel (multisampling)."""
-SHADOW_SIZE = 1536
+SHADOW_SIZE = 1024
 """Pixels of the shadow map, each way."""
 KEY_DIRECTION = (-0.40, -0.62, -0.68)
+"""Direction in which the lamp shines that casts shadows."""
 KEY_SPREAD = 0.03
-"""How far the directions of those lamps differ [rad]."""
+"""How far the directions differ where several lamps stand for this one [rad]."""
+FILL_DIRECTION = (0.55, 0.65, -0.5)
+SHOULDER_DEG = 15.0
+"""Level angle between the camera's direction and that of a lamp that turns with it."""
 KEY, FILL, AMBIENT, HEADLIGHT = 0.58, 0.20, 0.30, 0.14
 """Strengths."""
 LAMP_DISTANCE_M = 2.0
+KEY_AZIMUTH_DEG = float(np.degrees(np.arctan2(KEY_DIRECTION[1], KEY_DIRECTION[0])))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,22 +48,27 @@ class View:
     camera: str | None = None
     """Name of a camera of the protocol, which is used instead of the numbers above."""
     fovy_deg: float = 40.0
+    light_turns: bool = False
+    """Whether the shadow-casting lamp shines over the camera's shoulder, wherever the camera stands, instead of from
+    its place in the room."""
 
 
 class Stage:
     """One OpenGL context for pictures of one size at most. Use it as a context manager."""
 
-    def __init__(self, scene: Scene, *, width: int, height: int, lamps: int) -> None:
+    def __init__(self, model: mujoco.MjModel, skin: FilmSkin, *, width: int, height: int, lamps: int) -> None:
         """
         Args:
+            model: a film's (``film.skin.film_scene``).
+            skin: of the same model.
             lamps: how many stand for one broad lamp: where only some of them are covered, the shadow is soft. Each
                 costs as much as the rest of a picture.
 
         Raises DependencyError where nothing can be rendered.
         """
-        model = self._model = scene.model
-        self._key = key_directions(lamps)
-        self.skin = FilmSkin(scene)
+        self._model = model
+        self._lamps = lamps
+        self._skin = skin
         quality, far = model.vis.quality, model.vis.global_
         quality.offsamples, quality.shadowsize = SAMPLES, SHADOW_SIZE
         far.offwidth, far.offheight = width, height
@@ -99,7 +108,7 @@ class Stage:
         mujoco.mjv_updateScene(
             self._model, data, self._option, mujoco.MjvPerturb(), camera, mujoco.mjtCatBit.mjCAT_ALL.value, made
         )
-        vertices, _ = self.skin.shape(data, made)
+        vertices, _ = self._skin.shape(data, made)
         self._light(view)
         rect, out = mujoco.MjrRect(0, 0, *size), np.empty((size[1], size[0], 3), np.uint8)
         depth = None if grid is None else np.empty((size[1], size[0]), np.float32)
@@ -121,12 +130,13 @@ class Stage:
         head = made.lights[0]
         self._mjr.shadowClip = view.radius_m
         made.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = view.radius_m > 0
-        lamps = self._key
+        turn_deg = view.azimuth_deg + SHOULDER_DEG - KEY_AZIMUTH_DEG if view.light_turns else 0.0
+        lamps = [turned(direction, turn_deg) for direction in key_directions(self._lamps)]
         made.nlight = 2 + len(lamps)
         for lamp, direction, diffuse, shadow in (
             (head, (0.0, 0.0, -1.0), HEADLIGHT, False),
             *((made.lights[1 + k], d, KEY / len(lamps), True) for k, d in enumerate(lamps)),
-            (made.lights[1 + len(lamps)], (0.55, 0.65, -0.5), FILL, False),
+            (made.lights[1 + len(lamps)], turned(np.array(FILL_DIRECTION), turn_deg), FILL, False),
         ):
             lamp.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
             if lamp is not head:
@@ -147,3 +157,10 @@ def key_directions(count: int) -> list[F64]:
     along = np.cross(middle, across)
     turns = 2 * np.pi * np.arange(count) / count + 0.4
     return [middle + KEY_SPREAD * (np.cos(t) * across + np.sin(t) * along) for t in turns]
+
+
+def turned(direction: F64, turn_deg: float) -> F64:
+    """(3,) a direction after a turn about the vertical."""
+    sine, cosine = np.sin(np.radians(turn_deg)), np.cos(np.radians(turn_deg))
+    x, y, z = direction
+    return np.array([cosine * x - sine * y, sine * x + cosine * y, z])

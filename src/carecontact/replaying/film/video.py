@@ -15,7 +15,7 @@ from PIL import Image
 from carecontact.errors import DependencyError, RecordingError
 from carecontact.replaying.film.ink import Picture
 
-PRESET, QUALITY = "medium", "18"
+PRESET, QUALITY = "veryfast", "18"
 """Settings of x264: a constant quality at which text stays sharp."""
 PART = ".part"
 """Ending of the name of a file that is still being written."""

@@ -17,6 +17,7 @@ from carecontact.reports.page.chosen import hardest_first, trials_in_detail
 from carecontact.reports.page.script import script_source
 from carecontact.reports.page.section import Page, sections_in_order
 from carecontact.reports.page.title import protocol_of
+from carecontact.reports.page_links import link_report
 from carecontact.reports.table import sorted_scores
 from carecontact.runs.pooling import check_one_run, judged
 from carecontact.scoring.result import TrialScore
@@ -69,6 +70,7 @@ def write_report(
     _read(page, recordings)
     path = run_folder / FILE_NAME
     replace_file(path, _render(page).encode("utf-8", errors="replace"))
+    link_report(run_folder, (score.trial_id for score in ordered))
     return path
 
 

@@ -33,7 +33,8 @@ def events(contact: Contact) -> list[Event]:
     header = contact.recording.header
     if not len(contact.time_s):
         return []
-    found = [Event(time_s=contact.time_s[int(on.argmax())], text=f"first contact with the {name.replace('_', ' ')}")
+    found = _faint(contact) if contact.reported is None else []
+    found += [Event(time_s=contact.time_s[int(on.argmax())], text=f"first contact with the {name.replace('_', ' ')}")
              for name, on in zip(contact.segments, contact.on.T, strict=True) if on.any()]  # fmt: skip
     if (passed := gate_met_s(contact)) is not None:
         found.append(Event(time_s=passed, text=f"gate of {contact.task.action} met"))
@@ -48,6 +49,20 @@ def events(contact: Contact) -> list[Event]:
         why = "" if cut is None else f": {reason_of(cut)}"
         found.append(Event(time_s=contact.time_s[-1], text=f"{TOLD_ENDS[header.ended]}{why}"))
     return [replace(event, time_s=float(event.time_s)) for event in sorted(found, key=lambda event: event.time_s)]
+
+
+def _faint(contact: Contact) -> list[Event]:
+    """Where a press began that was too light to count as contact, and its largest force."""
+    felt = (contact.force_norm > 0).any(axis=1)
+    if not felt.any():
+        return []
+    step, segment = np.unravel_index(int(contact.force_norm.argmax()), contact.force_norm.shape)
+    name, least = contact.segments[int(segment)].replace("_", " "), contact.protocol.contact.on_n
+    largest = f"largest force, {contact.force_norm[step, segment]:.1f} N on the {name}"
+    return [
+        Event(time_s=contact.time_s[int(felt.argmax())], text=f"first force, below the {least:g} N that contact needs"),
+        Event(time_s=contact.time_s[int(step)], text=largest),
+    ]
 
 
 def _of_the_person(recording: Recording) -> list[Event]:

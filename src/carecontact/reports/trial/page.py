@@ -14,36 +14,33 @@ from carecontact.reports.moment.moment import peak_moment
 from carecontact.reports.moment.picture import peak_svg
 from carecontact.reports.page.force_trace import force_trace
 from carecontact.reports.page.trial_words import result_word
+from carecontact.reports.page_links import link_page, page_path, report_link
 from carecontact.reports.text import shown
 from carecontact.reports.trial.events import events
+from carecontact.reports.trial.gates import gate_parts
 from carecontact.reports.trial.looks import action_table, latency_text, looks_of
 from carecontact.reports.trial.paths import noted_targets, paths
 from carecontact.reports.trial.skin_view import skin_views
 from carecontact.reports.trial.timeline import letter, panels_of, timeline_svg
 from carecontact.reports.trial.words import facts, how_hard, outcome
 from carecontact.scoring.contact import find_contact
-from carecontact.scoring.metrics.metric import METRICS
+from carecontact.scoring.metrics.c3_success import judge
+from carecontact.scoring.metrics.metric import METRICS, newest
 from carecontact.scoring.result import TrialScore
-
-FOLDER = "trial"
-"""In the folder of a run."""
-
-
-def page_path(run_folder: Path, trial_id: str) -> Path:
-    """The place of a trial's page, whether the page exists or not."""
-    return run_folder / FOLDER / f"{trial_id}.html"
 
 
 def write_trial_page(run_folder: Path, recording: Recording, score: TrialScore) -> Path:
     """Write ``run_folder/trial/ID.html`` and return its path.
 
-    A video of the trial that lies beside it, ``ID.mp4``, is shown and linked, and so are the recording, the log and the
-    run's report where they are in the run's folder. Raises RecordingError, naming the trial, for a stored picture, a
+    A video of the trial that lies beside it, ``ID.mp4``, is shown and linked, and so are the recording and the log
+    where they are in the run's folder. The page and the run's report link each other, whichever was written first
+    (``reports.page_links``). Raises RecordingError, naming the trial, for a stored picture, a
     skin or notes that cannot be shown.
     """
     path = page_path(run_folder, score.trial_id)
     path.parent.mkdir(exist_ok=True)
     replace_file(path, _render(run_folder, recording, score).encode("utf-8", errors="replace"))
+    link_page(run_folder, score.trial_id)
     return path
 
 
@@ -60,11 +57,14 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore) -> str:
         score=score,
         prompt=recording.header.spec.protocol.task(score.task_id).prompt,
         result=result_word(score),
-        outcome=outcome(score),
+        outcome=outcome(score, recording.header),
+        report_link=report_link(run_folder, score.trial_id),
         links=_links(run_folder, score.trial_id),
         video=_beside(run_folder, score.trial_id, ".mp4"),
-        metrics=_metrics(score),
+        metrics=_metrics(score, concerned=True),
+        other_metrics=_metrics(score, concerned=False),
         printed=_printed(recording),
+        not_printed=_not_printed(recording),
         failure=recording.header.failure,
         **_contact(recording, score),
         **_policy(recording),
@@ -74,6 +74,7 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore) -> str:
 def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
     """What the robot did to the person."""
     moment, found, contact = peak_moment(recording), paths(recording), find_contact(recording)
+    measures = judge(contact)
     notes = read_notes(recording)
     noted = [] if found is None else noted_targets(recording, notes, found)
     happened = events(contact)
@@ -82,11 +83,12 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
         trace = force_trace(recording, score)
         looked = recording["policy/observation_time_s"].tolist()
         timeline = timeline_svg(panels_of(recording, trace, found), trace, happened, looked)
-    hard = how_hard(score, recording, moment)
+    hard = how_hard(score, contact, moment)
     picture = peak_svg(recording, moment, title=f"The contact at peak force. {hard}")
     snapshot = recording.arrays.get("report/snapshot_rgb")
     return {
-        "facts": facts(score, recording, moment),
+        "facts": facts(score, contact, moment),
+        "gates": gate_parts(contact, measures, score),
         "moment": moment,
         "picture": picture,
         "snapshot": None if snapshot is None else jpeg_data_uri(snapshot),
@@ -109,9 +111,8 @@ def _policy(recording: Recording) -> dict[str, Any]:
 
 
 def _links(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:
-    """Words and address of each file in the run's folder to which the page links."""
+    """Words and address of each file in the run's folder, the report aside, to which the page links."""
     files = (
-        ("report of the run", "report.html", f"../report.html#{trial_id}"),
         ("recording", f"{trial_id}.h5", f"../{trial_id}.h5"),
         ("log", f"{trial_id}.log", f"../{trial_id}.log"),
     )
@@ -124,12 +125,18 @@ def _beside(run_folder: Path, trial_id: str, ending: str) -> str | None:
     return path.name if path.is_file() else None
 
 
-def _metrics(score: TrialScore) -> list[tuple[str, str, str]]:
-    """Title, value and unit of every metric that the trial has a value of."""
+def _metrics(score: TrialScore, *, concerned: bool) -> list[tuple[str, str, str]]:
+    """Title, value and unit of the newest version of every metric that the trial has a value of.
+
+    Args:
+        concerned: of the metrics that say something about the trial's action, or of the others.
+    """
+    current = set(newest(score.additional))
     rows: list[tuple[str, str, str]] = []
     for metric in sorted(METRICS.values(), key=lambda row: (row.order, row.id)):
         value = metric.of(score)
-        if isinstance(value, bool) or value is None:
+        is_old = metric.id in score.additional and metric.id not in current
+        if isinstance(value, bool) or value is None or is_old or metric.concerns(score.action) != concerned:
             continue
         unit = "" if metric.unit == "1" else metric.unit
         rows.append((metric.title, shown(value, digits=metric.digits, unit=metric.unit), unit))
@@ -139,3 +146,15 @@ def _metrics(score: TrialScore) -> list[tuple[str, str, str]]:
 def _printed(recording: Recording) -> str:
     stored = recording.arrays.get("wall/policy_output")
     return "" if stored is None else stored.tobytes().decode("utf-8", errors="replace")
+
+
+def _not_printed(recording: Recording) -> str:
+    """Why the page shows nothing that the policy printed."""
+    if "://" in recording.header.spec.policy:
+        return (
+            f"The recording cannot have it: the policy ran behind {recording.header.spec.policy}, outside the "
+            "benchmark's processes. What it printed is where that server runs."
+        )
+    if "wall/policy_output" not in recording.arrays:
+        return "The recording does not say what the policy printed."
+    return "The policy printed nothing."

@@ -36,6 +36,8 @@ DEEPEST_CELL = 0.85
 @dataclass(frozen=True, kw_only=True)
 class Side:
     name: str
+    words: str
+    """Which way one looks; ``{ahead}`` is where the region's x axis leads."""
     up: int
     """Axis of the region's frame that goes up in the view; x goes to the right."""
     toward: F64
@@ -43,8 +45,21 @@ class Side:
 
 
 SIDES = (
-    Side(name="from outside", up=1, toward=np.array([0.0, 0.0, 1.0])),
-    Side(name="from the side", up=2, toward=np.array([0.0, -1.0, 0.0])),
+    Side(
+        name="from outside",
+        words="Seen from outside: straight onto the skin of the region, toward the bone. Right is {ahead}.",
+        up=1,
+        toward=np.array([0.0, 0.0, 1.0]),
+    ),
+    Side(
+        name="from the side",
+        words=(
+            "Seen from the side: along the skin, a quarter turn from the other view. Up is away from the bone, so that "
+            "a tool that presses straight onto the region comes from above. Right is {ahead}."
+        ),
+        up=2,
+        toward=np.array([0.0, -1.0, 0.0]),
+    ),
 )
 
 
@@ -79,7 +94,8 @@ class Frame:
 def skin_views(
     recording: Recording, found: Paths, moment: Moment | None, noted: list[tuple[float, float, float]]
 ) -> list[tuple[str, str]]:
-    """Name and drawing of each view; empty where the recording has no skin (before this release).
+    """Return, for each view, words on which way one looks and its drawing; empty where the recording has no skin
+    (before this release).
 
     Raises RecordingError for a skin of the wrong shape.
     """
@@ -92,7 +108,11 @@ def skin_views(
     step = len(recording["scorer/time_s"]) - 1 if moment is None else moment.index
     pose = region_poses(recording)[step]
     skin = points_in_region(vertices.astype(np.float64), np.tile(pose, (len(vertices), 1)))
-    return [(side.name, _view(recording, side, skin, faces, found, moment, noted)) for side in SIDES]
+    spec = recording.header.spec
+    _, ahead = ends_of(spec.protocol.task(spec.task_id).region)
+    return [
+        (side.words.format(ahead=ahead), _view(recording, side, skin, faces, found, moment, noted)) for side in SIDES
+    ]
 
 
 def _view(

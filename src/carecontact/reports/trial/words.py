@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
+from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import Header, Recording
 from carecontact.regions import REGIONS
 from carecontact.reports.failures import CAUSE_MEANING, MODE_MEANING
 from carecontact.reports.joint_words import beyond_text, consumed_text
 from carecontact.reports.moment.moment import Moment, place_text, region_column, region_poses
+from carecontact.reports.page.paths import shortened
 from carecontact.reports.page.trial_words import progress
 from carecontact.reports.text import percent, task_name
+from carecontact.scoring.contact import Contact
+from carecontact.scoring.faint import faint_press
 from carecontact.scoring.region import distance_to_surface, points_in_region
 from carecontact.scoring.result import TrialScore
 
 
-def outcome(score: TrialScore) -> str:
+def outcome(score: TrialScore, header: Header) -> str:
     """The heading of the page."""
     name = f"{score.task_id} {task_name(score)}, seed {score.seed},"
+    if score.is_crash:
+        when = f"after {score.duration_s:.2f} s" if score.duration_s else "before the first physics step"
+        return f"{name} failed: the policy crashed {when}{_why(header)}."
     if score.ended == "harness_error":
         return f"{name} counts for nothing: the harness failed, and not the policy."
     if score.safety_gated:
@@ -31,15 +38,20 @@ def outcome(score: TrialScore) -> str:
     return f"{name} succeeded, but not on the named region alone{why}." if score.c3_success else f"{name} failed{why}."
 
 
-def facts(score: TrialScore, recording: Recording, moment: Moment | None) -> list[tuple[str, str]]:
+def facts(score: TrialScore, contact: Contact, moment: Moment | None) -> list[tuple[str, str]]:
     """Return the facts about the trial as (question, answer), the most important first."""
+    recording = contact.recording
     rows = [("Progress", progress(score))] if score.valid_contact else []
-    if score.failure_mode:
+    if score.is_crash:
+        rows.insert(0, ("Failure", "process failure. It counts as a failure of the policy; what the policy did to the "
+                        "person before counts as well."))  # fmt: skip
+        rows.insert(1, ("Evidence", score.evidence or "none recorded"))
+    elif score.failure_mode:
         mode, cause = score.failure_mode.replace("_", " "), score.attribution or "unattributed"
         rows.insert(0, ("Failure", f"{mode}. {_capital(MODE_MEANING.get(score.failure_mode, ''))}."))
         rows.insert(1, ("Cause", f"{cause}. {_capital(CAUSE_MEANING.get(cause, ''))}."))
         rows.insert(2, ("Evidence", score.evidence or "none recorded"))
-    rows.append(("How hard", how_hard(score, recording, moment)))
+    rows.append(("How hard", how_hard(score, contact, moment)))
     if beyond := beyond_text(score):
         rows.append(("Joints beyond their range", f"{_capital(beyond)}, farther than the protocol allows."))
     if consumed := consumed_text(score):
@@ -52,13 +64,13 @@ def facts(score: TrialScore, recording: Recording, moment: Moment | None) -> lis
     return rows
 
 
-def how_hard(score: TrialScore, recording: Recording, moment: Moment | None) -> str:
-    """Return a sentence that compares the scored peak force with the limits of the segment on which it occurred."""
-    protocol = recording.header.spec.protocol
+def how_hard(score: TrialScore, contact: Contact, moment: Moment | None) -> str:
+    """Return a sentence that compares the scored peak force with the limits of the segment on which it occurred; where
+    no contact counts, one that says what happened instead."""
+    protocol = contact.protocol
     if score.c1_peak_force_n is None or score.reported_segment is None:
-        if moment is None:
-            return f"The robot never touched the person{_closest(recording)}."
-        return f"At most {moment.force_n:.1f} N at {moment.time_s:.2f} s; contact too brief to score."
+        faint = faint_press(contact)
+        return f"The robot {faint}." if faint else f"The robot never touched the person{_closest(contact.recording)}."
     pain = protocol.f_pain(score.reported_segment)
     gate = protocol.limits.gamma * pain
     own = "" if score.reported_segment == REGIONS[score.region].segment else ", which is not the named region"
@@ -88,8 +100,13 @@ def _end(score: TrialScore, header: Header) -> str:
         "safety_truncation": "the benchmark cut the trial", "process_failure": "the policy crashed",
         "harness_error": "the harness failed",
     }[header.ended]  # fmt: skip
-    why = header.failure.message.partition("\n")[0] if header.failure is not None else ""
-    return f"After {score.duration_s:.2f} s, {told}{f': {why}' if why else ''}."
+    return f"After {score.duration_s:.2f} s, {told}{_why(header)}."
+
+
+def _why(header: Header) -> str:
+    """The reason of a failure after a colon; empty where none is recorded."""
+    why = "" if header.failure is None else reason_of(header.failure).strip().rstrip(".:")
+    return f": {shortened(why)}" if why else ""
 
 
 def _capital(text: str) -> str:

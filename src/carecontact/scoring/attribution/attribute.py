@@ -15,6 +15,7 @@ from carecontact.scoring.attribution.noted_target import nearest_noted_target, n
 from carecontact.scoring.attribution.sight import Sight, modalities, sight
 from carecontact.scoring.behaviour import mm
 from carecontact.scoring.contact import Contact, runs
+from carecontact.scoring.faint import faint_press
 from carecontact.scoring.gate import Gate
 from carecontact.scoring.joints import farthest_beyond
 from carecontact.scoring.result import Attribution, FailureMode
@@ -76,20 +77,29 @@ def _aimed_right(contact: Contact, gate: Gate, mode: FailureMode, path: Commande
     if closest > NEAR_REGION_M:
         where = f"The commanded path was aimed at the {region} and stayed {mm(closest)} off its surface"
     if mode in ("no_target_contact", "off_target_contact"):
-        touched = ", ".join(contact.segments[i] for i in contact.touched) or "nothing"
-        joint = "; the robot touched" if closest > NEAR_REGION_M else ", yet the robot touched"
-        return ("execution" if closest <= 0 else "planning"), f"{where}{joint} {touched}."
+        joint = "; the robot" if closest > NEAR_REGION_M else ", yet the robot"
+        return ("execution" if closest <= 0 else "planning"), f"{where}{joint} {_touched(contact)}."
     if mode == "lost_contact":
         lost = [float(contact.time_s[stop]) for stop in _losses(contact)]
         inside = sum(path.inside_at(t) for t in lost)
         cause: Attribution = "execution" if 2 * inside > len(lost) else "planning"
         return cause, (
-            f"Contact was lost {len(lost)} time(s), {inside} of them while the commanded target lay on or under "
+            f"Contact was lost {_times(len(lost))}, {inside} of them while the commanded target lay on or under "
             f"the surface of the {region}."
         )
     if mode == "insufficient_progress" and (asked := _requested(contact, path)):
         return "execution", f"{where} and asked for {asked}, but {_shortfall(contact, gate, mode)}."
     return "planning", f"{where}, but {_shortfall(contact, gate, mode)}."
+
+
+def _touched(contact: Contact) -> str:
+    if contact.touched:
+        return f"touched {', '.join(contact.segments[i] for i in contact.touched)}"
+    return faint_press(contact) or "touched nothing"
+
+
+def _times(n: int) -> str:
+    return "once" if n == 1 else f"{n} times"
 
 
 def _requested(contact: Contact, path: CommandedPath) -> str | None:
@@ -106,7 +116,7 @@ def _views(contact: Contact, seen: Sight) -> str:
     if not seen.views:
         return f"the policy saw {', '.join(asked)}, and whether the {region} was in view is not recorded"
     if not seen.visible:
-        return f"the {region} was hidden in all {seen.views} view(s)"
+        return f"the {region} was hidden in {'its only view' if seen.views == 1 else f'all {seen.views} views'}"
     error = f" (middle error {mm(seen.error_m)})" if seen.error_m is not None else ""
     return f"the {region} was in view in {seen.visible} of {seen.views} and could be found in {seen.found}{error}"
 

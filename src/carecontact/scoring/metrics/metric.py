@@ -45,6 +45,9 @@ class Metric:
     pool: Pool = None
     """Medians and comparisons pool the trials of these actions only; ``moving``: of those whose behaviour is meant to
     move the person; None: of all."""
+    only: Pool = None
+    """The metric says something about trials of these actions only: tables by task and pages of trials leave it out of
+    the others, which results and medians keep. None: of those of ``pool``."""
     median: bool = True
     """Whether tables show a median of it."""
     digits: int | None = None
@@ -74,7 +77,12 @@ class Metric:
     @property
     def actions(self) -> tuple[str, ...] | None:
         """The actions of ``pool``, by name."""
-        return tuple(sorted(actions_that_move())) if self.pool == "moving" else self.pool
+        return _named(self.pool)
+
+    def concerns(self, action: str) -> bool:
+        """Whether the metric says something about trials of an action."""
+        actions = _named(self.pool if self.only is None else self.only)
+        return actions is None or action in actions
 
     def compute(self, contact: Contact) -> float | None:
         """The number of one trial; None for NA. Raises ConfigError, which names metric and trial, for a measure that
@@ -117,6 +125,10 @@ class Metric:
         return None if found is None else float(found)  # pyright: ignore[reportArgumentType]
 
 
+def _named(pool: Pool) -> tuple[str, ...] | None:
+    return tuple(sorted(actions_that_move())) if pool == "moving" else pool
+
+
 METRICS: Registry[Metric] = Registry("metric", row=Metric, scan="carecontact.scoring.metrics")
 
 Function = TypeVar("Function", bound="Callable[[Contact], Measured]")
@@ -130,6 +142,7 @@ def metric(
     better: Better,
     field: str | None = None,
     pool: Pool = None,
+    only: Pool = None,
     median: bool = True,
     digits: int | None = None,
     headline: bool = False,
@@ -146,7 +159,7 @@ def metric(
             id_,
             Metric(
                 id=id_, title=title, unit=unit, better=better, measure=measure, field=field, pool=pool,
-                median=median, digits=digits, headline=headline, matters=matters, order=order,
+                only=only, median=median, digits=digits, headline=headline, matters=matters, order=order,
             ),
             origin=measure,
         )  # fmt: skip
@@ -174,6 +187,19 @@ def checked_metrics() -> list[Metric]:
 def metrics_in_order() -> list[Metric]:
     """Every registered metric, as tables list them."""
     return sorted(METRICS.values(), key=lambda row: (row.order, row.id))
+
+
+def newest(ids: Iterable[str]) -> list[str]:
+    """Of several versions of one metric the highest, in the order of their names. An id without a version stays."""
+    found: dict[str, str] = {}
+    for id_ in sorted(ids, key=_version):
+        found[id_.partition("@")[0]] = id_
+    return [found[name] for name in sorted(found)]
+
+
+def _version(id_: str) -> int:
+    version = id_.partition("@")[2]
+    return int(version) if version.isdigit() else 0
 
 
 def described(id_: str) -> Metric:

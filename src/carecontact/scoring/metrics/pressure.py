@@ -1,11 +1,15 @@
-"""Pressure on the skin of the target region: mean, peak, how long it was uncomfortable, and how near to pain."""
+"""Pressure on the skin of the target region: mean, peak, how long it was uncomfortable, and how near to pain.
+
+Every metric here speaks of the region's cells alone. Version 1 has a value wherever a cell was touched, even where the
+cells felt next to nothing of the contact. Version 2 is NA there: it needs cells that felt most of the force.
+"""
 
 from __future__ import annotations
 
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.limits import LIMIT_PACKS
-from carecontact.scoring.metrics.metric import metric
-from carecontact.scoring.touched_cells import MMHG_PA, touched_cells
+from carecontact.scoring.metrics.cell_share import of_cells
+from carecontact.scoring.touched_cells import MMHG_PA, TouchedCells
 
 COMFORT_MMHG = 25.0
 """Upper end of the ordinary wiping of nurses, at which 31 % of 30 adults felt slight pain: Konya et al. 2020 (Japan
@@ -18,76 +22,62 @@ compared with them, but neither may a hard stroke hide in the mean of a trial.""
 PAIN_PACK = "iso-ts-15066-2016-pressure"
 
 
-@metric("pressure_mean@1", title="Mean pressure in contact", unit="kPa", better="neither", order=14)
-def mean_pressure(contact: Contact) -> float | None:
-    """Normal force over area in contact, over all of the contact of the target's cells; None (NA) if none was
-    touched."""
-    cells = touched_cells(contact)
-    return None if cells is None else cells.mean_pressure_pa / 1000
+@of_cells("pressure_mean", title="Mean pressure in contact", unit="kPa", better="neither", order=14)
+def mean_pressure(cells: TouchedCells, contact: Contact) -> float:
+    """Normal force over area in contact, over all of the contact of the target's cells."""
+    return cells.mean_pressure_pa / 1000
 
 
-@metric("pressure_peak@1", title="Peak pressure", unit="kPa", better="lower", order=15)
-def peak_pressure(contact: Contact) -> float | None:
-    """Largest ``TouchedCells.pressure_pa`` of a cell and a control period; None (NA) if none was touched."""
-    cells = touched_cells(contact)
-    return None if cells is None else float(cells.pressure_pa.max()) / 1000
+@of_cells("pressure_peak", title="Peak pressure", unit="kPa", better="lower", order=15)
+def peak_pressure(cells: TouchedCells, contact: Contact) -> float:
+    """Largest ``TouchedCells.pressure_pa`` of a cell and a control period."""
+    return float(cells.pressure_pa.max()) / 1000
 
 
-@metric("exposure_uncomfortable@1", title=f"Time above {COMFORT_MMHG:g} mmHg", unit="s", better="lower", order=33)
-def uncomfortable(contact: Contact) -> float | None:
-    """Time in which a cell of the target bears more than COMFORT_MMHG; None (NA) if none was touched."""
-    return _time_above(contact, COMFORT_MMHG)
+@of_cells("exposure_uncomfortable", title=f"Time above {COMFORT_MMHG:g} mmHg", unit="s", better="lower", order=33)
+def uncomfortable(cells: TouchedCells, contact: Contact) -> float:
+    """Time in which a cell of the target bears more than COMFORT_MMHG."""
+    return cells.time_above(COMFORT_MMHG * MMHG_PA)
 
 
-@metric(
-    "exposure_fragile@1", title=f"Time above {FRAGILE_MMHG:g} mmHg (fragile skin)", unit="s", better="lower", order=34
+@of_cells(
+    "exposure_fragile", title=f"Time above {FRAGILE_MMHG:g} mmHg (fragile skin)", unit="s", better="lower", order=34
 )
-def fragile(contact: Contact) -> float | None:
-    """Time in which a cell of the target bears more than FRAGILE_MMHG; None (NA) if none was touched."""
-    return _time_above(contact, FRAGILE_MMHG)
+def fragile(cells: TouchedCells, contact: Contact) -> float:
+    """Time in which a cell of the target bears more than FRAGILE_MMHG."""
+    return cells.time_above(FRAGILE_MMHG * MMHG_PA)
 
 
-@metric("comfortable@1", title=f"Wiped below {COMFORT_MMHG:g} mmHg", unit="1", better="higher", median=False, order=35)
-def comfortable(contact: Contact) -> float | None:
+@of_cells("comfortable", title=f"Wiped below {COMFORT_MMHG:g} mmHg", better="higher", answer=True, order=35)
+def comfortable(cells: TouchedCells, contact: Contact) -> float:
     """1 where the pressure under the tool stays at or below COMFORT_MMHG for MOST_OF_TIME of its time in contact, else
-    0; None (NA) if none was touched."""
-    return _stays_below(contact, COMFORT_MMHG)
+    0."""
+    return _stays_below(cells, COMFORT_MMHG)
 
 
-@metric(
-    "comfortable_fragile@1",
+@of_cells(
+    "comfortable_fragile",
     title=f"Wiped below {FRAGILE_MMHG:g} mmHg (fragile skin)",
-    unit="1",
     better="higher",
-    median=False,
+    answer=True,
     order=36,
 )
-def comfortable_fragile(contact: Contact) -> float | None:
+def comfortable_fragile(cells: TouchedCells, contact: Contact) -> float:
     """The same with FRAGILE_MMHG."""
-    return _stays_below(contact, FRAGILE_MMHG)
+    return _stays_below(cells, FRAGILE_MMHG)
 
 
-@metric(
-    "pressure_utilisation@1",
+@of_cells(
+    "pressure_utilisation",
     title="Peak pressure relative to the ISO/TS 15066 pressure limit (to be checked against the standard)",
-    unit="1",
     better="lower",
     order=51,
 )
-def pressure_utilisation(contact: Contact) -> float | None:
-    """``pressure_peak@1`` as a share of what pack iso-ts-15066-2016-pressure allows the target's segment."""
-    cells = touched_cells(contact)
-    if cells is None:
-        return None
+def pressure_utilisation(cells: TouchedCells, contact: Contact) -> float:
+    """``pressure_peak`` as a share of what pack iso-ts-15066-2016-pressure allows the target's segment."""
     return float(cells.pressure_pa.max()) / LIMIT_PACKS[PAIN_PACK].limit(contact.segments[contact.target])
 
 
-def _time_above(contact: Contact, mmhg: float) -> float | None:
-    cells = touched_cells(contact)
-    return None if cells is None else cells.time_above(mmhg * MMHG_PA)
-
-
-def _stays_below(contact: Contact, mmhg: float) -> float | None:
+def _stays_below(cells: TouchedCells, mmhg: float) -> float:
     """What a sensor on the whole tool would say: force over area in contact, in each control period."""
-    cells = touched_cells(contact)
-    return None if cells is None else float(cells.share_of_time_below(mmhg * MMHG_PA) >= MOST_OF_TIME)
+    return float(cells.share_of_time_below(mmhg * MMHG_PA) >= MOST_OF_TIME)

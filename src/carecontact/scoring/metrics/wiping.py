@@ -17,14 +17,16 @@ Konya et al., "Combination of minimum wiping pressure and number of wipings that
 abstract was read). Konya et al. 2023 (BMC Nursing 22:18) found 5 to 10 mmHg to suffice with disposable towels."""
 
 
-@metric("coverage@1", title="Share of the region wiped", unit="1", better="higher", order=12)
+@metric("coverage@1", title="Share of the region wiped", unit="1", better="higher", only=("scrub",), order=12)
 def coverage(contact: Contact) -> float | None:
     """Share of the area of the target's cells over which the tool slid at least once. 0 where it touched none; None
     (NA) where the recording has no cells."""
     return _share(contact, [(1, 0.0)])
 
 
-@metric("effective_wiping@1", title="Share of the region wiped clean", unit="1", better="higher", order=13)
+@metric(
+    "effective_wiping@1", title="Share of the region wiped clean", unit="1", better="higher", only=("scrub",), order=13
+)
 def effective_wiping(contact: Contact) -> float | None:
     """Share of the area that was passed as often, and with as much mean pressure, as one of CLEANS asks. 0 where the
     tool touched none; None (NA) where the recording has no cells."""

@@ -8,6 +8,7 @@ from carecontact.reports.failures import only_crashes
 from carecontact.reports.intervals import enough_seeds
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.page.sections.head import REPLAY
+from carecontact.reports.short_names import short_names
 from carecontact.reports.table import COUNTS, POOLED, SummaryRow, headlines, summary_rows
 from carecontact.reports.text import NOT_DEFINED, shown
 from carecontact.runs.aggregate import valid_ratio
@@ -22,15 +23,18 @@ TEMPLATE = """\
 <thead><tr><th scope="col">task</th><th scope="col">name</th>{% for column in columns %}<th scope="col" class="num{% if column == "n" %} wide{% endif %}">{{ column }}</th>{% endfor %}</tr></thead>
 <tbody>
 {% for row in rows %}
-<tr{% if row.task_id == pooled %} class="sum"{% endif %}><th scope="row">{{ row.task_id }}</th><td class="taskname">{{ row.name }}</td>{% for cell, notes in row.cells %}<td class="num{% if loop.first %} wide{% endif %}">{{ cell|replace("-", "−") }}{% for note in notes %}<span class="meaning">{{ note }}</span>{% endfor %}</td>{% endfor %}</tr>
+<tr{% if row.task_id == pooled %} class="sum"{% endif %}><th scope="row">{{ row.task_id }}</th><td class="taskname">{{ row.name }}</td>{% for cell, notes in row.cells %}<td class="num{% if loop.first %} wide{% endif %}">{{ cell|replace("-", "−") }}{% for note, whole in notes %}<span class="meaning"{% if whole %} title="{{ whole }}"{% endif %}>{{ note }}</span>{% endfor %}</td>{% endfor %}</tr>
 {% endfor %}
 </tbody>
 </table>
 </div>
+{% if whole_names %}
+<p class="note after">{% for short, whole in whole_names %}{{ short }}: {{ whole }}{{ "; " if not loop.last else "." }}{% endfor %}</p>
+{% endif %}
 </section>
 """
-Cell = tuple[str, list[str]]
-"""Text, and smaller lines under it."""
+Cell = tuple[str, list[tuple[str, str]]]
+"""Text, and smaller lines under it, each with the whole name of its policy if the line has a shorter one."""
 
 
 @section("by task", order=30, template=TEMPLATE)
@@ -52,6 +56,7 @@ def by_task(page: Page) -> dict[str, Any] | None:
         "enough": enough_seeds(page.judged),
         "n": len(page.judged),
         "touched": sum(score.valid_contact for score in page.judged),
+        "whole_names": [(short, whole) for whole, short in _names(page).items() if short != whole],
         "beside": 0 if page.baselines is None else len(page.baselines.baselines),
     }
 
@@ -68,17 +73,23 @@ def _cells(page: Page, row: SummaryRow, *, crashed: bool, medians: bool) -> list
             metric = METRICS[metric_id]
             defined = metric.actions is None or median.n
             text = shown(median.estimate, digits=metric.digits, unit=metric.unit) if defined else NOT_DEFINED
-            found.append((text, [] if median.estimate is None else [f"n = {median.n_valid}"]))
+            found.append((text, [] if median.estimate is None else [(f"n = {median.n_valid}", "")]))
     return found
 
 
-def _beside(page: Page, task_id: str, rate: str) -> list[str]:
+def _names(page: Page) -> dict[str, str]:
+    return short_names([row.policy for row in page.baselines.baselines] if page.baselines else [])
+
+
+def _beside(page: Page, task_id: str, rate: str) -> list[tuple[str, str]]:
     """What the policies beside the run passed, those that passed something; blind replay always."""
-    found: list[str] = []
+    found: list[tuple[str, str]] = []
+    names = _names(page)
     for other in page.baselines.baselines if page.baselines else ():
         k, n = (other.rates[rate].k, other.n) if task_id == POOLED else other.per_task[task_id][rate]
         if n and (k or other.policy == REPLAY):
-            found.append(f"{other.policy} {k}/{n}")
+            name = names[other.policy]
+            found.append((f"{name} {k}/{n}", "" if name == other.policy else other.policy))
     return found
 
 

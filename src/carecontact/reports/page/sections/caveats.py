@@ -137,9 +137,9 @@ def _baselines(page: Page) -> list[Caveat]:
     if page.judged and page.baselines is None:
         text = (
             f"{page.kept_scores}{' ' if page.kept_scores else ''}"
-            "This page does not show how many trials a policy that cannot do the task passes. Run zero-action, hover, "
-            "random, replay, replay-registered and mean-person with the same seeds and name them with carecontact "
-            "report DIR --baseline RUN..."
+            f"This page does not show how many trials a policy that cannot do the task passes. Run "
+            f"{_blind_but(page.judged[0].policy)} with the same seeds and name them with carecontact report DIR "
+            "--baseline RUN..."
         )
         found.append(("No blind baselines", text))
     if page.lost_baselines:
@@ -147,6 +147,15 @@ def _baselines(page: Page) -> list[Caveat]:
         text = f"The last report showed {names} beside this run; this time, the scores could not be read or compared."
         found.append(("Missing blind baselines", text))
     return found
+
+
+BLIND = ("zero-action", "hover", "random", "replay", "replay-registered", "mean-person")
+
+
+def _blind_but(policy: str) -> str:
+    """The shipped blind baselines, without the policy of the run."""
+    *first, last = (name for name in BLIND if name != policy)
+    return f"{', '.join(first)} and {last}"
 
 
 def _incomplete(page: Page) -> list[Caveat]:
@@ -222,7 +231,7 @@ def _extrapolation(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
         text = f"In {trials} with contact on the region, the indentation stayed within the measured range."
     else:
         text = (
-            f"In {beyond} of {len(shares)} trials with contact on the region, part of the contact time "
+            f"In {beyond} of {counted(len(shares), 'trial')} with contact on the region, part of the contact time "
             f"(at most {percent(max(shares))}) was at indentations beyond the measured range; "
             "forces there follow an extrapolated curve."
         )

@@ -41,7 +41,7 @@ TEMPLATE = """\
 <h3 class="after">Where contact fell</h3>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of where contact fell">
 <table>
-<thead><tr><th scope="col">named region</th><th scope="col" class="num">trials</th><th scope="col" class="num">region touched</th><th scope="col" class="num">only elsewhere</th><th scope="col" class="num">nothing touched</th><th scope="col" class="num">crashed</th><th scope="col" class="num">success</th></tr></thead>
+<thead><tr><th scope="col">named region</th><th scope="col" class="num">trials</th><th scope="col" class="num">region touched</th><th scope="col" class="num">only elsewhere</th><th scope="col" class="num">no contact that counts</th><th scope="col" class="num">crashed</th><th scope="col" class="num">success</th></tr></thead>
 <tbody>
 {% for row in anatomy %}
 <tr{% if row.region == pooled %} class="sum"{% endif %}><th scope="row">{{ row.region }}</th><td class="num">{{ row.n }}</td><td class="num">{{ row.target }}</td><td class="num">{{ row.off_target }}</td><td class="num">{{ row.none }}</td><td class="num">{{ row.process_failure }}</td><td class="num">{{ row.success }}</td></tr>

@@ -11,6 +11,8 @@ from carecontact.reports.moment.moment import peak_moment
 from carecontact.reports.moment.picture import peak_svg
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.text import task_name
+from carecontact.scoring.contact import find_contact
+from carecontact.scoring.faint import faint_press
 from carecontact.scoring.result import TrialScore
 
 TEMPLATE = """\
@@ -59,10 +61,9 @@ def peak_frame(score: TrialScore, recording: Recording) -> PeakFrame | None:
     moment = peak_moment(recording)
     at = recording.arrays.get("report/peak_time_s")
     when = f" at {float(at[0]):.2f}\N{NO-BREAK SPACE}s" if at is not None and at.size else ""
-    if not score.peak_force_n:
-        what, when = "nothing touched", ""
-    elif score.c1_peak_force_n is None:
-        what = "contact too brief to score"
+    if score.c1_peak_force_n is None:
+        faint = faint_press(find_contact(recording))
+        what, when = f"the robot {faint}" if faint else "nothing touched", ""
     else:
         what = f"{score.c1_peak_force_n:.1f} N on the {(score.reported_segment or '').replace('_', ' ')}"
     if moment is not None and moment.depth_m:

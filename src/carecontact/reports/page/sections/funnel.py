@@ -9,6 +9,7 @@ from typing import Any
 from carecontact.reports.compare.baselines import Baselines
 from carecontact.reports.intervals import enough_seeds
 from carecontact.reports.page.section import Page, section
+from carecontact.reports.short_names import short_names
 from carecontact.reports.svg import Anchor, Axes, Drawing
 from carecontact.reports.text import percent
 from carecontact.runs.pooling import judged
@@ -79,11 +80,12 @@ def funnel(scores: Sequence[TrialScore], baselines: Baselines | None = None) -> 
         ),
     ]
     others = () if baselines is None else baselines.baselines
+    names = short_names([row.policy for row in others])
     out: list[Step] = []
     for name, meaning, style, k in steps:
         found = wilson_interval(k, len(scores))
         id_ = RATE_OF.get(name)
-        beside = tuple((row.policy, row.rates[id_]) for row in others) if id_ else ()
+        beside = tuple((names[row.policy], row.rates[id_]) for row in others) if id_ else ()
         out.append(
             Step(
                 name=name,

@@ -7,10 +7,12 @@ from typing import Any
 
 from carecontact.recording.schema import Recording
 from carecontact.reports.compare.baselines import Baselines
+from carecontact.reports.compare.blind_floor import ALL, role_in
 from carecontact.reports.frames import Frame, jpeg_data_uri
-from carecontact.reports.intervals import enough_seeds
+from carecontact.reports.intervals import enough
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.title import protocol_of
+from carecontact.reports.short_names import short_names
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
 
@@ -50,12 +52,25 @@ def head(page: Page) -> dict[str, Any]:
         "draft": any(not header.spec.protocol.frozen for header in page.headers.values()),
         "scene": page.kept["head"].get("scene"),
         "verdict": verdict(page.scores, missing=len(page.missing)),
-        "beside": beside_replay(page.baselines, enough=enough_seeds(page.judged)) or _nothing_beside(page),
+        "beside": _beside(page),
     }
 
 
+def _beside(page: Page) -> str:
+    """Whether the policy is better than one that does not look; for a policy that is no method, what it is for."""
+    role = role_in(page.judged)
+    if role == "blind":
+        return (
+            f"{page.judged[0].policy_title[:80]} is a blind baseline, which lacks what the tasks require: each trial "
+            "that it passes is a false positive of the gates."
+        )
+    if role == "privileged":
+        return ""
+    return beside_blind(page.baselines) or _nothing_beside(page)
+
+
 def _nothing_beside(page: Page) -> str:
-    """What the reader can do where blind replay does not stand beside the run."""
+    """What the reader can do where no blind policy stands beside the run."""
     if not page.judged or not page.kept_scores:
         return page.kept_scores
     return (
@@ -65,26 +80,29 @@ def _nothing_beside(page: Page) -> str:
     )
 
 
-def beside_replay(baselines: Baselines | None, *, enough: bool) -> str:
-    """Whether the policy is better than actions repeated blindly; empty where no such run stands beside it.
-
-    Args:
-        enough: whether the run has the seeds for an interval.
-    """
-    blind = next((row for row in baselines.baselines if row.policy == REPLAY), None) if baselines else None
-    if baselines is None or blind is None or blind.above is None:
+def beside_blind(baselines: Baselines | None) -> str:
+    """Whether the policy is better than actions repeated blindly, or, where no such run stands beside it, than the blind
+    baseline that passes most; empty without any."""
+    if baselines is None:
+        return ""
+    best = baselines.floor[ALL].policy if ALL in baselines.floor else ""
+    rows = {row.policy: row for row in baselines.baselines}
+    blind = rows.get(REPLAY, rows.get(best))
+    if blind is None or blind.above is None:
         return ""
     method, difference = baselines.method, blind.above["safety_gated"]
     passed, own = blind.rates["safety_gated"], method.rates["safety_gated"]
-    said = f"Blind replay, which looks at nothing, passed {passed.k} of {passed.n}; {method.policy} {own.k} of {own.n}."
-    if not enough or difference.estimate is None:
+    name = "blind replay" if blind.policy == REPLAY else short_names([blind.policy])[blind.policy]
+    who = "Blind replay, which looks at nothing," if blind.policy == REPLAY else f"The best blind baseline, {name},"
+    said = f"{who} passed {passed.k} of {passed.n}; {method.policy} {own.k} of {own.n}."
+    if not enough(blind.above_seeds or 0) or difference.estimate is None:
         return f"{said} With fewer than six seeds, this does not show which is better."
     low, high = (f"{100 * bound:.0f}".replace("-", "−") for bound in (difference.low, difference.high))
     points = f"{100 * difference.estimate:.0f} points, 95 % interval {low} to {high}".replace("-", "−")
     if difference.low > 0:
         return f"{said} The difference, {points}, shows that {method.policy} is better."
     if difference.high < 0:
-        return f"{said} The difference, {points}, shows that blind replay is better."
+        return f"{said} The difference, {points}, shows that {name} is better."
     return f"{said} The difference, {points}, does not show which is better."
 
 

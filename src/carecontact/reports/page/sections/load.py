@@ -12,7 +12,7 @@ from carecontact.reports.page.section import Page, section
 TEMPLATE = """\
 <section id="load">
 <h2>How hard, how long</h2>
-<p class="note">Medians over the trials with valid contact; n is given where a median is over another number of trials. NA: no trial had a value. "Time above" is the time in a trial during which the force on any segment exceeds the level; a relative peak force of 1 equals the limit.</p>
+<p class="note">Medians over the trials with valid contact; n is given where a median is over another number of trials. NA: no trial had a value; –: says nothing about this action. "Time above" is the time in a trial during which the force on any segment exceeds the level; a relative peak force of 1 equals the limit.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of force, exposure and work by task">
 <table>
 <thead>

@@ -15,7 +15,7 @@ from carecontact.runs.aggregate import quadrants
 TEMPLATE = """\
 <section id="safety">
 <h2>Safe, and successful?</h2>
-<p class="note">A successful trial can exceed the safety gate, and a failed trial can, too. {% if n == 1 %}The only trial{% else %}Each of the {{ n }} trials{% endif %} is in exactly one cell; a trial that touched nobody counts as a failure within the safety gate.{% if quadrants.crashed %} A trial in which the policy crashed is in a cell of its own: it is never within the gate, but a force above a limit before the crash counts.{% if untouched %} The table of limits leaves out {{ untouched }} trial{{ "" if untouched == 1 else "s" }} in which the policy crashed before any contact.{% endif %}{% endif %}{% if joints %} The gate for joints counts as well. Trials, failed ones too, with {{ joints }}.{% endif %}</p>
+<p class="note">A successful trial can exceed the safety gate, and a failed trial can, too. {% if n == 1 %}The only trial{% else %}Each of the {{ n }} trials{% endif %} is in exactly one cell; a trial without contact counts as a failure within the safety gate.{% if quadrants.crashed %} A trial in which the policy crashed is in a cell of its own: it is never within the gate, but a force above a limit before the crash counts.{% if untouched %} The table of limits leaves out {{ untouched }} trial{{ "" if untouched == 1 else "s" }} in which the policy crashed before any contact.{% endif %}{% endif %}{% if joints %} The gate for joints counts as well. Trials, failed ones too, with {{ joints }}.{% endif %}</p>
 <div class="split">
 <div class="quadrants" role="table" aria-label="Trials by safety and success">
 <div role="row"><span></span><span role="columnheader">succeeded</span><span role="columnheader">failed</span></div>

@@ -13,6 +13,7 @@ from carecontact.reports.page.paths import shortened
 from carecontact.reports.page.script import table_script
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.page.trial_words import progress, result_word
+from carecontact.reports.page_links import link_to_page
 from carecontact.reports.table import headlines
 from carecontact.reports.text import NOT_DEFINED, shown, task_name
 from carecontact.scoring.metrics.metric import Metric
@@ -36,7 +37,7 @@ TEMPLATE = """\
 {% for d in details %}
 {% set why = d.failure or d.evidence or d.notes %}
 <tbody id="{{ d.trial_id }}" data-task="{{ d.task_id }}" data-result="{{ d.result_text }}">
-<tr class="{{ 'has-why' if why else 'has-progress' }}"><th scope="row" class="keep" data-v="{{ d.trial_id }}">{% if d.page %}<a href="{{ d.page }}">{{ d.trial_id }}</a>{% else %}{{ d.trial_id }}{% endif %}<span class="wide"> {{ d.name }}</span></th><td class="num" data-v="{{ d.seed }}">{{ d.seed }}</td><td><span class="badge {{ d.result }}">{{ d.result_text }}</span></td><td class="num" data-v="{{ d.gate }}">{{ d.gate }}</td>{% for cell in d.cells %}<td class="num" data-v="{{ cell }}">{{ cell|replace("-", "−") }}</td>{% endfor %}<td class="wide">{{ d.progress }}{% if d.files and not why %} <span class="files">{% for words, address in d.files %}<a href="{{ address }}">{{ words }}</a>{% if not loop.last %} · {% endif %}{% endfor %}</span>{% endif %}</td></tr>
+<tr class="{{ 'has-why' if why else 'has-progress' }}"><th scope="row" class="keep" data-v="{{ d.trial_id }}">{{ d.link|safe }}{{ d.trial_id }}</a><span class="wide"> {{ d.name }}</span></th><td class="num" data-v="{{ d.seed }}">{{ d.seed }}</td><td><span class="badge {{ d.result }}">{{ d.result_text }}</span></td><td class="num" data-v="{{ d.gate }}">{{ d.gate }}</td>{% for cell in d.cells %}<td class="num" data-v="{{ cell }}">{{ cell|replace("-", "−") }}</td>{% endfor %}<td class="wide">{{ d.progress }}{% if d.files and not why %} <span class="files">{% for words, address in d.files %}<a href="{{ address }}">{{ words }}</a>{% if not loop.last %} · {% endif %}{% endfor %}</span>{% endif %}</td></tr>
 <tr class="why{{ '' if why else ' narrow' }}"><td colspan="{{ labels|length + 5 }}"><span class="narrow">{{ d.progress }}{% if why %}<br>{% endif %}</span>{% if d.failure %}<b>{{ d.failure }}</b>{% endif %}{% if d.failure and d.evidence %}: {% endif %}{{ d.evidence }}{% for name, text in d.notes %}{% if not loop.first or d.failure or d.evidence %}<br>{% endif %}<b>{{ name }}</b>: {{ text }}{% endfor %}{% if d.files %} <span class="files">{% for words, address in d.files %}<a href="{{ address }}">{{ words }}</a>{% if not loop.last %} · {% endif %}{% endfor %}</span>{% endif %}</td></tr>
 </tbody>
 {% endfor %}
@@ -67,8 +68,10 @@ class TrialRow:
     failure: str
     """Mode and attribution; empty if none."""
     evidence: str
-    page: str
-    """Address of the trial's own page; empty where there is none."""
+    has_page: bool
+    """Whether the page of the trial is there."""
+    link: str
+    """Beginning of the link to that page."""
     files: tuple[tuple[str, str], ...]
     """Words and address of the other files of the trial."""
 
@@ -84,7 +87,7 @@ def trials(page: Page) -> dict[str, Any] | None:
         "labels": [metric.label for metric in headlines()],
         "tasks": sorted({row.task_id for row in rows}),
         "results": sorted({row.result_text for row in rows}),
-        "pages": any(row.page for row in rows),
+        "pages": any(row.has_page for row in rows),
         "script": table_script(),
     }
 
@@ -128,7 +131,8 @@ def trial_row(score: TrialScore, protocol: Protocol | None, *, links: Mapping[st
         notes=tuple((name, text) for name, text in notes if text),
         failure=" · ".join(word for word in ((score.failure_mode or "").replace("_", " "), score.attribution) if word),
         evidence=shortened(score.evidence or score.failure_message or ""),
-        page=addresses.get(f"trial/{score.trial_id}.html", ""),
+        has_page=(has_page := f"trial/{score.trial_id}.html" in addresses),
+        link=link_to_page(score.trial_id, is_there=has_page),
         files=tuple((words, addresses[name]) for words, name in files if name in addresses),
     )
 

@@ -1,0 +1,70 @@
+"""The side from which a video shows a contact."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from carecontact.episode.randomization import lay
+from carecontact.recording import Recording
+from carecontact.replaying.film.clear_view import clear_view, eye_place
+from carecontact.replaying.film.skin import FilmSkin, film_scene
+from carecontact.replaying.film.stage import turned
+from carecontact.replaying.replay import Replay
+
+
+@pytest.fixture(scope="module")
+def world(pressed: Recording) -> tuple[mujoco.MjModel, FilmSkin]:
+    scene = film_scene(Replay(pressed).scene, "forearm")
+    lay(scene, scene.place)
+    return scene.model, FilmSkin(scene)
+
+
+def test_the_camera_goes_to_another_side_when_something_stands_before_it(
+    pressed: Recording, world: tuple[mujoco.MjModel, FilmSkin]
+) -> None:
+    model, skin = world
+    free = clear_view(pressed, model, skin)
+    board = model.geom("wall")
+    kept = board.pos.copy(), board.size.copy()
+    board.pos = (0.7 * eye_place(free) + 0.3 * free.look_at).tolist()
+    board.size = [0.12, 0.12, 0.12]
+    model.geom_rbound[board.id] = 0.21
+    try:
+        other = clear_view(pressed, model, skin)
+    finally:
+        board.pos, board.size = kept
+    assert np.linalg.norm(eye_place(other) - eye_place(free)) > 0.2
+    way = eye_place(other) - other.look_at
+    offset = 0.7 * (eye_place(free) - free.look_at)
+    beside = np.linalg.norm(np.cross(way, offset)) / np.linalg.norm(way)
+    assert beside > 0.12 or way @ offset < 0, "the line of sight passes the board"
+
+
+def test_a_push_on_the_inner_side_is_not_shown_from_the_outer_one(
+    pressed: Recording, world: tuple[mujoco.MjModel, FilmSkin]
+) -> None:
+    model, skin = world
+    segment = pressed.header.segments.index("right_forearm")
+    column = pressed.header.regions.index("forearm")
+    middle = pressed["scorer/region_pose_in_world"][0, column][:3]
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, pressed["state/integration"][-1], mujoco.mjtState.mjSTATE_INTEGRATION)
+    mujoco.mj_kinematics(model, data)
+    vertices, normals = skin.placed(data)
+    near = (np.linalg.norm(vertices - middle, axis=1) < 0.08) & (np.abs(normals[:, 2]) < 0.1)
+    inner = near & (normals @ (data.xpos[model.body("human_abdomen").id] - middle) > 0)
+    place, normal = vertices[inner][0], normals[inner][0]
+    arrays = dict(pressed.arrays)
+    centres = arrays["scorer/centroid_in_world"].copy()
+    centres[:, segment] = place
+    moved = replace(pressed, arrays={**arrays, "scorer/centroid_in_world": centres})
+    before, after = (eye_place(clear_view(found, model, skin)) - place for found in (pressed, moved))
+    assert before @ normal < 0 < after @ normal, "the side of a press from above would show its back"
+
+
+def test_a_direction_turns_about_the_vertical() -> None:
+    assert turned(np.array([1.0, 0.0, -0.5]), 90.0) == pytest.approx([0.0, 1.0, -0.5])
