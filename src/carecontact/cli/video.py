@@ -47,7 +47,7 @@ class Video:
     fps: float | None = None
     """Frames in a second of the trial, 1 to 60; default: 25, with --draft 10."""
     draft: Switch = False
-    """Draw no shadows and fewer frames, for a first look: about five times faster."""
+    """Draw no shadows and fewer frames, for a first look: about three times faster."""
     jobs: int | None = None
     """Number of processes that draw; default: one per core, at most 8, and fewer for a short video. The video does not
     depend on it."""
