@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ import pytest
 from carecontact.calibration.agreement import pooled
 from carecontact.calibration.checks import read_trials
 from carecontact.calibration.curve import make_curve
-from carecontact.calibration.fit import Fit, fit_law
+from carecontact.calibration.family import Family
+from carecontact.calibration.fit import Fit, choose, fit_law
+from carecontact.calibration.problem import Problem
 from carecontact.calibration.replay import Replay, group_curves
 from carecontact.protocols import load_protocol
 from carecontact.world.human.library import load_body
@@ -57,3 +61,79 @@ def test_where_no_law_follows_the_forces_stiffness_does_not_pay_for_it(tmp_path:
     errors = pooled(fitted(tmp_path / "t.csv", 1.05).agreement)
     assert errors["tangent_error"] == pytest.approx(0.0, abs=0.1)
     assert errors["peak_error"] == pytest.approx(0.0, abs=0.1)
+
+
+def test_the_levelled_law_loses_as_much_work_as_the_trials(tmp_path: Path) -> None:
+    """Whatever damping the forces alone ask for: friction loses work too, and no fit changes it."""
+    lines = []
+    for speed in (3.0, 10.0):
+        there = np.linspace(-1.0, 4.0, 120)
+        travel = np.r_[there, there[::-1]]
+        loss = 0.02 * speed * np.repeat([1.0, -1.0], 120)
+        force = 4.0 * (np.maximum(travel, 0.0) / 4.0) ** 1.5 * (1 + loss)
+        lines += [
+            f"t{speed:g},forearm,p,{k * 5 / 119 / speed:.5f},{d:.5f},{f:.5f},{'load' if k < 120 else 'unload'},"
+            f"{speed:g},hemisphere,10,0,none"
+            for k, (d, f) in enumerate(zip(travel, force, strict=True))
+        ]
+    curves = [make_curve(trial) for trial in read_trials(save(tmp_path / "t.csv", lines), region="forearm").trials]
+    tissue = load_protocol().person.tissue["forearm"]
+    replay = Replay(body=load_body("man-adult"), region="forearm", tissue=tissue, groups=group_curves(curves))
+    problem = Problem(curves, replay, lambda line: None)
+    family = Family(base=tissue, depth_m=problem.depth, damping=True)
+    found = problem.solve(family, problem.start(family))
+    found.p[family.names.index("damping")] += 0.4
+    _, before = problem.errors(family.tissue(found.p))
+    levelled = problem.levelled(found)
+    _, after = problem.errors(family.tissue(levelled.p))
+    assert before > 0.15
+    assert abs(after) < 0.02
+
+
+@dataclass
+class Seen:
+    """A solution, or a step towards one (``tried`` is then False)."""
+
+    family: Family
+    tried: bool = True
+
+    def step(self, weights: np.ndarray) -> np.ndarray:
+        return np.zeros(len(self.family.names))
+
+
+class Promises:
+    """A problem whose first step promises most of ``rise``, while only ``growth`` helps a law that bends."""
+
+    HELD_OUT: ClassVar = {(): 1.0, ("bend",): 0.5, ("bend", "rise"): 0.499, ("bend", "growth"): 0.2}
+    PROMISED: ClassVar = {("bend",): 0.5, ("bend", "rise"): 0.3, ("bend", "growth"): 0.4}
+
+    def __init__(self) -> None:
+        self.curves, self.base, self.depth = range(10), load_protocol().person.tissue["forearm"], 0.01
+        self.solved: list[tuple[str, ...]] = []
+
+    def on_progress(self, line: str) -> None:
+        pass
+
+    def start(self, family: Family) -> np.ndarray:
+        return np.zeros(2)
+
+    def solve(self, family: Family, start: np.ndarray) -> Seen:
+        self.solved.append(family.terms)
+        return Seen(family)
+
+    def with_term(self, found: Seen, term: str) -> Seen:
+        return Seen(found.family.plus(term), tried=False)
+
+    def held_out_squares(self, seen: Seen) -> np.ndarray:
+        of = self.HELD_OUT if seen.tried else self.PROMISED
+        return np.full(10, of.get(seen.family.terms, 0.9 if len(seen.family.terms) == 1 else 0.199))
+
+
+def test_a_term_that_stays_out_does_not_keep_the_others_from_being_tried() -> None:
+    problem = Promises()
+    found, lines = choose(problem, damping=True)  # pyright: ignore[reportArgumentType]
+    assert found.family.terms == ("bend", "growth")
+    assert [line.split(":")[0] for line in lines] == [
+        "bend enters", "rise stays out", "growth enters", "rise stays out"
+    ]  # fmt: skip
+    assert problem.solved == [(), ("bend",), ("bend", "rise"), ("bend", "growth")], "the last promised nothing"

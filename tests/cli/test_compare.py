@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -46,9 +47,9 @@ def test_compares_results_and_writes_nothing(runs: Path, capsys: pytest.CaptureF
     assert "3 trials paired, 2 tasks, 2 seeds" in told
     row = next(line for line in told.splitlines() if line.startswith("Success [%]"))
     assert row.split()[2:4] == ["3/3:", "100.0"]
-    assert "66.7 [20.8, 93.9]" in row
-    assert "33.3 [" not in row
-    assert "fewer than 6 pairs: too few for an interval" in told
+    assert "2/3: 66.7 " in row
+    assert "]" not in row.removeprefix("Success [%]"), "no interval of a rate or of a difference"
+    assert "no intervals: fewer than 6 seeds; run more seeds" in told
     assert row.endswith("underpowered")
     assert main(["compare", "a", "b", "--rescore"]) == 0
     assert capsys.readouterr().out == told
@@ -134,7 +135,7 @@ def test_a_narrow_terminal_loses_no_figure(
     lines = capsys.readouterr().out.splitlines()
     assert [line for line in lines if len(line) > 80] == []
     told = " ".join(" ".join(lines).split())
-    assert "Success [%]: underpowered A 3/3: 100.0 [43.9, 100.0], B 2/3: 66.7 [20.8, 93.9], A - B 33.3, 3" in told
+    assert "Success [%]: underpowered A 3/3: 100.0, B 2/3: 66.7, A - B 33.3, 3" in told
     assert "3 pairs; p 1.000 paired, 1.000 Holm, 1.000 unpaired" in told
     assert "C1 [N]: underpowered A 5.00, B 6.50 (n=2), A - B 0.00, 2 of 3 pairs" in told
 
@@ -155,7 +156,9 @@ def test_three_runs_are_ranked(third: Path, capsys: pytest.CaptureFixture[str]) 
     told = capsys.readouterr().out
     assert "B: b, b: 1 trial left out" in told
     assert "3 trials that all runs have" in told
-    assert "C 33.3 [6.1, 79.2]" in " ".join(told.split())
+    assert "C 33.3 " in " ".join(told.split())
+    assert "no intervals: fewer than 6 seeds" in told
+    assert not re.search(r"\d \[-?\d", told), "an interval"
     assert "A - C, success [points]" in told
     assert "ranking by safety-gated trials: A, B, C" in told
     assert (
@@ -165,6 +168,30 @@ def test_three_runs_are_ranked(third: Path, capsys: pytest.CaptureFixture[str]) 
     assert data["overview"]["ranking"]["order"] == [["A"], ["B"], ["C"]]
     assert [(p["a"], p["b"]) for p in data["overview"]["pairs"]] == [("A", "B"), ("A", "C"), ("B", "C")]
     assert data["baselines"] == {}
+
+
+def test_six_seeds_have_intervals_and_five_have_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two tasks of five seeds are ten trials, and still five seeds."""
+    monkeypatch.chdir(tmp_path)
+    for policy in ("a", "b", "c"):
+        Path(policy).mkdir()
+        for seed in range(6):
+            for make in (touch, push):
+                recording = make(seed=seed, policy=policy)
+                write_recording(recording, Path(policy) / f"{recording.header.spec.trial_id}.h5")
+        scored(Path(policy))
+    for commands in (["a", "b"], ["a", "b", "c"], ["a", "--baseline", "b"]):
+        assert main(["compare", *commands]) == 0
+        assert re.search(r"100\.0 \[\d", capsys.readouterr().out)
+    for policy in ("a", "b", "c"):
+        for path in Path(policy).glob("*-s005.h5"):
+            path.unlink()
+        scored(Path(policy))
+    for commands in (["a", "b"], ["a", "b", "c"], ["a", "--baseline", "b"]):
+        assert main(["compare", *commands]) == 0
+        assert not re.search(r"\d \[-?\d", capsys.readouterr().out)
 
 
 def test_blind_baselines_stand_under_one_run_and_under_two(third: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,7 +17,7 @@ def test_one_picture_of_every_camera(
     asked: dict[str, Any] = {}
 
     def first_look(protocol: Any, **given: Any) -> Observation:
-        asked.update(given, body=protocol.person.body, tool=protocol.scene.tool)
+        asked.update(given, title=protocol.title, body=protocol.person.body, tool=protocol.scene.tool)
         view = CameraView(intrinsics=np.eye(3), pose_camera_in_base=np.eye(4), rgb=np.zeros((9, 12, 3), np.uint8))
         pose = np.r_[0.4, 0, 0.3, 1, 0, 0, 0]
         return Observation(
@@ -36,5 +36,8 @@ def test_one_picture_of_every_camera(
     assert capsys.readouterr().out.startswith("look-T3-s007.png: T3 seed 7")
     assert Path("look-T3-s007.png").read_bytes().startswith(b"\x89PNG")
     card = asked.pop("card")
-    assert asked == {"task_id": "T3", "seed": 7, "body": "man-old-light", "tool": "mitt", "weights": None, "salt": ""}
+    changed = {"body": "man-old-light", "tool": "mitt"}
+    assert asked == {"title": asked["title"], "task_id": "T3", "seed": 7, "weights": None, "salt": "", **changed}
     assert (card.modalities, card.cameras) == (MODALITIES, CAMERAS)
+    assert main(["look", "--task", "T1", "--protocol", "bathing-wide-v1", "--level", "L2"]) == 0
+    assert asked["title"] == "bathing-wide-v1 L2"

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import closing
 from io import StringIO
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from carecontact.cli.tally import Tally
 from carecontact.recording import write_recording
 from carecontact.recording.schema import EndReason
 from carecontact.runs import score_run, write_scores
+from carecontact.trials.scorer import Scorer
 from carecontact.trials.supervisor import EventKind, TrialEvent
 from tests.scoring.synthetic import make_recording, touch
 
@@ -23,52 +26,59 @@ def event(kind: EventKind, seed: int, *, ended: EndReason | None = None) -> Tria
 
 
 @pytest.fixture
+def scorer() -> Iterator[Scorer]:
+    with closing(Scorer(1, trials=1)) as scorer:
+        yield scorer
+
+
+@pytest.fixture
 def folder(tmp_path: Path) -> Path:
     write_recording(touch(force=5.0, seed=0), tmp_path / "T1-s000.h5")
     write_recording(make_recording(seed=1), tmp_path / "T1-s001.h5")
     return tmp_path
 
 
-def test_finished_trials_are_scored_once_and_counted(folder: Path) -> None:
-    tally = Tally(folder)
+def test_finished_trials_are_scored_once_and_counted(folder: Path, scorer: Scorer) -> None:
+    tally = Tally(folder, scorer)
     assert tally.heartbeat().endswith(" s [0/0] 0 passed, 0 failed, 0 crashed, time left unknown")
     tally.take(event("started", 0))
     tally.take(event("finished", 0, ended="done"))
-    tally.close(wait=True)
+    tally.wait()
     assert " s [1/10] 1 passed, 0 failed, 0 crashed, last C1 5.0 N, about " in tally.heartbeat()
 
-    tally = Tally(folder)
+    tally = Tally(folder, scorer)
     tally.take(event("finished", 1, ended="done"))
     tally.take(event("finished", 2, ended="process_failure"))
     tally.take(event("finished", 3, ended="harness_error"))
     tally.take(event("finished", 4, ended="done"))
-    tally.close(wait=True)
+    tally.wait()
     assert tally.counts() == "0 passed, 1 failed, 1 crashed, 1 failed in the harness, last trial without contact", (
         "a recording that cannot be scored counts as neither"
     )
 
 
-def test_kept_trials_count_by_their_stored_scores_and_take_no_time(folder: Path) -> None:
+def test_kept_trials_count_by_their_stored_scores_and_take_no_time(folder: Path, scorer: Scorer) -> None:
     write_scores(folder, score_run(folder))
-    tally = Tally(folder)
+    tally = Tally(folder, scorer)
     tally.take(event("kept", 0, ended="done"))
     tally.take(event("kept", 1, ended="done"))
-    tally.close(wait=True)
+    tally.wait()
     assert tally.counts() == "1 passed, 1 failed, 0 crashed"
     assert tally.left() == "time left unknown"
 
 
-def test_the_time_left_follows_the_trials_that_ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_left_follows_the_trials_that_ran(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scorer: Scorer
+) -> None:
     clock = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
-    tally = Tally(tmp_path)
+    tally = Tally(tmp_path, scorer)
     tally.take(event("kept", 3, ended="process_failure"))
     steps = ((8, 4, "about 40 s left"), (600, 5, "about 20 min left"), (7200, 6, "about 2.0 h left"))
     for seconds, seed, told in steps:
         clock[0] = 100.0 + seconds
         tally.take(event("finished", seed, ended="process_failure"))
         assert tally.left() == told
-    tally.close()
 
 
 LINE = "waiting for the policy: 40 of 120 s"
@@ -78,21 +88,20 @@ def silent(seed: int) -> TrialEvent:
     return TrialEvent(kind="waiting", trial_id=f"T1-s{seed:03d}", done=0, total=10, message=LINE)
 
 
-def test_a_silent_policy_is_named_until_its_trial_ends(tmp_path: Path) -> None:
-    tally = Tally(tmp_path)
+def test_a_silent_policy_is_named_until_its_trial_ends(tmp_path: Path, scorer: Scorer) -> None:
+    tally = Tally(tmp_path, scorer)
     tally.take(silent(0))
     assert tally.waiting() == [f"T1-s000 {LINE}"]
     tally.take(event("finished", 0, ended="process_failure"))
     assert tally.waiting() == []
-    tally.close()
 
 
 def test_a_silent_policy_is_told_at_once_and_then_every_heartbeat(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], scorer: Scorer
 ) -> None:
     clock = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
-    with progress(tmp_path) as show:
+    with progress(tmp_path, scorer) as show:
         for seconds in (10, 20, 30, 40, 50, 80):
             clock[0] = 100.0 + seconds
             show(silent(0))
@@ -101,10 +110,10 @@ def test_a_silent_policy_is_told_at_once_and_then_every_heartbeat(
 
 
 def test_a_heartbeat_comes_where_there_is_no_terminal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], scorer: Scorer
 ) -> None:
     monkeypatch.setattr(progress_of, "HEARTBEAT_S", 0.05)
-    with progress(tmp_path) as show:
+    with progress(tmp_path, scorer) as show:
         show(event("finished", 0, ended="process_failure"))
         time.sleep(0.3)
     told = capsys.readouterr().out
@@ -115,12 +124,12 @@ def test_a_heartbeat_comes_where_there_is_no_terminal(
 
 
 def test_the_bar_shows_the_same_counts(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], scorer: Scorer
 ) -> None:
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "160")
     monkeypatch.setenv("FORCE_COLOR", "1")
-    with progress(folder) as show:
+    with progress(folder, scorer) as show:
         show(event("started", 2))
         show(event("finished", 2, ended="process_failure"))
         time.sleep(0.3)
@@ -129,8 +138,8 @@ def test_the_bar_shows_the_same_counts(
     assert "left" in told
 
 
-def test_eighty_columns_show_counts_and_silent_policies_whole(tmp_path: Path) -> None:
-    tally = Tally(tmp_path)
+def test_eighty_columns_show_counts_and_silent_policies_whole(tmp_path: Path, scorer: Scorer) -> None:
+    tally = Tally(tmp_path, scorer)
     tally.passed, tally.failed, tally.crashed, tally.harness_failed = 100, 120, 130, 140
     for seed in range(12):
         tally.take(event("started", seed))
@@ -140,7 +149,6 @@ def test_eighty_columns_show_counts_and_silent_policies_whole(tmp_path: Path) ->
     bar = RunBar(tally, console=console)
     bar.advance_to(1, 140)
     console.print(bar.get_renderable())
-    tally.close()
     first, *lines = [line.rstrip() for line in console.file.getvalue().splitlines()]
     assert "1/140" in first
     assert "time left unknown" in first

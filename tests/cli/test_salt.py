@@ -48,6 +48,7 @@ def test_a_run_states_the_hash_and_never_the_salt_until_it_is_revealed(
     assert read_header(Path("r/T1-s000.h5")).spec.salt_sha256 == made
     assert [path.name for path in Path("r").iterdir() if path.is_file() and salt.encode() in path.read_bytes()] == []
     assert {row["world"]["salt"] for row in json.loads(Path("r/results.json").read_text())["trials"]} == {made}
+    assert f'<th scope="row">Salt sha256</th><td class="hash">{made}</td>' in Path("r/report.html").read_text()
 
     assert main(["salt", "verify", "r"]) == 2
     assert "the salt is not revealed yet" in capsys.readouterr().err
@@ -98,7 +99,9 @@ def test_parts_share_a_salt_and_their_merge_keeps_it(made: str, capsys: pytest.C
     assert main(["merge", "mixed", "part-1", "unsalted"]) == 2
     assert "different salts" in capsys.readouterr().err
     assert main(["compare", "part-2", "unsalted"]) == 2
-    assert f"salt {made[:12]}" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert f"salt {made[:12]}" in told
+    assert "run both with the same --salt-file, or both without" in told
 
 
 @pytest.mark.parametrize(

@@ -105,5 +105,5 @@ def test_terminal_and_page_know_the_mitt_of_a_protocol_that_no_command_changed(
         told = capsys.readouterr().out
         assert main(["report", str(folder)]) == 0
         page = (folder / "report.html").read_text()
-        found[name] = ["(comfortable@1)" in told, "trials that pass, of those with a value" in page]
+        found[name] = ["Wiped below 25 mmHg (" in told, "trials that pass, of those with a value" in page]
     assert found == {"caps": [False, False], "mitt": [True, True]}

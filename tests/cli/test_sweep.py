@@ -16,6 +16,7 @@ import pytest
 import carecontact
 from carecontact.cli import main
 from carecontact.contract.trial import TrialSpec
+from carecontact.runs import score_folder
 from carecontact.trials import supervisor
 from carecontact.trials.supervisor import EventKind, Run, TrialEvent
 
@@ -82,6 +83,19 @@ def test_a_sweep_is_a_run_for_each_cell_and_one_table(
     assert ran() == before, "what is finished does not run again"
     assert "8 trial(s) were finished already" in capsys.readouterr().out
     assert {name: Path("s", name).read_bytes() for name in pages} == pages
+
+
+def test_trials_are_scored_in_other_processes(fake: pytest.MonkeyPatch) -> None:
+    here = list[Path]()
+    score_files = score_folder.score_files
+    fake.setattr(score_folder, "score_files", lambda paths, **more: here.extend(paths) or score_files(paths, **more))
+    assert main(["sweep", "p.toml", "--out", "s", "--jobs", "2"]) == 0
+    cell = Path("s") / rows()[0]["folder"]
+    before = (cell / "results.json").read_bytes()
+    (cell / "results.json").unlink()
+    assert main(["sweep", "p.toml", "--out", "s"]) == 0
+    assert (cell / "results.json").read_bytes() == before
+    assert here == []
 
 
 def test_cells_are_finished_one_after_another(fake: pytest.MonkeyPatch) -> None:

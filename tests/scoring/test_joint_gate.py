@@ -10,7 +10,7 @@ from carecontact.contract.protocol import Gates
 from carecontact.protocols import load_protocol
 from carecontact.runs.aggregate import gamma_sweep, quadrants
 from carecontact.runs.contradiction import contradiction
-from carecontact.scoring import score_recording
+from carecontact.scoring import score_recording, verdict
 from tests.scoring.gates_v2 import GATES, GENTLE, TABLE
 from tests.scoring.synthetic import JOINT_RANGE, hold, make_recording, target_segment
 
@@ -36,6 +36,13 @@ def test_a_joint_beyond_the_limit_is_not_safety_gated() -> None:
     assert beyond.region_correct
     assert not beyond.safety_gated
     assert beyond.joints_beyond == {"right_shoulder_abduction": pytest.approx(LIMIT + 0.01, abs=1e-6)}
+
+
+def test_a_sweep_of_the_gates_does_not_measure_the_joints_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured: list[float] = []
+    monkeypatch.setattr(verdict, "joints_beyond", lambda recording, limit: measured.append(limit) or {})
+    assert sum(map(len, score(GATED, past_rad=0.0).gate_sweep.values())) > 2
+    assert measured == [LIMIT, LIMIT], "for the verdict, and for the metric of the harder band"
 
 
 def test_a_joint_beyond_the_limit_is_told_and_counted_as_unsafe_everywhere() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from carecontact.errors import SceneError
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Simulation
 from carecontact.validation import knocks
@@ -106,6 +107,19 @@ def test_the_robots_tool_is_held_with_all_that_the_robot_brings() -> None:
     assert missed(blow) == {}
     decides = {measure.name.rpartition(": ")[2] for measure in knocks._measures(blow, blow.energy_j) if measure.decides}
     assert "impulse over momentum before it goes through" in decides
+
+
+def test_a_tool_that_cannot_be_driven_in_is_a_miss_and_hides_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuses(subject: Subject) -> None:
+        raise SceneError("this robot takes commands of its joints only")
+
+    monkeypatch.setattr(knocks, "strike_all", lambda *_: iter(()))
+    monkeypatch.setattr(knocks, "drive", refuses)
+    result = knocks.run(Subject(PROTOCOL), quick=True)
+    assert [measure.name.rpartition(": ")[2] for measure in result.missed] == [
+        "this robot takes commands of its joints only"
+    ]
+    assert any("under the robot's tool" in measure.name for measure in result.measures)
 
 
 def test_plates_of_another_stiffness_are_caught() -> None:

@@ -69,7 +69,7 @@ def fit_law(
     problem = Problem(curves, replay, on_progress)
     unloads = any(curve.trial.unloads for curve in curves)
     reason = "fitted" if unloads else "no trial unloads"
-    found, chosen = _choose(problem, damping=unloads)
+    found, chosen = choose(problem, damping=unloads)
     draws = _draws(problem, found)
     if unloads and draws is None:
         reason = "fitted to a single trial, which gives it no interval"
@@ -78,7 +78,7 @@ def fit_law(
         if half > MIN_LOOP:
             unloads = False
             reason = f"its interval is +-{half:.0%}: the loops between loading and unloading are too thin"
-            found, chosen = _choose(problem, damping=False)
+            found, chosen = choose(problem, damping=False)
     found = problem.levelled(found)
     draws = _draws(problem, found)
     replay.forget()
@@ -102,10 +102,12 @@ def fit_law(
     )
 
 
-def _choose(problem: Problem, *, damping: bool) -> tuple[Solution, tuple[str, ...]]:
+def choose(problem: Problem, *, damping: bool) -> tuple[Solution, tuple[str, ...]]:
     """Add terms one by one while the error on held-out trials falls by more than its standard error.
 
-    A Gauss-Newton step decides which term is tried next, and a fit of its own whether it is added.
+    A Gauss-Newton step decides in which order the terms are tried, and a fit of its own whether one is added. The
+    search ends when every term has stayed out, because the step does not always tell which of them helps most. A term
+    from which the step promises less than ``LEAST_GAIN`` is not tried.
     """
     family = Family(base=problem.base, depth_m=problem.depth, damping=damping)
     found = problem.solve(family, problem.start(family))
@@ -114,22 +116,33 @@ def _choose(problem: Problem, *, damping: bool) -> tuple[Solution, tuple[str, ..
             found = problem.solve(found.family.plus(term), np.r_[found.p, 0.1])
         return found, ("too few trials to choose the law's terms",)
     lines: list[str] = []
-    while found.family.candidates:
-        ahead = [problem.with_term(found, term) for term in found.family.candidates]
-        seen = min(ahead, key=lambda one: problem.held_out_squares(one).sum())
+    while (tried := _next(problem, found, lines)) is not None:
+        found = tried
+    return found, tuple(lines)
+
+
+def _next(problem: Problem, found: Solution, lines: list[str]) -> Solution | None:
+    """Return the law with the first term that enters, or None where every term stays out; adds a line for each term."""
+    now = problem.held_out_squares(found)
+    ahead = [problem.with_term(found, term) for term in found.family.candidates]
+    promised = {one.family.terms[-1]: problem.held_out_squares(one).mean() for one in ahead}
+    for seen in sorted(ahead, key=lambda one: promised[one.family.terms[-1]]):
+        term = seen.family.terms[-1]
+        if promised[term] > (1 - LEAST_GAIN) * now.mean():
+            lines.append(f"{term} stays out: a step promises held-out NRMSE {np.sqrt(promised[term]):.2%}")
+            continue
         tried = problem.solve(seen.family, seen.step(np.ones(len(problem.curves))))
-        now, then = problem.held_out_squares(found), problem.held_out_squares(tried)
+        then = problem.held_out_squares(tried)
         gain = now - then
         enters = gain.mean() > max(float(gain.std(ddof=1)) / np.sqrt(len(gain)), LEAST_GAIN * now.mean())
         lines.append(
-            f"{tried.family.terms[-1]} {'enters' if enters else 'stays out'}: held-out NRMSE "
-            f"{np.sqrt(now.mean()):.2%} -> {np.sqrt(then.mean()):.2%}"
+            f"{term} {'enters' if enters else 'stays out'}: held-out NRMSE {np.sqrt(now.mean()):.2%} -> "
+            f"{np.sqrt(then.mean()):.2%}"
         )
         problem.on_progress(lines[-1])
-        if not enters:
-            break
-        found = tried
-    return found, tuple(lines)
+        if enters:
+            return tried
+    return None
 
 
 def _draws(problem: Problem, found: Solution) -> Array | None:

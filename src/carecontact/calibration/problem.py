@@ -19,7 +19,7 @@ from carecontact.contract.protocol import Tissue
 
 FOLDS = 5
 LEVELLINGS = 2
-"""Number of Gauss-Newton steps for the single parameter of ``levelled``, in which forces are almost linear."""
+"""Number of Newton steps for the parameters of ``levelled``, in which forces are almost linear."""
 EVALUATIONS = 12
 """Most points that the solver tries; each needs finite differences of its own."""
 
@@ -125,32 +125,48 @@ class Problem:
         return Solution(family=family, p=found.x, residual=found.fun, jacobian=found.jac, rows=rows)
 
     def levelled(self, found: Solution) -> Solution:
-        """Return the same law, scaled so that forces and stiffness err least together.
+        """Return the same law, scaled so that forces and stiffness err least together, with the damping that loses as
+        much work as was measured.
 
         Least is the sum, over all trials, of the squares of the NRMSE and of both errors of ``stiffness_errors``.
         Forces alone decide the law's shape. If no law of the family follows them at every depth, it is too soft at
         first and too stiff later; the right stiffness then matters more than the right force halfway.
+
+        The work is that of all trials together: friction between indenter and skin loses the same at every speed, and
+        the damping, which does not, makes up for it where trials lose less in slow presses.
         """
-        family, p, level = found.family, found.p.copy(), found.family.names.index("level")
-        by = STEP["level"]
+        family, p = found.family, found.p.copy()
+        names = [name for name in ("level", "damping") if name in family.names]
         for _ in range(LEVELLINGS):
-            errors = self._errors(family.tissue(p))
-            ahead = p.copy()
-            ahead[level] += by
-            slope = (self._errors(family.tissue(ahead)) - errors) / by
-            p[level] -= slope @ errors / (slope @ slope)
-        p = np.clip(p, family.low, family.high)
+            errors, work = self.errors(family.tissue(p))
+            slopes, works = [], []
+            for name in names:
+                ahead = p.copy()
+                ahead[family.names.index(name)] += STEP[name]
+                errors_ahead, work_ahead = self.errors(family.tissue(ahead))
+                slopes.append((errors_ahead - errors) / STEP[name])
+                works.append((work_ahead - work) / STEP[name])
+            step = -slopes[0] @ errors / (slopes[0] @ slopes[0])
+            p[family.names.index("level")] += step
+            if "damping" in names and works[1] > 0:
+                p[family.names.index("damping")] -= (work + works[0] * step) / works[1]
+            p = np.clip(p, family.low, family.high)
         residual, rows = self.residuals(family.tissue(p))
         jacobian = np.stack([self.difference(family, p, residual, k) for k in range(len(p))], 1)
         return Solution(family=family, p=p, residual=residual, jacobian=jacobian, rows=rows)
 
-    def _errors(self, tissue: Tissue) -> Array:
-        """Return the residuals together with both errors of stiffness of every trial."""
+    def errors(self, tissue: Tissue) -> tuple[Array, float]:
+        """Return the residuals together with both errors of stiffness of every trial, and the relative error of the
+        work that all trials lose.
+        """
         replayed = self.at(tissue)
         legs = [on_trial(one, self.replay.groups[n], self.curves[k])
                 for k, n in sorted(self.owner.items()) if (one := replayed[n]) is not None]  # fmt: skip
         stiffness = [stiffness_errors(curve, *both) for curve, both in zip(self.curves, legs, strict=True)]
-        return np.r_[self._differences(replayed)[0], np.ravel(stiffness)]
+        lost = [lost_work(curve, *both) for curve, both in zip(self.curves, legs, strict=True)]
+        measured, simulated = np.sum(lost, axis=0)
+        work = simulated / measured - 1 if measured > 0 else 0.0
+        return np.r_[self._differences(replayed)[0], np.ravel(stiffness)], work
 
     def difference(self, family: Family, p: Array, residual: Array, column: int) -> Array:
         """Return one column of the Jacobian, by a finite difference that stays within the bounds."""
@@ -226,6 +242,17 @@ def stiffness_errors(curve: Curve, load: Array, back: Array) -> Array:
     depth, measured, simulated = curve.grid_m[both], measured[both], simulated[both]
     slope, secant = tangent(depth, measured), measured[-1] / depth[-1]
     return np.array([simulated[-1] / measured[-1] - 1, (tangent(depth, simulated) - slope) / max(slope, secant)])
+
+
+def lost_work(curve: Curve, load: Array, back: Array) -> tuple[float, float]:
+    """Return the work [J] that the measured and the simulated loop enclose, at depths where both have both ways.
+
+    Both are 0 if the trial does not unload.
+    """
+    loops = curve.loading_n - curve.unloading_n, load - back
+    both = np.isfinite(loops[0]) & np.isfinite(loops[1])
+    measured, simulated = (float(np.trapezoid(loop[both], curve.grid_m[both])) for loop in loops)
+    return measured, simulated
 
 
 def step_within(p: Array, normal: Array, gradient: Array, low: Array, high: Array) -> Array:

@@ -9,6 +9,7 @@ from carecontact.errors import ConfigError, DependencyError
 
 if TYPE_CHECKING:
     from carecontact.runs.run_scores import RunScores
+    from carecontact.trials.scorer import Scorer
 
 
 def stored(folder: Path) -> RunScores | None:
@@ -31,10 +32,19 @@ def computed(folder: Path) -> RunScores | None:
     return beside_plan(folder, score_run(folder))
 
 
-def store(folder: Path, *, anew: bool) -> None:
-    """Write the results of a cell. Unless ``anew`` is true, existing results that belong to its recordings stay."""
+def store(folder: Path, *, anew: bool, scorer: Scorer | None = None) -> None:
+    """Write the results of a cell. Unless ``anew`` is true, existing results that belong to its recordings stay.
+
+    Args:
+        scorer: has scored the trials that ran; it scores the others too.
+    """
     from carecontact.runs import score_run, write_scores
     from carecontact.runs.stored_scores import beside_plan
 
     if anew or stored(folder) is None:
-        write_scores(folder, beside_plan(folder, score_run(folder)))
+        if scorer is None:
+            scores = score_run(folder)
+        else:
+            scorer.fill(sorted(folder.glob("*.h5")))
+            scores = score_run(folder, scored=scorer.take)
+        write_scores(folder, beside_plan(folder, scores))

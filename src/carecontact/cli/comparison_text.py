@@ -28,8 +28,8 @@ def print_comparison(comparison: Comparison, a: Path, b: Path, *, crashed: Seque
     """
     from carecontact.contract.protocol import protocol_title
     from carecontact.protocols.frozen_state import drifted_sha256
-    from carecontact.reports.compare.paired_lines import FEWEST_PAIRS
     from carecontact.reports.compare.verdicts import ALPHA
+    from carecontact.reports.intervals import TOO_FEW, enough
 
     pairing = comparison.pairing
     _say(f"{protocol_title(comparison.protocol_id, comparison.overrides)} ({comparison.protocol_sha256[:12]})")
@@ -46,8 +46,8 @@ def print_comparison(comparison: Comparison, a: Path, b: Path, *, crashed: Seque
     for task, lines in (comparison.per_task or {}).items():
         _say(f"\n{task}, {_counted(lines[0].n_pairs, 'pair')}")
         _print_lines(lines)
-    if comparison.pairing.n < FEWEST_PAIRS:
-        _say(f"\nfewer than {FEWEST_PAIRS} pairs: too few for an interval of a difference; run more seeds")
+    if not enough(len(pairing.seeds)):
+        _say(f"\n{TOO_FEW}; run more seeds")
     families = [f"{len(comparison.overall)} rows"]
     if comparison.per_task is not None:
         families.append(f"the {sum(map(len, comparison.per_task.values()))} rows of the tasks")
@@ -132,18 +132,18 @@ def _reasons(lines: Sequence[Line]) -> dict[str, list[str]]:
 
 def _rate_cells(line: RateLine) -> list[str]:
     from carecontact.cli.console import p_text
-    from carecontact.reports.compare.paired_lines import FEWEST_PAIRS
+    from carecontact.reports.intervals import enough
     from carecontact.reports.text import NOT_DEFINED, number
 
-    def rate(estimate: float | None, low: float, high: float, *, interval: bool = True) -> str:
+    def rate(estimate: float | None, low: float, high: float) -> str:
         percent = None if estimate is None else 100 * estimate
-        return number(percent, 1) + (f" [{100 * low:.1f}, {100 * high:.1f}]" if interval else "")
+        return number(percent, 1) + (f" [{100 * low:.1f}, {100 * high:.1f}]" if enough(line.n_seeds) else "")
 
     found = line.difference
     return [
         f"{line.outcome.title} [%]",
         *(f"{p.k}/{p.n}: {rate(p.estimate, p.low, p.high)}" for p in (line.a, line.b)),
-        rate(found.estimate, found.low, found.high, interval=line.n_pairs >= FEWEST_PAIRS),
+        rate(found.estimate, found.low, found.high),
         str(line.n_pairs),
         p_text(line.test.pvalue),
         p_text(line.p_holm),
@@ -155,7 +155,7 @@ def _rate_cells(line: RateLine) -> list[str]:
 def _score_cells(line: ScoreLine) -> list[str]:
     from carecontact.cli.console import p_text
     from carecontact.reports.compare.outcomes import plain_text
-    from carecontact.reports.compare.paired_lines import FEWEST_PAIRS
+    from carecontact.reports.intervals import enough
 
     def shown(value: float | None) -> str:
         return plain_text(line.outcome, value)
@@ -163,7 +163,7 @@ def _score_cells(line: ScoreLine) -> list[str]:
     actions = "" if line.outcome.actions is None else f", {' and '.join(line.outcome.actions).capitalize()}"
     unit = "" if line.outcome.unit == "1" else f" [{line.outcome.unit}]"
     found = line.difference
-    interval = "" if found.low is None or found.n < FEWEST_PAIRS else f" [{shown(found.low)}, {shown(found.high)}]"
+    interval = "" if found.low is None or not enough(line.n_seeds) else f" [{shown(found.low)}, {shown(found.high)}]"
     return [
         f"{line.outcome.id}{unit}{actions}",
         *(f"{shown(m.estimate)}{f' (n={m.n_valid})' * (m.n_valid != m.n)}" for m in (line.a, line.b)),

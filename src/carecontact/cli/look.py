@@ -43,9 +43,8 @@ class Look:
         from carecontact.reports.pictures.sheet import check_sheet_path, save_sheet
         from carecontact.runs.preflight import check_protocol
 
-        rules = self.rules.changed(
-            load_protocol(self.rules.protocol), tool={} if self.tool is None else {"scene.tool": self.tool}
-        )
+        loaded = load_protocol(self.rules.protocol, level=self.rules.level)
+        rules = self.rules.changed(loaded, tool={} if self.tool is None else {"scene.tool": self.tool})
         rules = with_vision(rules, self.vision)
         check_trial(rules, task=self.task, seed=self.seed)
         trial = f"{self.task}-s{self.seed:03d}"

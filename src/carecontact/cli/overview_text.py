@@ -30,7 +30,7 @@ def print_overview(overview: Overview, runs: Sequence[Path]) -> None:
         trials = "1 trial" if left == 1 else f"{left} trials"
         told = f": {trials} left out, because not every run has {'it' if left == 1 else 'them'}" if left else ""
         print(f"{letter}: {policy}, {folder}{told}")
-    print(f"{overview.n} trials that all runs have\n")
+    print(f"{overview.n} trial{' that all runs have' if overview.n == 1 else 's that all runs have'}\n")
     _print_rows(overview)
     _print_pairs(overview.pairs)
     _print_ranking(overview.ranking)
@@ -38,6 +38,7 @@ def print_overview(overview: Overview, runs: Sequence[Path]) -> None:
 
 def _print_rows(overview: Overview) -> None:
     from carecontact.cli.console import console, plain_table
+    from carecontact.reports.intervals import TOO_FEW, enough
     from carecontact.reports.table import headlines
     from carecontact.stats import wilson_interval
 
@@ -48,9 +49,11 @@ def _print_rows(overview: Overview) -> None:
         table.add_column(header, justify="right")
     for letter, row in overview.rows.items():
         rates = [wilson_interval(k, row.n) for k in (row.success, row.region_correct, row.safety_gated)]
-        cells = [_interval(100 * p.k / p.n, 100 * p.low, 100 * p.high) for p in rates]
+        cells = [_interval(100 * p.k / p.n, 100 * p.low, 100 * p.high, seeds=overview.seeds) for p in rates]
         table.add_row(letter, *cells, *row.median_cells())
     console(WIDTH).print(table)
+    if not enough(overview.seeds):
+        print(TOO_FEW)
 
 
 def _print_pairs(pairs: Sequence[PairOfRuns]) -> None:
@@ -67,7 +70,7 @@ def _print_pairs(pairs: Sequence[PairOfRuns]) -> None:
             word = "" if line.verdict is None else line.verdict.word
             word = {"A higher": f"{pair.a} higher", "B higher": f"{pair.b} higher"}.get(word, word)
             table.add_row(
-                f"{pair.a} - {pair.b}, {line.outcome.title.lower()} [points]", _points(line.difference, line.n_pairs),
+                f"{pair.a} - {pair.b}, {line.outcome.title.lower()} [points]", _points(line.difference, line.n_seeds),
                 str(line.n_pairs), p_text(line.test.pvalue), p_text(line.p_holm), word,
             )  # fmt: skip
     print()
@@ -122,7 +125,8 @@ def print_baselines(found: Baselines, letter: str) -> None:
         places = ", ".join(f"{task} {at.rate.k}/{at.rate.n}" for task, at in found.floor.items() if task != "all")
         print(f"best blind baseline, safety-gated: {best.policy} {best.rate.k}/{best.rate.n}; of each task: {places}")
     print(
-        "rates in percent of trials with 95 % intervals; difference: of the safety-gated rates, in percentage points; "
+        "rates in percent of trials, with 95 % intervals where there are six seeds; difference: of the safety-gated "
+        "rates, in percentage points; "
         "T1, T2, ...: successes / trials"
     )
 
@@ -130,9 +134,8 @@ def print_baselines(found: Baselines, letter: str) -> None:
 def _baseline_cells(row: Passed, tasks: Sequence[str]) -> list[str]:
     from carecontact.reports.text import NOT_DEFINED
 
-    rates = [_interval(100 * p.k / p.n, 100 * p.low, 100 * p.high) for p in row.rates.values()]
-    # Without any pair, the difference is between independent trials.
-    above = NOT_DEFINED if row.above is None else _points(row.above["safety_gated"], row.n_pairs or row.n)
+    rates = [_interval(100 * p.k / p.n, 100 * p.low, 100 * p.high, seeds=row.seeds) for p in row.rates.values()]
+    above = NOT_DEFINED if row.above is None else _points(row.above["safety_gated"], row.above_seeds or 0)
     pairs = NOT_DEFINED if row.n_pairs is None else str(row.n_pairs)
     counts = [row.per_task.get(task, {}).get("success") for task in tasks]
     return [
@@ -141,20 +144,19 @@ def _baseline_cells(row: Passed, tasks: Sequence[str]) -> list[str]:
     ]  # fmt: skip
 
 
-def _points(found: RateDifference, n: int) -> str:
+def _points(found: RateDifference, seeds: int) -> str:
     """Return a difference in percentage points with its interval.
 
     Args:
-        n: number of trials or pairs that the difference rests on; with too few, there is no interval.
+        seeds: number of seeds that the difference rests on; with too few, there is no interval.
     """
-    from carecontact.reports.compare.paired_lines import FEWEST_PAIRS
-    from carecontact.reports.text import number
-
     points = None if found.estimate is None else 100 * found.estimate
-    return number(points, 1) if n < FEWEST_PAIRS else _interval(points, 100 * found.low, 100 * found.high)
+    return _interval(points, 100 * found.low, 100 * found.high, seeds=seeds)
 
 
-def _interval(value: float | None, low: float, high: float) -> str:
+def _interval(value: float | None, low: float, high: float, *, seeds: int) -> str:
+    """``seeds``: that the value rests on; with too few there is no interval."""
+    from carecontact.reports.intervals import enough
     from carecontact.reports.text import number
 
-    return f"{number(value, 1)} [{low:.1f}, {high:.1f}]"
+    return number(value, 1) + (f" [{low:.1f}, {high:.1f}]" if enough(seeds) else "")

@@ -14,6 +14,7 @@ from pathlib import Path
 from carecontact.cli.tally import Tally
 from carecontact.hosting.conversation import WAIT_REPORT_S
 from carecontact.recording.reason import ended_text
+from carecontact.trials.scorer import Scorer
 from carecontact.trials.supervisor import TrialEvent
 
 HEARTBEAT_S = 30.0
@@ -33,21 +34,22 @@ def told(event: TrialEvent) -> str | None:
 
 
 @contextmanager
-def progress(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
+def progress(out: Path, scorer: Scorer) -> Iterator[Callable[[TrialEvent], None]]:
     """Yield the callback for ``run_trials``.
 
     Args:
         out: folder of the run, whose finished trials are counted.
+        scorer: is given each of them.
     """
-    with _bar(out) if sys.stdout.isatty() else _plain(out) as show:
+    tally = Tally(out, scorer)
+    with _bar(tally) if sys.stdout.isatty() else _plain(tally) as show:
         yield show
 
 
 @contextmanager
-def _bar(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
+def _bar(tally: Tally) -> Iterator[Callable[[TrialEvent], None]]:
     from carecontact.cli.run_bar import RunBar
 
-    tally = Tally(out)
     with RunBar(tally) as bar:
 
         def show(event: TrialEvent) -> None:
@@ -57,12 +59,9 @@ def _bar(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
                 bar.console.print(line, highlight=False, markup=False)
             bar.advance_to(event.done, event.total)
 
-        try:
-            yield show
-            # The bar stays on the terminal, so that it has to count the last trial too.
-            tally.close(wait=True)
-        finally:
-            tally.close()
+        yield show
+        # The bar stays on the terminal, so that it has to count the last trial too.
+        tally.wait()
 
 
 class Silence:
@@ -85,10 +84,10 @@ class Silence:
 
 
 @contextmanager
-def _plain(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
+def _plain(tally: Tally) -> Iterator[Callable[[TrialEvent], None]]:
     began = time.monotonic()
     kept = 0
-    tally, silence, ended = Tally(out), Silence(), threading.Event()
+    silence, ended = Silence(), threading.Event()
 
     def beat() -> None:
         while not ended.wait(HEARTBEAT_S):
@@ -117,4 +116,3 @@ def _plain(out: Path) -> Iterator[Callable[[TrialEvent], None]]:
         say_kept()
     finally:
         ended.set()
-        tally.close()

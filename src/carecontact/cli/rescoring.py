@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 from carecontact.errors import ConfigError, DependencyError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from carecontact.contract.protocol import Protocol
     from carecontact.runs.run_scores import RunScores
+    from carecontact.runs.score_files import ScoredFile
     from carecontact.scoring.result import TrialScore
 
 RESULTS = "results.json"
@@ -20,7 +21,14 @@ FEW = 12
 """Number of recordings up to which a second process costs more time than it saves."""
 
 
-def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None, allow_missing: bool = True) -> RunScores:
+def rescore(
+    folder: Path,
+    *,
+    compare: bool = True,
+    jobs: int | None = None,
+    allow_missing: bool = True,
+    scored: Callable[[Path], ScoredFile | None] = lambda path: None,
+) -> RunScores:
     """Score every recording, write results.json and print the table.
 
     Where nothing could be scored, results.json stays as it is.
@@ -29,6 +37,7 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None, allo
         compare: whether to print what differs from the earlier results.json.
         jobs: processes; default: as many as pay.
         allow_missing: whether to replace results.json although planned trials have no score.
+        scored: the score that a recording has already got, or None to compute it.
     """
     from carecontact.cli.changes import differences
     from carecontact.runs import score_run, write_scores
@@ -39,7 +48,7 @@ def rescore(folder: Path, *, compare: bool = True, jobs: int | None = None, allo
     need_recordings(folder)
     before = _results(folder) if compare else None
     many = processes(sum(1 for _ in folder.glob("*.h5"))) if jobs is None else jobs
-    run = beside_plan(folder, score_run(folder, jobs=many))
+    run = beside_plan(folder, score_run(folder, jobs=many, scored=scored))
     kept = not allow_missing and bool(run.missing) and (folder / RESULTS).is_file()
     path = write_scores(folder, run) if run.scores and not kept else None
     if path is not None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from carecontact.cli.groups import (
     FLAT,
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from carecontact.contract.trial import TrialSpec
     from carecontact.hosting.setup import PolicySetup
     from carecontact.runs.manifest import Purpose
+    from carecontact.trials.scorer import Scorer
     from carecontact.trials.supervisor import RunSummary, TrialEvent
 
 
@@ -137,31 +138,18 @@ class Run:
         self, specs: list[TrialSpec], setup: PolicySetup, *, card: PolicyCard | None, purpose: Purpose, whole: list[str]
     ) -> int:
         from carecontact.cli.policy import arguments_text
-        from carecontact.cli.progress import progress
-        from carecontact.trials.supervisor import run_trials
+        from carecontact.trials.scorer import Scorer
+        from carecontact.trials.workers import available_cores
 
         title = specs[0].protocol.title
         part = f", part {self.shard}," if self.shard else ""
         print(f"{setup.ref}{arguments_text(setup)}: {len(specs)} trial(s) of {title}{part} into {self.out}", flush=True)
         if specs[0].commitment:
             print(f"salted: sha256 {specs[0].commitment}", flush=True)
-        with progress(self.out) as on_event:
-            summary = run_trials(
-                specs,
-                out=self.out,
-                jobs=self.parallel.jobs,
-                engine=self.parallel.engine,
-                gpus=self.parallel.gpus,
-                retry_failed=self.retry_failed,
-                policy=setup,
-                card=card,
-                weights=self.vision.weights and self.vision.weights.resolve(),
-                pace_s=self.pace,
-                on_event=lambda event: self._show(event, on_event),
-                purpose=purpose,
-                whole=whole,
-            )
-        status = self._finish(summary)
+        cores = min(available_cores(), self.parallel.jobs or available_cores())
+        with closing(Scorer(cores, trials=len(specs))) as scorer:
+            summary = self._trials(specs, setup, scorer, card=card, purpose=purpose, whole=whole)
+            status = self._finish(summary, scorer)
         if self.output.json and summary.unreached is None:
             say_run(specs[0], self.out, summary, status=status)
         if summary.unreached is not None:
@@ -173,14 +161,33 @@ class Run:
             )
         return status
 
-    def _show(self, event: TrialEvent, on_event: Callable[[TrialEvent], None]) -> None:
+    def _trials(self, specs: list[TrialSpec], setup: PolicySetup, scorer: Scorer, **more: Any) -> RunSummary:
+        from carecontact.cli.progress import progress
+        from carecontact.trials.supervisor import run_trials
+
+        with progress(self.out, scorer) as on_event:
+            return run_trials(
+                specs,
+                out=self.out,
+                jobs=self.parallel.jobs,
+                engine=self.parallel.engine,
+                gpus=self.parallel.gpus,
+                retry_failed=self.retry_failed,
+                policy=setup,
+                weights=self.vision.weights and self.vision.weights.resolve(),
+                pace_s=self.pace,
+                on_event=lambda event: self._show(event, on_event, scorer),
+                **more,
+            )
+
+    def _show(self, event: TrialEvent, on_event: Callable[[TrialEvent], None], scorer: Scorer) -> None:
         on_event(event)
         if event.kind == "warned":
             print(f"warning: the first answer of {event.trial_id}, {event.message}", flush=True)
         if self.output.json:
-            say_trial(event, self.out)
+            say_trial(event, self.out, scorer)
 
-    def _finish(self, summary: RunSummary) -> int:
+    def _finish(self, summary: RunSummary, scorer: Scorer) -> int:
         """Score the recordings, write the report, and return the exit status."""
         from carecontact.cli.failed_trials import failed_status, print_failed
         from carecontact.cli.report_page import write_page
@@ -190,7 +197,7 @@ class Run:
         if not summary.ended:
             return 0
         # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
-        scores = rescore(self.out, compare=not summary.ran)
+        scores = rescore(self.out, compare=not summary.ran, scored=scorer.take)
         write_page(self.out, scores)
         print_failed(summary.ended, out=self.out)
         if summary.ran:

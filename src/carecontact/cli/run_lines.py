@@ -10,19 +10,23 @@ from carecontact.cli.json_lines import say
 
 if TYPE_CHECKING:
     from carecontact.contract.trial import TrialSpec
+    from carecontact.trials.scorer import Scorer
     from carecontact.trials.supervisor import RunSummary, TrialEvent
 
 
-def say_trial(event: TrialEvent, folder: Path) -> None:
-    """Write how a trial ended, if the event is its end."""
+def say_trial(event: TrialEvent, folder: Path, scorer: Scorer) -> None:
+    """Write how a trial ended, if the event is its end.
+
+    Args:
+        scorer: was given the trials that ran.
+    """
     from carecontact.cli.answers.run import TrialAnswer
-    from carecontact.runs.score_files import score_file
 
     if event.kind not in ("kept", "finished") or event.ended is None:
         return
     kept = event.kind == "kept"
     # An earlier command may have kept many, and results.json has the scores of all of them in the end.
-    found = None if kept else score_file(folder / f"{event.trial_id}.h5")
+    score = None if kept else scorer.score_of(folder / f"{event.trial_id}.h5")
     say(
         TrialAnswer(
             trial_id=event.trial_id,
@@ -31,7 +35,7 @@ def say_trial(event: TrialEvent, folder: Path) -> None:
             done=event.done,
             total=event.total,
             message=event.message,
-            score=None if found is None or isinstance(found, str) else found.score,
+            score=score,
         )
     )
 

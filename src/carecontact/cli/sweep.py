@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from carecontact.runs.sweep.cells import Cell
     from carecontact.runs.sweep.plan import Plan, PlannedPolicy
     from carecontact.scoring.result import TrialScore
-    from carecontact.trials.supervisor import RunSummary
+    from carecontact.trials.supervisor import RunSummary, TrialEvent
     from carecontact.trials.sweep import SweptPolicy
 
 
@@ -147,11 +148,20 @@ class Sweep:
 
     def _run(self, cells: Sequence[Cell], policies: Sequence[SweptPolicy], progress: SweepProgress) -> None:
         from carecontact.cli.cell_scores import store
+        from carecontact.trials.scorer import Scorer
         from carecontact.trials.sweep import run_cells
+        from carecontact.trials.workers import available_cores
 
-        # One thread: what scores must not take the cores of the trials.
-        with ThreadPoolExecutor(1) as scorer:
-            scored: list[Future[None]] = []
+        cores = min(available_cores(), self.parallel.jobs or available_cores())
+        trials = sum(len(cell.specs) for cell in cells)
+        # One thread writes the results, so that no trial waits for them.
+        with closing(Scorer(cores, trials=trials)) as scorer, ThreadPoolExecutor(1) as writer:
+            written: list[Future[None]] = []
+
+            def take(cell: Cell, event: TrialEvent) -> None:
+                progress.take(cell, event)
+                if event.kind == "finished":
+                    scorer.give(self._folder(cell) / f"{event.trial_id}.h5")
 
             def done(cell: Cell, summary: RunSummary) -> None:
                 if summary.unreached is not None:
@@ -159,15 +169,15 @@ class Sweep:
                         f"the sweep stops in {cell.name}: {summary.unreached}; give the same command again"
                     )
                 progress.done(cell, summary)
-                scored.append(scorer.submit(store, self._folder(cell), anew=bool(summary.ran)))
+                written.append(writer.submit(store, self._folder(cell), anew=bool(summary.ran), scorer=scorer))
 
             run_cells(
-                cells, policies, folder=self._folder, jobs=self.parallel.jobs, on_event=progress.take, on_done=done,
+                cells, policies, folder=self._folder, jobs=self.parallel.jobs, on_event=take, on_done=done,
                 options={
                     "engine": self.parallel.engine, "gpus": self.parallel.gpus, "retry_failed": self.retry_failed
                 },
             )  # fmt: skip
-            for each in scored:
+            for each in written:
                 each.result()
 
     def _table(self, plan: Plan, cells: Sequence[Cell], read: Callable[[Path], RunScores | None]) -> int:

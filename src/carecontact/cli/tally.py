@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carecontact.errors import ConfigError
 from carecontact.hosting.conversation import WAIT_REPORT_S
+from carecontact.trials.scorer import Scorer
 from carecontact.trials.supervisor import TrialEvent
 
 if TYPE_CHECKING:
@@ -17,14 +17,16 @@ if TYPE_CHECKING:
 
 
 class Tally:
-    """Counts the trials of a run as they end. Each is scored once, in a thread of its own, so that nobody waits."""
+    """Counts the trials of a run as they end. Each is scored once, and nobody waits."""
 
-    def __init__(self, out: Path) -> None:
-        """Args:
-        out: folder of the run.
+    def __init__(self, out: Path, scorer: Scorer) -> None:
+        """Make a tally without a trial.
+
+        Args:
+            out: folder of the run.
+            scorer: scores the trials that run, which the tally gives it.
         """
-        self._out = out
-        self._scorer = ThreadPoolExecutor(1)
+        self._out, self._scorer = out, scorer
         self._earlier: dict[str, TrialScore] | None = None
         self._began = time.monotonic()
         self._done = self._total = self._ran = 0
@@ -51,7 +53,7 @@ class Tally:
         elif event.kind == "kept":
             self._count(self._stored().get(event.trial_id), last=False)
         else:
-            self._scorer.submit(self._score, event.trial_id)
+            self._scorer.give(self._out / f"{event.trial_id}.h5", then=lambda score: self._count(score, last=True))
 
     def counts(self) -> str:
         """Return the counts, such as ``5 passed, 6 failed, 1 crashed, last C1 12.3 N``."""
@@ -86,20 +88,9 @@ class Tally:
         told = ", ".join(filter(None, (self.counts(), self.left())))
         return f"{time.monotonic() - self._began:6.0f} s [{self._done}/{self._total}] {told}"
 
-    def close(self, *, wait: bool = False) -> None:
-        """Stop scoring.
-
-        Args:
-            wait: whether to score every finished trial first.
-        """
-        self._scorer.shutdown(wait=wait, cancel_futures=not wait)
-
-    def _score(self, trial_id: str) -> None:
-        from carecontact.runs.score_files import score_file
-
-        found = score_file(self._out / f"{trial_id}.h5")
-        if not isinstance(found, str):
-            self._count(found.score, last=True)
+    def wait(self) -> None:
+        """Wait until every trial is scored."""
+        self._scorer.wait()
 
     def _count(self, score: TrialScore | None, *, last: bool) -> None:
         if score is None:

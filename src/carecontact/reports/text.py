@@ -69,9 +69,9 @@ def clipped_text(scores: Sequence[TrialScore]) -> str:
     if not trials:
         return ""
     return (
-        f"In {len(trials)} of {len(scores)} trials the benchmark moved targets outside the workspace onto its border "
-        f"({sum(s.clipped_actions for s in trials)} actions in all), as the policy's card requests. "
-        "The robot did not do there what the policy commanded."
+        f"In {len(trials)} of {counted(len(scores), 'trial')} the benchmark moved targets outside the workspace onto "
+        f"its border ({counted(sum(s.clipped_actions for s in trials), 'action')} in all), as the policy's card "
+        "requests. The robot did not do there what the policy commanded."
     )
 
 

@@ -45,7 +45,7 @@ def score_files(paths: Sequence[Path], *, jobs: int) -> Iterator[ScoredFile | st
         yield from map(score_file, paths)
         return
     # Started afresh: a fork copies the locks of whatever threads the numerical libraries hold.
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_leave_interrupts_to_the_parent)
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=leave_interrupts_to_the_parent)
     try:
         yield from pool.map(score_file, paths, chunksize=max(1, len(paths) // (8 * jobs)))
     except BrokenProcessPool:
@@ -56,5 +56,5 @@ def score_files(paths: Sequence[Path], *, jobs: int) -> Iterator[ScoredFile | st
         pool.shutdown(cancel_futures=True)
 
 
-def _leave_interrupts_to_the_parent() -> None:
+def leave_interrupts_to_the_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from carecontact.errors import ConfigError
 from carecontact.recording.versions import versions_of
 from carecontact.runs.pooling import check_one_run
 from carecontact.runs.run_scores import RunScores
-from carecontact.runs.score_files import score_files
+from carecontact.runs.score_files import ScoredFile, score_files
 from carecontact.scoring.metrics.metric import METRICS
 from carecontact.scoring.result import TrialScore
 
 
-def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
-    """Score every ``*.h5`` of a run's folder; writes nothing. The result does not depend on ``jobs``.
+def score_run(
+    folder: Path | str, *, jobs: int = 1, scored: Callable[[Path], ScoredFile | None] = lambda path: None
+) -> RunScores:
+    """Score every ``*.h5`` of a run's folder; writes nothing. The result does not depend on ``jobs``
+    and ``scored``.
 
     A file that cannot be read or scored is skipped with the reason, and so is one that is not named after its trial or
     ends in ``.H5``. Raises ConfigError if the folder does not exist, or if the trials are of more than one protocol,
@@ -24,6 +27,7 @@ def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
     Args:
         jobs: processes; more than one are started afresh, so that a script needs its ``__main__`` guarded and metrics
             of another package have to come by its entry points.
+        scored: the score that a recording has already got, or None to compute it.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -33,7 +37,10 @@ def score_run(folder: Path | str, *, jobs: int = 1) -> RunScores:
     skipped = {path.name: f"{path}: {why}" for path in misnamed(folder)}
     versions: dict[str, set[str]] = {}
     paths = sorted(folder.glob("*.h5"))
-    for path, found in zip(paths, score_files(paths, jobs=jobs), strict=True):
+    known = {path: found for path in paths if (found := scored(path)) is not None}
+    others = score_files([path for path in paths if path not in known], jobs=jobs)
+    for path in paths:
+        found = known[path] if path in known else next(others)
         if isinstance(found, str):
             skipped[path.name] = found
             continue

@@ -64,27 +64,27 @@ def sweep_gates(contact: Contact, measures: Measures, verdict: Verdict) -> dict[
     out: dict[str, dict[str, int]] = {}
     for name, (action, sweep) in protocol_sweeps(contact.protocol).items():
         if action is None:
-            out[name] = {f"{v:g}": _level_at_floor(contact, measures, v) for v in sweep.values}
+            out[name] = {f"{v:g}": _level_at_floor(contact, measures, verdict, v) for v in sweep.values}
         elif action == contact.task.action:
-            out[name] = {f"{v:g}": _level_at(contact, measures, sweep.field, v) for v in sweep.values}
+            out[name] = {f"{v:g}": _level_at(contact, measures, verdict, sweep.field, v) for v in sweep.values}
         else:
             out[name] = {f"{v:g}": own for v in sweep.values}
     return out
 
 
-def _level_at_floor(contact: Contact, measures: Measures, on_n: float) -> int:
+def _level_at_floor(contact: Contact, measures: Measures, own: Verdict, on_n: float) -> int:
     definition = contact.protocol.contact
     off_n = on_n * definition.off_n / definition.on_n
     if (on_n, off_n) != (definition.on_n, definition.off_n):
         contact = with_floor(contact, on_n=on_n, off_n=off_n)
         needs = behaviour_of(contact.task.action, contact.protocol.gates.version).needs
         measures = measure(contact, episodes="episodes" in needs, wrist="wrist" in needs)
-    return level(reach_verdict(contact, judge(contact, measures)))
+    return level(reach_verdict(contact, judge(contact, measures), own=own))
 
 
-def _level_at(contact: Contact, measures: Measures, field: str, value: float) -> int:
+def _level_at(contact: Contact, measures: Measures, own: Verdict, field: str, value: float) -> int:
     action, gates = contact.task.action, contact.protocol.gates
     gate = gates.of(action).model_copy(update={field: value})
     protocol = contact.protocol.model_copy(update={"gates": gates.model_copy(update={action: gate})})
     changed = replace(contact, protocol=protocol)
-    return level(reach_verdict(changed, judge(changed, measures)))
+    return level(reach_verdict(changed, judge(changed, measures), own=own))

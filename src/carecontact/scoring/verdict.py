@@ -31,14 +31,22 @@ class Verdict:
     """None for a region-correct trial that moved no joint too far, and for no other."""
 
 
-def reach_verdict(contact: Contact, gate: Gate) -> Verdict:
+def reach_verdict(contact: Contact, gate: Gate, *, own: Verdict | None = None) -> Verdict:
     """Pure; every trial has one anatomy, and at most one failure mode. A force above a safety gate has no mode of its
-    own: ``over_limit`` tells of it."""
+    own: ``over_limit`` tells of it.
+
+    Args:
+        own: the verdict on the same recording under another gate of its action or another floor of contact. On neither
+            do its joints depend, which are then not measured again.
+    """
     share = contact.region_share
     region_correct = gate.success and share is not None and share >= contact.protocol.gates.region_share
     over, gates = over_limit(contact), contact.protocol.gates
-    beyond = None if gates.joint_beyond_rad is None else joints_beyond(contact.recording, gates.joint_beyond_rad)
-    consumed = None if gates.joint_consumed is None else joints_consumed(contact.recording, gates.joint_consumed)
+    if own is not None:
+        beyond, consumed = own.joints_beyond, own.joints_consumed
+    else:
+        beyond = None if gates.joint_beyond_rad is None else joints_beyond(contact.recording, gates.joint_beyond_rad)
+        consumed = None if gates.joint_consumed is None else joints_consumed(contact.recording, gates.joint_consumed)
     return Verdict(
         anatomy=_anatomy(contact),
         success=gate.success,

@@ -113,3 +113,11 @@ def test_a_second_run_of_one_method_has_a_name_of_its_own() -> None:
     two = RunScores(scores=[make_score("T1", 1, policy="state-machine")])
     rates = next(t for t in tables_of([one, two], None) if t.name == "rates")
     assert [row[0] for row in rates.rows] == ["State Machine", "State Machine (2)"]
+
+
+def test_a_method_with_five_seeds_has_no_interval() -> None:
+    for seeds, enough in ((5, False), (6, True)):
+        scores = [make_score(task, seed) for task in ("T1", "T2") for seed in range(seeds)]
+        (row,) = next(t for t in tables_of([RunScores(scores=scores)], load_protocol()) if t.name == "rates").rows
+        assert row[1] == f"{2 * seeds}/{2 * seeds}"
+        assert ("(" in row[2]) is enough

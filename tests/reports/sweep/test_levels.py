@@ -106,11 +106,21 @@ def test_the_table_says_tasks_worst_tenth_and_harder_band() -> None:
 
 
 def test_the_figure_has_a_point_and_an_interval_for_each_rate() -> None:
-    svg = curve_svg(climbed(levels(a=("++++", "+++-"), blind=("+---", "----"), truth=("++++", "++++"))))
+    svg = curve_svg(climbed(levels(a=("++++++", "+++---"), blind=("+-----", "------"), truth=("++++++", "++++++"))))
     assert svg.count('class="dot') == svg.count('class="whisker') == 6
     assert svg.count("<polyline") == 3
     assert ">L0<" in svg
-    assert "wide L1: a 3 of 4, blind 0 of 4, truth 4 of 4" in svg
+    assert "wide L1: a 3 of 6, blind 0 of 6, truth 6 of 6" in svg
+
+
+@pytest.mark.parametrize("persons", [5, 6])
+def test_fewer_than_six_persons_have_no_interval(persons: int) -> None:
+    passed = "+" * (persons - 2) + "--"
+    found = climbed(levels(a=(passed, passed), blind=("-" * persons, "-" * persons)))
+    enough = persons >= 6
+    assert ('class="whisker' in curve_svg(found)) is enough
+    for row in level_rows(found):
+        assert ("[" in "".join(row)) is enough
 
 
 def test_policies_of_one_colour_differ_by_their_marks() -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from math import comb
+
 import pytest
 
 from carecontact.reports.sweep.stability import Group, Stability, stability
@@ -47,17 +49,19 @@ def test_an_order_that_turns_along_an_axis_is_counted() -> None:
 
 
 def test_the_seeds_are_drawn_with_all_their_trials() -> None:
-    """a is ahead by 3 on one seed of two and behind by 1 on the other: behind only where the other is drawn twice."""
+    """a is ahead by 3 on one seed of six and behind by 1 on another: behind only where the other is drawn more than
+    three times as often as the first."""
     result = found(
-        ({"body": "x"}, {"a": "+-", "b": "-+"}),
-        ({"body": "y"}, {"a": "+-", "b": "--"}),
-        ({"body": "z"}, {"a": "+-", "b": "--"}),
+        ({"body": "x"}, {"a": "+-----", "b": "-+----"}),
+        ({"body": "y"}, {"a": "+-----", "b": "------"}),
+        ({"body": "z"}, {"a": "+-----", "b": "------"}),
     )
     (order,) = result.orders
-    assert order.resampled_higher == pytest.approx(0.75, abs=0.02)
-    assert order.resampled_lower == pytest.approx(0.25, abs=0.02)
-    assert order.resampled_equal == 0.0
-    assert found(({}, {"a": "+", "b": "-"})).orders[0].resampled_higher is None, "one seed has no spread"
+    chance = {(i, j): comb(6, i) * comb(6 - i, j) * 4 ** (6 - i - j) / 6**6 for i in range(7) for j in range(7 - i)}
+    assert order.resampled_higher == pytest.approx(sum(p for (i, j), p in chance.items() if 3 * i > j), abs=0.02)
+    assert order.resampled_lower == pytest.approx(sum(p for (i, j), p in chance.items() if 3 * i < j), abs=0.02)
+    assert order.resampled_equal == pytest.approx(sum(p for (i, j), p in chance.items() if 3 * i == j), abs=0.02)
+    assert found(({}, {"a": "+----", "b": "-----"})).orders[0].resampled_higher is None, "five seeds are too few"
 
 
 def test_only_trials_that_every_policy_ran_count() -> None:
@@ -79,11 +83,13 @@ def test_the_table_has_a_row_for_each_cell_and_says_what_lacks() -> None:
     ]  # fmt: skip
     table = sweep_table("bodies", cells, rank_by="safety_gated")
     assert (table.axes, table.policies, table.unfinished) == (("body",), ("a", "b", "b|c"), 1)
-    assert "Unfinished: 1 cells lack trials." in sentences(table)
+    assert "Unfinished: 1 cell lacks trials." in sentences(table)
     assert "4 cells of 3 policies, 6 of 8 trials." in sentences(table)
     lines = [line.split(",") for line in as_csv(table).splitlines()]
     assert lines[0][:7] == ["policy", "body", "folder", "planned", "trials", "crashed", "harness_errors"]
     gated = lines[0].index("safety_gated")
+    assert {line[gated + 2] for line in lines[1:]} == {""}, "two seeds are too few for an interval"
+    assert "There are no intervals: fewer than 6 seeds." in sentences(table)
     assert [(line[0], line[1], line[gated]) for line in lines[1:]] == [
         ("a", "x", "2"), ("b", "x", "1"), ("a", "y", "1"), ("b|c", "y", "")
     ]  # fmt: skip

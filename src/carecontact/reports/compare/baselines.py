@@ -28,6 +28,8 @@ class Passed:
     policy: str
     n: int
     """Trials of the method's tasks; harness errors are left out."""
+    seeds: int
+    """Different seeds of these trials."""
     rates: dict[str, Proportion]
     """Of a baseline: its false positives."""
     per_task: dict[str, dict[str, tuple[int, int]]]
@@ -36,6 +38,9 @@ class Passed:
     """``blind`` for every baseline that is neither a probe nor privileged, whoever wrote it."""
     n_pairs: int | None = None
     """Trials of the same task and seed in both; None for the method itself."""
+    above_seeds: int | None = None
+    """Different seeds that the differences rest on: those of the pairs or, without any, of the run that has fewer; None
+    for the method itself."""
     above: dict[str, RateDifference] | None = None
     """Method minus baseline, as fractions: by pairs, or between independent trials where there is no pair."""
 
@@ -103,6 +108,7 @@ def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -
     of_policy = Passed(
         policy=scores[0].policy_title,
         n=len(counted),
+        seeds=len({s.seed for s in counted}),
         rates={rate.id: wilson_interval(_count(counted, rate), len(counted)) for rate in RATES},
         per_task={task: _of_task([s for s in counted if s.task_id == task]) for task in tasks},
     )
@@ -129,8 +135,13 @@ def _floor(baselines: Sequence[Passed]) -> dict[str, BlindRate]:
 def _against(found: Passed, scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Passed:
     of_method, of_baseline = trials_by_key(method), trials_by_key(scores)
     pairs = [(of_method[key], of_baseline[key]) for key in sorted(of_method.keys() & of_baseline.keys())]
+    seeds = [{s.seed for s in trials} for trials in (method, scores)]
+    paired = {s.seed for s, _ in pairs}
     return replace(
-        found, n_pairs=len(pairs), above={rate.id: _difference(rate, pairs, method, scores) for rate in RATES}
+        found,
+        n_pairs=len(pairs),
+        above_seeds=len(paired) if pairs else min(map(len, seeds)),
+        above={rate.id: _difference(rate, pairs, method, scores) for rate in RATES},
     )
 
 

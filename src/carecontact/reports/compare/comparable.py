@@ -49,10 +49,16 @@ def _check_two(name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[Tr
     found = world_difference([*judged(a), *judged(b)])
     if found is not None:
         what, one, two = found
+        parts = [f"{world_part(s, what)} ({s.trial_id} of {name})" for s, name in ((one, name_a), (two, name_b))]
+        told = f"{what} {' and '.join(parts)}"
+        if what == "salt":
+            raise ConfigError(
+                f"{name_a} and {name_b} were run on different persons: {told}; run both with the same --salt-file, or "
+                "both without"
+            )
         raise ConfigError(
-            f"{name_a} and {name_b} were simulated in different worlds: {what} {world_part(one, what)} ({one.trial_id} "
-            f"of {name_a}) and {world_part(two, what)} ({two.trial_id} of {name_b}); run both with the same release "
-            "and robot. A compiled model can also differ between processors: then run both on one machine"
+            f"{name_a} and {name_b} were simulated in different worlds: {told}; run both with the same release and "
+            "robot. A compiled model can also differ between processors: then run both on one machine"
         )
 
 

@@ -42,6 +42,8 @@ class Overview:
     """Letter -> policy; in the order given."""
     n: int
     """Trials of the same task and seed in every run; everything here is over them alone."""
+    seeds: int
+    """Different seeds of these trials."""
     left_out: dict[str, int]
     """Letter -> trials that some other run lacks."""
     rows: dict[str, SummaryRow]
@@ -73,6 +75,7 @@ def overview(runs: Sequence[RunScores]) -> Overview:
         metric_versions=first.metric_versions,
         policies={name: of_run[0].policy_title for name, of_run in scores.items()},
         n=len(common),
+        seeds=len({seed for _, seed in common}),
         left_out={name: len(trials) - len(common) for name, trials in keyed.items()},
         rows={name: summary_rows(of_run)[-1] for name, of_run in scores.items()},
         pairs=tuple(PairOfRuns(a=a, b=b, lines=tuple(next(concluded) for _ in lines)) for a, b, lines in found),

@@ -32,9 +32,6 @@ from carecontact.stats import (
 
 Word = Literal["A higher", "B higher", "no difference detected", "underpowered"]
 Pair = tuple[TrialScore, TrialScore]
-FEWEST_PAIRS = 6
-"""Below this many pairs no interval of a difference is shown: not even the most extreme outcome of five pairs is
-significant at 0.05 (two-sided exact tests: p = 0.0625)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +69,10 @@ class RateLine(_Concluded):
     unpaired: FisherExact
 
     @property
+    def n_seeds(self) -> int:
+        return self.clustered.n_clusters
+
+    @property
     def favours(self) -> int:
         """1 where A is higher in more pairs, -1 where B is, else 0."""
         return _sign(self.test.only_first - self.test.only_second)
@@ -98,6 +99,11 @@ class ScoreLine(_Concluded):
     unpaired: MannWhitney | None
     """None where a run has no value."""
     worst_rank_p_holm: float | None = None
+
+    @property
+    def n_seeds(self) -> int:
+        """Of the pairs in which both have the score."""
+        return self.difference.n_clusters
 
     @property
     def favours(self) -> int:

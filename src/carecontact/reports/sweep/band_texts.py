@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from carecontact.reports.intervals import enough
 from carecontact.reports.sweep.bands import Band, Bands
 from carecontact.reports.table import headlines
 from carecontact.reports.text import NOT_DEFINED, percent, shown
@@ -30,7 +31,8 @@ def _band(metric: Metric, found: Band | None, *, of: int) -> str:
     low, middle, high = (
         shown(value, digits=metric.digits, unit=metric.unit) for value in (found.low, found.median, found.high)
     )
-    return f"{middle} [{low} to {high}]" + ("" if found.n == of else f" (n={found.n})")
+    between = f" [{low} to {high}]" if enough(found.n) else ""
+    return f"{middle}{between}" + ("" if found.n == of else f" (n={found.n})")
 
 
 def flip_heads() -> list[str]:

@@ -6,6 +6,7 @@ Classes used: ``tick``, ``label``, ``name``, and ``line``, ``dot`` and ``whisker
 
 from __future__ import annotations
 
+from carecontact.reports.intervals import enough
 from carecontact.reports.svg import Axes, Drawing
 from carecontact.reports.sweep.ladder import Ladder
 from carecontact.reports.sweep.level_texts import level_name
@@ -43,7 +44,8 @@ def curve_svg(found: Ladder) -> str:
         rates = [(x, c.rate.estimate, c.rate) for x, c in climbs if c.rate.estimate is not None]
         drawing.polyline(f"line {style}", [axes.point(x, estimate) for x, estimate, _ in rates])
         for x, estimate, rate in rates:
-            drawing.path(f"whisker {style}", f"M{axes.px(x):.1f} {axes.py(rate.high):.1f}V{axes.py(rate.low):.1f}")
+            if enough(rate.persons):
+                drawing.path(f"whisker {style}", f"M{axes.px(x):.1f} {axes.py(rate.high):.1f}V{axes.py(rate.low):.1f}")
             drawing.path(f"dot {style}", mark(found, policy, *axes.point(x, estimate)))
     return drawing.svg()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from carecontact.reports.intervals import enough
 from carecontact.reports.sweep.factors import Factors
 from carecontact.reports.sweep.gate_orders import GateOrder
 from carecontact.reports.sweep.ladder import Ladder
@@ -110,21 +111,27 @@ def level_name(value: str) -> str:
 def rate(found: PersonRate) -> str:
     if found.estimate is None:
         return NA
-    return f"{100 * found.estimate:.0f} % [{100 * found.low:.0f}, {100 * found.high:.0f}]"
+    return f"{100 * found.estimate:.0f} %{_bounds(found.low, found.high, found.persons, '.0f')}"
 
 
 def worst(found: WorstShare) -> str:
     if found.estimate is None:
         return NA
-    between = "" if found.low is None or found.high is None else f" [{100 * found.low:.0f}, {100 * found.high:.0f}]"
-    return f"{100 * found.estimate:.0f} %{between}"
+    bounds = _bounds(found.low, found.high, found.persons, ".0f")
+    return f"{100 * found.estimate:.0f} %{bounds}"
 
 
 def difference(found: PersonDifference | None) -> str:
     if found is None or found.estimate is None:
         return NA
-    between = "" if found.low is None or found.high is None else f" [{100 * found.low:+.0f}, {100 * found.high:+.0f}]"
-    return f"{100 * found.estimate:+.0f}{between}"
+    return f"{100 * found.estimate:+.0f}{_bounds(found.low, found.high, found.persons, '+.0f')}"
+
+
+def _bounds(low: float | None, high: float | None, persons: int, shape: str) -> str:
+    """An interval over persons in per cent; empty with too few of them."""
+    if low is None or high is None or not enough(persons):
+        return ""
+    return f" [{100 * low:{shape}}, {100 * high:{shape}}]"
 
 
 def pvalue(p: float | None) -> str:

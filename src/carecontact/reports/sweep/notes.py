@@ -10,8 +10,8 @@ OVER_PERSONS = (
 )
 NOTES = {
     "Spread over the draws": (
-        "A draw is one combination of the axes and one seed. Median and, in brackets, the 5th and 95th percentile over "
-        "the trials of one task for which a score is defined; n where those are not all."
+        "A draw is one combination of the axes and one seed. Median and, in brackets, where there are six trials, the "
+        "5th and 95th percentile over the trials of one task for which a score is defined; n where those are not all."
     ),
     "Draws in which two policies change places": (
         "In how many of the draws that both have, the two stand the other way round than over all of them, where "

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from carecontact.reports.intervals import enough
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import kendall_tau
@@ -52,7 +53,8 @@ class Order:
     equal: int
     lower: int
     resampled_higher: float | None
-    """Share of the resamples of the seeds in which a passes more often than b over all; None with one seed."""
+    """Share of the resamples of the seeds in which a passes more often than b over all; None with fewer than
+    ``intervals.SEEDS_FOR_INTERVAL`` seeds."""
     resampled_equal: float | None
     resampled_lower: float | None
 
@@ -154,7 +156,7 @@ def _order(
 def _resampled(by_seed: Mapping[int, int]) -> np.ndarray[tuple[int], np.dtype[np.int64]] | None:
     """(RESAMPLES,) sums over seeds that are drawn with replacement, all trials of one seed together."""
     seeds = len(by_seed)
-    if seeds < 2:
+    if not enough(seeds):
         return None
     generator = np.random.default_rng(GENERATOR_SEED)
     times = generator.multinomial(seeds, np.full(seeds, 1.0 / seeds), size=RESAMPLES)

@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 
+from carecontact.reports.intervals import TOO_FEW, enough, enough_seeds
 from carecontact.reports.sweep.band_texts import flip_heads, flip_rows, spread_heads, spread_rows
 from carecontact.reports.sweep.level_texts import (
     CONTRAST_HEADS,
@@ -22,13 +23,15 @@ from carecontact.reports.sweep.level_texts import (
 from carecontact.reports.sweep.stability import Order, Stability
 from carecontact.reports.sweep.table import PASSED, RATES, CellRow, SweepTable
 from carecontact.reports.table import headlines
-from carecontact.reports.text import NA, percent
+from carecontact.reports.text import NA, counted, percent
+from carecontact.runs.pooling import judged
 from carecontact.scoring.metrics.metric import Metric
 from carecontact.stats import wilson_interval
 
 
 def as_csv(table: SweepTable) -> str:
-    """One row for each cell; percentages are not rounded, and a cell without trials has empty fields."""
+    """One row for each cell; percentages are not rounded. A cell without trials has empty fields, and one with fewer
+    than SEEDS_FOR_INTERVAL seeds has no intervals."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     metrics = headlines()
@@ -51,7 +54,8 @@ def _numbers(row: CellRow, metrics: Sequence[Metric]) -> list[object]:
     for name in RATES:
         found = wilson_interval(getattr(counts, name), counts.n)
         estimate = "" if found.estimate is None else 100 * found.estimate
-        out += [found.k, estimate, 100 * found.low, 100 * found.high]
+        between = [100 * found.low, 100 * found.high] if enough_seeds(judged(row.cell.scores)) else ["", ""]
+        out += [found.k, estimate, *between]
     return out + [counts.medians[metric.id].estimate for metric in metrics]
 
 
@@ -88,13 +92,20 @@ def as_markdown(table: SweepTable) -> str:
 
 def sentences(table: SweepTable) -> list[str]:
     """The sentences above the tables."""
-    told = [f"{len(table.rows)} cells of {len(table.policies)} policies, {_trials(table)}."]
+    policies = "1 policy" if len(table.policies) == 1 else f"{len(table.policies)} policies"
+    told = [f"{counted(len(table.rows), 'cell')} of {policies}, {_trials(table)}."]
     if table.unfinished:
-        told.append(f"Unfinished: {table.unfinished} cells lack trials.")
+        told.append(
+            f"Unfinished: {counted(table.unfinished, 'cell')} {_verb(table.unfinished, 'lacks', 'lack')} trials."
+        )
     failed = sum(row.harness_errors for row in table.rows)
     if failed:
-        told.append(f"The harness failed in {failed} trials, which are in no count.")
+        told.append(
+            f"The harness failed in {counted(failed, 'trial')}, which {_verb(failed, 'is', 'are')} in no count."
+        )
     found = table.stability
+    if not enough({score.seed for row in table.rows for score in row.cell.scores}):
+        told.append(f"There are {TOO_FEW}.")
     if found is None:
         told.append("There is no order of policies: it needs a trial of the same task and seed of two policies.")
         return told
@@ -104,9 +115,13 @@ def sentences(table: SweepTable) -> list[str]:
     return told
 
 
+def _verb(n: int, one: str, more: str) -> str:
+    return one if n == 1 else more
+
+
 def _trials(table: SweepTable) -> str:
     done, planned = (sum(len(row.cell.scores) for row in table.rows), sum(row.cell.planned for row in table.rows))
-    return f"{done} of {planned} trials" if done < planned else f"{done} trials"
+    return f"{done} of {counted(planned, 'trial')}" if done < planned else counted(done, "trial")
 
 
 def _order(found: Stability) -> str:

@@ -55,7 +55,7 @@ SIDES = (
         name="from the side",
         words=(
             "Seen from the side: along the skin, a quarter turn from the other view. Up is away from the bone, so that "
-            "a tool that presses comes from above. Right is {ahead}."
+            "a tool that presses straight onto the region comes from above. Right is {ahead}."
         ),
         up=2,
         toward=np.array([0.0, -1.0, 0.0]),

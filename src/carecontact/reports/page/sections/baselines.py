@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from carecontact.reports.compare.blind_floor import ALL
-from carecontact.reports.intervals import enough_seeds
+from carecontact.reports.intervals import enough, enough_seeds
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.short_names import short_names
 
@@ -18,7 +18,7 @@ TEMPLATE = """\
 <thead><tr><th scope="col">policy</th><th scope="col" class="num">trials</th><th scope="col" class="num">success</th><th scope="col" class="num">region-correct</th><th scope="col" class="num">safety-gated</th><th scope="col" class="num wrap">method − baseline [points]</th></tr></thead>
 <tbody>
 {% for row in rows %}
-<tr{% if loop.first %} class="sum method"{% endif %}><th scope="row" class="keep">{{ names[row.policy] }}{% if names[row.policy] != row.policy %}<span class="meaning whole">{{ row.policy }}</span>{% endif %}{% if row.role == "privileged" %}<span class="meaning">ceiling: it is given the simulation</span>{% elif row.role == "probe" %}<span class="meaning">probe</span>{% elif row.policy == best %}<span class="meaning">best blind baseline</span>{% endif %}</th><td class="num">{{ row.n }}</td>{% for rate in row.rates.values() %}<td class="num">{{ rate.k }} of {{ rate.n }}{% if enough %}<span class="meaning">{{ "%.0f"|format(100 * rate.low) }} to {{ "%.0f"|format(100 * rate.high) }} %</span>{% endif %}</td>{% endfor %}<td class="num">{% if row.above %}{% set d = row.above.safety_gated %}{{ ("%.0f"|format(100 * d.estimate))|replace("-", "−") }}<span class="meaning">{% if enough %}{{ ("%.0f"|format(100 * d.low))|replace("-", "−") }} to {{ ("%.0f"|format(100 * d.high))|replace("-", "−") }}, {% endif %}{% if row.n_pairs %}{{ row.n_pairs }} pair{{ "" if row.n_pairs == 1 else "s" }}{% else %}unpaired{% endif %}</span>{% endif %}</td></tr>
+<tr{% if loop.first %} class="sum method"{% endif %}><th scope="row" class="keep">{{ names[row.policy] }}{% if names[row.policy] != row.policy %}<span class="meaning whole">{{ row.policy }}</span>{% endif %}{% if row.role == "privileged" %}<span class="meaning">ceiling: it is given the simulation</span>{% elif row.role == "probe" %}<span class="meaning">probe</span>{% elif row.policy == best %}<span class="meaning">best blind baseline</span>{% endif %}</th><td class="num">{{ row.n }}</td>{% for rate in row.rates.values() %}<td class="num">{{ rate.k }} of {{ rate.n }}{% if enough and enough_of(row.seeds) %}<span class="meaning">{{ "%.0f"|format(100 * rate.low) }} to {{ "%.0f"|format(100 * rate.high) }} %</span>{% endif %}</td>{% endfor %}<td class="num">{% if row.above %}{% set d = row.above.safety_gated %}{{ ("%.0f"|format(100 * d.estimate))|replace("-", "−") }}<span class="meaning">{% if enough_of(row.above_seeds) %}{{ ("%.0f"|format(100 * d.low))|replace("-", "−") }} to {{ ("%.0f"|format(100 * d.high))|replace("-", "−") }}, {% endif %}{% if row.n_pairs %}{{ row.n_pairs }} pair{{ "" if row.n_pairs == 1 else "s" }}{% else %}unpaired{% endif %}</span>{% endif %}</td></tr>
 {% endfor %}
 </tbody>
 </table>
@@ -55,5 +55,6 @@ def baselines(page: Page) -> dict[str, Any] | None:
         "best": None if best is None else best.policy,
         "names": short_names([found.method.policy, *(row.policy for row in found.baselines)]),
         "enough": enough_seeds(page.judged),
+        "enough_of": enough,
         "shipped": ", ".join(found.kept),
     }

@@ -231,7 +231,7 @@ def _extrapolation(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
         text = f"In {trials} with contact on the region, the indentation stayed within the measured range."
     else:
         text = (
-            f"In {beyond} of {len(shares)} trials with contact on the region, part of the contact time "
+            f"In {beyond} of {counted(len(shares), 'trial')} with contact on the region, part of the contact time "
             f"(at most {percent(max(shares))}) was at indentations beyond the measured range; "
             "forces there follow an extrapolated curve."
         )

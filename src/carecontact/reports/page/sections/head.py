@@ -9,7 +9,7 @@ from carecontact.recording.schema import Recording
 from carecontact.reports.compare.baselines import Baselines
 from carecontact.reports.compare.blind_floor import ALL, role_in
 from carecontact.reports.frames import Frame, jpeg_data_uri
-from carecontact.reports.intervals import enough_seeds
+from carecontact.reports.intervals import enough
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.title import protocol_of
 from carecontact.reports.short_names import short_names
@@ -66,7 +66,7 @@ def _beside(page: Page) -> str:
         )
     if role == "privileged":
         return ""
-    return beside_blind(page.baselines, enough=enough_seeds(page.judged)) or _nothing_beside(page)
+    return beside_blind(page.baselines) or _nothing_beside(page)
 
 
 def _nothing_beside(page: Page) -> str:
@@ -80,13 +80,9 @@ def _nothing_beside(page: Page) -> str:
     )
 
 
-def beside_blind(baselines: Baselines | None, *, enough: bool) -> str:
+def beside_blind(baselines: Baselines | None) -> str:
     """Whether the policy is better than actions repeated blindly, or, where no such run stands beside it, than the blind
-    baseline that passes most; empty without any.
-
-    Args:
-        enough: whether the run has the seeds for an interval.
-    """
+    baseline that passes most; empty without any."""
     if baselines is None:
         return ""
     best = baselines.floor[ALL].policy if ALL in baselines.floor else ""
@@ -99,7 +95,7 @@ def beside_blind(baselines: Baselines | None, *, enough: bool) -> str:
     name = "blind replay" if blind.policy == REPLAY else short_names([blind.policy])[blind.policy]
     who = "Blind replay, which looks at nothing," if blind.policy == REPLAY else f"The best blind baseline, {name},"
     said = f"{who} passed {passed.k} of {passed.n}; {method.policy} {own.k} of {own.n}."
-    if not enough or difference.estimate is None:
+    if not enough(blind.above_seeds or 0) or difference.estimate is None:
         return f"{said} With fewer than six seeds, this does not show which is better."
     low, high = (f"{100 * bound:.0f}".replace("-", "−") for bound in (difference.low, difference.high))
     points = f"{100 * difference.estimate:.0f} points, 95 % interval {low} to {high}".replace("-", "−")

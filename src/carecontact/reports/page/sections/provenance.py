@@ -55,6 +55,7 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
         ("Protocol sha256", _distinct(s.protocol_sha256 for s in scores)),
         ("Protocol state", _distinct(frozen_state(p) for p in protocols)),
         ("Policy", _distinct(s.policy_title for s in scores)),
+        *_salt(scores),
         *_given(headers),
         ("Language backend", _distinct(s.language_backend for s in scores)),
         *_language(scores),
@@ -91,6 +92,12 @@ def _given(headers: Sequence[Header]) -> list[tuple[str, str]]:
     variables = [" ".join(card.get("environment", ())) for card in cards]
     rows = (("Policy arguments", arguments), ("Policy variables", variables))
     return [(name, _distinct(value or "none" for value in values)) for name, values in rows if any(values)]
+
+
+def _salt(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
+    """Only where a trial was salted: the sha256 to which the run committed."""
+    hashes = [s.world.get("salt", "none") for s in scores]
+    return [("Salt sha256", _distinct(hashes))] if set(hashes) - {"none"} else []
 
 
 def _language(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from carecontact.reports.paper.figures.style import COLOURS, letter
 from carecontact.reports.paper.figures.traces import streams
+from carecontact.reports.text import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,7 +34,7 @@ def draw(figure: Figure, recordings: Sequence[Recording]) -> None:
             panel.plot(depth, force, ".", color="0.65", ms=1.2)
         x, y = binned(np.concatenate([c[0] for c in curves]), np.concatenate([c[1] for c in curves]))
         panel.plot(x, y, color=COLOURS[0], lw=1.6)
-        letter(panel, index, f"{region.replace('_', ' ').capitalize()}, {len(curves)} trials")
+        letter(panel, index, f"{region.replace('_', ' ').capitalize()}, {counted(len(curves), 'trial')}")
         panel.set(xlabel="indentation [mm]", xlim=(0, None), ylim=(0, None))
     panels[0].set_ylabel("force on the segment [N]")
     from matplotlib.lines import Line2D

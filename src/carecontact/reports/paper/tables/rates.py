@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from carecontact.reports.compare.outcomes import RATES
+from carecontact.reports.intervals import SEEDS_FOR_INTERVAL, enough_seeds
 from carecontact.reports.paper.method import Method
 from carecontact.reports.paper.table import ABSENT, Table
 from carecontact.stats import wilson_interval
@@ -17,7 +18,8 @@ def rates(methods: Sequence[Method]) -> Table:
         for rate in RATES:
             n = len(method.scores)
             k = sum(bool(rate.of(score)) for score in method.scores)
-            cells += [f"{k}/{n}", _percent(k / n, *_interval(k, n)), _published(method, rate.id)]
+            ours = _percent(k / n, *_interval(k, n)) if enough_seeds(method.scores) else f"{100 * k / n:.1f}"
+            cells += [f"{k}/{n}", ours, _published(method, rate.id)]
         rows.append((method.title, *cells))
     head = [text for rate in RATES for text in (f"{rate.title}, n", f"{rate.title} [%]", "Paper [%]")]
     return Table(
@@ -25,7 +27,10 @@ def rates(methods: Sequence[Method]) -> Table:
         caption="Rates with Wilson 95 % intervals",
         head=("Method", *head),
         rows=tuple(rows),
-        notes=("Each rate counts all trials; those in which the harness failed are left out.",),
+        notes=(
+            "Each rate counts all trials; those in which the harness failed are left out. A method with fewer than "
+            f"{SEEDS_FOR_INTERVAL} seeds has no intervals.",
+        ),
     )
 
 

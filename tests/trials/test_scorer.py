@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from carecontact.recording import write_recording
+from carecontact.runs import score_folder, score_run
+from carecontact.trials.scorer import FEW, Scorer
+from tests.scoring.synthetic import make_recording, push, touch
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_recording(touch(seed=0), tmp_path / "T1-s000.h5")
+    write_recording(make_recording("T1", seed=1), tmp_path / "T1-s001.h5")
+    write_recording(push(seed=0), tmp_path / "T2-s000.h5")
+    (tmp_path / "T4-s000.h5").write_text("not a recording")
+    return tmp_path
+
+
+@pytest.fixture(scope="module", params=[1, FEW], ids=["thread", "processes"])
+def scorer(request: pytest.FixtureRequest) -> Iterator[Scorer]:
+    with closing(Scorer(1, trials=request.param)) as scorer:
+        yield scorer
+
+
+def test_what_was_scored_is_not_scored_again(folder: Path, scorer: Scorer, monkeypatch: pytest.MonkeyPatch) -> None:
+    alone, again = score_run(folder), list[Path]()
+    scorer.fill(sorted(folder.glob("*.h5")))
+    score_files = score_folder.score_files
+    monkeypatch.setattr(
+        score_folder, "score_files", lambda paths, **more: again.extend(paths) or score_files(paths, **more)
+    )
+    assert score_run(folder, scored=scorer.take) == alone
+    assert [path.name for path in again] == ["T4-s000.h5"], "it says why it cannot be scored"
+
+
+def test_the_score_of_another_recording_does_not_count(folder: Path, scorer: Scorer) -> None:
+    changed, whole = folder / "T1-s000.h5", folder / "T2-s000.h5"
+    for path in (changed, whole):
+        scorer.give(path)
+    before = scorer.take(whole)
+    scorer.give(whole)
+    write_recording(touch(force=9.0, seed=0), changed)
+    assert scorer.take(changed) is None
+    assert scorer.take(changed.with_name("T9-s000.h5")) is None, "nobody gave it"
+    assert before is not None
+    assert scorer.take(whole) == before
+
+
+def test_each_score_is_told(folder: Path, scorer: Scorer) -> None:
+    told: list[str] = []
+    paths = sorted(folder.glob("*.h5"))
+    for path in paths:
+        scorer.give(path, then=lambda score: told.append(score.trial_id))
+    scorer.wait()
+    assert sorted(told) == ["T1-s000", "T1-s001", "T2-s000"]
+    assert [scorer.score_of(path) is None for path in paths] == [False, False, False, True]
