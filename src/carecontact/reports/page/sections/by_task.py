@@ -86,7 +86,9 @@ def _beside(page: Page, task_id: str, rate: str) -> list[tuple[str, str]]:
     found: list[tuple[str, str]] = []
     names = _names(page)
     for other in page.baselines.baselines if page.baselines else ():
-        k, n = (other.rates[rate].k, other.n) if task_id == POOLED else other.per_task[task_id][rate]
+        # A task of which the harness failed in every trial has nothing to stand beside.
+        on_task = other.per_task.get(task_id, {}).get(rate, (0, 0))
+        k, n = (other.rates[rate].k, other.n) if task_id == POOLED else on_task
         if n and (k or other.policy == REPLAY):
             name = names[other.policy]
             found.append((f"{name} {k}/{n}", "" if name == other.policy else other.policy))
