@@ -8,7 +8,17 @@ a trial meets the gate, the sweeps of its values, and the words for a failure.""
 from carecontact.contract.protocol import BEHAVIOURS, Fraction, Positive, Section
 from carecontact.scoring.attribution.commanded import CommandedContact
 from carecontact.scoring.axis_passes import wiping
-from carecontact.scoring.behaviour import Behaviour, ForceBand, Sweep, exact_mm, let_go, middle_force, mm, reversals
+from carecontact.scoring.behaviour import (
+    Behaviour,
+    ForceBand,
+    Sweep,
+    exact_mm,
+    hardest,
+    let_go,
+    middle_force,
+    mm,
+    reversals,
+)
 from carecontact.scoring.contact import Contact, Mask, longest_run, steps
 from carecontact.scoring.gate import Attempt, Gate, GatePart, Judgement
 from carecontact.scoring.held_force import held_force, held_in_band
@@ -33,6 +43,7 @@ __all__ = [
     "Sweep",
     "TrialScore",
     "exact_mm",
+    "hardest",
     "held_force",
     "held_in_band",
     "let_go",

@@ -19,6 +19,7 @@ from carecontact.behaviours import (
     Sweep,
     TrialScore,
     exact_mm,
+    hardest,
     let_go,
     mm,
     steps,
@@ -74,14 +75,9 @@ class Push(Behaviour[PushGate]):
         )
 
     def parts(self, contact: Contact, gate: PushGate, result: Gate) -> list[GatePart]:
-        hardest = float(contact.neighbourhood_force.max(initial=0.0))
+        pressed = f"Pressed with at least {gate.force_n:g} N without interruption"
         return [
-            GatePart(
-                name=f"Pressed with at least {gate.force_n:g} N without interruption",
-                needed=f"{gate.duration_s:g} s",
-                reached=f"{result.longest_on_s:.2f} s (largest force {hardest:.1f} N)",
-                met=result.time_met,
-            ),
+            result.time_part(pressed, gate.duration_s, note=f" ({hardest(contact)})"),
             GatePart(
                 name="Way of the wrist while the arm is touched",
                 needed=f"at least {mm(gate.wrist_displacement_m)}",

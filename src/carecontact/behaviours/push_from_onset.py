@@ -21,6 +21,7 @@ from carecontact.behaviours import (
     Sweep,
     TrialScore,
     exact_mm,
+    hardest,
     let_go,
     mm,
     steps,
@@ -95,14 +96,9 @@ class PushFromOnset(Behaviour[PushFromOnsetGate]):
         )
 
     def parts(self, contact: Contact, gate: PushFromOnsetGate, result: Gate) -> list[GatePart]:
-        hardest = float(contact.neighbourhood_force.max(initial=0.0))
+        pressed = f"Pressed with at least {gate.force_n:g} N without interruption"
         return [
-            GatePart(
-                name=f"Pressed with at least {gate.force_n:g} N without interruption",
-                needed=f"{gate.duration_s:g} s",
-                reached=f"{result.longest_on_s:.2f} s (largest force {hardest:.1f} N)",
-                met=result.time_met,
-            ),
+            result.time_part(pressed, gate.duration_s, note=f" ({hardest(contact)})"),
             GatePart(
                 name="Way of the wrist from where it was when the contact began",
                 needed=f"{mm(gate.least_wrist_m)} to {mm(gate.most_wrist_m)}",

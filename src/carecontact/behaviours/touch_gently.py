@@ -63,17 +63,11 @@ class GentleTouch(Behaviour[GentleTouchGate]):
 
     def parts(self, contact: Contact, gate: GentleTouchGate, result: Gate) -> list[GatePart]:
         held = longest_run(held_in_band(contact, gate.least_n, gate.most_n)) * contact.dt_s
-        needed = f"{gate.duration_s:g} s"
         return [
-            GatePart(
-                name="Touched without interruption",
-                needed=needed,
-                reached=f"{result.longest_on_s:.2f} s",
-                met=result.time_met,
-            ),
+            result.time_part("Touched without interruption", gate.duration_s),
             GatePart(
                 name=f"Touched without interruption with {gate.least_n:g} to {gate.most_n:g} N",
-                needed=needed,
+                needed=f"{gate.duration_s:g} s",
                 reached=f"{held:.2f} s",
                 met=result.band_met,
             ),

@@ -173,6 +173,11 @@ def exact_mm(metres: float) -> str:
     return f"{metres * 1000:.1f} mm"
 
 
+def hardest(contact: Contact) -> str:
+    """Return ``largest force 7.3 N``, of the contact near the region."""
+    return f"largest force {float(contact.neighbourhood_force.max(initial=0.0)):.1f} N"
+
+
 def middle_force(force: F64) -> str:
     """``, median 7.3 N``; nothing for no sample."""
     return f", median {np.median(force):.1f} N" if len(force) else ""

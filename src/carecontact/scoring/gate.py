@@ -66,3 +66,9 @@ class Gate:
     best: Episode | None
     wrist_m: float
     wrist_any_m: float
+
+    def time_part(self, name: str, duration_s: float, *, note: str = "") -> GatePart:
+        """Return the requirement of a contact without a break; ``note`` follows what was reached."""
+        return GatePart(
+            name=name, needed=f"{duration_s:g} s", reached=f"{self.longest_on_s:.2f} s{note}", met=self.time_met
+        )

@@ -97,6 +97,10 @@ def test_evidence_names_the_miss_and_what_was_in_view() -> None:
     assert scored(ABOVE, **views()).evidence == (
         "The commanded path was aimed at the forearm and stayed 255 mm off its surface; the robot touched nothing."
     )
+    near = scored(NEAR, **views()).evidence or ""
+    assert near.endswith("above the surface of the forearm; the robot touched nothing.")
+    inside = scored(INSIDE, **views()).evidence or ""
+    assert inside.endswith("below the surface of the forearm, yet the robot touched nothing.")
     assert scored(**views()).evidence == (
         "No motion was commanded; the forearm was in view in 2 of 2 and could be found in 2 (middle error 10 mm)."
     )

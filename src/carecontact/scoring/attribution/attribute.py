@@ -77,7 +77,7 @@ def _aimed_right(contact: Contact, gate: Gate, mode: FailureMode, path: Commande
     if closest > NEAR_REGION_M:
         where = f"The commanded path was aimed at the {region} and stayed {mm(closest)} off its surface"
     if mode in ("no_target_contact", "off_target_contact"):
-        joint = "; the robot" if closest > NEAR_REGION_M else ", yet the robot"
+        joint = ", yet the robot" if closest <= 0 else "; the robot"
         return ("execution" if closest <= 0 else "planning"), f"{where}{joint} {_touched(contact)}."
     if mode == "lost_contact":
         lost = [float(contact.time_s[stop]) for stop in _losses(contact)]
