@@ -24,6 +24,7 @@ from carecontact.reports.trial.skin_view import skin_views
 from carecontact.reports.trial.timeline import letter, panels_of, timeline_svg
 from carecontact.reports.trial.words import facts, how_hard, outcome
 from carecontact.scoring.contact import find_contact
+from carecontact.scoring.limits import footnote
 from carecontact.scoring.metrics.c3_success import judge
 from carecontact.scoring.metrics.metric import METRICS, newest
 from carecontact.scoring.result import TrialScore
@@ -52,17 +53,18 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore) -> str:
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         keep_trailing_newline=True,
     )  # fmt: skip
+    own, others = (_metrics(score, concerned=concerned) for concerned in (True, False))
     return environment.get_template("trial.html.j2").render(
         version=__version__,
         score=score,
         prompt=recording.header.spec.protocol.task(score.task_id).prompt,
         result=result_word(score),
-        outcome=outcome(score, recording.header),
         report_link=report_link(run_folder, score.trial_id),
         links=_links(run_folder, score.trial_id),
         video=_beside(run_folder, score.trial_id, ".mp4"),
-        metrics=_metrics(score, concerned=True),
-        other_metrics=_metrics(score, concerned=False),
+        metrics=own,
+        other_metrics=others,
+        metrics_note=footnote(title for title, *_ in (*own, *others)),
         printed=_printed(recording),
         not_printed=_not_printed(recording),
         failure=recording.header.failure,
@@ -86,9 +88,11 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
     hard = how_hard(score, contact, moment)
     picture = peak_svg(recording, moment, title=f"The contact at peak force. {hard}")
     snapshot = recording.arrays.get("report/snapshot_rgb")
+    gates = gate_parts(contact, measures, score)
     return {
-        "facts": facts(score, contact, moment),
-        "gates": gate_parts(contact, measures, score),
+        "outcome": outcome(score, contact, gates),
+        "facts": facts(score, contact, moment, gates),
+        "gates": gates,
         "moment": moment,
         "picture": picture,
         "snapshot": None if snapshot is None else jpeg_data_uri(snapshot),
