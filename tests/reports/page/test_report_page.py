@@ -77,7 +77,8 @@ def test_page_of_seven_trials(run_of_7: Run, tmp_path: Path) -> None:
     page = Page(text)
     assert len(text) < 2_000_000
     assert "state_machine passed 2 of 7 trials" in page.text
-    assert len(page.all("svg", class_="trace")) == 6
+    assert len(page.all("svg", class_="trace")) == 5
+    assert "there is no force to draw: T6 Touch abdomen, seed 0." in " ".join(page.text.split())
     assert "T7 Scrub abdomen, seed 0." in page.text
     for words in (
         "4 of 7",
@@ -551,7 +552,7 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
 @pytest.mark.parametrize(
     ("force", "changes", "told"),
     [
-        (0.0, NO_CONTACT, "nothing touched, seed 0"),
+        (0.0, NO_CONTACT, "nothing touched; the tip of the tool came to 0 mm from the region, seed 0"),
         (
             0.3,
             NO_CONTACT,

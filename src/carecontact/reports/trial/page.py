@@ -10,6 +10,7 @@ from carecontact.recording.notes import read_notes
 from carecontact.recording.schema import Recording
 from carecontact.recording.writer import replace_file
 from carecontact.reports.frames import jpeg_data_uri
+from carecontact.reports.moment.miss import miss_svg, nearest_miss
 from carecontact.reports.moment.moment import peak_moment
 from carecontact.reports.moment.picture import peak_svg
 from carecontact.reports.page.force_trace import force_trace
@@ -21,7 +22,7 @@ from carecontact.reports.trial.gates import gate_parts
 from carecontact.reports.trial.looks import action_table, latency_text, looks_of
 from carecontact.reports.trial.paths import noted_targets, paths
 from carecontact.reports.trial.skin_view import skin_views
-from carecontact.reports.trial.timeline import letter, panels_of, timeline_svg
+from carecontact.reports.trial.timeline import OUT_M, Panel, letter, panels_of, timeline_svg
 from carecontact.reports.trial.words import facts, how_hard, outcome
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.limits import footnote
@@ -80,13 +81,16 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
     notes = read_notes(recording)
     noted = [] if found is None else noted_targets(recording, notes, found)
     happened = events(contact)
-    timeline = ""
+    timeline, panels = "", list[Panel]()
     if len(contact.time_s):
         trace = force_trace(recording, score)
         looked = recording["policy/observation_time_s"].tolist()
-        timeline = timeline_svg(panels_of(recording, trace, found), trace, happened, looked)
+        panels = panels_of(recording, trace, found)
+        timeline = timeline_svg(panels, trace, happened, looked)
     hard = how_hard(score, contact, moment)
-    picture = peak_svg(recording, moment, title=f"The contact at peak force. {hard}")
+    miss = nearest_miss(recording) if moment is None else None
+    drawn = None if miss is None else miss_svg(recording, miss, title=hard)
+    picture = drawn or peak_svg(recording, moment, title=f"The contact at peak force. {hard}")
     snapshot = recording.arrays.get("report/snapshot_rgb")
     gates = gate_parts(contact, measures, score)
     return {
@@ -95,11 +99,14 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
         "gates": gates,
         "moment": moment,
         "picture": picture,
+        "miss": miss if drawn else None,
+        "touched": moment is not None,
         "snapshot": None if snapshot is None else jpeg_data_uri(snapshot),
         "views": [] if found is None else skin_views(recording, found, moment, noted),
         "noted": bool(noted),
         "events": [(letter(i), event) for i, event in enumerate(happened)],
         "timeline": timeline,
+        "cut_mm": 1000 * OUT_M if any(panel.is_cut for panel in panels) else None,
     }
 
 
