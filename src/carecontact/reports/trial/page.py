@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,11 @@ from carecontact.reports.moment.picture import peak_svg
 from carecontact.reports.page.force_trace import force_trace
 from carecontact.reports.page.trial_words import result_word
 from carecontact.reports.page_links import link_page, page_path, report_link
-from carecontact.reports.text import shown
+from carecontact.reports.text import NA, number, shown
 from carecontact.reports.trial.events import events
 from carecontact.reports.trial.gates import gate_parts
 from carecontact.reports.trial.looks import action_table, latency_text, looks_of
+from carecontact.reports.trial.others import Beside, how_to_compare, other_rows
 from carecontact.reports.trial.paths import noted_targets, paths
 from carecontact.reports.trial.skin_view import skin_views
 from carecontact.reports.trial.timeline import OUT_M, Panel, letter, panels_of, timeline_svg
@@ -31,8 +33,13 @@ from carecontact.scoring.metrics.metric import METRICS, newest
 from carecontact.scoring.result import TrialScore
 
 
-def write_trial_page(run_folder: Path, recording: Recording, score: TrialScore) -> Path:
+def write_trial_page(
+    run_folder: Path, recording: Recording, score: TrialScore, *, beside: Sequence[Beside] = ()
+) -> Path:
     """Write ``run_folder/trial/ID.html`` and return its path.
+
+    Args:
+        beside: runs of other policies under the same rules, of which the page shows the same trial.
 
     A video of the trial that lies beside it, ``ID.mp4``, is shown and linked, and so are the recording and the log
     where they are in the run's folder. The page and the run's report link each other, whichever was written first
@@ -41,12 +48,12 @@ def write_trial_page(run_folder: Path, recording: Recording, score: TrialScore) 
     """
     path = page_path(run_folder, score.trial_id)
     path.parent.mkdir(exist_ok=True)
-    replace_file(path, _render(run_folder, recording, score).encode("utf-8", errors="replace"))
+    replace_file(path, _render(run_folder, recording, score, beside).encode("utf-8", errors="replace"))
     link_page(run_folder, score.trial_id)
     return path
 
 
-def _render(run_folder: Path, recording: Recording, score: TrialScore) -> str:
+def _render(run_folder: Path, recording: Recording, score: TrialScore, beside: Sequence[Beside]) -> str:
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     loader = ChoiceLoader([PackageLoader("carecontact.reports.trial"), PackageLoader("carecontact.reports.page")])
@@ -54,7 +61,7 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore) -> str:
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         keep_trailing_newline=True,
     )  # fmt: skip
-    own, others = (_metrics(score, concerned=concerned) for concerned in (True, False))
+    own, foreign = (_metrics(score, concerned=concerned) for concerned in (True, False))
     return environment.get_template("trial.html.j2").render(
         version=__version__,
         score=score,
@@ -63,9 +70,12 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore) -> str:
         report_link=report_link(run_folder, score.trial_id),
         links=_links(run_folder, score.trial_id),
         video=_beside(run_folder, score.trial_id, ".mp4"),
+        peak=NA if score.c1_peak_force_n is None else number(score.c1_peak_force_n, 1),
+        others=other_rows(score, beside, run_folder),
+        how_to_compare=how_to_compare(score),
         metrics=own,
-        other_metrics=others,
-        metrics_note=footnote(title for title, *_ in (*own, *others)),
+        other_metrics=foreign,
+        metrics_note=footnote(title for title, *_ in (*own, *foreign)),
         printed=_printed(recording),
         not_printed=_not_printed(recording),
         failure=recording.header.failure,

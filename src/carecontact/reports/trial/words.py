@@ -53,10 +53,9 @@ def mode_text(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) ->
     missed = [part for part in gates if not part.met]
     if score.failure_mode not in held or not missed:
         return MODE_MEANING.get(score.failure_mode or "", "")
-    first, more = missed[0], len(missed) - 1
-    name = first.name[:1].lower() + first.name[1:]
-    others = f", and {counted(more, 'other gate')} {'was' if more == 1 else 'were'} missed" if more else ""
-    return f"{held[score.failure_mode]}, but {name} was {first.reached}, and {first.needed} was needed{others}"
+    first, which = missed[0], "namely" if len(missed) == 1 else "first"
+    told = f"“{first.name}”: {first.reached}, {first.needed} needed"
+    return f"{held[score.failure_mode]}, but missed {counted(len(missed), 'gate')}, {which} {told}"
 
 
 def facts(
