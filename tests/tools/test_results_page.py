@@ -11,6 +11,7 @@ import pytest
 
 from carecontact.errors import ConfigError
 from carecontact.protocols import shipped_protocols
+from carecontact.reports.compare.blind_floor import role_in
 from carecontact.reports.compare.comparison import compare_runs
 from carecontact.reports.compare.paired_lines import RateLine
 from carecontact.runs.run_scores import RunScores
@@ -95,7 +96,7 @@ def test_the_rates_of_the_exam_are_those_of_the_kept_scores(scores: Path) -> Non
     assert not any(score.ended == "harness_error" for score in run.scores), "a void trial says nothing"
     row = rf"\| {first.protocol_id} \| {re.escape(first.policy_title)}(?: \(\w+\))? \| {passed}/{len(run.scores)} \|"
     assert re.search(row, (RESULTS / "bathing-wide-v1.md").read_text())
-    assert told(passed, run) in level_cells(RESULTS / "README.md", first.policy)[first.protocol_id]
+    assert told(passed, run) == level_cells(RESULTS / "README.md", row_of(run))[first.protocol_id]
 
 
 @pytest.mark.parametrize("level", ["L0", "L1", "L2", "L3"])
@@ -103,11 +104,11 @@ def test_the_readme_has_ceiling_methods_and_floor(level: str) -> None:
     """The floor is the best of the kept blind baselines."""
     runs = {path.name.partition(".")[0]: read_scores(path) for path in EXAM if path.parent.name.endswith(level)}
     passed = {name: sum(score.safety_gated for score in run.scores) for name, run in runs.items()}
-    blind = max(("mean-person", "replay-registered"), key=lambda name: passed[name])
-    for name, row in {"oracle": "oracle", "state-machine": "state-machine", "voxposer": "voxposer"}.items():
-        cell = level_cells(ROOT / "README.md", row)[f"bathing-wide-v1 {level}"]
+    blind = max((name for name in passed if role_in(runs[name].scores) == "blind"), key=lambda name: passed[name])
+    for name in ("oracle", "state-machine", "voxposer"):
+        cell = level_cells(ROOT / "README.md", f"`{name}`")[f"bathing-wide-v1 {level}"]
         assert cell == told(passed[name], runs[name])
-    floor = level_cells(ROOT / "README.md", "policy that does not look")[f"bathing-wide-v1 {level}"]
+    floor = level_cells(ROOT / "README.md", r"\[policy that does not look\]")[f"bathing-wide-v1 {level}"]
     assert floor == told(passed[blind], runs[blind])
 
 
@@ -115,10 +116,17 @@ def told(passed: int, run: RunScores) -> str:
     return f"{passed} ({100 * passed / len(run.scores):.0f} %)"
 
 
+def row_of(run: RunScores) -> str:
+    """Return the expression that finds a policy's row, by the mean that it uses where there are several."""
+    first = run.scores[0]
+    mean = re.search("bathing-wide-(L[0-3])", first.policy_title) if first.policy == "mean-person" else None
+    return f"`{first.policy}`" + (f".* mean of {mean[1]}" if mean else "")
+
+
 def level_cells(page: Path, row: str) -> dict[str, str]:
-    """Return the cells of the row that names something, by level."""
+    """Return the cells of the row whose name an expression finds, by level."""
     (line,) = (
         line for line in page.read_text().splitlines()
-        if line.startswith("|") and re.search(rf"`{row}`|\[{row}\]", line.split("|")[1]) and line.count("|") == 6
+        if line.startswith("|") and re.search(row, line.split("|")[1]) and line.count("|") == 6
     )  # fmt: skip
     return {f"bathing-wide-v1 L{number}": cell.strip() for number, cell in enumerate(line.split("|")[2:6])}
