@@ -181,6 +181,9 @@ def test_an_earlier_recording_has_a_page(tmp_path: Path) -> None:
          "Share of its settled margin that a joint used up: right elbow 90 %."),
         ({"safety_gated": False, "region_correct": False, "failure_mode": "wrong_share"},
          "succeeded, but not on the named region alone: gate met, but too much of the contact lay elsewhere."),
+        ({"safety_gated": False, "region_correct": False, "c3_success": False, "failure_mode": "off_target_contact",
+          "attribution": "planning", "over_limit": {"right_thigh": 3.4}},
+         "failed: the person was touched, but never on the named region; a force exceeded the safety gate."),
         ({"ended": "harness_error"}, "counts for nothing: the harness failed, and not the policy."),
     ],
 )  # fmt: skip

@@ -40,7 +40,9 @@ def outcome(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> s
         return f"{name} succeeded on the named region, but {what}."
     meaning = mode_text(score, contact, gates)
     why = f": {meaning}" if meaning else ""
-    return f"{name} succeeded, but not on the named region alone{why}." if score.c3_success else f"{name} failed{why}."
+    hard = "; a force exceeded the safety gate" if score.over_limit else ""
+    did = "succeeded, but not on the named region alone" if score.c3_success else "failed"
+    return f"{name} {did}{why}{hard}."
 
 
 def mode_text(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> str:
