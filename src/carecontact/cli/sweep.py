@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import tyro
 
 from carecontact.cli.groups import FLAT, EngineGroup, JsonGroup, PolicyGroup, SaltGroup, Switch
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, counted
 
 if TYPE_CHECKING:
     from carecontact.cli.sweep_progress import SweepProgress
@@ -83,11 +83,13 @@ class Sweep:
         mine = cells if shard is None else shard.every(cells)
         trials = sum(len(cell.specs) for cell in mine)
         part = f", part {self.shard} of them" if shard else ""
-        print(f"{self.plan}: {len(mine)} cell(s){part}, {trials} trial(s), into {self.out}", flush=True)
+        print(
+            f"{self.plan}: {counted(len(mine), 'cell')}{part}, {counted(trials, 'trial')}, into {self.out}", flush=True
+        )
         if self.dry_run:
             for cell in mine:
                 told = f", {recorded} recorded" if (recorded := len(cell.specs) - self._lacking(cell)) else ""
-                print(f"{self._folder(cell)}: {len(cell.specs)} trial(s){told}")
+                print(f"{self._folder(cell)}: {counted(len(cell.specs), 'trial')}{told}")
             return 0
         policies = self._checked(plan, setups, mine)
         (self.out / CELLS).mkdir(parents=True, exist_ok=True)

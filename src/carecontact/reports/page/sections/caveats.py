@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from carecontact.contract.protocol import Variation
+from carecontact.errors import counted
 from carecontact.protocols.frozen_state import frozen_state
 from carecontact.recording.schema import Header, Recording
 from carecontact.reports.intervals import SEEDS_FOR_INTERVAL, enough_seeds
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.sections.funnel import funnel
-from carecontact.reports.text import clipped_text, counted, listed, percent
+from carecontact.reports.text import clipped_text, listed, percent
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
 
