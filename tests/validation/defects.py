@@ -81,6 +81,11 @@ def slippery(scene: Scene) -> None:
     _with_laws(scene, friction=0.9)
 
 
+def driven(scene: Scene) -> None:
+    """The tissue's dampers add what they should take."""
+    _with_laws(scene, damping_ns_m3=-0.1, damping_growth_ns_m4=-0.1)
+
+
 def frictionless(scene: Scene) -> None:
     _with_laws(scene, friction=0.0)
 
