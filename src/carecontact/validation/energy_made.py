@@ -56,8 +56,8 @@ def _aslant(tool: Tool, speed_m_s: float) -> Hard:
 
 HARD = (
     _dragged(CAP, 5.0, 0.1), _dragged(CAP, 5.0, 0.3), _dragged(CAP, 10.0, 0.1), _dragged(CAP, 10.0, 0.3),
-    _dragged(PAD, 5.0, 0.1), _dragged(PAD, 7.0, 0.1), _dragged(PAD, 10.0, 0.2), _dragged(_nose_down(PAD, 20.0), 3.0, 0.1),
-    _dragged(MITT, 10.0, 0.1), _dragged(MITT, 15.0, 0.1),
+    _dragged(PAD, 5.0, 0.1), _dragged(PAD, 7.0, 0.1), _dragged(PAD, 10.0, 0.2),
+    _dragged(_nose_down(PAD, 20.0), 3.0, 0.1), _dragged(MITT, 10.0, 0.1), _dragged(MITT, 15.0, 0.1),
     _pressed(CAP, 15.0), _pressed(CAP, 20.0), _aslant(CAP, 0.5), _aslant(CAP, 0.8), _aslant(PAD, 0.8),
 )  # fmt: skip
 
