@@ -192,7 +192,7 @@ def test_damping_that_grows_with_indentation() -> None:
 
 @pytest.mark.parametrize("mass", [12.0, 1.2])
 def test_free_skin_swings_with_the_period_of_its_inertia_and_spring(mass: float) -> None:
-    """T = 2 pi sqrt(m / a) for every vertex of a sheet that was kicked as a whole and hardly damped; a kick with the speed
+    """T = 2 pi sqrt(m / a) for every vertex of a sheet that was kicked as a whole, hardly damped; a kick with speed
     v goes v sqrt(m / a) deep."""
     law = tissue(a_n_m3=1e6, damping_ns_m3=1.0, coupling_length_m=0.005, membrane_n_m=200.0, areal_mass_kg_m2=mass)
     rate, speed = np.sqrt(1e6 / mass), 0.05
