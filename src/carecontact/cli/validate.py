@@ -130,7 +130,7 @@ def _line(result: CheckResult) -> str:
     if not result.error and (shown := [m for m in result.measures if m.limit is not None and not m.decides]):
         told += f"; {sum(not m.met for m in shown)} of {len(shown)} that do not decide missed"
     if result.fails_as_known:
-        told += "; misses nothing but what docs/validation.md names"
+        told += "; nothing unknown missed"
     return f"  [{colour}]{'pass' if result.passed else 'FAIL'}[/{colour}]  {result.title:<42} {told}"
 
 
