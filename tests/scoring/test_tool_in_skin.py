@@ -13,6 +13,7 @@ from carecontact.episode.peak import Peak
 from carecontact.protocols import load_protocol
 from carecontact.recording.schema import Recording
 from carecontact.regions import SEGMENTS
+from carecontact.reports.page.sections import caveats
 from carecontact.scoring.score import score_recording
 from carecontact.scoring.tool_in_skin import first_hit, passed_the_middle, skin_in_tool
 from carecontact.sim.close_up import skin_shift
@@ -104,3 +105,12 @@ def test_a_mitt_driven_through_the_belly_is_flagged_and_the_cap_is_not(tool: Too
     assert found is not None
     assert hardest > 100.0
     assert (found > 1) is (tool == "mitt")
+
+
+def test_the_report_names_the_trial() -> None:
+    score = score_recording(pressed("mitt", 1.5))
+    ((title, text),) = caveats._gone_through([score, score_recording(pressed("mitt", 0.5))])
+    assert title == "Tool gone through the skin"
+    assert text.startswith("In 1 trial, ")
+    assert score.trial_id in text
+    assert caveats._gone_through([]) == []
