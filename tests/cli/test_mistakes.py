@@ -33,7 +33,7 @@ MISTAKES = {
     "a word for a number": ([*RUN, "hover", "--jobs", "two"], "--jobs: expected INT, got 'two'"),
     "a task in lower case, and --task for --tasks": (
         ["run", "--policy", "hover", "--out", "r", "--task", "t1"],
-        "--tasks: 't1' is not a task of bathing-v2 (did you mean 'T1'?); valid: T1, ",
+        "tasks: 't1' is not a task of bathing-v2 (did you mean 'T1'?); valid: T1, ",
     ),
     "a misspelt policy": ([*RUN, "state_machine"], "no policy named 'state_machine' (did you mean 'state-machine'?)"),
     "the file in place of the policy": ([*RUN, "my_policy.py"], "(did you mean my_policy:MyPolicy?)"),

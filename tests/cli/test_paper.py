@@ -56,6 +56,39 @@ def test_results_alone_give_what_needs_no_recording(run: Path, capsys: pytest.Ca
     assert not (run / "q" / "figures").exists()
 
 
+def test_tables_and_figures_of_an_earlier_command_do_not_stay(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["paper", "run", "--out", "p"]) == 0
+    mine = run / "p" / "figures" / "mine.svg"
+    mine.touch()
+    capsys.readouterr()
+    assert main(["paper", "run", "--out", "p", "--no-figures"]) == 0
+    assert "removed p/figures/traces.svg, which an earlier command had written" in capsys.readouterr().out
+    assert list((run / "p" / "figures").iterdir()) == [mine]
+
+
+def test_a_command_names_only_options_that_it_has(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (run / "run" / "results.json").unlink()
+    assert main(["paper", "run", "--out", "p"]) == 2
+    told = capsys.readouterr().err
+    assert "run `carecontact score run`" in told
+    assert "--rescore" not in told
+
+
+@pytest.mark.parametrize("again", ["run", "./run", "run/results.json"])
+def test_a_run_is_not_tested_against_itself(run: Path, again: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["paper", "run", again, "--out", "p"]) == 2
+    assert "is given twice; name different runs" in capsys.readouterr().err
+    assert not (run / "p").exists()
+
+
+def test_a_recording_is_no_run(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for command in (["paper", "run/T1-s000.h5"], ["compare", "run/T1-s000.h5", "run"]):
+        assert main(command) == 2
+        told = capsys.readouterr().err
+        assert "run/T1-s000.h5: this is the recording of one trial; name the folder of a run" in told
+        assert told.count("\n") == 1
+
+
 def test_mistakes_are_one_line(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["paper", "nowhere", "--out", "p"]) == 2
     assert main(["paper", "run", "--out", "run/results.json"]) == 2

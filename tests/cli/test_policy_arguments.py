@@ -54,7 +54,7 @@ def test_they_stand_in_the_recording_the_manifest_and_the_request(
     assert main([*RUN, *given]) == 0
     assert len(Path("ran.txt").read_text().splitlines()) == 1, "the same command does only what is missing"
     assert main([*RUN, "--policy-arg", "checkpoint=c.pt", "--policy-env", "TOKEN"]) == 2
-    assert "this command has policy arguments checkpoint=c.pt and policy variables TOKEN: use another --out" in (
+    assert "this command has policy arguments checkpoint=c.pt and policy variables TOKEN: use another folder" in (
         capsys.readouterr().err
     )
 

@@ -77,6 +77,32 @@ def test_what_is_no_recording_is_told(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "holds no recordings" in capsys.readouterr().err
 
 
+def test_a_folder_or_a_file_of_another_kind_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "results.json").write_text("{}")
+    for command, told in (
+        (["view", str(tmp_path), "--save", str(tmp_path / "a.rrd")], f"{tmp_path}: this is a folder; name one record"),
+        (["video", str(tmp_path / "results.json")], "results.json: this is a file; name the --out of a run"),
+    ):
+        assert main(command) == 2
+        assert told in capsys.readouterr().err
+
+
+def test_view_and_video_make_the_folder_of_their_file_or_tell_why_not(
+    pressed_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = pressed_file.parent
+    assert main(["view", str(pressed_file), "--fps", "1", "--save", str(folder / "new" / "a.rrd")]) == 0
+    assert (folder / "new" / "a.rrd").is_file()
+    capsys.readouterr()
+    for command, option, name in (("view", "--save", "a.rrd"), ("video", "--out", "a.mp4")):
+        for target in (pressed_file / name, folder / name):
+            (folder / name).mkdir(exist_ok=True)
+            assert main([command, str(pressed_file), option, str(target)]) == 2
+            told = capsys.readouterr().err
+            assert f"{target}: " in told
+            assert told.count("\n") == 1
+
+
 def test_view_writes_a_file_and_needs_a_display_for_a_window(
     pressed_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

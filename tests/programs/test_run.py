@@ -103,6 +103,19 @@ def test_compare_is_that_of_the_command(runs: Path) -> None:
     assert found.as_json()["schema"] == "carecontact-comparison-2"
 
 
+@pytest.mark.parametrize("b", ["a", "a/results.json"])
+def test_a_run_is_not_compared_with_itself(runs: Path, b: str) -> None:
+    for a in (runs / "a", cc.load(runs / "a")):
+        with pytest.raises(ConfigError, match="is given twice; name different runs"):
+            cc.compare(a, str(runs / b))
+
+
+def test_messages_of_scores_name_no_option_of_a_command(runs: Path) -> None:
+    (runs / "a" / "results.json").unlink()
+    with pytest.raises(ConfigError, match=r"`carecontact score .*`, or load it with rescore=True$"):
+        cc.load(runs / "a")
+
+
 def test_a_recording_lists_its_arrays_and_names_them_when_one_is_not_there(runs: Path) -> None:
     recording = cc.load(runs / "a").recordings["T1-s000"]
     assert list(recording) == list(recording.arrays) == list(recording.keys())
@@ -129,6 +142,8 @@ def test_wrong_names_are_told_with_the_right_ones(runs: Path) -> None:
 def test_a_place_that_is_no_run_is_told(runs: Path) -> None:
     with pytest.raises(ConfigError, match=r"load the run's folder, then .* run\.recordings\['T1-s000'\]"):
         cc.load(runs / "a" / "T1-s000.h5")
+    with pytest.raises(ConfigError, match=r"^3 is no place of a run; name its folder"):
+        cc.load(3)  # type: ignore[arg-type]
     (runs / "a" / "report.html").write_text("<html>")
     with pytest.raises(ConfigError, match="this is no run; name the folder of a run"):
         cc.load(runs / "a" / "report.html")

@@ -29,9 +29,9 @@ def test_levels_add_up_and_are_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "level", "told"),
     [
-        ("[levels.A]\n[levels.B]\n", None, "has the levels A, B; say which one with --level"),
+        ("[levels.A]\n[levels.B]\n", None, "has the levels A, B; choose one with level"),
         ("[levels.A]\n[levels.B]\n", "Bb", "no level named 'Bb'.*valid: A, B"),
-        ("", "A", "has no levels; leave --level A out"),
+        ("", "A", "has no levels; leave level 'A' out"),
         ("[levels.A.gates.touch]\nduration_s = 1\n", "A", r"levels\.A\.gates: a level cannot change gates"),
         ("[levels.A.variation]\nspam = 1\n", "A", r"level A: variation\.spam: no such field"),
         ("[levels]\nA = 1\n", "A", r"levels\.A: expected a table, got 1"),

@@ -31,7 +31,7 @@ def test_tasks(text: str, expected: list[str]) -> None:
 
 @pytest.mark.parametrize("text", ["T8", "t1", "", "T1,,T2", "T3-T1", "T1-T9", "1-7", "-", "T1-"])
 def test_wrong_tasks_list_the_valid_ones(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"--tasks.*valid: T1, T2, T3, T4, T5, T6, T7") as caught:
+    with pytest.raises(ConfigError, match=r"^tasks.*valid: T1, T2, T3, T4, T5, T6, T7") as caught:
         parse_tasks(text, protocol=PROTOCOL)
     assert "\n" not in str(caught.value)
 
@@ -46,7 +46,7 @@ def test_seeds(text: str, expected: list[int]) -> None:
 
 @pytest.mark.parametrize("text", ["20", "0-20", "5-3", "x", "", "1.5", "-1", "1,", "1-", "0-99999999999"])
 def test_wrong_seeds_name_the_protocols_list(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"--seeds.*0-19"):
+    with pytest.raises(ConfigError, match=r"^seeds.*0-19"):
         parse_seeds(text, protocol=PROTOCOL)
 
 

@@ -33,7 +33,7 @@ def test_the_manifest_tells_which_one(tmp_path: Path) -> None:
 def test_another_one_needs_another_folder(tmp_path: Path, before: str | None, now: str | None) -> None:
     write_manifest(SPECS, out=tmp_path, identity=identity(before), purpose="run")
     assert not survey(SPECS, out=tmp_path, retry_failed=False, identity=identity(before)).redo
-    with pytest.raises(ConfigError, match=r"was started with language backend .*: use another --out"):
+    with pytest.raises(ConfigError, match=r"was started with language backend .*: use another folder"):
         survey(SPECS, out=tmp_path, retry_failed=False, identity=identity(now))
 
 

@@ -174,7 +174,7 @@ def test_other_arguments_or_variables_need_another_folder(bench: Bench) -> None:
     with pytest.raises(ConfigError, match=r"was started with policy arguments steps=3 .*, this command has .* steps=4"):
         run("4", "TOKEN")
     with pytest.raises(
-        ConfigError, match=r"variables TOKEN, this command has policy arguments steps=3: use another --out"
+        ConfigError, match=r"variables TOKEN, this command has policy arguments steps=3: use another folder"
     ):
         run("3")
     (bench.out / "manifest.json").unlink()
@@ -333,7 +333,7 @@ def test_folder_of_another_run_is_refused_and_untouched(bench: Bench, with_manif
     before = {path.name: path.read_bytes() for path in bench.out.iterdir()}
     changed = PROTOCOL.model_copy(update={"description": "another"})
     for foreign in (specs(2, policy="zero-action"), [specs(1)[0].model_copy(update={"protocol": changed})]):
-        with pytest.raises(ConfigError, match=r"holds another run.*use another --out"):
+        with pytest.raises(ConfigError, match=r"holds another run.*use another folder"):
             bench.run(foreign)
     assert {path.name: path.read_bytes() for path in bench.out.iterdir()} == before
 
@@ -367,7 +367,7 @@ def test_folder_of_other_packages_or_assets_is_refused(bench: Bench, path: tuple
     held = json.loads((bench.out / "manifest.json").read_text())
     held["identity"][path[0]][path[1]] = value
     (bench.out / "manifest.json").write_text(json.dumps(held))
-    with pytest.raises(ConfigError, match=rf"{path[1]}.* was {value[:3]}.*use another --out"):
+    with pytest.raises(ConfigError, match=rf"{path[1]}.* was {value[:3]}.*use another folder"):
         bench.run(specs(2))
     assert bench.ran() == []
 
@@ -389,7 +389,7 @@ def test_edited_policy_gets_no_more_trials_in_the_same_folder(bench: Bench) -> N
     bench.run(specs(1, policy="mine.own:Own"), policy=own)
     assert bench.run(specs(2, policy="mine.own:Own"), policy=own).ran == ("T1-s001",)
     source.write_text("class Own: 'better'\n")
-    told = r"policy's source changed .* none of its 2 trials, 0 of them failed, .* --out, or --restart"
+    told = r"policy's source changed .* none of its 2 trials, 0 of them failed, .* another folder, .* --restart"
     with pytest.raises(ConfigError, match=told):
         bench.run(specs(3, policy="mine.own:Own"), policy=own)
     (bench.out / "manifest.json").unlink()
@@ -401,7 +401,7 @@ def test_edited_policy_gets_no_more_trials_in_the_same_folder(bench: Bench) -> N
 def test_wrong_requests_are_refused_before_anything_is_written(bench: Bench) -> None:
     both = [*specs(1), *specs(2, policy="zero-action")[1:]]
     for trials, options, told in [
-        (specs(1), {"jobs": 0}, "--jobs 0"),
+        (specs(1), {"jobs": 0}, "jobs 0"),
         ([], {}, "no trial"),
         (both, {}, "one policy"),
         (specs(1) * 2, {}, "planned twice"),

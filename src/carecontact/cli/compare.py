@@ -59,13 +59,11 @@ class Compare:
         return 0
 
     def _check(self) -> None:
+        from carecontact.reports.compare.comparable import check_different
+
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise ConfigError(f"--out {self.out}: this is a file; name a folder")
-        named = (*self.runs, *self.baseline)
-        places = [path.resolve() for path in named]
-        twice = next((path for path in named if places.count(path.resolve()) > 1), None)
-        if twice is not None:
-            raise ConfigError(f"{twice} is given twice; name different runs")
+        check_different([*self.runs, *self.baseline])
         if len(self.runs) < 2 and not self.baseline:
             raise ConfigError(f"expected two or more runs, or one run and --baseline RUN..., got {len(self.runs)}")
         if self.per_task and len(self.runs) != 2:

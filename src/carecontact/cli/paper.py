@@ -28,29 +28,40 @@ class Paper:
     out: Path = Path("paper")
     """Folder for tables and figures."""
     no_figures: Switch = False
-    """Write the tables only."""
+    """Write the tables only, and remove figures that an earlier command wrote into the folder."""
 
     after_interrupt: ClassVar[str] = "; what was written stays"
 
     def __call__(self) -> int:
         """Raises ConfigError for runs that cannot be read or must not stand in one table."""
         from carecontact.cli.stored import read_run
-        from carecontact.recording import read_recording
-        from carecontact.reports.paper.build import tables_of, write_figures, write_tables
+        from carecontact.reports.compare.comparable import check_different
+        from carecontact.reports.paper.build import remove_earlier, tables_of, write_tables
 
         if not self.runs:
             raise ConfigError("expected one or more runs; name their folders")
         if self.out.exists() and not self.out.is_dir():
             raise ConfigError(f"--out {self.out}: this is a file; name a folder")
+        check_different(self.runs)
         runs = [read_run(path) for path in self.runs]
         protocol = _protocol(self.runs, runs)
         if protocol is None:
             print("no recording and no shipped protocol says what these runs ran: the tables of tasks and protocol are "
                   "left out")  # fmt: skip
-        for path in write_tables(tables_of(runs, protocol), self.out / "tables"):
+        written = write_tables(tables_of(runs, protocol), self.out / "tables")
+        if not self.no_figures:
+            written += self._figures(runs)
+        for path in written:
             print(path)
-        if self.no_figures:
-            return 0
+        for path in remove_earlier(self.out, written):
+            print(f"removed {path}, which an earlier command had written")
+        return 0
+
+    def _figures(self, runs: Sequence[RunScores]) -> list[Path]:
+        """Write the figures that the runs allow. Return their paths."""
+        from carecontact.recording import read_recording
+        from carecontact.reports.paper.build import write_figures
+
         folders = {number: path for number, path in enumerate(self.runs) if any(path.glob("*.h5"))}
         if not folders:
             print("no run has recordings: the figures of traces and of force and indentation are left out")
@@ -58,9 +69,7 @@ class Paper:
             number: (lambda trial_id, folder=folder: read_recording(folder / f"{trial_id}.h5"))
             for number, folder in folders.items()
         }
-        for path in write_figures(runs, read, self.out / "figures"):
-            print(path)
-        return 0
+        return write_figures(runs, read, self.out / "figures")
 
 
 def _protocol(places: Sequence[Path], runs: Sequence[RunScores]) -> Protocol | None:

@@ -85,6 +85,8 @@ def processes(recordings: int) -> int:
 
 def need_recordings(folder: Path) -> None:
     """Check a run's folder. Raises ConfigError if it does not exist or holds no recordings."""
+    if folder.is_file():
+        raise ConfigError(f"{folder}: this is a file; name the --out of a run")
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; name the --out of a run")
     if not any(folder.glob("*.h5")):

@@ -105,6 +105,7 @@ class Video:
 
     def _make(self, trial: Path, target: Path, *, place: str) -> None:
         from carecontact.cli.frame_progress import counted
+        from carecontact.cli.target import make_place
         from carecontact.recording import read_verified
         from carecontact.replaying.film.frames import Film
         from carecontact.replaying.film.video import comment_of, write_gif, write_mp4
@@ -116,10 +117,7 @@ class Video:
             print(f"{place}{target}: is there already", flush=True)
             return
         film = Film(verified.recording, view=self.view, fps=self._fps, grid=not self.no_grid, shadows=not self.draft)
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-        except FileExistsError:
-            raise ConfigError(f"{target.parent}: this is a file; the video needs a folder there") from None
+        make_place(target)
         jobs = self.jobs or max(1, min(available_cores(), MOST_JOBS, film.count // FRAMES_EACH))
         with closing(film.frames(jobs=jobs)) as pictures:
             frames = counted(pictures, film.count, f"{place}{trial.stem}")

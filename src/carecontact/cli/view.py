@@ -66,10 +66,13 @@ class View:
             return 1 if open_viewer(path) else 0
 
     def _write(self, path: Path) -> int:
+        from carecontact.cli.target import make_place
         from carecontact.recording import read_recording
         from carecontact.replaying.viewer.rerun_file import rerun_sdk, save
 
         rerun_sdk()
-        found = save(read_recording(self.recording), path, fps=self.fps)
+        recording = read_recording(self.recording)
+        make_place(path)
+        found = save(recording, path, fps=self.fps)
         print(f"{path}: {path.stat().st_size / 1e6:.1f} MB; {found}")
         return 0

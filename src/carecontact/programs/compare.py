@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from carecontact.programs.run import Run, load
+from carecontact.reports.compare.comparable import check_different
 from carecontact.reports.compare.comparison import Comparison, compare_runs
 
 
@@ -19,7 +20,8 @@ def compare(a: Run | str | Path, b: Run | str | Path, *, per_task: bool = False)
     Returns what the command prints: ``overall`` has one line for each rate and score, ``per_task`` the lines of each
     task, and ``as_json()`` gives the content of ``comparison.json``.
 
-    Raises ConfigError, naming what differs, if the runs must not be compared or have no trial in common.
+    Raises ConfigError, naming what differs, if the runs must not be compared, are one run, or have no trial in common.
     """
+    check_different([run.path if isinstance(run, Run) else Path(run) for run in (a, b)])
     of_a, of_b = (run if isinstance(run, Run) else load(run) for run in (a, b))
     return compare_runs(of_a.scored, of_b.scored, per_task=per_task)

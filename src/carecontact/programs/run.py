@@ -29,6 +29,8 @@ def load(path: str | Path, *, rescore: bool = False) -> Run:
     Raises ConfigError if the path is no run, if its scores cannot be read, or if they do not belong to the recordings
     beside them.
     """
+    if not isinstance(path, str | Path):
+        raise ConfigError(f"{path!r} is no place of a run; name its folder, or its results.json, as a text or a Path")
     path = Path(path)
     if path.suffix == ".h5":
         raise ConfigError(
@@ -37,7 +39,7 @@ def load(path: str | Path, *, rescore: bool = False) -> Run:
         )
     if path.is_file() and not path.name.endswith((".json", ".json.gz")):
         raise ConfigError(f"{path}: this is no run; name the folder of a run, or its results.json")
-    return Run(path=path, scored=read_scores(path, rescore=rescore))
+    return Run(path=path, scored=read_scores(path, rescore=rescore, otherwise=", or load it with rescore=True"))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -61,7 +61,7 @@ def chosen(place: str, found: Mapping[str, Any], level: str | None) -> str:
     """The name of a level that a file has. Raises ConfigError, which lists them, for none and for another."""
     valid = ", ".join(found)
     if level is None:
-        raise ConfigError(f"{place} has the levels {valid}; say which one with --level")
+        raise ConfigError(f"{place} has the levels {valid}; choose one with level")
     if level not in found:
         raise ConfigError(f"{place}: no level named {level!r}{did_you_mean(level, found)}; valid: {valid}")
     return level

@@ -32,7 +32,7 @@ def load_protocol(name_or_path: str = DEFAULT_PROTOCOL, *, level: str | None = N
     found = load_levels(name_or_path)
     if list(found) == [""]:
         if level is not None:
-            raise ConfigError(f"{name_or_path} has no levels; leave --level {level} out")
+            raise ConfigError(f"{name_or_path} has no levels; leave level {level!r} out")
         return found[""]
     return found[levels.chosen(name_or_path, found, level)]
 
@@ -54,7 +54,7 @@ def _of_table(place: str, table: Table, *, bases: Sequence[str] = ()) -> dict[st
     if rest.get("overrides"):
         raise ConfigError(f"{place}: overrides are written by a command, never by a file; change the fields themselves")
     if rest.get("level"):
-        raise ConfigError(f"{place}: level: --level chooses one of the tables [levels.NAME]; a file has all of them")
+        raise ConfigError(f"{place}: level: a file has the tables [levels.NAME], and who loads it chooses one")
     if not own:
         return {"": _validated(place, rest, bases=bases)}
     whole = levels.tables(rest, own)

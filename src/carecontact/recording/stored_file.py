@@ -37,6 +37,8 @@ def opened(path: Path) -> Generator[Any]:
     """
     h5py: Any = import_module("h5py")  # ships no types
     try:
+        if path.is_dir():
+            raise RecordingError(f"{path}: this is a folder; name one recording (.h5) in it")
         if not path.is_file():
             raise RecordingError(f"{path}: no such file")
         if path.stat().st_size > MAX_FILE_BYTES:

@@ -106,7 +106,7 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identit
         if manifest is None and identity.policy_sha256 is not None:
             raise ConfigError(
                 f"{out} holds {path.name} but no {MANIFEST}, without which carecontact cannot check whether the "
-                "policy's source changed: use another --out"
+                "policy's source changed: use another folder"
             )
         if path.stem not in wanted:
             continue
@@ -237,20 +237,20 @@ def _check_header(header: Header, spec: TrialSpec, *, path: Path, identity: Iden
     if (header.spec.policy, header.spec.protocol) != (spec.policy, spec.protocol):
         raise ConfigError(
             f"{path.parent} holds another run: {path.name} is of {_told(header.spec)}; this command runs "
-            f"{_told(spec)}: use another --out"
+            f"{_told(spec)}: use another folder"
         )
     if _policy_of(header.spec) != _policy_of(spec):
         recorded, wanted = (_policy_text(s.policy_arguments, s.policy_environment) for s in (header.spec, spec))
-        raise ConfigError(f"{path} was recorded with {recorded}, this command has {wanted}: use another --out")
+        raise ConfigError(f"{path} was recorded with {recorded}, this command has {wanted}: use another folder")
     spoken = (header.card or {}).get("language_backend", identity.language)
     if identity.language is not None and spoken != identity.language:
-        raise ConfigError(f"{path} was recorded with language backend {spoken}: use another --out")
+        raise ConfigError(f"{path} was recorded with language backend {spoken}: use another folder")
     if header.spec.salt_sha256 != spec.commitment:
-        raise ConfigError(f"{path} was recorded with another --salt-file: use another --out")
+        raise ConfigError(f"{path} was recorded with another --salt-file: use another folder")
     changed = identity.differences(versions=header.versions, sha256=header.sha256)
     if changed:
         raise ConfigError(
-            f"{path} was recorded with other package versions or assets ({'; '.join(changed)}): use another --out"
+            f"{path} was recorded with other package versions or assets ({'; '.join(changed)}): use another folder"
         )
 
 

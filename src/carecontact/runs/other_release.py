@@ -12,7 +12,8 @@ from carecontact import __version__
 from carecontact.errors import RecordingError, counted
 from carecontact.recording import read_header
 
-ELSEWHERE = "use another --out, or --restart, which moves the earlier run aside"
+ANOTHER = "use another folder"
+ELSEWHERE = f"{ANOTHER}, or move this one aside, as --restart of `carecontact run` does"
 
 
 def install_line(*, held: Mapping[str, str], now: Mapping[str, str]) -> str:

@@ -19,9 +19,7 @@ def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
     """
     order = [task.id for task in protocol.tasks]
     wanted: set[str] = set()
-    for part in _parts(
-        text, option="--tasks", valid=f"{', '.join(order)}, a range like {order[0]}-{order[-1]}, or all"
-    ):
+    for part in _parts(text, name="tasks", valid=f"{', '.join(order)}, a range like {order[0]}-{order[-1]}, or all"):
         first, dash, last = (piece.strip() for piece in part.partition("-"))
         if part == "all":
             wanted.update(order)
@@ -31,7 +29,7 @@ def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
             wanted.update(order[order.index(first) : order.index(last) + 1])
         else:
             raise ConfigError(
-                f"--tasks: {part!r} is not a task of {protocol.name}{did_you_mean(part, order)}; valid: "
+                f"tasks: {part!r} is not a task of {protocol.name}{did_you_mean(part, order)}; valid: "
                 f"{', '.join(order)}, a range like {order[0]}-{order[-1]}, or all"
             )
     return [task for task in order if task in wanted]
@@ -45,19 +43,19 @@ def parse_seeds(text: str, *, protocol: Protocol) -> list[int]:
     order = protocol.randomization.seeds
     valid = f"{compact(order)}, as a list (0,4,7), a range (0-19), or all"
     wanted: set[int] = set()
-    for part in _parts(text, option="--seeds", valid=valid):
+    for part in _parts(text, name="seeds", valid=valid):
         if part == "all":
             wanted.update(order)
             continue
         first, dash, last = (piece.strip() for piece in part.partition("-"))
         if not first.isdecimal() or (dash and not last.isdecimal()):
-            raise ConfigError(f"--seeds: cannot read {part!r}; valid: {valid}")
+            raise ConfigError(f"seeds: cannot read {part!r}; valid: {valid}")
         low, high = int(first), int(last) if dash else int(first)
         if low > high:
-            raise ConfigError(f"--seeds: the range {part!r} runs backwards; valid: {valid}")
+            raise ConfigError(f"seeds: the range {part!r} runs backwards; valid: {valid}")
         known = {seed for seed in order if low <= seed <= high}
         if len(known) != high - low + 1:
-            raise ConfigError(f"--seeds: {part!r} contains seeds that {protocol.name} does not have; valid: {valid}")
+            raise ConfigError(f"seeds: {part!r} contains seeds that {protocol.name} does not have; valid: {valid}")
         wanted.update(known)
     return [seed for seed in order if seed in wanted]
 
@@ -123,8 +121,8 @@ def compact(numbers: Iterable[int]) -> str:
     return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
 
 
-def _parts(text: str, *, option: str, valid: str) -> list[str]:
+def _parts(text: str, *, name: str, valid: str) -> list[str]:
     parts = [part.strip() for part in text.split(",")]
     if not all(parts):
-        raise ConfigError(f"{option}: {text!r} has an empty entry; valid: {valid}")
+        raise ConfigError(f"{name}: {text!r} has an empty entry; valid: {valid}")
     return parts

@@ -15,7 +15,7 @@ from carecontact.runs.score_folder import misnamed, score_run
 from carecontact.scoring.metrics.metric import METRICS
 
 
-def read_scores(run: Path, *, rescore: bool = False, jobs: int = 1) -> RunScores:
+def read_scores(run: Path, *, rescore: bool = False, jobs: int = 1, otherwise: str = "") -> RunScores:
     """The scores of a run, with the trials that its manifest plans and nobody scored.
 
     Args:
@@ -23,11 +23,13 @@ def read_scores(run: Path, *, rescore: bool = False, jobs: int = 1) -> RunScores
         rescore: compute the scores of the recordings in a folder again instead of reading ``results.json``; nothing is
             written.
         jobs: processes that compute.
+        otherwise: what else than to score anew the caller offers, for messages: ``", or add --rescore"``.
 
     Raises ConfigError for a folder or file that is not there or cannot be read, and for a ``results.json`` that
     ``stale`` finds something about; the message names the command that writes a new one.
     """
     if run.is_file():
+        _check_is_results(run)
         return read_results(run)
     if not run.is_dir():
         raise ConfigError(f"{run}: no such folder; name the --out of a run, or its {RESULTS_NAME}")
@@ -36,7 +38,7 @@ def read_scores(run: Path, *, rescore: bool = False, jobs: int = 1) -> RunScores
         return beside_plan(run, score_run(run, jobs=jobs))
     if not results.is_file():
         raise ConfigError(
-            f"{run}: holds recordings but no {RESULTS_NAME}; run `carecontact score {run}`, or add --rescore"
+            f"{run}: holds recordings but no {RESULTS_NAME}; run `carecontact score {run}`{otherwise}"
             if recorded
             else f"{run}: holds neither recordings (*.h5) nor {RESULTS_NAME}; name the --out of a run"
         )
@@ -47,9 +49,18 @@ def read_scores(run: Path, *, rescore: bool = False, jobs: int = 1) -> RunScores
         more = f" and {len(found) - 1} more" if len(found) > 1 else ""
         raise ConfigError(
             f"{results} does not match the recordings beside it ({found[0]}{more}); "
-            f"run `carecontact score {run}`, or add --rescore"
+            f"run `carecontact score {run}`{otherwise}"
         )
     return beside_plan(run, scores)
+
+
+def _check_is_results(file: Path) -> None:
+    """Raises ConfigError for a file that is a recording, or nothing that could hold scores."""
+    valid = f"name the folder of a run, or its {RESULTS_NAME}"
+    if file.suffix == ".h5":
+        raise ConfigError(f"{file}: this is the recording of one trial; {valid}, such as {file.parent}")
+    if not file.name.endswith((".json", ".json.gz")):
+        raise ConfigError(f"{file}: this is no run; {valid}")
 
 
 def stale(folder: Path, run: RunScores) -> list[str]:

@@ -285,10 +285,10 @@ def _prepare(out: Path, specs: Sequence[TrialSpec], **more: Any) -> None:
         remove_abandoned(out)
         write_manifest(specs, out=out, **more)
     except OSError as error:
-        raise ConfigError(f"--out {out}: cannot be written to: {error.strerror}") from None
+        raise ConfigError(f"{out}: cannot be written to: {error.strerror}") from None
 
 
 def check_jobs(jobs: int | None) -> None:
     """Raises ConfigError for a number of workers below 1."""
     if jobs is not None and jobs < 1:
-        raise ConfigError(f"--jobs {jobs}: must be at least 1")
+        raise ConfigError(f"jobs {jobs}: must be at least 1")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from rerun.chunk import RrdReader
 
 from carecontact.errors import DependencyError
 from carecontact.recording import Recording
+from carecontact.replaying.viewer import window
 from carecontact.replaying.viewer.rerun_file import TIMELINE, save
 from carecontact.replaying.viewer.window import LOOPBACK, command
 
@@ -73,6 +75,20 @@ def test_times_are_those_of_the_trial(rows: dict[str, dict[str, list[object]]], 
 def test_the_viewer_is_reachable_from_this_machine_only(tmp_path: Path) -> None:
     line = command(tmp_path / "trial.rrd")
     assert line[line.index("--bind") + 1] == LOOPBACK == "127.0.0.1"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere Rerun's settings have another place")
+def test_the_viewer_is_started_without_its_usage_data() -> None:
+    with window.without_usage_data() as environment:
+        told = subprocess.run(
+            [command(Path())[0], "analytics", "config"],
+            env=dict(environment),
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        assert '"analytics_enabled": false' in told.stdout
+    assert not Path(environment["XDG_CONFIG_HOME"]).exists()
 
 
 def test_without_the_extra_the_error_names_it(

@@ -11,6 +11,7 @@ import pytest
 from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol
 from carecontact.reports.paper.build import tables_of
+from carecontact.reports.paper.published import read_paper
 from carecontact.reports.paper.table import Table
 from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.score import score_recording
@@ -51,7 +52,7 @@ def test_the_rates_are_the_printed_ones(tables: dict[str, Table]) -> None:
 
 def test_the_medians_are_the_printed_ones(tables: dict[str, Table]) -> None:
     table = tables["scores"]
-    for ours, papers in (("C1 [N]", "Paper C1"), ("C2 [rad]", "Paper C2"), ("C4", "Paper C4"), ("C5 [N]", "Paper C5")):
+    for ours, papers in ((name, f"Paper: {name}") for name in ("C1 [N]", "C2 [rad]", "C4", "C5 [N]")):
         for cell, printed in pairs(table, ours, papers):
             assert cell.partition(" (n=")[0] == printed
     assert [row[1].partition(" ")[2] for row in table.rows] == ["(n=133)", "(n=121)", "(n=30)"]
@@ -80,7 +81,7 @@ def test_a_method_that_is_not_in_the_paper_has_no_printed_values(runs: list[RunS
     assert tables["rates"].rows[1][3] == "-"
     assert {row[3] for row in tables["tests"].rows} == {"-"}
     assert r"mine\_\&\_50\% &" in tables["rates"].latex()
-    assert list(csv.reader(io.StringIO(tables["rates"].csv())))[2][0] == "mine_&_50%"
+    assert list(csv.reader(io.StringIO(tables["rates"].csv())))[4][0] == "mine_&_50%"
 
 
 def test_one_run_has_no_test_and_an_unknown_protocol_no_rules(runs: list[RunScores]) -> None:
@@ -99,8 +100,85 @@ def test_latex_takes_both_columns_for_a_wide_table_and_balances_its_environments
         begun = [line.partition("}")[0].removeprefix(r"\begin{") for line in text.splitlines() if r"\begin" in line]
         ended = [line.partition("}")[0].removeprefix(r"\end{") for line in text.splitlines() if r"\end" in line]
         assert begun == ended[::-1]
-        assert begun[0] == ("table*" if len(table.head) > 5 else "table")
         assert sum(line.count(" & ") for line in text.splitlines()) == (len(table.rows) + 1) * (len(table.head) - 1)
+
+
+def test_a_table_that_fits_a_column_takes_one(tables: dict[str, Table]) -> None:
+    wide = {name: r"\begin{table*}" in table.latex() for name, table in tables.items()}
+    assert (wide["rates"], wide["scores"], wide["anatomy"]) == (True, True, True)
+    assert (wide["tests"], wide["protocol"], wide["tasks"]) == (False, False, False)
+
+
+def test_latex_sets_numbers_and_a_method_in_mathematics(tables: dict[str, Table]) -> None:
+    scores = tables["scores"].latex()
+    assert r"$-3.61 \times 10^{-4}$ (n=20) & $-3.61 \times 10^{-4}$ &" in scores
+    assert r"$\pi_{0.5}$ &" in scores
+    assert "$4.74 \\times 10^{-14}$" in tables["tests"].latex()
+    text = Table(name="x", caption="a-1 T1-T7, 45-60 and -2.5 N", head=("0.35e",), rows=()).latex()
+    assert r"a-1 T1-T7, 45-60 and $-2.5$ N" in text
+    assert "0.35e" in text
+
+
+def test_the_csv_of_rates_has_one_number_in_each_column(tables: dict[str, Table]) -> None:
+    rows = list(csv.DictReader(io.StringIO(tables["rates"].csv())))
+    assert [row["rate"] for row in rows[:3]] == ["success", "region_correct", "safety_gated"]
+    gated = rows[2]
+    assert float(gated["percent"]) == pytest.approx(100 * int(gated["passed"]) / int(gated["trials"]))
+    assert [float(gated[f"paper_percent{end}"]) for end in ("", "_low", "_high")] == [56.4, 48.2, 64.4]
+    medians = list(csv.DictReader(io.StringIO(tables["scores"].csv())))
+    assert [float(row["median"]) for row in medians] == pytest.approx(
+        [float(row["paper_median"]) for row in medians], rel=6e-3
+    )
+    anatomy = list(csv.DictReader(io.StringIO(tables["anatomy"].csv())))
+    assert [row["target"] for row in anatomy] == [row["paper_target"] for row in anatomy]
+
+
+def wide_runs(seeds: int) -> list[RunScores]:
+    """T1 alone on a level with persons that the seed draws."""
+    level = load_protocol("bathing-wide-v1", level="L2")
+    of_level = {"protocol_id": level.name, "protocol_sha256": level.sha256}
+    return [
+        RunScores(scores=[make_score("T1", seed, policy=policy).model_copy(update=of_level) for seed in range(seeds)])
+        for policy in ("state-machine", "voxposer")
+    ]
+
+
+def test_the_protocol_table_counts_what_ran() -> None:
+    runs, level = wide_runs(3), load_protocol("bathing-wide-v1", level="L2")
+    tables = {table.name: table for table in tables_of(runs, level)}
+    ours = {row[0]: row[1] for row in tables["protocol"].rows}
+    planned = len(level.randomization.seeds)
+    assert ours["Initialisations"] == f"3 of {planned} planned a task"
+    assert ours["Tasks"] == "1 of 7 planned"
+    assert ours["Runs a method"] == f"3 of {7 * planned} planned"
+    assert ours["Person"] == "9 bodies, drawn by the seed"
+    assert "gates-v2: touch least 1 N, most 6 N" in ours["Success gates"]
+    names = {row[0]: row[1] for row in tables["tasks"].rows}
+    assert names["T1"] == "Touch forearm"
+    assert [task for task, name in names.items() if name.endswith("(not run)")] == ["T2", "T3", "T4", "T5", "T6", "T7"]
+    shorter = {row[0]: row[1] for row in tables_of([runs[0], wide_runs(2)[1]], level)[3].rows}
+    assert (shorter["Runs a method"], shorter["Seeds"]) == (
+        f"2 to 3 of {7 * planned} planned",
+        "not the same for all methods",
+    )
+
+
+def test_the_protocol_table_has_every_item_of_the_paper(tables: dict[str, Table]) -> None:
+    cells = {row[0]: row for row in tables["protocol"].rows}
+    assert {"Assets", "Success gates", "Logger schema", "Replay", *read_paper().protocol} <= set(cells)
+    for item in ("Comfort-arm angle", "Tasks", "Runs a method", "Safety gate", "Initialisations"):
+        assert cells[item][1] == cells[item][2]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_values_of_the_paper_beside_runs_of_other_rules_have_a_note(known: bool, tables: dict[str, Table]) -> None:
+    level = load_protocol("bathing-wide-v1", level="L2") if known else None
+    found = {table.name: table for table in tables_of(wide_runs(6), level)}
+    for name in ("rates", "scores", "tests", "anatomy"):
+        assert "These runs are of bathing-wide-v1 L2" in found[name].markdown()
+        assert "These runs are of" not in tables[name].markdown()
+    if known:
+        assert "in gates, the person, what the seed draws" in found["rates"].notes[-1]
 
 
 def test_a_row_of_another_length_than_the_head_is_a_mistake() -> None:

@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
 from carecontact.errors import ConfigError
 from carecontact.runs.pooling import check_one_run, judged, world_difference, world_part
+from carecontact.runs.results_file import RESULTS_NAME
 from carecontact.scoring.result import TrialScore
+
+
+def check_different(places: Sequence[Path]) -> None:
+    """Raises ConfigError for a run that is named twice, also once by its folder and once by the results in it."""
+    folders = [path.resolve().parent if path.name == RESULTS_NAME else path.resolve() for path in places]
+    twice = next((path for path, folder in zip(places, folders, strict=True) if folders.count(folder) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"{twice} is given twice; name different runs")
 
 
 def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:

@@ -11,17 +11,21 @@ from carecontact.recording.schema import Recording
 from carecontact.recording.writer import replace_file
 from carecontact.reports.compare.comparable import check_comparable
 from carecontact.reports.paper.figures import indentation, outcomes, overview, traces
-from carecontact.reports.paper.figures.style import write_figure
+from carecontact.reports.paper.figures.style import NO_DATE, write_figure
 from carecontact.reports.paper.method import Method, methods_of
+from carecontact.reports.paper.other_rules import other_rules
 from carecontact.reports.paper.published import read_paper
 from carecontact.reports.paper.table import Table
 from carecontact.reports.paper.tables.anatomy import anatomy
 from carecontact.reports.paper.tables.contrasts import contrasts
-from carecontact.reports.paper.tables.fixed import capability, metrics, protocol_table, tasks
+from carecontact.reports.paper.tables.fixed import capability, metrics, tasks
+from carecontact.reports.paper.tables.protocol import protocol_table
 from carecontact.reports.paper.tables.rates import rates
 from carecontact.reports.paper.tables.scores import scores
 from carecontact.runs.run_scores import RunScores
 
+TABLES = ("capability", "tasks", "metrics", "protocol", "rates", "scores", "tests", "anatomy")
+FIGURES = ("overview", "traces", "force-indentation", "outcomes")
 Read = Callable[[str], Recording]
 """Reads the recording of a trial of one run."""
 
@@ -39,15 +43,16 @@ def tables_of(runs: Sequence[RunScores], protocol: Protocol | None) -> list[Tabl
                       for number, run in enumerate(runs, start=1)})  # fmt: skip
     paper = read_paper()
     methods = methods_of(runs, paper)
+    note = other_rules(methods, protocol)
     found = [
         capability(paper),
-        None if protocol is None else tasks(protocol, paper),
+        None if protocol is None else tasks(protocol, paper, methods),
         metrics(paper),
-        None if protocol is None else protocol_table(protocol, paper),
-        rates(methods),
-        scores(methods, paper),
-        contrasts(methods, paper),
-        anatomy(methods),
+        None if protocol is None else protocol_table(protocol, paper, methods),
+        rates(methods, note=note),
+        scores(methods, paper, note=note),
+        contrasts(methods, paper, note=note),
+        anatomy(methods, note=note),
     ]
     return [table for table in found if table is not None]
 
@@ -82,6 +87,22 @@ def write_figures(runs: Sequence[RunScores], read: Mapping[int, Read], folder: P
     paths = [shown.get(number, []) for number in range(len(methods))]
     drawn["outcomes"] = partial(outcomes.draw, methods=methods, paths=paths)
     return [path for name, draw in drawn.items() for path in write_figure(draw, folder, name)]
+
+
+def remove_earlier(folder: Path, written: Sequence[Path]) -> list[Path]:
+    """Remove the tables and figures in a folder that an earlier build wrote and this one did not: they are of other
+    runs. Returns their paths.
+
+    Args:
+        folder: the one that holds ``tables`` and ``figures``.
+        written: what this build wrote.
+    """
+    known = [folder / "tables" / f"{name}.{ending}" for name in TABLES for ending in ("tex", "csv", "md")]
+    known += [folder / "figures" / f"{name}.{ending}" for name in FIGURES for ending in NO_DATE]
+    earlier = [path for path in known if path not in written and path.is_file()]
+    for path in earlier:
+        path.unlink()
+    return earlier
 
 
 def _one_of_each_task(method: Method, read: Read) -> list[Recording]:

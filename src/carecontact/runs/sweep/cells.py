@@ -212,7 +212,7 @@ def _trials(plan: Plan, protocol: Protocol, named: str) -> tuple[tuple[str, ...]
     try:
         tasks, seeds = (parse() for parse in parsers)
     except ConfigError as error:
-        raise ConfigError(f"plan {named}: {str(error).removeprefix('--')}") from None
+        raise ConfigError(f"plan {named}: {error}") from None
     return tuple(map(str, tasks)), tuple(map(int, seeds))
 
 

@@ -8,12 +8,17 @@ from carecontact.reports.paper.method import Method
 from carecontact.reports.paper.table import ABSENT, Table
 
 KINDS = {"target": "Target", "off_target": "Off-target", "none": "No contact"}
+NUMBERS = (
+    "region", "method", "trials", *KINDS, "success", "process_failures", "paper_trials",
+    *(f"paper_{kind}" for kind in KINDS), "paper_success",
+)  # fmt: skip
 
 
-def anatomy(methods: Sequence[Method]) -> Table:
+def anatomy(methods: Sequence[Method], *, note: str | None = None) -> Table:
     every = sorted((score for method in methods for score in method.scores), key=lambda score: score.task_id)
     regions = list(dict.fromkeys(score.region for score in every))
     rows: list[tuple[str, ...]] = []
+    numbers: list[tuple[object, ...]] = []
     for region in regions:
         for method in methods:
             of_region = [score for score in method.scores if score.region == region]
@@ -27,11 +32,15 @@ def anatomy(methods: Sequence[Method]) -> Table:
                 for text in (f"{counts[key]}/{n}", f"{printed[key]}/{printed['n']}" if printed else ABSENT)
             ]
             rows.append((region.replace("_", " ").capitalize(), method.title, *cells, str(counts["process_failure"])))
+            ours = [counts[key] for key in (*KINDS, "success", "process_failure")]
+            theirs = [printed.get(key) for key in ("n", *KINDS, "success")]
+            numbers.append((region, method.title, n, *ours, *theirs))
     head = [text for title in (*KINDS.values(), "C3") for text in (title, f"Paper: {title}")]
     return Table(
         name="anatomy",
         caption="Where contact was made, and success, by region",
         head=("Region", "Method", *head, "Process failures"),
         rows=tuple(rows),
-        notes=("Process failures make up for what is missing to the number of trials.",),
+        notes=("Process failures make up for what is missing to the number of trials.", *filter(None, [note])),
+        numbers=(NUMBERS, *numbers),
     )

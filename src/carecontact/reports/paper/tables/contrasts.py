@@ -14,7 +14,7 @@ PAIR = ("state-machine", "voxposer")
 """The methods that the paper tests against each other."""
 
 
-def contrasts(methods: Sequence[Method], paper: Paper) -> Table | None:
+def contrasts(methods: Sequence[Method], paper: Paper, *, note: str | None = None) -> Table | None:
     """Of the paper's two methods if both are there, else of the first two; None where there is one method only."""
     if len(methods) < 2:
         return None
@@ -35,6 +35,7 @@ def contrasts(methods: Sequence[Method], paper: Paper) -> Table | None:
         notes=(
             "Rates use all trials, scores those that have them. `carecontact compare` pairs the trials by their seeds, "
             "which needs fewer of them.",
+            *filter(None, [note if as_printed else None]),
         ),
     )
 

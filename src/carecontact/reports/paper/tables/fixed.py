@@ -1,8 +1,11 @@
-"""The tables that depend on the protocol alone: capability, tasks, metrics and protocol."""
+"""The tables of what was asked and how it is scored: capability, tasks and metrics."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from carecontact.contract.protocol import Protocol
+from carecontact.reports.paper.method import Method
 from carecontact.reports.paper.published import Paper
 from carecontact.reports.paper.table import ABSENT, Table
 from carecontact.scoring.metrics.metric import METRICS
@@ -22,8 +25,18 @@ def capability(paper: Paper) -> Table:
     )
 
 
-def tasks(protocol: Protocol, paper: Paper) -> Table:
-    rows = ((task.id, task.name, task.prompt, *paper.tasks.get(task.id, [ABSENT, ABSENT])) for task in protocol.tasks)
+def tasks(protocol: Protocol, paper: Paper, methods: Sequence[Method]) -> Table:
+    """``methods``: they tell which of the protocol's tasks ran."""
+    ran = {score.task_id for method in methods for score in method.scores}
+    rows = (
+        (
+            task.id,
+            task.name if task.id in ran else f"{task.name} (not run)",
+            task.prompt,
+            *paper.tasks.get(task.id, [ABSENT, ABSENT]),
+        )
+        for task in protocol.tasks
+    )
     return Table(
         name="tasks",
         caption=f"Tasks of {protocol.title}",
@@ -45,29 +58,4 @@ def metrics(paper: Paper) -> Table:
         head=("Score", "What it is", "Unit", "Better", "Definition", "Paper: layer", "Paper: score"),
         rows=tuple(rows),
         notes=("docs/scoring.md defines each.",),
-    )
-
-
-def protocol_table(protocol: Protocol, paper: Paper) -> Table:
-    low, high = protocol.randomization.comfort_arm_deg
-    seeds, limits = len(protocol.randomization.seeds), protocol.limits
-    ours = {
-        "Comfort-arm angle": f"{low:g} to {high:g} deg",
-        "Initialisations": f"{seeds} a task",
-        "Tasks": f"{len(protocol.tasks)}",
-        "Runs a method": f"{seeds * len(protocol.tasks)}",
-        **{f"Pain onset, {name.replace('_', ' ')}": f"{value:g} N" for name, value in limits.f_pain_n.items()},
-        "Safety gate": f"{limits.gamma:g} of the pain onset",
-        "Without valid contact": "C1, C2 and C5 are NA, C3 is 0",
-        "Time limit": f"{protocol.phases.time_limit_s:g} s",
-        "Physics step": f"{1000 * protocol.physics.dt_s:g} ms",
-        "Person": protocol.person.body,
-        "Tissue": protocol.person.tissue_set,
-        "Hash of the protocol": protocol.sha256[:12],
-    }
-    return Table(
-        name="protocol",
-        caption=f"Protocol {protocol.title}",
-        head=("Item", "Ours", "Paper"),
-        rows=tuple((item, text, paper.protocol.get(item, ABSENT)) for item, text in ours.items()),
     )

@@ -10,38 +10,54 @@ from carecontact.reports.paper.method import Method
 from carecontact.reports.paper.table import ABSENT, Table
 from carecontact.stats import wilson_interval
 
+Rate = tuple[float, float | None, float | None]
+"""Per cent, and its interval where there is one."""
+NUMBERS = (
+    "method", "rate", "passed", "trials", "percent", "percent_low", "percent_high", "paper_percent",
+    "paper_percent_low", "paper_percent_high",
+)  # fmt: skip
 
-def rates(methods: Sequence[Method]) -> Table:
+
+def rates(methods: Sequence[Method], *, note: str | None = None) -> Table:
+    """``note``: why the rates must not be set beside the paper's as they are."""
     rows: list[tuple[str, ...]] = []
+    numbers: list[tuple[object, ...]] = []
     for method in methods:
         cells: list[str] = []
         for rate in RATES:
             n = len(method.scores)
             k = sum(bool(rate.of(score)) for score in method.scores)
-            ours = _percent(k / n, *_interval(k, n)) if enough_seeds(method.scores) else f"{100 * k / n:.1f}"
-            cells += [f"{k}/{n}", ours, _published(method, rate.id)]
+            ours = _ours(k, n, interval=enough_seeds(method.scores))
+            printed = method.published and _in_percent(*method.published.rates[rate.id])
+            cells += [f"{k}/{n}", _shown(ours), _shown(printed) if printed else ABSENT]
+            numbers.append((method.title, rate.id, k, n, *ours, *(printed or (None, None, None))))
         rows.append((method.title, *cells))
-    head = [text for rate in RATES for text in (f"{rate.title}, n", f"{rate.title} [%]", "Paper [%]")]
+    head = [text for r in RATES for text in (f"{r.title}, n", f"{r.title} [%]", f"Paper: {r.title} [%]")]
     return Table(
         name="rates",
         caption="Rates with Wilson 95 % intervals",
         head=("Method", *head),
         rows=tuple(rows),
         notes=(
-            "Each rate counts all trials; those in which the harness failed are left out. A method with fewer than "
+            "Each rate counts all trials except those in which the harness failed. A method with fewer than "
             f"{SEEDS_FOR_INTERVAL} seeds has no intervals.",
+            *filter(None, [note]),
         ),
+        numbers=(NUMBERS, *numbers),
     )
 
 
-def _interval(k: int, n: int) -> tuple[float, float]:
+def _ours(k: int, n: int, *, interval: bool) -> Rate:
     found = wilson_interval(k, n)
-    return found.low, found.high
+    return _in_percent(k / n, *((found.low, found.high) if interval else (None, None)))
 
 
-def _published(method: Method, rate: str) -> str:
-    return ABSENT if method.published is None else _percent(*method.published.rates[rate])
+def _in_percent(share: float, low: float | None, high: float | None) -> Rate:
+    # The last digits of a product of two floats say nothing.
+    of = [None if value is None else round(100 * value, 6) for value in (low, high)]
+    return round(100 * share, 6), of[0], of[1]
 
 
-def _percent(share: float, low: float, high: float) -> str:
-    return f"{100 * share:.1f} ({100 * low:.1f}, {100 * high:.1f})"
+def _shown(rate: Rate) -> str:
+    estimate, low, high = rate
+    return f"{estimate:.1f}" + ("" if low is None or high is None else f" ({low:.1f}, {high:.1f})")

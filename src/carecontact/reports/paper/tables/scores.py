@@ -9,10 +9,13 @@ from carecontact.reports.paper.published import Paper
 from carecontact.reports.paper.table import ABSENT, Table
 from carecontact.stats import median
 
+NUMBERS = ("method", "score", "unit", "median", "trials", "paper_median")
 
-def scores(methods: Sequence[Method], paper: Paper) -> Table:
+
+def scores(methods: Sequence[Method], paper: Paper, *, note: str | None = None) -> Table:
     outcomes = paper.scores()
     rows: list[tuple[str, ...]] = []
+    numbers: list[tuple[object, ...]] = []
     for method in methods:
         cells: list[str] = []
         for outcome in outcomes:
@@ -20,15 +23,20 @@ def scores(methods: Sequence[Method], paper: Paper) -> Table:
             ours = ABSENT if found.estimate is None else f"{_shown(outcome.id, found.estimate)} (n={found.n_valid})"
             printed = method.published.medians.get(outcome.id) if method.published else None
             cells += [ours, ABSENT if printed is None else _shown(outcome.id, printed)]
+            numbers.append((method.title, outcome.id, outcome.unit, found.estimate, found.n_valid, printed))
         rows.append((method.title, *cells))
     units = ["" if outcome.unit == "1" else f" [{outcome.unit}]" for outcome in outcomes]
-    head = [text for o, unit in zip(outcomes, units, strict=True) for text in (f"{o.id}{unit}", f"Paper {o.id}")]
+    head = [text for o, unit in zip(outcomes, units, strict=True) for text in (f"{o.id}{unit}", f"Paper: {o.id}{unit}")]
     return Table(
         name="scores",
         caption="Medians of the scores over the trials that have them",
         head=("Method", *head),
         rows=tuple(rows),
-        notes=("C2 is pooled over Push only. Lower is better for C1 and C5, higher for C2 and C4.",),
+        notes=(
+            "C2 is pooled over Push only. Lower is better for C1 and C5, higher for C2 and C4.",
+            *filter(None, [note]),
+        ),
+        numbers=(NUMBERS, *numbers),
     )
 
 
