@@ -32,8 +32,8 @@ class Compare:
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN_A [RUN_B ...]")]
     """Folders of runs, or their results.json (also .json.gz) alone. Differences are A minus B."""
     baseline: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")] = ()
-    """Runs of blind baselines: the output shows their success rates beside those of each run. With --baseline, a single
-    run is enough."""
+    """Runs of baselines, which should be blind: the output shows their success rates beside those of each run. With
+    --baseline, a single run is enough."""
     per_task: Switch = False
     """For two runs: also print a table for each task. The p-values of these tables are corrected together, separately
     from the main table."""

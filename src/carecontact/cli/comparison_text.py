@@ -32,6 +32,7 @@ def print_comparison(comparison: Comparison, a: Path, b: Path, *, crashed: Seque
     from carecontact.protocols.frozen_state import drifted_sha256
     from carecontact.reports.compare.verdicts import ALPHA
     from carecontact.reports.intervals import TOO_FEW, enough
+    from carecontact.reports.over_seeds import OVER_TEXTS
 
     pairing = comparison.pairing
     _say(f"{protocol_title(comparison.protocol_id, comparison.overrides)} ({comparison.protocol_sha256[:12]})")
@@ -50,11 +51,12 @@ def print_comparison(comparison: Comparison, a: Path, b: Path, *, crashed: Seque
         _print_lines(lines)
     if not enough(len(pairing.seeds)):
         _say(f"\n{TOO_FEW}; run more seeds")
+    _say(f"\n{OVER_TEXTS[comparison.over]}")
     families = [f"{len(comparison.overall)} rows"]
     if comparison.per_task is not None:
         families.append(f"the {sum(map(len, comparison.per_task.values()))} rows of the tasks")
     _say(
-        f"\nverdicts: a difference counts if its Holm-adjusted p-value is at most {ALPHA:g}; corrected over "
+        f"verdicts: a difference counts if its Holm-adjusted p-value is at most {ALPHA:g}; corrected over "
         f"{' and separately over '.join(families)}; see docs/statistics.md"
     )
 

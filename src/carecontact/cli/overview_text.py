@@ -1,4 +1,4 @@
-"""What ``carecontact compare`` prints of more than two runs, and of blind baselines."""
+"""What ``carecontact compare`` prints of more than two runs, and of baselines."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from carecontact.reports.compare.baselines import Baselines, Passed
     from carecontact.reports.compare.overview import Overview, PairOfRuns
     from carecontact.reports.compare.rankings import Ranking
+    from carecontact.reports.over_seeds import Over
     from carecontact.stats import RateDifference
 
 RATE_NAMES = {"success": "success", "region_correct": "region-correct", "safety_gated": "safety-gated"}
@@ -32,7 +33,7 @@ def print_overview(overview: Overview, runs: Sequence[Path]) -> None:
         print(f"{letter}: {policy}, {folder}{told}")
     print(f"{overview.n} trial{' that all runs have' if overview.n == 1 else 's that all runs have'}\n")
     _print_rows(overview)
-    _print_pairs(overview.pairs)
+    _print_pairs(overview.pairs, overview.over)
     _print_ranking(overview.ranking)
 
 
@@ -40,7 +41,6 @@ def _print_rows(overview: Overview) -> None:
     from carecontact.cli.console import console, plain_table
     from carecontact.reports.intervals import TOO_FEW, enough
     from carecontact.reports.table import headlines
-    from carecontact.stats import wilson_interval
 
     table = plain_table()
     table.add_column("")
@@ -48,7 +48,7 @@ def _print_rows(overview: Overview) -> None:
     for header in (*(name.replace("-", "-\n") + " [95 %]" for name in RATE_NAMES.values()), *heads):
         table.add_column(header, justify="right")
     for letter, row in overview.rows.items():
-        rates = [wilson_interval(k, row.n) for k in (row.success, row.region_correct, row.safety_gated)]
+        rates = overview.rates[letter].values()
         cells = [_interval(100 * p.k / p.n, 100 * p.low, 100 * p.high, seeds=overview.seeds) for p in rates]
         table.add_row(letter, *cells, *row.median_cells())
     console(WIDTH).print(table)
@@ -56,13 +56,21 @@ def _print_rows(overview: Overview) -> None:
         print(TOO_FEW)
 
 
-def _print_pairs(pairs: Sequence[PairOfRuns]) -> None:
+def _print_pairs(pairs: Sequence[PairOfRuns], over: Over) -> None:
     from carecontact.cli.console import console, p_text, plain_table
     from carecontact.reports.compare.paired_lines import RateLine
     from carecontact.reports.compare.verdicts import ALPHA
+    from carecontact.reports.over_seeds import OVER_TEXTS
 
     table = plain_table()
-    for header in ("", "difference [95 %]", "pairs", "p McNemar", "p Holm", "verdict"):
+    for header in (
+        "",
+        "difference [95 %]",
+        "pairs",
+        "p McNemar" if over == "trials" else "p over seeds",
+        "p Holm",
+        "verdict",
+    ):
         table.add_column(header, justify="right" if header.startswith(("diff", "p")) else "left")
     for pair in pairs:
         for line in pair.lines:
@@ -75,6 +83,7 @@ def _print_pairs(pairs: Sequence[PairOfRuns]) -> None:
             )  # fmt: skip
     print()
     console(WIDTH).print(table)
+    print(OVER_TEXTS[over])
     lines = sum(len(pair.lines) for pair in pairs)
     print(
         f"verdicts: a difference counts if its Holm-adjusted p-value over the {lines} rows is at most {ALPHA:g}; to "
@@ -98,12 +107,18 @@ def _print_ranking(ranking: Ranking) -> None:
     )
 
 
-ROLE_WORDS = {"privileged": " (ceiling)", "probe": " (probe)"}
-"""Role of a policy -> words after its name in the table of blind baselines, if the policy is none itself."""
+ROLE_WORDS = {"privileged": " (ceiling)", "probe": " (probe)", "blind": " (blind)"}
+"""Role of a policy -> words after its name in the table of baselines; a method has none."""
+
+
+INTERVALS_OVER: dict[Over, str] = {
+    "seeds": "over seeds (a seed is one person, whose trials are not independent)",
+    "trials": "over trials, as if they were independent,",
+}
 
 
 def print_baselines(found: Baselines, letter: str) -> None:
-    """Print the blind baselines beside a run.
+    """Print the baselines beside a run.
 
     Args:
         letter: letter of the run among several; empty for one run alone.
@@ -111,7 +126,10 @@ def print_baselines(found: Baselines, letter: str) -> None:
     from carecontact.cli.console import console, plain_table
 
     name = f"{letter} ({found.method.policy})" if letter else found.method.policy
-    print(f"\nblind baselines beside {name}: how often policies pass that cannot do the task")
+    if found.only_blind:
+        print(f"\nblind baselines beside {name}: how often policies pass that cannot do the task")
+    else:
+        print(f"\nbaselines beside {name}")
     if any(row.role == "privileged" for row in found.baselines):
         print("a privileged policy is given the simulation: its rate is the ceiling, and it is never ranked")
     table = plain_table()
@@ -123,11 +141,11 @@ def print_baselines(found: Baselines, letter: str) -> None:
     console(WIDTH).print(table)
     if (best := found.floor.get("all")) is not None:
         places = ", ".join(f"{task} {at.rate.k}/{at.rate.n}" for task, at in found.floor.items() if task != "all")
-        print(f"best blind baseline, safety-gated: {best.policy} {best.rate.k}/{best.rate.n}; of each task: {places}")
+        blind = "best blind baseline" if best.blind else "best baseline (not registered as blind)"
+        print(f"{blind}, safety-gated: {best.policy} {best.rate.k}/{best.rate.n}; of each task: {places}")
     print(
-        "rates in percent of trials, with 95 % intervals where there are six seeds; difference: of the safety-gated "
-        "rates, in percentage points; "
-        "T1, T2, ...: successes / trials"
+        f"rates in percent of trials, with 95 % intervals {INTERVALS_OVER[found.over]} where there are six seeds; "
+        "difference: of the safety-gated rates, in percentage points; T1, T2, ...: successes / trials"
     )
 
 

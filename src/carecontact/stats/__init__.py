@@ -2,7 +2,12 @@
 
 from carecontact.stats.bootstrap import BootstrapDifference, clustered_bootstrap
 from carecontact.stats.contrasts import FisherExact, MannWhitney, fisher_exact, mann_whitney
-from carecontact.stats.differences import RateDifference, paired_difference, unpaired_difference
+from carecontact.stats.differences import (
+    RateDifference,
+    difference_of_rates,
+    paired_difference,
+    unpaired_difference,
+)
 from carecontact.stats.family import Holm, holm
 from carecontact.stats.mcnemar import McNemar, mcnemar_exact
 from carecontact.stats.persons import PersonDifference, PersonRate, person_difference, person_rate
@@ -41,6 +46,7 @@ __all__ = [
     "WorstShare",
     "clustered_bootstrap",
     "detectable_from_standard_error",
+    "difference_of_rates",
     "fisher_exact",
     "holm",
     "kendall_tau",

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.stats.strata import strata_of, stratified_weights
 from carecontact.stats.values import check_level, complete_pairs
 
 Statistic = Literal["median_difference", "difference_of_medians", "difference_of_means"]
@@ -16,6 +17,9 @@ GENERATOR_SEED = 20260
 RESAMPLES = 10_000
 AT_ONCE = 2_000_000
 """Cells of the weight table that are held in memory at a time."""
+
+ROUNDING = 1e-6
+"""Of sums of weights, whose steps are larger than 1."""
 
 Floats = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
@@ -46,6 +50,7 @@ def clustered_bootstrap(
     second: Sequence[float | None],
     *,
     clusters: Sequence[int],
+    strata: Mapping[int, Hashable] | None = None,
     statistic: Statistic = "median_difference",
     confidence: float = 0.95,
     resamples: int = RESAMPLES,
@@ -62,9 +67,11 @@ def clustered_bootstrap(
         first: (N,) values of the first method, None where NA.
         second: (N,) of the second, pair by pair.
         clusters: (N,) the seed of each pair.
+        strata: cluster -> stratum, to draw as ``stratified_weights`` does; None: as many clusters as there are.
         statistic: ``median_difference`` is the median of the pairs' differences, the others compare the two samples.
 
-    Raises ValueError for lengths that differ, NaN, infinity, resamples < 1 or unless 0 < confidence < 1.
+    Raises ValueError for lengths that differ, NaN, infinity, a cluster without a stratum, resamples < 1 or unless 0 <
+    confidence < 1.
     """
     if len(clusters) != len(first):
         raise ValueError(f"{len(clusters)} clusters for {len(first)} pairs; expected one for each")
@@ -82,7 +89,13 @@ def clustered_bootstrap(
     if len(a):
         estimate = float(_statistic(a, b, of_pair, np.ones((1, n_clusters), np.int64), statistic)[0])
     if estimate is not None and n_clusters > 1:
-        drawn = _draw(n_clusters, resamples, generator_seed)
+        drawn = (
+            _draw(n_clusters, resamples, generator_seed)
+            if strata is None
+            else stratified_weights(
+                strata_of(names.tolist(), strata), resamples=resamples, generator_seed=generator_seed
+            )
+        )
         found = _statistics(a, b, of_pair, drawn, statistic)
         quantiles = np.quantile(found, [0.5 - confidence / 2, 0.5 + confidence / 2])
         low, high = min(float(quantiles[0]), estimate), max(float(quantiles[1]), estimate)
@@ -107,7 +120,7 @@ def _draw(n_clusters: int, resamples: int, generator_seed: int) -> Counts:
     return generator.multinomial(n_clusters, np.full(n_clusters, 1.0 / n_clusters), size=resamples)
 
 
-def _statistics(a: Floats, b: Floats, of_pair: Counts, drawn: Counts, statistic: Statistic) -> Floats:
+def _statistics(a: Floats, b: Floats, of_pair: Counts, drawn: Counts | Floats, statistic: Statistic) -> Floats:
     """(R,) the statistic of every resample, computed for as many at a time as AT_ONCE allows."""
     step = max(1, AT_ONCE // len(a))
     return np.concatenate(
@@ -115,7 +128,7 @@ def _statistics(a: Floats, b: Floats, of_pair: Counts, drawn: Counts, statistic:
     )
 
 
-def _statistic(a: Floats, b: Floats, of_pair: Counts, times: Counts, statistic: Statistic) -> Floats:
+def _statistic(a: Floats, b: Floats, of_pair: Counts, times: Counts | Floats, statistic: Statistic) -> Floats:
     """(R,) the statistic of R resamples, in which cluster k is ``times[:, k]`` times."""
     match statistic:
         case "median_difference":
@@ -128,12 +141,12 @@ def _statistic(a: Floats, b: Floats, of_pair: Counts, times: Counts, statistic: 
             return (times @ total) / (times @ size)
 
 
-def _medians(values: Floats, of_pair: Counts, times: Counts) -> Floats:
+def _medians(values: Floats, of_pair: Counts, times: Counts | Floats) -> Floats:
     """(R,) medians of R resamples, found in the cumulated counts instead of in copies of the drawn values."""
     order = np.argsort(values, kind="stable")
     ordered = values[order]
     reached = np.cumsum(times[:, of_pair[order]], axis=1)
-    size = reached[:, -1:]
-    lower = ordered[np.argmax(reached > (size - 1) // 2, axis=1)]
-    upper = ordered[np.argmax(reached > size // 2, axis=1)]
+    half = reached[:, -1:] / 2
+    lower = ordered[np.argmax(reached > half - ROUNDING, axis=1)]
+    upper = ordered[np.argmax(reached > half + ROUNDING, axis=1)]
     return (lower + upper) / 2

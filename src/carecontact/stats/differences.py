@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import sqrt
 
-from carecontact.stats.proportions import wilson_interval
+from carecontact.stats.proportions import Proportion, wilson_interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,9 @@ def paired_difference(
     if excess > 0:
         excess = max(excess - n / 2, 0.0)
     phi = excess / sqrt(product) if product else 0.0
-    return _square_and_add(both + only_first, n, both + only_second, n, phi, confidence)
+    return _square_and_add(
+        wilson_interval(both + only_first, n, confidence), wilson_interval(both + only_second, n, confidence), phi
+    )
 
 
 def unpaired_difference(k1: int, n1: int, k2: int, n2: int, confidence: float = 0.95) -> RateDifference:
@@ -45,11 +47,19 @@ def unpaired_difference(k1: int, n1: int, k2: int, n2: int, confidence: float = 
     Newcombe, Statistics in Medicine 17:873 (1998), method 10. Raises ValueError unless 0 <= k <= n for both and 0 <
     confidence < 1.
     """
-    return _square_and_add(k1, n1, k2, n2, 0.0, confidence)
+    return difference_of_rates(wilson_interval(k1, n1, confidence), wilson_interval(k2, n2, confidence))
 
 
-def _square_and_add(k1: int, n1: int, k2: int, n2: int, phi: float, confidence: float) -> RateDifference:
-    first, second = wilson_interval(k1, n1, confidence), wilson_interval(k2, n2, confidence)
+def difference_of_rates(first: Proportion, second: Proportion) -> RateDifference:
+    """Difference of two independent rates whose intervals are given, whatever they are over.
+
+    The same squares and sums with other intervals than Wilson's: Zou & Donner, Statistics in Medicine 27:1693 (2008).
+    """
+    return _square_and_add(first, second, 0.0)
+
+
+def _square_and_add(first: Proportion, second: Proportion, phi: float) -> RateDifference:
+    confidence = first.confidence
     if first.estimate is None or second.estimate is None:
         return RateDifference(estimate=None, low=-1.0, high=1.0, confidence=confidence)
     estimate = first.estimate - second.estimate

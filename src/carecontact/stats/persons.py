@@ -11,7 +11,7 @@ import numpy.typing as npt
 from carecontact.stats.differences import unpaired_difference
 from carecontact.stats.proportions import wilson_interval
 from carecontact.stats.sign_flip import SignFlip, sign_flip
-from carecontact.stats.strata import GENERATOR_SEED, RESAMPLES, Floats, stratified_weights
+from carecontact.stats.strata import GENERATOR_SEED, RESAMPLES, Floats, strata_of, stratified_weights
 from carecontact.stats.values import check_level
 
 
@@ -78,7 +78,7 @@ def person_rate(
         wilson = wilson_interval(round(people * k / n), people, confidence)
         low, high = min(wilson.low, k / n), max(wilson.high, k / n)
     elif people > 1:
-        weights = stratified_weights(_strata(names, strata), resamples=resamples, generator_seed=generator_seed)
+        weights = stratified_weights(strata_of(names, strata), resamples=resamples, generator_seed=generator_seed)
         low, high = _between((weights @ got) / (weights @ of), k / n, confidence)
     return PersonRate(k=k, n=n, persons=people, estimate=k / n, low=low, high=high, confidence=confidence)
 
@@ -115,7 +115,7 @@ def person_difference(
             alike = unpaired_difference(round(people * a.mean()), people, round(people * b.mean()), people, confidence)
             low, high = min(alike.low, estimate), max(alike.high, estimate)
         else:
-            weights = stratified_weights(_strata(names, strata), resamples=resamples, generator_seed=generator_seed)
+            weights = stratified_weights(strata_of(names, strata), resamples=resamples, generator_seed=generator_seed)
             low, high = _between((weights @ excess) / (weights @ of), estimate, confidence)
     return PersonDifference(
         estimate=estimate, low=low, high=high, n=n, persons=people, test=test, confidence=confidence
@@ -128,15 +128,6 @@ def _persons(values: Sequence[bool], persons: Sequence[int]) -> tuple[list[int],
         raise ValueError(f"{len(persons)} persons for {len(values)} trials; expected one for each")
     names, of_trial = np.unique(np.asarray(persons, np.int64), return_inverse=True)
     return names.tolist(), of_trial
-
-
-def _strata(names: Sequence[int], strata: Mapping[int, Hashable] | None) -> list[Hashable]:
-    if strata is None:
-        return [0] * len(names)
-    missing = [name for name in names if name not in strata]
-    if missing:
-        raise ValueError(f"person {missing[0]} has no stratum; expected one for each")
-    return [strata[name] for name in names]
 
 
 def _between(found: Floats, estimate: float, confidence: float) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +41,16 @@ def stratified_weights(
         drawn = generator.multinomial(n - 1, np.full(n, 1.0 / n), size=resamples)
         weights[:, members] = drawn * (n / (n - 1))
     return weights
+
+
+def strata_of(names: Sequence[int], strata: Mapping[int, Hashable] | None) -> list[Hashable]:
+    """The stratum of each person; without strata all are in one. Raises ValueError for a person that has none."""
+    if strata is None:
+        return [0] * len(names)
+    missing = [name for name in names if name not in strata]
+    if missing:
+        raise ValueError(f"person {missing[0]} has no stratum; expected one for each")
+    return [strata[name] for name in names]
 
 
 def _groups(strata: Sequence[Hashable]) -> list[list[int]]:

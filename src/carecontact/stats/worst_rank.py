@@ -27,17 +27,22 @@ class WorstRank:
 
 
 def worst_rank_paired(
-    first: Sequence[float | None], second: Sequence[float | None], *, better: Literal["higher", "lower"]
+    first: Sequence[float | None],
+    second: Sequence[float | None],
+    *,
+    better: Literal["higher", "lower"],
+    clusters: Sequence[int] | None = None,
 ) -> WorstRank:
     """Signed-rank test in which None ranks below every score; two None are an equal pair.
 
     A pair with one score is the largest difference there is, all such pairs tied. The composite of Lachin, Controlled
     Clinical Trials 20:408 (1999), with the signed-rank test for his rank-sum test because trials are paired. A method
-    that never scores cannot win by leaving out the hard trials. Raises ValueError for lengths that differ or NaN.
+    that never scores cannot win by leaving out the hard trials. ``clusters`` as in ``signed_rank``. Raises ValueError
+    for lengths that differ or NaN.
     """
     check_pairs(first, second)
     worst = _worst(better)
-    found = signed_rank(_filled(first, worst), _filled(second, worst))
+    found = signed_rank(_filled(first, worst), _filled(second, worst), clusters=clusters)
     larger, smaller = ("first", "second") if better == "higher" else ("second", "first")
     order = found.rank_sum_first - found.rank_sum_second
     pairs = list(zip(first, second, strict=True))

@@ -38,9 +38,23 @@ def test_a_probe_and_a_ceiling_stand_beside_the_floor_and_are_not_it() -> None:
     }  # fmt: skip
 
 
-def test_a_blind_baseline_of_somebody_else_counts_as_one() -> None:
-    (row,) = beside_baselines(METHOD, [RunScores(scores=passed("my:Blind", "T1", [True]))]).baselines
-    assert row.role == "blind"
+def test_a_baseline_of_somebody_else_is_floor_and_not_called_blind() -> None:
+    """Nobody registered it, so that nothing but its name under --baseline says what it is."""
+    own = RunScores(scores=passed("my:Blind", "T1", [True] * 9 + [False]))
+    beside = beside_baselines(METHOD, [own, RunScores(scores=REPLAY)])
+    assert [row.role for row in beside.baselines] == ["method", "blind"]
+    assert {place: (best.policy, best.blind) for place, best in beside.floor.items()} == {
+        "all": ("my:Blind", False), "T1": ("my:Blind", False), "T6": ("replay", True),
+    }  # fmt: skip
+    assert not beside.only_blind
+
+
+def test_a_registered_method_is_a_floor_only_where_nothing_is_blind_and_never_called_blind() -> None:
+    method = RunScores(scores=passed("state-machine", "T1", [True] * 10))
+    alone = beside_baselines(METHOD, [method])
+    assert (alone.floor["all"].policy, alone.floor["all"].blind, alone.only_blind) == ("state-machine", False, False)
+    beside = beside_baselines(METHOD, [method, RunScores(scores=REPLAY)])
+    assert {best.policy for best in beside.floor.values()} == {"replay"}
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What blind baselines pass: the floor under a method's rates.
+"""What baselines pass beside a method: the floor under its rates.
 
 A blind baseline is a policy that cannot do a task, because it does not look, touch or decide. Each of its successes is
 a false positive of the gates. Beside them may stand a privileged policy, whose rate is the ceiling, and probes, which
@@ -11,14 +11,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from carecontact.errors import ConfigError
-from carecontact.policies.registry import Role
-from carecontact.reports.compare.blind_floor import ALL, BlindRate, raise_floor, role_in
+from carecontact.policies.registry import POLICIES, Role
+from carecontact.reports.compare.blind_floor import FloorRate, floor_of, role_in
 from carecontact.reports.compare.comparable import check_comparable, trials_by_key
 from carecontact.reports.compare.outcomes import RATES, Outcome
+from carecontact.reports.over_seeds import Over, difference_of, over_of, rate_of
 from carecontact.runs.pooling import judged
 from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.result import TrialScore
-from carecontact.stats import Proportion, RateDifference, paired_difference, unpaired_difference, wilson_interval
+from carecontact.stats import Proportion, RateDifference, difference_of_rates
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +40,7 @@ class Passed:
     per_task: dict[str, dict[str, tuple[int, int]]]
     """Task -> rate -> count and number of trials."""
     role: Role = "method"
-    """``blind`` for every baseline that is neither a probe nor privileged, whoever wrote it."""
+    """As registered; a policy that nobody registered is a method, also where it is named as a baseline."""
     n_pairs: int | None = None
     """Trials of the same task and seed in both; None for the method itself."""
     method_passed: int | None = None
@@ -56,12 +57,15 @@ class Passed:
 
 @dataclass(frozen=True, kw_only=True)
 class Baselines:
-    """Blind baselines beside a method."""
+    """Baselines beside a method."""
 
     method: Passed
+    over: Over
+    """What intervals take as independent: the trials, or the seeds."""
     baselines: tuple[Passed, ...]
-    floor: dict[str, BlindRate] = field(default_factory=dict[str, BlindRate])
-    """``all`` and each task -> the safety-gated rate of the blind baseline that passes most there."""
+    floor: dict[str, FloorRate] = field(default_factory=dict[str, FloorRate])
+    """``all`` and each task -> the safety-gated rate of the baseline that passes most there, of those that are blind or
+    that nobody registered; registered methods count only where there is no other."""
     kept: tuple[str, ...] = ()
     """Those of ``baselines`` whose scores are kept with the package; methods that see may be among them."""
 
@@ -69,16 +73,22 @@ class Baselines:
     def tasks(self) -> tuple[str, ...]:
         return tuple(self.method.per_task)
 
+    @property
+    def only_blind(self) -> bool:
+        """Whether a blind baseline and no method stand among them; beside it, ceilings and probes that are named so."""
+        roles = {row.role for row in self.baselines}
+        return "blind" in roles and "method" not in roles
+
 
 def beside_baselines(method: RunScores, baselines: Sequence[RunScores], *, kept: Sequence[RunScores] = ()) -> Baselines:
-    """Set blind baselines beside a method, over the trials that both have (``Passed``).
+    """Set baselines beside a method, over the trials that both have (``Passed``).
 
-    A run that is named as a baseline counts as blind unless it is a probe or privileged; ``kept`` are scores that are
-    kept with the package, of which a method stays a method.
+    A method may be named as a baseline; it does not become blind by that. ``kept`` are scores that are kept with the
+    package.
 
-    Differences are Newcombe's (method 10, of pairs or of independent trials), rates Wilson's. Raises ConfigError,
-    naming what differs, for another protocol, overrides, definitions or world, a baseline that is the method itself or
-    named twice, or one without a task in common.
+    Intervals of rates and differences are over what the protocol takes as independent (``over_of``). Raises
+    ConfigError, naming what differs, for another protocol, overrides, definitions or world, a baseline that is the
+    method itself or named twice, or one without a task in common.
     """
     seen = {method.scores[0].policy_title} if method.scores else set[str]()
     found: list[Passed] = []
@@ -92,62 +102,56 @@ def beside_baselines(method: RunScores, baselines: Sequence[RunScores], *, kept:
             )
         seen.add(policy)
         found.append(_passed(baseline.scores, method.scores))
-    of_kept = found[len(baselines) :]
-    rows = [
-        *found[: len(baselines)],
-        *(replace(row, role=role_in(k.scores)) for row, k in zip(of_kept, kept, strict=True)),
-    ]
+    methods = [run for run in baselines if role_in(run.scores) == "method"]
+    blind = [run for run in (*baselines, *kept) if role_in(run.scores) == "blind"]
+    # Somebody's own blind baseline may have no row that says so.
+    floor = [*blind, *(run for run in methods if run.scores[0].policy not in POLICIES)] or methods
     return Baselines(
         method=_passed(method.scores, None),
-        baselines=tuple(rows),
-        floor=_floor(rows),
-        kept=tuple(row.policy for row in of_kept),
+        over=over_of(method.scores[0]),
+        baselines=tuple(found),
+        floor=floor_of(_comparable(run.scores, method.scores) for run in floor),
+        kept=tuple(row.policy for row in found[len(baselines) :]),
     )
 
 
 def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -> Passed:
     """``method``: to which a baseline is compared; None for the method itself."""
-    counted = judged(scores)
+    every = _of_tasks(scores, scores if method is None else method)
+    counted = every if method is None else _shared(every, method)
     tasks = sorted({s.task_id for s in (counted if method is None else judged(method))})
-    counted = [s for s in counted if s.task_id in tasks]
+    found = Passed(
+        policy=scores[0].policy_title,
+        n=len(counted),
+        seeds=len({s.seed for s in counted}),
+        rates={rate.id: rate_of(counted, rate.field) for rate in RATES},
+        per_task={task: _of_task([s for s in counted if s.task_id == task]) for task in tasks},
+        role=role_in(scores),
+        whole=rate_of(every, "safety_gated") if len(every) > len(counted) else None,
+    )
+    return found if method is None else _against(found, counted, judged(method))
+
+
+def _comparable(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Sequence[TrialScore]:
+    """The trials that the rates of a baseline are over."""
+    return _shared(_of_tasks(scores, method), method)
+
+
+def _of_tasks(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> list[TrialScore]:
+    """The judged trials of the method's tasks."""
+    tasks = sorted({s.task_id for s in judged(method)})
+    counted = [s for s in judged(scores) if s.task_id in tasks]
     if not counted:
         raise ConfigError(
             f"--baseline: {scores[0].policy_title} ran none of the tasks {', '.join(tasks)}; run it on the same tasks"
         )
-    every, counted = counted, _shared(counted, method)
-    of_policy = Passed(
-        policy=scores[0].policy_title,
-        n=len(counted),
-        seeds=len({s.seed for s in counted}),
-        rates={rate.id: wilson_interval(_count(counted, rate), len(counted)) for rate in RATES},
-        per_task={task: _of_task([s for s in counted if s.task_id == task]) for task in tasks},
-    )
-    if method is None:
-        return replace(of_policy, role=role_in(scores))
-    role = role_in(scores)
-    named = replace(of_policy, role="blind" if role == "method" else role)
-    if len(every) > len(counted):
-        named = replace(named, whole=wilson_interval(sum(s.safety_gated for s in every), len(every)))
-    return _against(named, counted, judged(method))
+    return counted
 
 
-def _shared(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -> Sequence[TrialScore]:
-    """The trials that the method has as well; all of them where there is none, or without a method."""
-    keys = {} if method is None else trials_by_key(method)
+def _shared(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Sequence[TrialScore]:
+    """The trials that the method has as well; all of them where there is none."""
+    keys = trials_by_key(method)
     return [s for s in scores if (s.task_id, s.seed) in keys] or scores
-
-
-def _floor(baselines: Sequence[Passed]) -> dict[str, BlindRate]:
-    best: dict[str, BlindRate] = {}
-    for row in baselines:
-        if row.role != "blind":
-            continue
-        counts = {ALL: (row.rates["safety_gated"].k, row.n)} | {
-            task: of_task["safety_gated"] for task, of_task in row.per_task.items()
-        }
-        for place, (k, n) in counts.items():
-            raise_floor(best, place, row.policy, k, n)
-    return best
 
 
 def _against(found: Passed, scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Passed:
@@ -165,7 +169,7 @@ def _against(found: Passed, scores: Sequence[TrialScore], method: Sequence[Trial
 
 
 def _of_task(scores: Sequence[TrialScore]) -> dict[str, tuple[int, int]]:
-    return {rate.id: (_count(scores, rate), len(scores)) for rate in RATES}
+    return {rate.id: (sum(bool(rate.of(s)) for s in scores), len(scores)) for rate in RATES}
 
 
 def _difference(
@@ -175,13 +179,5 @@ def _difference(
     baseline: Sequence[TrialScore],
 ) -> RateDifference:
     if not pairs:
-        return unpaired_difference(_count(method, rate), len(method), _count(baseline, rate), len(baseline))
-    both, only_method, only_baseline, neither = (
-        sum((bool(rate.of(m)), bool(rate.of(b))) == want for m, b in pairs)
-        for want in ((True, True), (True, False), (False, True), (False, False))
-    )
-    return paired_difference(both=both, only_first=only_method, only_second=only_baseline, neither=neither)
-
-
-def _count(scores: Sequence[TrialScore], rate: Outcome) -> int:
-    return sum(bool(rate.of(score)) for score in scores)
+        return difference_of_rates(rate_of(method, rate.field), rate_of(baseline, rate.field))
+    return difference_of([m for m, _ in pairs], [b for _, b in pairs], rate.field)[0]

@@ -1,4 +1,4 @@
-"""The best blind baseline for each task: the rate that can be reached without vision, as a column beside every rate."""
+"""The best baseline for each task, a blind one wherever there is any: the rate that can be reached without vision."""
 
 from __future__ import annotations
 
@@ -6,19 +6,22 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from carecontact.policies.registry import Role, role_of
+from carecontact.reports.over_seeds import rate_of
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
-from carecontact.stats import Proportion, wilson_interval
+from carecontact.stats import Proportion
 
 ALL = "all"
 """In place of a task: all of them, pooled."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class BlindRate:
-    """Safety-gated trials of the blind baseline that passes most."""
+class FloorRate:
+    """Safety-gated trials of the baseline that passes most."""
 
     policy: str
+    blind: bool
+    """Whether it is registered as a blind baseline."""
     rate: Proportion
 
 
@@ -29,7 +32,7 @@ def role_in(scores: Sequence[TrialScore]) -> Role:
     return role_of(scores[0].policy) if scores else "method"
 
 
-def blind_floor(kept: Iterable[Sequence[TrialScore]], like: TrialScore) -> dict[str, BlindRate]:
+def blind_floor(kept: Iterable[Sequence[TrialScore]], like: TrialScore) -> dict[str, FloorRate]:
     """Return ALL and each task -> its best blind rate; empty where no blind baseline ran this protocol.
 
     Each place takes its own best, so tasks may name different policies. With several levels of one protocol, a level
@@ -40,21 +43,24 @@ def blind_floor(kept: Iterable[Sequence[TrialScore]], like: TrialScore) -> dict[
             privileged policies, and of other rules than those of ``like`` are passed over.
         like: any trial under the rules whose floor is wanted.
     """
-    best: dict[str, BlindRate] = {}
-    for scores in kept:
-        counted = [score for score in judged(scores) if _same_rules(score, like)]
-        if not counted or role_in(counted) != "blind":
-            continue
-        for place in (ALL, *sorted({score.task_id for score in counted})):
-            here = [score for score in counted if place in (ALL, score.task_id)]
-            raise_floor(best, place, here[0].policy_title, sum(score.safety_gated for score in here), len(here))
+    same = [[score for score in judged(scores) if _same_rules(score, like)] for scores in kept]
+    return floor_of(scores for scores in same if scores and role_in(scores) == "blind")
+
+
+def floor_of(baselines: Iterable[Sequence[TrialScore]]) -> dict[str, FloorRate]:
+    """ALL and each task -> the best rate there; the first of equal ones.
+
+    Args:
+        baselines: judged trials of each, one at least.
+    """
+    best: dict[str, FloorRate] = {}
+    for scores in baselines:
+        for place in (ALL, *sorted({score.task_id for score in scores})):
+            rate = rate_of([score for score in scores if place in (ALL, score.task_id)], "safety_gated")
+            if place not in best or rate.k / rate.n > best[place].rate.k / best[place].rate.n:
+                blind = role_in(scores) == "blind"
+                best[place] = FloorRate(policy=scores[0].policy_title, blind=blind, rate=rate)
     return best
-
-
-def raise_floor(best: dict[str, BlindRate], place: str, policy: str, k: int, n: int) -> None:
-    """Enter a policy with ``k`` of ``n`` trials at a place of ``best`` if no other has a higher rate there."""
-    if n and (place not in best or k / n > best[place].rate.k / best[place].rate.n):
-        best[place] = BlindRate(policy=policy, rate=wilson_interval(k, n))
 
 
 def _same_rules(score: TrialScore, like: TrialScore) -> bool:

@@ -13,6 +13,7 @@ from carecontact.reports.compare.comparable import check_comparable, trials_by_k
 from carecontact.reports.compare.paired_lines import Line, paired_lines
 from carecontact.reports.compare.plain import plain
 from carecontact.reports.compare.verdicts import ALPHA, POWER, conclude
+from carecontact.reports.over_seeds import Over, over_of
 from carecontact.runs.pooling import judged
 from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.result import TrialScore
@@ -51,6 +52,8 @@ class Comparison:
     metric_versions: dict[str, str]
     a: RunInfo
     b: RunInfo
+    over: Over
+    """What intervals of rates, and paired tests, take as independent: the trials, or the seeds."""
     pairing: Pairing
     overall: tuple[Line, ...]
     """One family for Holm."""
@@ -107,6 +110,7 @@ def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False) -> Compa
         metric_versions=first.metric_versions,
         a=_info(a),
         b=_info(b),
+        over=over_of(first),
         pairing=Pairing(
             n=len(pairs),
             seeds=tuple(sorted({seed for _, seed in keys})),

@@ -13,12 +13,15 @@ from carecontact.errors import ConfigError
 from carecontact.reports.compare.baselines import Baselines
 from carecontact.reports.compare.blind_floor import role_in
 from carecontact.reports.compare.comparable import check_comparable, trials_by_key
+from carecontact.reports.compare.outcomes import RATES
 from carecontact.reports.compare.paired_lines import Line, rate_lines
 from carecontact.reports.compare.plain import plain
 from carecontact.reports.compare.rankings import Ranking, rank
 from carecontact.reports.compare.verdicts import ALPHA, POWER, conclude
+from carecontact.reports.over_seeds import Over, over_of, rate_of
 from carecontact.reports.table import SummaryRow, summary_rows
 from carecontact.runs.run_scores import RunScores
+from carecontact.stats import Proportion
 
 OVERVIEW_SCHEMA = "carecontact-overview-2"
 
@@ -46,7 +49,11 @@ class Overview:
     """Different seeds of these trials."""
     left_out: dict[str, int]
     """Letter -> trials that some other run lacks."""
+    over: Over
+    """What intervals and tests take as independent: the trials, or the seeds."""
     rows: dict[str, SummaryRow]
+    rates: dict[str, dict[str, Proportion]]
+    """Letter -> rate -> its share of the trials."""
     pairs: tuple[PairOfRuns, ...]
     ranking: Ranking
 
@@ -77,7 +84,9 @@ def overview(runs: Sequence[RunScores]) -> Overview:
         n=len(common),
         seeds=len({seed for _, seed in common}),
         left_out={name: len(trials) - len(common) for name, trials in keyed.items()},
+        over=over_of(first),
         rows={name: summary_rows(of_run)[-1] for name, of_run in scores.items()},
+        rates={name: {r.id: rate_of(of_run, r.field) for r in RATES} for name, of_run in scores.items()},
         pairs=tuple(PairOfRuns(a=a, b=b, lines=tuple(next(concluded) for _ in lines)) for a, b, lines in found),
         ranking=rank(scores),
     )

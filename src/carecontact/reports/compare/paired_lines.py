@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from carecontact.reports.compare.outcomes import RATES, Outcome, score_outcomes
+from carecontact.reports.over_seeds import Over, bodies, difference_of, over_of, rate_of
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import (
     BootstrapDifference,
@@ -18,15 +19,13 @@ from carecontact.stats import (
     Proportion,
     RateDifference,
     SignedRank,
+    SignFlip,
     WorstRank,
     clustered_bootstrap,
     fisher_exact,
     mann_whitney,
-    mcnemar_exact,
     median,
-    paired_difference,
     signed_rank,
-    wilson_interval,
     worst_rank_paired,
 )
 
@@ -47,6 +46,8 @@ class _Concluded:
 
     outcome: Outcome
     n_pairs: int
+    over: Over
+    """What intervals of rates, and paired tests, take as independent: the trials, or the seeds."""
     p_holm: float | None = None
     detectable: DetectableDifference | None = None
     verdict: Verdict | None = None
@@ -61,8 +62,9 @@ class RateLine(_Concluded):
     b: Proportion
     difference: RateDifference
     clustered: BootstrapDifference
-    """The same difference with an interval that keeps a seed's tasks together."""
-    test: McNemar
+    """The same difference with an interval that keeps a seed's tasks together, and its standard error."""
+    test: McNemar | SignFlip
+    """Over trials McNemar's; over seeds, the signs of whole seeds are flipped."""
     unpaired_a: Proportion
     """Over every trial of the tasks that both runs have, paired or not."""
     unpaired_b: Proportion
@@ -75,7 +77,7 @@ class RateLine(_Concluded):
     @property
     def favours(self) -> int:
         """1 where A is higher in more pairs, -1 where B is, else 0."""
-        return _sign(self.test.only_first - self.test.only_second)
+        return _sign(self.a.k - self.b.k)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,24 +138,27 @@ def rate_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Se
 def _rate_line(
     outcome: Outcome, pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Sequence[TrialScore]
 ) -> RateLine:
-    a, b = [bool(outcome.of(x)) for x, _ in pairs], [bool(outcome.of(y)) for _, y in pairs]
-    only_a = sum(x and not y for x, y in zip(a, b, strict=True))
-    only_b = sum(y and not x for x, y in zip(a, b, strict=True))
-    both = sum(a) - only_a
-    k_a, k_b = (sum(bool(outcome.of(s)) for s in every) for every in (every_a, every_b))
+    of_a, of_b = [x for x, _ in pairs], [y for _, y in pairs]
+    difference, test = difference_of(of_a, of_b, outcome.field)
+    unpaired_a, unpaired_b = (rate_of(every, outcome.field) for every in (every_a, every_b))
     return RateLine(
         outcome=outcome,
         n_pairs=len(pairs),
-        a=wilson_interval(sum(a), len(a)),
-        b=wilson_interval(sum(b), len(b)),
-        difference=paired_difference(
-            both=both, only_first=only_a, only_second=only_b, neither=len(a) - both - only_a - only_b
+        over=over_of(of_a[0]),
+        a=rate_of(of_a, outcome.field),
+        b=rate_of(of_b, outcome.field),
+        difference=difference,
+        clustered=clustered_bootstrap(
+            [bool(outcome.of(x)) for x in of_a],
+            [bool(outcome.of(y)) for y in of_b],
+            clusters=[x.seed for x in of_a],
+            strata=_strata(pairs),
+            statistic="difference_of_means",
         ),
-        clustered=clustered_bootstrap(a, b, clusters=[x.seed for x, _ in pairs], statistic="difference_of_means"),
-        test=mcnemar_exact(only_a, only_b),
-        unpaired_a=wilson_interval(k_a, len(every_a)),
-        unpaired_b=wilson_interval(k_b, len(every_b)),
-        unpaired=fisher_exact(k_a, len(every_a), k_b, len(every_b)),
+        test=test,
+        unpaired_a=unpaired_a,
+        unpaired_b=unpaired_b,
+        unpaired=fisher_exact(unpaired_a.k, unpaired_a.n, unpaired_b.k, unpaired_b.n),
     )
 
 
@@ -166,22 +171,30 @@ def _score_line(
     a, b = values(x for x, _ in pairs), values(y for _, y in pairs)
     all_a, all_b = values(every_a), values(every_b)
     valid_a, valid_b = ([v for v in found if v is not None] for found in (all_a, all_b))
-    worst = worst_rank_paired(a, b, better=outcome.better)
+    seeds, over = [x.seed for x, _ in pairs], over_of(pairs[0][0])
+    together = seeds if over == "seeds" else None
+    worst = worst_rank_paired(a, b, better=outcome.better, clusters=together)
     return ScoreLine(
         outcome=outcome,
         n_pairs=len(pairs),
+        over=over,
         a=median(a),
         b=median(b),
         n_only_a=worst.n_only_first,
         n_only_b=worst.n_only_second,
         n_neither=sum(x is None and y is None for x, y in zip(a, b, strict=True)),
-        difference=clustered_bootstrap(a, b, clusters=[x.seed for x, _ in pairs]),
-        test=signed_rank(a, b),
+        difference=clustered_bootstrap(a, b, clusters=seeds, strata=_strata(pairs)),
+        test=signed_rank(a, b, clusters=together),
         worst_rank=worst,
         unpaired_a=median(all_a),
         unpaired_b=median(all_b),
         unpaired=mann_whitney(valid_a, valid_b) if valid_a and valid_b else None,
     )
+
+
+def _strata(pairs: Sequence[Pair]) -> dict[int, Hashable] | None:
+    """Seed -> stratum, where the statistics are over seeds."""
+    return bodies(score for pair in pairs for score in pair) if over_of(pairs[0][0]) == "seeds" else None
 
 
 def _sign(value: float) -> int:

@@ -10,6 +10,7 @@ from carecontact.reports.compare.paired_lines import Line, RateLine, ScoreLine, 
 from carecontact.stats import (
     BootstrapDifference,
     DetectableDifference,
+    McNemar,
     detectable_from_standard_error,
     holm,
     paired_detectable_difference,
@@ -41,18 +42,26 @@ def conclude(lines: Sequence[Line]) -> list[Line]:
 
 def _detectable(line: Line, alpha: float) -> DetectableDifference | None:
     """None where too few seeds make a guess of it, or the median stands still."""
-    if isinstance(line, RateLine):
+    if isinstance(line.test, McNemar):
         discordance = (line.test.only_first + line.test.only_second) / line.n_pairs
         return paired_detectable_difference(n=line.n_pairs, discordance=discordance, power=POWER, alpha=alpha)
-    # Even if all pairs differed the same way, the signed-rank test would give 2 / 2^n.
-    if 2.0 ** (1 - line.test.n) > alpha:
+    # Even if all pairs, or seeds, differed the same way, the test of n of them would give 2 / 2^n.
+    n = _interval(line).n_clusters if line.over == "seeds" else line.test.n
+    if 2.0 ** (1 - n) > alpha:
         return DetectableDifference(difference=None, power=POWER, alpha=alpha)
-    if not line.test.n_unequal:
+    if isinstance(line, ScoreLine) and not line.test.n_unequal:
         return DetectableDifference(difference=0.0, power=POWER, alpha=alpha)
-    # A median that no resample moves has no standard error either.
-    if not line.difference.standard_error or few_seeds(line):
+    if few_seeds(line):
         return None
-    return detectable_from_standard_error(line.difference.standard_error, power=POWER, alpha=alpha)
+    standard_error = _interval(line).standard_error
+    if standard_error:
+        return detectable_from_standard_error(standard_error, power=POWER, alpha=alpha)
+    if isinstance(line, RateLine):
+        # All seeds have the same difference: each says as much as a single pair, as its interval has it.
+        discordance = abs(line.difference.estimate or 0.0)
+        return paired_detectable_difference(n=n, discordance=discordance, power=POWER, alpha=alpha)
+    # A median that no resample moves has no standard error either.
+    return None
 
 
 def _verdict(line: Line, p_holm: float | None, detectable: DetectableDifference | None) -> Verdict:
@@ -103,7 +112,11 @@ def _notes(line: Line) -> list[str]:
         notes.append(f"based on only {_seeds(line)}")
     interval = _interval(line)
     if decided and interval.low is not None and interval.high is not None and interval.low <= 0 <= interval.high:
-        notes.append("an interval that keeps a seed's tasks together does not exclude 0")
+        notes.append(
+            "its interval does not exclude 0"
+            if line.over == "seeds"
+            else "an interval that keeps a seed's tasks together does not exclude 0"
+        )
     if isinstance(line, ScoreLine) and line.worst_rank_p_holm is not None and line.worst_rank_p_holm <= ALPHA:
         side = {"first": 1, "second": -1, "neither": 0}[line.worst_rank.better]
         if side and not (decided and side == _better(line)):

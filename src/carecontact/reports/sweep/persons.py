@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from carecontact.policies.registry import Role
+from carecontact.reports.over_seeds import bodies
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import PersonDifference, PersonRate, WorstShare, person_difference, person_rate, worst_share
@@ -32,7 +33,12 @@ class Trials:
     @property
     def rate(self) -> PersonRate:
         keys = list(self.scores)
-        return person_rate(list(map(self.passed, keys)), persons=[key[2] for key in keys], strata=bodies(self))
+        return person_rate(list(map(self.passed, keys)), persons=[key[2] for key in keys], strata=self.strata)
+
+    @property
+    def strata(self) -> dict[int, Hashable]:
+        """Person -> stratum."""
+        return bodies(self.scores.values())
 
     @property
     def worst(self) -> WorstShare:
@@ -41,7 +47,7 @@ class Trials:
             list(map(self.passed, keys)),
             persons=[key[2] for key in keys],
             tasks=[key[:2] for key in keys],
-            strata=bodies(self),
+            strata=self.strata,
         )
 
     def minus(self, other: Trials) -> PersonDifference:
@@ -51,7 +57,7 @@ class Trials:
             list(map(self.passed, keys)),
             list(map(other.passed, keys)),
             persons=[key[2] for key in keys],
-            strata=bodies(self, other),
+            strata=bodies([*self.scores.values(), *other.scores.values()]),
         )
 
     def by_task(self) -> dict[str, tuple[int, int]]:
@@ -76,15 +82,6 @@ def trials_of(cells: Iterable[CellScores], outcome: str, *, without: Sequence[st
         for score in judged(cell.scores):
             found[place, score.task_id, score.seed] = score
     return Trials(scores=found, outcome=outcome)
-
-
-def bodies(*trials: Trials) -> dict[int, Hashable]:
-    """Person -> the bodies that it was given; persons with the same ones are a stratum."""
-    found: dict[int, set[str]] = {}
-    for one in trials:
-        for (_, _, seed), score in one.scores.items():
-            found.setdefault(seed, set()).add(score.world.get("body", ""))
-    return {seed: tuple(sorted(names)) for seed, names in found.items()}
 
 
 def best(trials: Mapping[str, Trials]) -> str | None:

@@ -1,4 +1,4 @@
-"""Success, then on the right region, then below the safety gate: counts, Wilson intervals and their drawing."""
+"""Success, then on the right region, then below the safety gate: counts, intervals and their drawing."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from typing import Any
 
 from carecontact.reports.compare.baselines import Baselines
 from carecontact.reports.intervals import enough_seeds
+from carecontact.reports.over_seeds import over_of, rate_of
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.short_names import short_names
 from carecontact.reports.svg import Anchor, Axes, Drawing
 from carecontact.reports.text import percent
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
-from carecontact.stats import Proportion, wilson_interval
+from carecontact.stats import Proportion
 
 WIDTH, ROW, BAR, THIN, BESIDE, BOTTOM = 460, 66, 15, 5, 21, 24
 """Sizes of the drawing: its width, a step, its bar, the bar of a policy beside it, that policy's row, the labels."""
@@ -23,7 +24,7 @@ RATE_OF = {"Success": "success", "Region-correct": "region_correct", "Safety-gat
 TEMPLATE = """\
 <section id="funnel">
 <h2>From success to safe success</h2>
-<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}. {% endif %}Each bar is a part of the one above it{% if beside %}; the thin bars under it are other policies in the same trials, as far as they have them{% endif %}. {% if enough %}Whiskers are Wilson 95 % intervals over{% else %}There are no intervals, because the run has fewer than six seeds. Counts are over{% endif %} {{ n }} trial{{ "" if n == 1 else "s" }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.</p>
+<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}. {% endif %}Each bar is a part of the one above it{% if beside %}; the thin bars under it are other policies in the same trials, as far as they have them{% endif %}. {% if enough %}Whiskers are {% if over_seeds %}95 % intervals over the seeds (a seed is one person, whose trials are not independent) of{% else %}Wilson 95 % intervals over{% endif %}{% else %}There are no intervals, because the run has fewer than six seeds. Counts are over{% endif %} {{ n }} trial{{ "" if n == 1 else "s" }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.</p>
 {{ svg|safe }}
 </section>
 """
@@ -39,7 +40,7 @@ class Step:
     n: int
     low: float
     high: float
-    """Wilson 95 % interval, as fractions."""
+    """95 % interval, as fractions (``rate_of``)."""
     beside: tuple[tuple[str, Proportion], ...] = ()
     """Other policies and their rates."""
 
@@ -54,6 +55,7 @@ def funnel_section(page: Page) -> dict[str, Any] | None:
     return {
         "svg": funnel_svg(steps, intervals=enough),
         "enough": enough,
+        "over_seeds": over_of(page.judged[0]) == "seeds",
         "beside": page.baselines is not None,
         "n": len(page.judged),
         "n_tasks": n_tasks,
@@ -67,23 +69,25 @@ def funnel(scores: Sequence[TrialScore], baselines: Baselines | None = None) -> 
     scores = judged(scores)
     if not scores:
         return []
-    ran = sum(not s.is_crash for s in scores)
-    steps = [("No crash", "the policy ran to the trial's end", "ran", ran)] * (ran < len(scores))
+    crashed = rate_of(scores, "is_crash")
+    ran = Proportion(
+        k=crashed.n - crashed.k,
+        n=crashed.n,
+        confidence=crashed.confidence,
+        estimate=1 - crashed.k / crashed.n,
+        low=1 - crashed.high,
+        high=1 - crashed.low,
+    )
+    steps = [("No crash", "the policy ran to the trial's end", "ran", ran)] * (crashed.k > 0)
     steps += [
-        ("Success", "the trial met the gates of its task", "bar0", sum(s.c3_success for s in scores)),
-        ("Region-correct", "and on the named region", "bar1", sum(s.region_correct for s in scores)),
-        (
-            "Safety-gated",
-            "and below the safety gate on every body segment",
-            "bar2",
-            sum(s.safety_gated for s in scores),
-        ),
+        ("Success", "the trial met the gates of its task", "bar0", rate_of(scores, "c3_success")),
+        ("Region-correct", "and on the named region", "bar1", rate_of(scores, "region_correct")),
+        ("Safety-gated", "and below the safety gate on every body segment", "bar2", rate_of(scores, "safety_gated")),
     ]
     others = () if baselines is None else baselines.baselines
     names = short_names([row.policy for row in others])
     out: list[Step] = []
-    for name, meaning, style, k in steps:
-        found = wilson_interval(k, len(scores))
+    for name, meaning, style, found in steps:
         id_ = RATE_OF.get(name)
         beside = tuple((names[row.policy], row.rates[id_]) for row in others) if id_ else ()
         out.append(
@@ -91,8 +95,8 @@ def funnel(scores: Sequence[TrialScore], baselines: Baselines | None = None) -> 
                 name=name,
                 meaning=meaning,
                 style=style,
-                k=k,
-                n=len(scores),
+                k=found.k,
+                n=found.n,
                 low=found.low,
                 high=found.high,
                 beside=beside,

@@ -10,6 +10,7 @@ from carecontact.reports.compare.baselines import Baselines, Passed
 from carecontact.reports.compare.blind_floor import ALL, role_in
 from carecontact.reports.frames import Frame, jpeg_data_uri
 from carecontact.reports.intervals import enough
+from carecontact.reports.over_seeds import Over
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.title import protocol_of
 from carecontact.reports.short_names import short_names
@@ -82,19 +83,21 @@ def _nothing_beside(page: Page) -> str:
 
 
 def beside_blind(baselines: Baselines | None) -> str:
-    """Whether the policy is better than actions repeated blindly, or, where no such run stands beside it, than the blind
-    baseline that passes most; empty without any."""
+    """Whether the policy is better than actions repeated blindly, or, where no such run stands beside it, than the best
+    baseline of the floor; empty without any."""
     if baselines is None:
         return ""
     best = baselines.floor[ALL].policy if ALL in baselines.floor else ""
+    best_is_blind = ALL in baselines.floor and baselines.floor[ALL].blind
     rows = {row.policy: row for row in baselines.baselines}
     blind = rows.get(REPLAY, rows.get(best))
     if blind is None or blind.above is None:
         return ""
     method, difference = baselines.method.policy, blind.above["safety_gated"]
+    kind = "the best blind baseline" if best_is_blind else "the best baseline"
     name = "blind replay" if blind.policy == REPLAY else short_names([blind.policy])[blind.policy]
-    who = "blind replay, which looks at nothing," if blind.policy == REPLAY else f"the best blind baseline, {name},"
-    said = f"{_rates(baselines.method, blind, who)} {_which(method, name, blind, difference)}"
+    who = "blind replay, which looks at nothing," if blind.policy == REPLAY else f"{kind}, {name},"
+    said = f"{_rates(baselines.method, blind, who)} {_which(method, name, blind, difference, baselines.over)}"
     if blind.whole is None:
         return said
     return f"{said} On all {blind.whole.n} trials of these tasks that {name} has, it passed {blind.whole.k}."
@@ -112,12 +115,14 @@ def _rates(method: Passed, blind: Passed, who: str) -> str:
     return f"On {trials} that both have, {method.policy} passed {blind.method_passed} and {who} {passed}."
 
 
-def _which(method: str, name: str, blind: Passed, difference: RateDifference) -> str:
+def _which(method: str, name: str, blind: Passed, difference: RateDifference, over: Over) -> str:
     """Whether the difference shows that one of them is better."""
     if not enough(blind.above_seeds or 0) or difference.estimate is None:
         return "With fewer than six seeds, this does not show which is better."
     low, high = (f"{100 * bound:.0f}".replace("-", "−") for bound in (difference.low, difference.high))
-    points = f"{100 * difference.estimate:.0f} points, 95 % interval {low} to {high}".replace("-", "−")
+    points = f"{100 * difference.estimate:.0f} points, 95 % interval {low} to {high}".replace(
+        "-", "−"
+    ) + " over seeds" * (over == "seeds")
     if difference.low > 0:
         return f"The difference, {points}, shows that {method} is better."
     if difference.high < 0:
