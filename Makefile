@@ -39,7 +39,7 @@ wheels: env ## build the sdist and the wheels of every platform into dist, and c
 		--with mujoco-core==4.0.0 python tools/wheels.py .venv-uv/bin/uv
 
 docs: env ## build the website of the documentation into build/site
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 clean: ## remove what the other targets made, runs/demo included
 	rm -rf .venv .venv-uv .venv-torch build dist runs/demo .pytest_cache .ruff_cache .import_linter_cache .hypothesis

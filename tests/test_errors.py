@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import inspect
 import re
+from pathlib import Path
 
 import pytest
 
@@ -59,3 +60,16 @@ def test_policy_error_of_an_unknown_kind_is_a_bug_of_ours() -> None:
 def test_what_was_meant_is_near_or_the_only_name_that_contains_it(name: str, meant: str) -> None:
     valid = ("hover", "pose_tcp_in_base", "control_hz", "woman-adult-heavy", "woman-adult-light")
     assert errors.did_you_mean(name, valid) == meant
+
+
+def test_a_count_has_the_right_plural() -> None:
+    assert [errors.counted(n, "trial") for n in (0, 1, 2)] == ["0 trials", "1 trial", "2 trials"]
+    assert [errors.counted(n, "body is", "bodies are") for n in (1, 2)] == ["1 body is", "2 bodies are"]
+
+
+def test_no_message_has_a_plural_in_brackets() -> None:
+    """``3 trial(s)``; a call such as ``in_region(s)`` has no blank before its name."""
+    found = {
+        path: re.search(r"\} [a-z ]+\(s\)", path.read_text()) for path in Path(errors.__file__).parent.rglob("*.py")
+    }
+    assert {path: match for path, match in found.items() if match} == {}

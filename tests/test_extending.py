@@ -89,7 +89,7 @@ def test_its_fields_can_be_replaced_and_a_wrong_one_is_named(protocol: Protocol,
     assert without_overrides(other, protocol) == protocol
     wrong = tmp_path / "wrong.toml"
     wrong.write_text(FILE.read_text().replace("duration_s = 2.0", "seconds = 2.0"))
-    with pytest.raises(ConfigError, match=r"wrong\.toml: 2 field\(s\) wrong(?s:.*)gates\.hold\.duration_s: missing"):
+    with pytest.raises(ConfigError, match=r"wrong\.toml: 2 fields wrong(?s:.*)gates\.hold\.duration_s: missing"):
         load_protocol(str(wrong))
     wrong.write_text(FILE.read_text().replace("gates.hold", "gates.keep"))
     with pytest.raises(ConfigError, match=r"gates\.keep: no action named 'keep'; valid: .*hold"):

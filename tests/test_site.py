@@ -75,14 +75,22 @@ def test_a_linked_file_of_the_repository_is_there(site: Path) -> None:
     assert (site / copy[1]).read_text() == (ROOT / "examples/standalone_policy.py").read_text()
 
 
-def test_the_search_works_on_pages_that_are_opened_from_a_folder(site: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("words", "page_found"),
+    [("indentation", "scoring.html"), ("--shard", "cluster.html"), ("safety gate", "glossary.html")],
+)
+def test_the_search_works_on_pages_that_are_opened_from_a_folder(
+    site: Path, tmp_path: Path, words: str, page_found: str
+) -> None:
     program = found()
     if program is None:
         pytest.skip("no Chromium on this machine")
-    search = """
+    search = (
+        f"const words = {words!r};"
+        + """
     new Promise(resolve => {
       const field = document.querySelector("input[data-md-component=search-query]");
-      field.value = "indentation"; field.focus(); field.dispatchEvent(new Event("keyup", { bubbles: true }));
+      field.value = words; field.focus(); field.dispatchEvent(new Event("keyup", { bubbles: true }));
       let left = 100;
       const look = () => {
         const hits = [...document.querySelectorAll(".md-search-result__link")].map(link => link.getAttribute("href"));
@@ -91,10 +99,11 @@ def test_the_search_works_on_pages_that_are_opened_from_a_folder(site: Path, tmp
       look();
     })
     """
+    )
     with Browser(program, tmp_path / "profile") as browser:
         page = browser.open(site / "reference" / "commands.html")
         answer = page.call("Runtime.evaluate", expression=search, returnByValue=True, awaitPromise=True)
-        assert any("scoring.html" in hit for hit in answer["result"]["value"])
+        assert any(page_found in hit for hit in answer["result"]["value"])
         assert not [address for address in page.requests if not address.startswith(("file:", "data:"))]
 
 

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from carecontact.errors import counted
 from carecontact.recording import Recording, read_recording
 from carecontact.recording.canonical import WALL_CLOCK, header_json, little_endian
 
@@ -144,13 +145,17 @@ def main(arguments: list[str] | None = None) -> int:
         table = hashes(given.run)
         content = {"machine": machine(), "trials": table}
         given.other.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
-        print(f"{given.other}: {len(table)} recording(s), {sum(map(len, table.values()))} hashes")
+        print(f"{given.other}: {counted(len(table), 'recording')}, {sum(map(len, table.values()))} hashes")
         return 0
     lines = compare(given.run, given.other)
     for line in lines:
         print(line)
     kinds = Counter(line.split(": ", 1)[1].split(":")[0].split("/")[0].split(" ")[0] for line in lines)
-    print("equal" if not lines else f"{len(lines)} difference(s): " + ", ".join(f"{n} {k}" for k, n in kinds.items()))
+    print(
+        "equal"
+        if not lines
+        else f"{counted(len(lines), 'difference')}: " + ", ".join(f"{n} {k}" for k, n in kinds.items())
+    )
     return 1 if lines else 0
 
 

@@ -23,7 +23,7 @@ from tools.study.plan import run_name
 from tools.study.sorted_runs import sorted_out
 from tools.study.study import study, study_json
 
-from carecontact.errors import CarecontactError
+from carecontact.errors import CarecontactError, counted
 from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.reports.paper.published import read_paper
 from carecontact.runs.results_file import pack_results
@@ -61,7 +61,10 @@ def main(arguments: list[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
-    print(f"{page}, {data}: {len(found.heads)} run(s), {len(found.missing)} missing, {len(found.unused)} not used")
+    print(
+        f"{page}, {data}: {counted(len(found.heads), 'run')}, {len(found.missing)} missing, "
+        f"{len(found.unused)} not used"
+    )
     return 0
 
 

@@ -39,6 +39,11 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
     return f" (did you mean {by_case[close[0]]!r}?)" if close else ""
 
 
+def counted(n: int, one: str, more: str = "") -> str:
+    """``1 trial``, ``2 trials``; ``more`` is the plural where it is not ``one`` with an s: ``2 trials are``."""
+    return f"{n} {one if n == 1 else more or f'{one}s'}"
+
+
 class CarecontactError(Exception):
     """Base of all; its message is meant to be read by a user without a traceback."""
 

@@ -74,7 +74,7 @@ def test_the_area_under_the_curve() -> None:
         (telling, None, True, "without a pace: wall time tells contact (AUC 1.00"),
         (silent, None, True, "without a pace: wall time does not tell contact (AUC 0."),
         (silent, 0.2, True, "with a pace: wall time does not tell contact"),
-        (telling, 0.2, False, "3 observation(s) came late: give a longer --pace"),
+        (telling, 0.2, False, "3 observations came late: give a longer --pace"),
     ],
 )
 def test_only_a_run_that_claims_a_pace_can_fail(

@@ -174,7 +174,7 @@ def test_a_run_whose_reader_goes_away_ends_quietly(tmp_path: Path) -> None:
     ) as running:
         assert running.stdout is not None
         assert running.stderr is not None
-        assert running.stdout.readline().startswith(b"zero-action: 10 trial(s)")
+        assert running.stdout.readline().startswith(b"zero-action: 10 trials")
         running.stdout.close()
         assert (running.wait(60), running.stderr.read()) == (BROKEN_PIPE, b"")
     assert not [path.name for path in (tmp_path / "r").iterdir() if path.name.startswith(".")]

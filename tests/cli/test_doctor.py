@@ -141,7 +141,7 @@ def test_a_socket_through_which_a_policy_may_get_out_is_warned_of(monkeypatch: p
     monkeypatch.setattr("carecontact.hosting.isolation.sockets.open_sockets", lambda: found)
     told = machine.check_isolation()
     assert told.warning
-    assert "listen at /run/user/1000/bus and 1 other socket(s)" in told.detail
+    assert "listen at /run/user/1000/bus and 1 other socket" in told.detail
 
 
 @pytest.mark.parametrize(

@@ -36,13 +36,13 @@ def parts(first: None) -> list[str]:
 def test_four_parts_are_one_run_bit_for_bit(parts: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*WHOLE, "--out", "whole"]) == 0
     assert main(["merge", "merged", *parts]) == 0
-    assert "4 part(s): 4 recording(s) copied into merged\n" in capsys.readouterr().out
+    assert "4 parts: 4 recordings copied into merged\n" in capsys.readouterr().out
     whole, merged = ({path.name: path for path in Path(name).iterdir()} for name in ("whole", "merged"))
     assert set(whole) == set(merged) >= {"T1-s000.h5", "T2-s001.h5", "results.json", "manifest.json", "report.html"}
     different = [name for name in whole if whole[name].read_bytes() != merged[name].read_bytes()]
     assert different == []
     assert main([*WHOLE, "--out", "merged"]) == 0, "and the run goes on there"
-    assert "4 trial(s) are finished already" in capsys.readouterr().out
+    assert "4 trials are finished already" in capsys.readouterr().out
 
 
 def test_an_unfinished_part_is_named_and_a_later_merge_completes(
@@ -53,7 +53,7 @@ def test_an_unfinished_part_is_named_and_a_later_merge_completes(
     assert "3 of 4 planned trials scored; not scored: T2-s001" in capsys.readouterr().out
     assert main(part(4)) == 0
     assert main(["merge", "merged", "part-4"]) == 0
-    assert "1 part(s): 1 recording(s) copied into merged, 3 were there already" in capsys.readouterr().out
+    assert "1 part: 1 recording copied into merged, 3 were there already" in capsys.readouterr().out
     assert json.loads(Path("merged/results.json").read_text())["missing"] == []
 
 

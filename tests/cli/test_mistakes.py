@@ -239,6 +239,6 @@ def test_a_missing_vision_model_stops_the_run_before_a_trial_counts(
     monkeypatch.chdir(tmp_path)
     assert main([*RUN, "state-machine", "--jobs", "1"]) == 2
     said = capsys.readouterr().err
-    assert "the run stops with 0 of 1 trial(s) done: the modalities landmarks and masks need MediaPipe" in said
+    assert "the run stops with 0 of 1 trial done: the modalities landmarks and masks need MediaPipe" in said
     assert told in said
     assert not list(tmp_path.glob("r/*.h5"))

@@ -42,7 +42,7 @@ def test_they_stand_in_the_recording_the_manifest_and_the_request(
 ) -> None:
     given = ["--policy-arg", "checkpoint=c.pt", "--policy-arg=steps=4", "--policy-env", "TOKEN"]
     assert main([*RUN, *given]) == 0
-    assert capsys.readouterr().out.startswith("mine:Mine checkpoint=c.pt steps=4: 1 trial(s)")
+    assert capsys.readouterr().out.startswith("mine:Mine checkpoint=c.pt steps=4: 1 trial")
     spec = read_recording("r/T1-s000.h5").header.spec
     assert (spec.policy_arguments, spec.policy_environment) == ({"checkpoint": "c.pt", "steps": "4"}, ("TOKEN",))
     identity = json.loads(Path("r/manifest.json").read_text())["identity"]

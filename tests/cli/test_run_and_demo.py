@@ -39,15 +39,16 @@ def test_run_scores_reports_and_goes_on(fake: pytest.MonkeyPatch, capsys: pytest
     assert main(command) == 1
     told = capsys.readouterr().out
     assert "T2-s000 failed in the harness" in told
-    assert "1 trial(s) failed in the harness; logs are in r\n1 trial(s): " in told
+    assert "1 trial failed in the harness; logs are in r\n1 trial: " in told
     assert "; see r/T2-s000.log\n" in told
     assert "--retry-failed" in told
-    assert "harness failed, not counted: 1 trial(s): T2-s000 (first: " in told
+    assert "harness failed, not counted: 1 trial: T2-s000 (first: " in told
     assert [line.split()[:4] for line in told.splitlines() if line.startswith("T2 ")] == [
         ["T2", "push", "forearm", "0"]
     ]
     assert {t["trial_id"] for t in json.loads(Path("r/results.json").read_text())["trials"]} == {"T1-s000", "T2-s000"}
     assert Path("r/report.html").stat().st_size > 1000
+    assert "a page for each trial: carecontact report r --trials\n" in told
 
     fake.setenv("FAKE_PLAN", "{}")
     assert main(command) == 1
@@ -72,7 +73,7 @@ def test_a_policys_failure_is_a_result(fake: pytest.MonkeyPatch, capsys: pytest.
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
     assert main(command) == 3
     told = capsys.readouterr().out
-    assert "the policy crashed in 1 of 1 trial(s); logs and report.html are in r\n" in told
+    assert "the policy crashed in 1 of 1 trial; logs and report.html are in r\n" in told
     assert "  | NoGrip: nothing there" in told
     assert "  | ValueError: only printed" in told
     assert "T1: 1 crashed" in told.splitlines()
@@ -121,7 +122,7 @@ def test_score_says_what_differs_and_names_what_it_skips(
     capsys.readouterr()
     assert main(["score", "r"]) == 0
     told = capsys.readouterr().out
-    assert "1 value(s) differ" in told
+    assert "1 value differs" in told
     assert "trials.T1-s000.stroke_m: 9.5 -> 0.0" in told
     assert Path("r/results.json").read_bytes() == original
 
@@ -170,7 +171,7 @@ def test_an_edited_protocol_is_not_shown_as_the_shipped_one(
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--protocol", "p.toml", "--out"]
     Path("p.toml").write_text(shipped)
     main([*command, "a"])
-    assert f"1 trial(s) of {held.id} into a\n" in capsys.readouterr().out
+    assert f"1 trial of {held.id} into a\n" in capsys.readouterr().out
     Path("p.toml").write_text(shipped.replace("time_limit_s = 30.0", "time_limit_s = 31.0"))
     assert main([*command, "b"]) == 2
     told = capsys.readouterr().err
@@ -178,7 +179,7 @@ def test_an_edited_protocol_is_not_shown_as_the_shipped_one(
     assert "Give p.toml an id of its own" in told
     assert not Path("b").exists()
     main([*command, "b", "--unfrozen"])
-    assert f"1 trial(s) of {held.id} with differences from its lock (protocol sha256" in capsys.readouterr().out
+    assert f"1 trial of {held.id} with differences from its lock (protocol sha256" in capsys.readouterr().out
     Path("p.toml").write_text(
         shipped.replace(f'"{held.id}"', '"mine"').replace('body = "man-adult"', 'body = "nobody"')
     )
@@ -257,7 +258,7 @@ def test_differences_match_trials_by_id() -> None:
     assert differences(None, after) == []
     assert differences(before, before) == ["nothing differs from the earlier results.json"]
     lines = differences(before, after)
-    assert lines[0].startswith("1 value(s) differ")
+    assert lines[0].startswith("1 value differs")
     assert lines[1].startswith("  trials.a: null -> ")
 
 
@@ -268,7 +269,7 @@ def test_another_body_shows_everywhere_and_is_never_pooled(
     title = "bathing-v2 with body woman-old-light"
     assert main([*command, "--body", "woman-old-light"]) == 0
     told = capsys.readouterr().out
-    assert f"1 trial(s) of {title} into r" in told
+    assert f"1 trial of {title} into r" in told
     assert f"protocol: {title}" in told
     results = json.loads(Path("r/results.json").read_text())
     assert results["protocol"]["overrides"] == {"person.body": "woman-old-light"}
@@ -299,7 +300,7 @@ def test_a_sweeps_run_says_what_it_varies(
 ) -> None:
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
     assert main([*command, option, value]) == 0
-    assert f"1 trial(s) of bathing-v2 with {title} into r" in capsys.readouterr().out
+    assert f"1 trial of bathing-v2 with {title} into r" in capsys.readouterr().out
     assert list(json.loads(Path("r/results.json").read_text())["protocol"]["overrides"].values()) == [value]
     assert f"bathing-v2 with {title}" in Path("r/report.html").read_text()
     assert main(command) == 2

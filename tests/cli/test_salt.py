@@ -60,7 +60,7 @@ def test_a_run_states_the_hash_and_never_the_salt_until_it_is_revealed(
     assert manifest("r")["salt"] == salt
     capsys.readouterr()
     assert main(["salt", "verify", "r"]) == 0
-    assert f"verified: sha256 {made}, 2 recording(s)" in capsys.readouterr().out
+    assert f"verified: sha256 {made}, 2 recordings" in capsys.readouterr().out
 
 
 def test_another_salt_is_neither_revealed_nor_verified(made: str, capsys: pytest.CaptureFixture[str]) -> None:

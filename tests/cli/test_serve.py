@@ -35,7 +35,7 @@ def test_a_run_names_the_address_without_its_credentials(
     Path("requests.jsonl").unlink()
     assert TrialRequest.model_validate_json(request).policy.ref.credentials == "user:secret"
     address = f"ws://127.0.0.1:{port}"
-    assert capsys.readouterr().out.startswith(f"{address}: 1 trial(s)")
+    assert capsys.readouterr().out.startswith(f"{address}: 1 trial")
     assert read_recording(Path("r/T1-s000.h5")).header.spec.policy == address
     manifest = json.loads(Path("r/manifest.json").read_text())
     assert (manifest["policy"], manifest["identity"]["policy_sha256"]) == (address, None)
@@ -86,15 +86,15 @@ def test_a_server_that_stays_away_ends_the_run_with_status_2_and_says_how_to_go_
         assert main([*run, "r", "--restart"]) == 2
         told = capsys.readouterr()
         assert told.err.splitlines() == [
-            "error: the run stops with 1 of 3 trial(s) done: nothing listens there; then give the same command again "
+            "error: the run stops with 1 of 3 trials done: nothing listens there; then give the same command again "
             "without --restart to continue"
         ]
-        assert "the policy crashed in 1 of 1 trial(s)" in told.out
+        assert "the policy crashed in 1 of 1 trial" in told.out
         assert "1 of 3 planned trials scored" in told.out
         assert "Unfinished, 2 of 3 planned trials have no score" in Path("r/report.html").read_text()
         fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "unreached"}))
         assert main([*run, "none"]) == 2
-        assert "the run stops with 0 of 3 trial(s) done: " in capsys.readouterr().err
+        assert "the run stops with 0 of 3 trials done: " in capsys.readouterr().err
         fake.setenv("FAKE_PLAN", "{}")
         assert main([*run, "r"]) == 3
     assert sorted(path.name for path in Path("r").glob("*.h5")) == ["T1-s000.h5", "T1-s001.h5", "T1-s002.h5"]

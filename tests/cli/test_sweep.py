@@ -67,12 +67,12 @@ def test_a_sweep_is_a_run_for_each_cell_and_one_table(
     ]  # fmt: skip
     assert len(lines) == 4
     assert main(["sweep", "p.toml", "--out", "s", "--dry-run"]) == 0
-    assert capsys.readouterr().out.count("2 trial(s)\n") == 4
+    assert capsys.readouterr().out.count("2 trials\n") == 4
     assert not Path("s").exists()
     assert main(["sweep", "p.toml", "--out", "s", "--jobs", "2"]) == 0
     told = capsys.readouterr().out
-    assert "p.toml: 4 cell(s), 8 trial(s), into s\n" in told
-    assert "8 trial(s) in " in told
+    assert "p.toml: 4 cells, 8 trials, into s\n" in told
+    assert "8 trials in " in told
     assert "at most 2 at once: " in told
     assert [(row["policy"], row["body"], row["trials"], row["safety_gated"]) for row in rows()] == [
         (policy, body, "2", "0") for body in ("man-adult", "woman-old-light") for policy in ("hover", "zero-action")
@@ -88,7 +88,7 @@ def test_a_sweep_is_a_run_for_each_cell_and_one_table(
     before = ran()
     assert main(["sweep", "p.toml", "--out", "s"]) == 0
     assert ran() == before, "what is finished does not run again"
-    assert "8 trial(s) were finished already" in capsys.readouterr().out
+    assert "8 trials were finished already" in capsys.readouterr().out
     assert {name: Path("s", name).read_bytes() for name in pages} == pages
 
 
@@ -164,7 +164,7 @@ def test_parts_in_several_folders_become_one_sweep(
     first = sorted(Path("1/cells").iterdir())[0].name
     Path("1/cells", first, "T1-s001.h5").unlink()
     assert main(["merge", "s", "1"]) == 1
-    assert f"s/cells/{first}: 1 planned trial(s) have no recording: T1-s001\n" in capsys.readouterr().out
+    assert f"s/cells/{first}: 1 planned trial has no recording: T1-s001\n" in capsys.readouterr().out
     (half := Path("2/cells", first)).mkdir()
     for name in ("manifest.json", "T1-s000.h5"):
         half.joinpath(name).write_bytes(Path("1/cells", first, name).read_bytes())
@@ -172,7 +172,7 @@ def test_parts_in_several_folders_become_one_sweep(
     assert main(["sweep", "p.toml", "--out", "1", "--shard", "1/2"]) == 0
     assert main(["merge", "s", "1", "2"]) == 0
     out = capsys.readouterr().out
-    assert "2 part(s), 4 cell(s): 5 recording(s) copied into s, 3 were there already\n" in out
+    assert "2 parts, 4 cells: 5 recordings copied into s, 3 were there already\n" in out
     assert "carecontact sweep PLAN.toml --out s --table-only" in out
     before = ran()
     assert main(["sweep", "p.toml", "--out", "s", "--table-only"]) == 0
@@ -207,7 +207,7 @@ def test_a_piece_of_a_plan_is_a_beginning_of_the_whole(
     ]  # fmt: skip
     assert len(lines) == 4
     assert main(["sweep", "p.toml", "--out", "s", "--dry-run"]) == 0
-    assert capsys.readouterr().out.count(": 2 trial(s), 1 recorded\n") == 4
+    assert capsys.readouterr().out.count(": 2 trials, 1 recorded\n") == 4
     assert main(["sweep", "p.toml", "--out", "s"]) == 0
     assert ran() == 8
     assert main(["sweep", "p.toml", "--out", "s", "--seeds", "77"]) == 2

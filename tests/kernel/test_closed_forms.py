@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -187,3 +188,24 @@ def test_damping_that_grows_with_indentation() -> None:
         u, rate = (of(made.data)[middle, 0].mean() for of in (made.felt.displacement, made.felt.rate))
         wanted = (1e5 * u + (1e4 + growth * u) * rate) * np.pi * 0.02**2
         assert -row["force_n"][2] == pytest.approx(wanted, rel=0.08)
+
+
+@pytest.mark.parametrize("mass", [12.0, 1.2])
+def test_free_skin_swings_with_the_period_of_its_inertia_and_spring(mass: float) -> None:
+    """T = 2 pi sqrt(m / a) for every vertex of a sheet that was kicked as a whole, hardly damped; a kick with speed
+    v goes v sqrt(m / a) deep."""
+    law = tissue(a_n_m3=1e6, damping_ns_m3=1.0, coupling_length_m=0.005, membrane_n_m=200.0, areal_mass_kg_m2=mass)
+    rate, speed = np.sqrt(1e6 / mass), 0.05
+    steps_each = 2000
+    made = Sheet(law, sheet(half_m=0.02), bottom_m=0.02, dt_s=2 * np.pi / rate / steps_each, type=SPHERE,
+                 size=[0.02, 0, 0])  # fmt: skip
+    made.felt.set_motion(made.data, np.array([1e-12, 0.0, 0.0]), np.array([speed, 0.0, 0.0]))
+    path = []
+    for _ in range(round(1.3 * steps_each)):
+        made.data.qpos[-1], made.data.qvel[-2:] = 0.1, 0.0
+        mujoco.mj_step(made.model, made.data)
+        path.append(np.median(made.felt.displacement(made.data)[:, 0]))
+    w = np.array(path)
+    returns = np.flatnonzero((w[:-1] < 0) & (w[1:] >= 0))
+    assert returns[0] == pytest.approx(steps_each, rel=0.01)
+    assert w.max() == pytest.approx(speed / rate, rel=0.01)

@@ -112,7 +112,7 @@ def _of_another_size(folder: Path) -> None:
     ("spoil", "says"),
     [
         (_truncated, r"weights/sam: SamModel cannot be loaded: SafetensorError"),
-        (_incomplete, r"weights/sam: 1 weight\(s\) of SamModel are missing, the first vision_encoder.pos_embed"),
+        (_incomplete, r"weights/sam: SamModel lacks 1 weight, the first vision_encoder.pos_embed"),
         (_of_another_size, r"weights/sam: SamModel cannot be loaded: "),
         (
             lambda w: (w / "grounding-dino" / "preprocessor_config.json").unlink(),

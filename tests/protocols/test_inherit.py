@@ -101,7 +101,7 @@ def test_a_base_may_have_a_base_and_lies_relative_to_its_heir(tmp_path: Path) ->
         ("base = 3\n", r"mine\.toml: base: expected the id of a protocol or a \.toml file, got 3"),
         ('base = "mine.toml"\n', r"mine\.toml: base: .*inherits from this file itself"),
         ('base = "gone.toml"\n', r"mine\.toml: base: .*gone\.toml does not exist"),
-        ('base = "bathing-v2"\n', r"mine\.toml: 2 field\(s\) wrong\n  id: missing; .*\n  description: missing; "),
+        ('base = "bathing-v2"\n', r"mine\.toml: 2 fields wrong\n  id: missing; .*\n  description: missing; "),
         (f"{HEAD}[gates.touch]\nduration_s = -1\n", r"mine\.toml: gates\.touch\.duration_s: .*got -1"),
         (f"{HEAD}gates = 3\n", r"mine\.toml: gates: "),
     ],

@@ -3,6 +3,7 @@ from __future__ import annotations
 import pytest
 
 from carecontact.reports.limit_rows import limit_rows
+from carecontact.scoring.limits import UNCHECKED
 from tests.reports.synthetic_run import FAILED, NO_CONTACT, make_score
 
 
@@ -28,7 +29,7 @@ def test_gate_pain_and_the_other_pack() -> None:
     assert gate.worst_at == "T6-s000, abdomen"
     assert "Behrens" in pain.name
     assert (pain.above.k, pain.n_success, pain.worst) == (1, 0, pytest.approx(130 / 60))
-    assert "to be checked" in iso.note
+    assert iso.name.endswith(UNCHECKED)
     assert (iso.above.k, iso.above.n, iso.worst) == (1, 4, pytest.approx(130 / 110))
 
 

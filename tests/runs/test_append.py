@@ -187,7 +187,7 @@ def test_the_command(folder: Path, new_metric: str, capsys: pytest.CaptureFixtur
     write_recording(touch(seed=5), folder / "T1-s005.h5")
     assert main(["score", str(folder), "--append"]) == 0
     out = capsys.readouterr().out
-    assert "added to 4 trial(s): C1@2" in out
+    assert "added to 4 trials: C1@2" in out
     assert "T1-s005.h5" in out
     assert main(["score", str(folder), "--append"]) == 0
     assert "nothing to add" in capsys.readouterr().out

@@ -9,7 +9,7 @@ from carecontact.recording import SEGMENTS, Recording
 from carecontact.reports.limit_rows import limit_rows
 from carecontact.scoring import METRICS, score_recording
 from carecontact.scoring.contact import find_contact
-from carecontact.scoring.limits import LIMIT_PACKS, LimitPack
+from carecontact.scoring.limits import LIMIT_PACKS, UNCHECKED, LimitPack, footnote
 from tests.scoring.synthetic import hold, make_recording, touch
 
 FAST = settings(max_examples=15, deadline=None)
@@ -36,7 +36,10 @@ def test_the_protocols_pack_is_the_registered_one() -> None:
 def test_the_iso_pack_says_that_it_is_to_be_checked() -> None:
     pack = LIMIT_PACKS["iso-ts-15066-2016"]
     assert pack.status == "to be checked"
-    assert "to be checked" in METRICS["iso_utilisation@1"].title
+    titles = [pack.title, METRICS["iso_utilisation@1"].title, METRICS["pressure_utilisation@2"].title]
+    assert [title.count(UNCHECKED) for title in titles] == [1, 1, 1]
+    assert footnote(titles).startswith(f"{UNCHECKED} from secondary sources")
+    assert footnote(["Peak force"]) == ""
     assert pack.limit("right_forearm") == pack.limit("left_forearm") == 160.0
     assert pack.limit("abdomen") == 110.0
 

@@ -37,7 +37,7 @@ def test_the_last_bit_of_one_number_is_named_and_measured(tmp_path: Path, capsys
     one, other, file = stored(tmp_path / "a"), stored(tmp_path / "b", **{FORCE: force}), tmp_path / "hashes.json"
     main(["write", str(one), str(file)])
     assert main(["compare", str(other), str(file)]) == 1
-    assert f"T1-s000: {FORCE} differs\n1 difference(s)" in capsys.readouterr().out
+    assert f"T1-s000: {FORCE} differs\n1 difference: " in capsys.readouterr().out
     assert main(["compare", str(other), str(one)]) == 1
     assert f"T1-s000: {FORCE}: 1 of {force.size} values differ, by at most 0.25\n" in capsys.readouterr().out
 

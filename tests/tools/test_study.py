@@ -232,7 +232,7 @@ def test_what_does_not_belong_is_named_and_left_out() -> None:
     [
         (
             {"a": run("state-machine"), "b": run("state-machine", seeds=range(5, 7))},
-            r"a and b are both state-machine on bathing-v2 and no parts of one run: 7 trial\(s\) are in both, T1-s0",
+            r"a and b are both state-machine on bathing-v2 and no parts of one run: 7 trials are in both, T1-s0",
         ),
         (
             {

@@ -96,7 +96,7 @@ def test_what_the_contract_accepts_but_is_probably_wrong_is_a_warning(checked, t
     answer, says = SUSPECTS[topic]
     status, out = checked((FAST if topic == "slow answer" else PREAMBLE) + ANSWER + answer + "\n")
     assert status == 0
-    assert out.endswith("look at the 1 warning(s) first\n"), out
+    assert out.endswith("look at the 1 warning first\n"), out
     assert f"warning  {topic}" in out
     assert says in out
 

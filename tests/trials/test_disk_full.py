@@ -53,7 +53,7 @@ def test_no_trial_begins_that_cannot_be_stored(bench: Bench, monkeypatch: pytest
 
 
 def test_a_recording_that_found_no_space_stops_the_run_and_is_made_by_the_next(bench: Bench) -> None:
-    with pytest.raises(StorageError, match=rf"1 of 6 trial\(s\) done: {bench.out}: No space left on device; {REMEDY}"):
+    with pytest.raises(StorageError, match=rf"1 of 6 trials done: {bench.out}: No space left on device; {REMEDY}"):
         bench.run(specs(6), {"T1-s001": "full"}, jobs=1)
     assert bench.ran() == ["T1-s000", "T1-s001"]
     assert sorted(path.name for path in bench.out.iterdir()) == ["T1-s000.h5", "manifest.json"]
@@ -76,7 +76,7 @@ def test_a_real_run_under_a_limit_of_the_file_size(tmp_path: Path) -> None:
     done = subprocess.run(command, preexec_fn=limited, capture_output=True, text=True)
     assert done.returncode == 2
     assert done.stderr == (
-        f"error: the run stops with 0 of 1 trial(s) done: {out}: No space left on device; {REMEDY} to continue\n"
+        f"error: the run stops with 0 of 1 trial done: {out}: No space left on device; {REMEDY} to continue\n"
     )
     assert [path.name for path in out.iterdir()] == ["manifest.json"]
     assert subprocess.run(command, capture_output=True).returncode == 0

@@ -105,7 +105,7 @@ def test_a_run_keeps_its_pace_and_the_hash_stays(tmp_path: Path) -> None:
     assert found["paced"].recording[PACED].tolist() == [0.8, 0.0]
     late = int(found["hasty"].recording[PACED][1])
     assert late > 0
-    assert f"warning: --pace 0.101: {late} observation(s) of 1 trial(s) were not ready in time" in told
+    assert f"warning: --pace 0.101: {late} observations of 1 trial were not ready in time" in told
     assert (
         "0.8 s for each control period; observations came late in 0 of 1"
         in (tmp_path / "paced" / "report.html").read_text()

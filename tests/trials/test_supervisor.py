@@ -389,7 +389,7 @@ def test_edited_policy_gets_no_more_trials_in_the_same_folder(bench: Bench) -> N
     bench.run(specs(1, policy="mine.own:Own"), policy=own)
     assert bench.run(specs(2, policy="mine.own:Own"), policy=own).ran == ("T1-s001",)
     source.write_text("class Own: 'better'\n")
-    told = r"policy's source changed .* none of its 2 trial\(s\), 0 of them failed, .* another folder, .* --restart"
+    told = r"policy's source changed .* none of its 2 trials, 0 of them failed, .* another folder, .* --restart"
     with pytest.raises(ConfigError, match=told):
         bench.run(specs(3, policy="mine.own:Own"), policy=own)
     (bench.out / "manifest.json").unlink()

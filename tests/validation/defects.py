@@ -81,6 +81,20 @@ def slippery(scene: Scene) -> None:
     _with_laws(scene, friction=0.9)
 
 
+def half_damped(scene: Scene) -> None:
+    _with_laws(scene, damping_ns_m3=0.5, damping_growth_ns_m4=0.5)
+
+
+def nearly_massless(scene: Scene) -> None:
+    """A tenth of the skin's inertia."""
+    _with_laws(scene, areal_mass_kg_m2=0.1)
+
+
+def driven(scene: Scene) -> None:
+    """The tissue's dampers add what they should take."""
+    _with_laws(scene, damping_ns_m3=-0.1, damping_growth_ns_m4=-0.1)
+
+
 def frictionless(scene: Scene) -> None:
     _with_laws(scene, friction=0.0)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
 from carecontact.contract.protocol import Protocol
 from carecontact.kernel.life import JOINTS
-from carecontact.validation.alive import alive, arm, seen
+from carecontact.validation import breath_seen
+from carecontact.validation.alive import BREATHES, alive, arm
 from carecontact.validation.result import Measure
-from carecontact.validation.subject import Subject
+from carecontact.validation.subject import MakeScene, Subject
 from carecontact.world.human.breathing import breath_body
 from carecontact.world.scene import Scene, build_scene
 
@@ -33,9 +36,31 @@ def missed(measures: list[Measure]) -> list[str]:
     return [measure.name for measure in measures if measure.met is False]
 
 
-def test_skin_that_does_not_breathe_is_seen_by_every_camera(subject: Subject) -> None:
-    measures = seen(alive(Subject(subject.protocol, make_scene=still_skin)))
-    assert len(missed(measures)) == len(measures) == 2
+def paralysed(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    """Nothing drives the breath: the belly's servo has no force. Posed slides would move the skin all the same."""
+    scene = build_scene(protocol, target=target, skin=skin)
+    servo = scene.model.actuator("breathes_abdomen")
+    servo.gainprm[:], servo.biasprm[:] = 0.0, 0.0
+    return scene
+
+
+@pytest.mark.parametrize("plant", [still_skin, paralysed])
+def test_a_belly_that_does_not_breathe_is_seen_by_every_camera(subject: Subject, plant: MakeScene) -> None:
+    measures = list(breath_seen.measures(alive(Subject(subject.protocol, make_scene=plant)), BREATHES))
+    found = {name.partition(" mm: ")[2]: name for name in missed(measures) if name.startswith("abdomen")}
+    assert set(found) == {
+        "visible skin of the inner area against the declared size",
+        "visible skin of the whole area against the declared size",
+        "depth image, median place against the declared size",
+    }
+
+
+def test_the_rim_of_the_belly_moves_less_than_declared_and_is_a_known_miss(subject: Subject) -> None:
+    measures = list(breath_seen.measures(alive(subject), BREATHES))
+    unmet = [m for m in measures if m.met is False and m.decides]
+    assert [m.known for m in unmet] == [True]
+    assert "whole area" in unmet[0].name
+    assert {m.name.partition(",")[0] for m in measures if m.met} == {"abdomen", "chest"}
 
 
 def test_an_arm_that_does_not_arrive_is_found(subject: Subject) -> None:

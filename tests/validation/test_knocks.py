@@ -126,3 +126,20 @@ def test_plates_of_another_stiffness_are_caught() -> None:
     blows = {blow.site: blow for blow in strike_all(Subject(PROTOCOL, make_scene=changed(4.0)), **BLOW)}
     for site in ("chest", "thigh", "shank"):
         assert blows[site].off_percent > knocks.TOLERANCE_PERCENT, blows[site]
+
+
+def test_the_scan_finds_where_a_knock_beside_the_middle_is_harder_and_decides_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """30 mm outward of the middle of the chest's plate, the shoulder's plate bears most."""
+    monkeypatch.setattr(knocks, "CHEST_ASIDE_M", ((0.0, 0.03),))
+    monkeypatch.setattr(knocks, "THIGH_ASIDE_M", ())
+    monkeypatch.setattr(knocks, "BELLY_ASIDE_M", ((-0.08, 0.06),))
+    found = list(knocks.scan(Subject(PROTOCOL)))
+    assert not any(m.decides for m in found if m.limit is not None)
+    told = {m.name.removeprefix("beside the middle: "): m for m in found}
+    chest = "chest, 0 mm headward, 30 mm to the right, 5 kg at 0.2 m/s"
+    assert told[f"{chest}: off the prediction of 35.6 N"].value > 100
+    assert told[f"{chest}: largest force on something else"].value > 50
+    belly = "belly, -80 mm headward, 60 mm to the right, 10 kg at 0.25 m/s"
+    assert told[f"{belly}: impulse over momentum before it goes through"].met is False

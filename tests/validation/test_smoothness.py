@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from carecontact.kernel.readings import Cells
 from carecontact.validation import smoothness
-from carecontact.validation.smoothness import dropouts, sliding_friction
+from carecontact.validation.result import CheckResult, Measure
+from carecontact.validation.smoothness import Scrub, dropouts, sliding_friction
 from carecontact.validation.subject import Subject
 from tests.validation.defects import ActsInContactOnly, frictionless, slippery
 
@@ -48,14 +49,16 @@ def test_a_lasting_step_is_no_dropout() -> None:
 def test_skin_more_slippery_than_declared_is_found(subject: Subject) -> None:
     result = smoothness.run(ActsInContactOnly(subject, slippery), quick=True)
     assert [m.name for m in result.missed] == [
-        "scrubbing at 5 N: deviation of the sliding friction from the declared one"
+        "forearm scrubbed with 5 N: deviation of the sliding friction from the declared one"
     ]
     assert result.missed[0].value == pytest.approx(10.0, abs=1.0)
 
 
 def test_skin_without_friction_is_found(subject: Subject) -> None:
     missed = smoothness.run(ActsInContactOnly(subject, frictionless), quick=True).missed
-    assert "scrubbing at 5 N: deviation of the sliding friction from the declared one" in {m.name for m in missed}
+    assert "forearm scrubbed with 5 N: deviation of the sliding friction from the declared one" in {
+        m.name for m in missed
+    }
 
 
 def test_friction_is_that_of_the_cells_over_which_the_tool_slides() -> None:
@@ -71,3 +74,49 @@ def test_friction_is_that_of_the_cells_over_which_the_tool_slides() -> None:
     friction, share = sliding_friction(zero, after, speed_m_s=10 * speed)
     assert np.isnan(friction)
     assert share == 0.0
+
+
+def rattling(**known: bool) -> list[Measure]:
+    """A steady scrub whose force swings by 1 N at 50 Hz."""
+    time = np.arange(1000) * 0.002
+    done = Scrub(
+        time_s=time, force_n=15 + np.sin(2 * np.pi * 50 * time), steady=np.ones(1000, bool), friction=np.full(9, 0.5),
+        sliding=np.ones(9),
+    )  # fmt: skip
+    return done.measures("belly", wanted=15.0, friction=0.5, **known)
+
+
+def test_a_rattling_scrub_fails_also_where_the_miss_is_known() -> None:
+    for known in (False, True):
+        measures = tuple(rattling(known_noise=known, known_motion=False))
+        result = CheckResult(check="smoothness", title="made up", measures=measures)
+        assert [m.name for m in result.missed] == ["belly: force noise above 20 Hz, rms"]
+        assert not result.passed
+        assert result.fails_as_known is known
+
+
+def test_a_scrub_that_never_moved_meets_no_limit_of_noise() -> None:
+    time = np.arange(100) * 0.002
+    none = np.zeros(0)
+    still = Scrub(
+        time_s=time, force_n=np.full(100, 5.0), steady=np.zeros(100, bool), friction=none, sliding=none
+    )  # fmt: skip
+    missed = {m.name for m in still.measures("belly", wanted=5.0, friction=0.5, known_noise=False, known_motion=False)
+              if m.met is False}  # fmt: skip
+    assert {name.partition(": ")[2] for name in missed} >= {
+        "force noise above 20 Hz, rms",
+        "share of the time at speed",
+    }
+
+
+def test_every_region_is_scrubbed_with_both_forces(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, float]] = []
+
+    def noted(simulation: object, newton: float, *, strokes: int, region: str) -> Scrub:
+        asked.append((region, newton))
+        one = np.ones(100)
+        return Scrub(time_s=np.arange(100) * 0.002, force_n=one, steady=one > 0, friction=one, sliding=one)
+
+    monkeypatch.setattr(smoothness, "scrub", noted)
+    smoothness.run(subject, quick=False)
+    assert asked == [(region, newton) for region in subject.regions() for newton in (5.0, 15.0)]

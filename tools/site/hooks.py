@@ -26,6 +26,15 @@ SHIM = re.compile(r'src="https://unpkg\.com/iframe-worker/[^"]*"')
 """What the theme loads from a content network so that its search works on pages that are opened from a folder."""
 WORKER = "frame_worker.js"
 """Our own script for the same, in the folder of this file and at the root of the site."""
+BOOST = {
+    "glossary.md": 4.0, "scoring.md": 3.0, "tasks.md": 2.0,
+    "reference/commands.md": 0.5, "reference/python.md": 0.5,
+    "results/bathing-v1.md": 0.1, "results/bathing-moved-v1.md": 0.1,
+}  # fmt: skip
+"""Page -> how much its hits in the search count; 1 for the others. The last two are results of retired protocols."""
+SHARE = re.compile(r"(?<=<td>)(\d+) (\([\d.]+) (%\))(?=</td>)")
+"""A number of trials with its percentage, alone in a cell."""
+PAGE_NAME = re.compile(r"\bdocs/([a-z0-9-]+)\.md\b")
 COPIES = "files"
 """Folder of the site with copies of linked files of the repository."""
 
@@ -42,14 +51,16 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     files.append(File.generated(config, WORKER, content=(Path(__file__).parent / WORKER).read_text()))
     for page in [file for file in files if file.is_documentation_page()]:
         for target in _outside(page.src_uri, page.content_string):
-            if files.get_file_from_path(f"{COPIES}/{target}") is None:
+            if files.get_file_from_path(_copied(target)) is None:
                 files.append(_copy(config, target))
     return files
 
 
 def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> str:
-    """Let links to files outside docs/ lead to their copies."""
+    """Let links to files outside docs/ lead to their copies, and say how much the page counts in the search."""
     folder = posixpath.dirname(page.file.src_uri)
+    if page.file.src_uri in BOOST:
+        page.meta["search"] = {"boost": BOOST[page.file.src_uri]}
 
     def changed(link: re.Match[str]) -> str:
         target = _leaves(folder, link[2])
@@ -60,6 +71,12 @@ def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> str:
         return f"{link[1]}{posixpath.relpath(_copied(target), folder or '.')}{link[4]}"
 
     return LINK.sub(changed, markdown)
+
+
+def on_page_content(html: str, *, page: Page, **_: Any) -> str:
+    """Keep a number and its percentage on one line; in the reference, link the pages that docstrings name."""
+    html = SHARE.sub(r"\1&nbsp;\2&nbsp;\3", html)
+    return PAGE_NAME.sub(r'<a href="../\1.html">\1</a>', html) if page.file.src_uri == "reference/python.md" else html
 
 
 def on_post_page(output: str, *, page: Page, **_: Any) -> str:

@@ -9,9 +9,11 @@ import textwrap
 from contextlib import redirect_stdout
 from importlib import import_module
 
+import carecontact
 from carecontact.cli.commands import COMMANDS, parse
 
-WIDTH = 100
+WIDTH = 80
+"""Characters in a line of a command's help: what the site shows beside its two menus without scrolling."""
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 OFFERED = {
@@ -61,7 +63,7 @@ def python_page() -> str:
         parts.append(f"## {heading}")
         for name in names:
             _check(name)
-            parts.append(f"::: {name}")
+            parts.append(f"::: {name}\n    options:\n      heading: {_imported_as(name)}")
     return "\n\n".join(parts) + "\n"
 
 
@@ -69,6 +71,12 @@ def _check(name: str) -> None:
     module, _, attribute = name.rpartition(".")
     if not hasattr(import_module(module), attribute):
         import_module(name)
+
+
+def _imported_as(name: str) -> str:
+    """Return the shortest dotted name under which a program imports something."""
+    short = name.rpartition(".")[2]
+    return f"carecontact.{short}" if hasattr(carecontact, short) else name
 
 
 def _help(name: str) -> str:

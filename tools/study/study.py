@@ -14,7 +14,7 @@ from tools.study.sweep import Sweep, sweep_of
 
 from carecontact import __version__
 from carecontact.contract.protocol import Protocol
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, counted
 from carecontact.reports.compare.baselines import Baselines, beside_baselines
 from carecontact.reports.compare.comparison import Comparison, compare_runs
 from carecontact.reports.compare.overview import Overview, overview
@@ -64,7 +64,8 @@ def study(runs: SortedRuns, *, protocol: Protocol, paper: Paper) -> Study:
     methods = {name: own[name] for name in METHODS if name in own}
     if not methods:
         raise ConfigError(
-            f"none of {len(found) + len(runs.unused)} run(s) is of {', '.join(METHODS)} on {protocol.title} as it is"
+            f"none of {counted(len(found) + len(runs.unused), 'run')} is of {', '.join(METHODS)} "
+            f"on {protocol.title} as it is"
         )
     blind = [own[name] for name in BASELINES if name in own]
     comparison, proposal = (

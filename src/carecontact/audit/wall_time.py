@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.audit.finding import Finding, Part
+from carecontact.errors import counted
 from carecontact.recording.schema import Recording
 from carecontact.trials.pace import BETWEEN, PACED
 
@@ -103,7 +104,7 @@ def audit_time(recordings: Iterable[Recording]) -> Part:
         compared += not math.isnan(found.auc)
         told.append(f"{kind}: {text}")
         if kind == "with a pace" and found.tells:
-            cause = f"; {late} observation(s) came late: give a longer --pace" if late else ""
+            cause = f"; {counted(late, 'observation')} came late: give a longer --pace" if late else ""
             findings.append(Finding(policy=policy, place="wall time between two acts", told=text + cause))
     return Part(
         name=NAME, title=TITLE, counts={"recordings": len(free) + len(paced)}, findings=tuple(findings),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 
+from carecontact.errors import counted
+
 RESULTS = "results.json"
 MOST_LINES = 20
 
@@ -17,7 +19,7 @@ def differences(before: object, after: object) -> list[str]:
         return [f"nothing differs from the earlier {RESULTS}"]
     shown = [f"  {line}" for line in changed[:MOST_LINES]]
     more = [f"  and {len(changed) - MOST_LINES} more"] if len(changed) > MOST_LINES else []
-    return [f"{len(changed)} value(s) differ from the earlier {RESULTS}:", *shown, *more]
+    return [f"{counted(len(changed), 'value differs', 'values differ')} from the earlier {RESULTS}:", *shown, *more]
 
 
 def _changed(place: str, before: object, after: object) -> list[str]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import tyro
 
 from carecontact.cli.groups import FLAT, PolicyGroup, RulesGroup, Switch, VisionGroup
+from carecontact.errors import counted
 
 if TYPE_CHECKING:
     from carecontact.trials.finding import Finding
@@ -80,7 +81,7 @@ class Check:
         if not works:
             print(f"a run would fail in every trial{meant(self.policy, Path.cwd())}")
         elif check.warnings:
-            print(f"a run can start, but look at the {check.warnings} warning(s) first")
+            print(f"a run can start, but look at the {counted(check.warnings, 'warning')} first")
         else:
             print("a run can work")
         return 0 if works else 1

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from carecontact.errors import counted
+
 if TYPE_CHECKING:
     from carecontact.reports.compare.comparison import Comparison, RunInfo
     from carecontact.reports.compare.paired_lines import Line, RateLine, ScoreLine
@@ -40,11 +42,11 @@ def print_comparison(comparison: Comparison, a: Path, b: Path, *, crashed: Seque
         ("B", b, comparison.b, pairing.unpaired_b, crashed[1]),
     ):
         _say(f"{name}: {_run_text(info, folder)}{f'; {of_run}' if of_run else ''}{_alone_text(alone)}")
-    tasks, seeds = _counted(len(pairing.tasks), "task"), _counted(len(pairing.seeds), "seed")
-    _say(f"{_counted(pairing.n, 'trial')} paired, {tasks}, {seeds}")
+    tasks, seeds = counted(len(pairing.tasks), "task"), counted(len(pairing.seeds), "seed")
+    _say(f"{counted(pairing.n, 'trial')} paired, {tasks}, {seeds}")
     _print_lines(comparison.overall)
     for task, lines in (comparison.per_task or {}).items():
-        _say(f"\n{task}, {_counted(lines[0].n_pairs, 'pair')}")
+        _say(f"\n{task}, {counted(lines[0].n_pairs, 'pair')}")
         _print_lines(lines)
     if not enough(len(pairing.seeds)):
         _say(f"\n{TOO_FEW}; run more seeds")
@@ -57,10 +59,6 @@ def print_comparison(comparison: Comparison, a: Path, b: Path, *, crashed: Seque
     )
 
 
-def _counted(n: int, what: str) -> str:
-    return f"{n} {what}{'s' * (n != 1)}"
-
-
 def _say(text: str) -> None:
     """Print a text, wrapped between words on a narrow terminal and as one line elsewhere."""
     from carecontact.cli.console import console
@@ -70,11 +68,11 @@ def _say(text: str) -> None:
 
 
 def _run_text(info: RunInfo, folder: Path) -> str:
-    counts = [_counted(info.n_trials, "trial")]
+    counts = [counted(info.n_trials, "trial")]
     if info.n_harness_errors:
         counts.append(f"{info.n_harness_errors} left out because the harness failed")
     if info.skipped:
-        counts.append(f"{_counted(len(info.skipped), 'recording')} skipped")
+        counts.append(f"{counted(len(info.skipped), 'recording')} skipped")
     if info.n_missing:
         n = info.n_missing
         counts.append(f"unfinished: {n} planned trial{'s have' if n != 1 else ' has'} no score")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 from carecontact.cli.groups import FLAT, JsonGroup
+from carecontact.errors import counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +30,7 @@ class Doctor:
             print(f"{state} {finding.name:10} {finding.detail}", flush=True)
             if finding.fix:
                 print(f"     install it with: {finding.fix}", flush=True)
-        print("this machine can run trials" if not failed else f"{failed} thing(s) to fix", flush=True)
+        print("this machine can run trials" if not failed else f"{counted(failed, 'thing')} to fix", flush=True)
         if self.output.json:
             from carecontact.cli.answers.doctor import DoctorAnswer
             from carecontact.cli.json_lines import say

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carecontact.cli.excerpt import excerpt
-from carecontact.errors import RecordingError
+from carecontact.errors import RecordingError, counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -28,10 +28,11 @@ def print_failed(ended: Mapping[str, EndReason], *, out: Path) -> None:
     """
     crashed, harness = _of(ended, "process_failure"), _of(ended, "harness_error")
     if crashed:
-        print(f"the policy crashed in {len(crashed)} of {len(ended)} trial(s); logs and report.html are in {out}")
+        share = f"{len(crashed)} of {counted(len(ended), 'trial')}"
+        print(f"the policy crashed in {share}; logs and report.html are in {out}")
         _print_groups(crashed, out, whole=True)
     if harness:
-        print(f"{len(harness)} trial(s) failed in the harness; logs are in {out}")
+        print(f"{counted(len(harness), 'trial')} failed in the harness; logs are in {out}")
         _print_groups(harness, out, whole=False)
     if crashed or harness:
         print("to run them again: --restart after a change of the policy, --retry-failed if the cause lay outside it")
@@ -63,7 +64,8 @@ def _print_groups(trials: Sequence[str], out: Path, *, whole: bool) -> None:
         groups.setdefault(alike(reason_of(failure)), []).append((trial_id, failure))
     for number, group in enumerate(sorted(groups.values(), key=len, reverse=True)):
         first = group[0][1]
-        print(f"{len(group)} trial(s): {reason_of(first)}; see {_logs([trial_id for trial_id, _ in group], out)}")
+        logs = _logs([trial_id for trial_id, _ in group], out)
+        print(f"{counted(len(group), 'trial')}: {reason_of(first)}; see {logs}")
         for line in excerpt(first.message) if whole and number < SHOWN else ():
             print(line)
         for remedy in remedies(first.message) if whole else ():

@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import metadata, resources
 
+from carecontact.errors import counted
+
 PYTHON = ((3, 11), (3, 13))
 """The lowest version that is supported, and the first above it that is not."""
 PACKAGES = {
@@ -241,9 +243,9 @@ def check_isolation() -> Finding:
         lines.append("you are root, and so is every policy: run policies that you do not trust as an ordinary user")
     elif sockets := open_sockets():
         lines.append(
-            f"programs of this user listen at {sockets[0]} and {len(sockets) - 1} other socket(s), to which a policy "
-            "may connect (before Linux 7.1): those that start programs, such as systemd, Docker and tmux, start them "
-            "without isolation; run policies that you do not trust as a user who has none"
+            f"programs of this user listen at {sockets[0]} and {counted(len(sockets) - 1, 'other socket')}, to which a "
+            "policy may connect (before Linux 7.1): those that start programs, such as systemd, Docker and tmux, start "
+            "them without isolation; run policies that you do not trust as a user who has none"
         )
     return Finding(name="isolation", fine=True, warning=bool(lines), detail="; ".join([level, *lines]))
 
@@ -252,7 +254,7 @@ def check_machine() -> Finding:
     from carecontact.trials.workers import available_cores
 
     cores = available_cores()
-    detail = f"{cores} core(s)"
+    detail = f"{counted(cores, 'core')}"
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
         detail += f", {memory:.0f} GiB of memory"

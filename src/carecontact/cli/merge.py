@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
+from carecontact.errors import counted
+
 if TYPE_CHECKING:
     from carecontact.runs.merge import Merged
 
@@ -51,7 +53,7 @@ class Merge:
         from carecontact.runs.sweep.merge import merge_sweeps
 
         merged = merge_sweeps(self.out, self.runs)
-        self._say(f", {len(merged)} cell(s)", list(merged.values()))
+        self._say(f", {counted(len(merged), 'cell')}", list(merged.values()))
         status = 0
         for name, cell in merged.items():
             folder = self.out / CELLS / name
@@ -60,7 +62,8 @@ class Merge:
             run = stored(folder)
             lines = [f"skipped {file}: {why}" for file, why in run.skipped.items()] if run else []
             if cell.missing:
-                lines.append(f"{len(cell.missing)} planned trial(s) have no recording: {listed(cell.missing)}")
+                lacking = counted(len(cell.missing), "planned trial has", "planned trials have")
+                lines.append(f"{lacking} no recording: {listed(cell.missing)}")
             for line in lines:
                 print(f"{folder}: {line}")
                 status = 1
@@ -70,4 +73,5 @@ class Merge:
     def _say(self, cells: str, merged: list[Merged]) -> None:
         copied, already = (sum(getattr(each, name) for each in merged) for name in ("copied", "already"))
         told = f", {already} were there already" if already else ""
-        print(f"{len(self.runs)} part(s){cells}: {copied} recording(s) copied into {self.out}{told}", flush=True)
+        parts, recordings = counted(len(self.runs), "part"), counted(copied, "recording")
+        print(f"{parts}{cells}: {recordings} copied into {self.out}{told}", flush=True)

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from carecontact.cli.tally import Tally
+from carecontact.errors import counted
 from carecontact.hosting.conversation import WAIT_REPORT_S
 from carecontact.recording.reason import ended_text
 from carecontact.trials.scorer import Scorer
@@ -107,7 +108,7 @@ def _plain(tally: Tally) -> Iterator[Callable[[TrialEvent], None]]:
     def say_kept() -> None:
         nonlocal kept
         if kept:
-            print(f"{kept} trial(s) are finished already", flush=True)
+            print(f"{counted(kept, 'trial is', 'trials are')} finished already", flush=True)
         kept = 0
 
     threading.Thread(target=beat, daemon=True).start()

@@ -52,7 +52,7 @@ class Report:
             run = read_run(self.place, rescore=self.rescore)
             _need_rows(self.place, run)
             if self.trials:
-                write_trial_pages(self.place, run)
+                write_trial_pages(self.place, run, baselines=self.baseline)
             write_page(self.place, run, baselines=self.baseline)
         return 0
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from carecontact.errors import ConfigError, DependencyError
+from carecontact.errors import ConfigError, DependencyError, counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -126,7 +126,7 @@ def _print_left_out(run: RunScores) -> None:
     if failed:
         trials = ", ".join(error["trial_id"] for error in failed)
         why = failed[0]["message"].partition("\n")[0]
-        print(f"harness failed, not counted: {len(failed)} trial(s): {trials} (first: {why})")
+        print(f"harness failed, not counted: {counted(len(failed), 'trial')}: {trials} (first: {why})")
     for name, why in run.skipped.items():
         print(f"skipped {name}: {why}")
     if run.missing:

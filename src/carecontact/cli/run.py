@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from carecontact.cli.groups import (
     VisionGroup,
 )
 from carecontact.cli.run_lines import say_run, say_trial
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -143,7 +144,8 @@ class Run:
 
         title = specs[0].protocol.title
         part = f", part {self.shard}," if self.shard else ""
-        print(f"{setup.ref}{arguments_text(setup)}: {len(specs)} trial(s) of {title}{part} into {self.out}", flush=True)
+        trials = f"{counted(len(specs), 'trial')} of {title}{part}"
+        print(f"{setup.ref}{arguments_text(setup)}: {trials} into {self.out}", flush=True)
         if specs[0].commitment:
             print(f"salted: sha256 {specs[0].commitment}", flush=True)
         cores = min(available_cores(), self.parallel.jobs or available_cores())
@@ -156,8 +158,8 @@ class Run:
             again = "the same command again" + (" without --restart" if self.restart else "")
             why = summary.unreached.removeprefix(f"policy {setup.ref.text!r} failed at start: ")
             raise ConfigError(
-                f"the run stops with {len(summary.ended)} of {len(specs)} trial(s) done: {why}; then give {again} to "
-                "continue"
+                f"the run stops with {len(summary.ended)} of {counted(len(specs), 'trial')} done: {why}; then give "
+                f"{again} to continue"
             )
         return status
 
@@ -199,13 +201,16 @@ class Run:
         # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
         scores = rescore(self.out, compare=not summary.ran, scored=scorer.take)
         write_page(self.out, scores)
+        print(f"a page for each trial: carecontact report {shlex.quote(str(self.out))} --trials")
         print_failed(summary.ended, out=self.out)
         if summary.ran:
             print(throughput(len(summary.ran), summary.wall_s, summary.most_at_once))
         if summary.late:
+            late, verb = sum(summary.late.values()), "was" if sum(summary.late.values()) == 1 else "were"
             print(
-                f"warning: --pace {self.pace:g}: {sum(summary.late.values())} observation(s) of {len(summary.late)} "
-                f"trial(s) were not ready in time, which may reveal contact; give a longer --pace, or fewer --jobs"
+                f"warning: --pace {self.pace:g}: {counted(late, 'observation')} of "
+                f"{counted(len(summary.late), 'trial')} {verb} not ready in time, which may reveal contact; give a "
+                "longer --pace, or fewer --jobs"
             )
         if clipped := clipped_text(scores.scores):
             print(f"warning: {clipped}")
@@ -241,7 +246,8 @@ def throughput(trials: int, wall_s: float, most_at_once: int) -> str:
     Args:
         wall_s: time that they took [s].
     """
-    return f"{trials} trial(s) in {wall_s:.0f} s, at most {most_at_once} at once: {60 * trials / wall_s:.1f} a minute"
+    rate = f"{60 * trials / wall_s:.1f} a minute"
+    return f"{counted(trials, 'trial')} in {wall_s:.0f} s, at most {most_at_once} at once: {rate}"
 
 
 def restart(out: Path) -> bool:

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 import tyro
 
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +56,6 @@ class Salt:
         found = verify_salt(self.place)
         for fault in found.faults:
             print(fault)
-        looked_at = f"{found.recordings} recording(s), {found.draws} draw(s) made again"
+        looked_at = f"{counted(found.recordings, 'recording')}, {counted(found.draws, 'draw')} made again"
         print(f"{'FAILED' if found.faults else 'verified'}: sha256 {found.sha256}, {looked_at}")
         return 1 if found.faults else 0

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from carecontact.cli.groups import FLAT, Folder, JsonGroup, Switch
+from carecontact.errors import counted
 
 if TYPE_CHECKING:
     from carecontact.runs.append import Appended
@@ -82,7 +83,7 @@ def append(folder: Path) -> Appended:
     need_recordings(folder)
     found = append_metrics(folder)
     if found.metrics:
-        print(f"added to {found.trials} trial(s): {', '.join(found.metrics)}")
+        print(f"added to {counted(found.trials, 'trial')}: {', '.join(found.metrics)}")
     else:
         print(f"nothing to add: {RESULTS} has every metric of this release")
     if found.gone:

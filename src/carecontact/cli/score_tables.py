@@ -100,6 +100,7 @@ def _print_counts(scores: Sequence[TrialScore], protocol: Protocol | None, termi
     from carecontact.reports.nursing import nursing_rows
     from carecontact.runs.aggregate import quadrants, valid_ratio
     from carecontact.runs.pooling import judged
+    from carecontact.scoring.limits import footnote
 
     counted = judged(scores)
     if not counted:
@@ -125,3 +126,5 @@ def _print_counts(scores: Sequence[TrialScore], protocol: Protocol | None, termi
         table.add_row(row.name, f"{row.above.k} of {row.above.n}", str(row.n_success))
     terminal.print()
     terminal.print(table)
+    if note := footnote(row.name for row in rows):
+        terminal.print(note)

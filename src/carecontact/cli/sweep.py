@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import tyro
 
 from carecontact.cli.groups import FLAT, EngineGroup, JsonGroup, PolicyGroup, SaltGroup, Switch
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, counted
 
 if TYPE_CHECKING:
     from carecontact.cli.sweep_progress import SweepProgress
@@ -83,7 +83,9 @@ class Sweep:
         mine = cells if shard is None else shard.every(cells)
         trials = sum(len(cell.specs) for cell in mine)
         part = f", part {self.shard} of them" if shard else ""
-        print(f"{self.plan}: {len(mine)} cell(s){part}, {trials} trial(s), into {self.out}", flush=True)
+        print(
+            f"{self.plan}: {counted(len(mine), 'cell')}{part}, {counted(trials, 'trial')}, into {self.out}", flush=True
+        )
         if self.dry_run:
             for cell in mine:
                 self._say_cell(cell)
@@ -146,7 +148,7 @@ class Sweep:
 
         folder, planned = self._folder(cell), len(cell.specs)
         recorded = planned - self._lacking(cell)
-        print(f"{folder}: {planned} trial(s)" + (f", {recorded} recorded" if recorded else ""))
+        print(f"{folder}: {counted(planned, 'trial')}" + (f", {recorded} recorded" if recorded else ""))
         if self.output.json:
             found = {"values": cell.place.values, "folder": str(folder), "trials": planned, "recorded": recorded}
             say(SweepCellAnswer.model_validate({"policy": cell.label, **found}))

@@ -7,6 +7,7 @@ import time
 from carecontact.cli.failed_trials import HARNESS_FAILED, POLICY_CRASHED
 from carecontact.cli.progress import HEARTBEAT_S, Silence, told
 from carecontact.cli.run import throughput
+from carecontact.errors import counted
 from carecontact.runs.sweep.cells import Cell
 from carecontact.trials.supervisor import RunSummary, TrialEvent
 
@@ -44,12 +45,12 @@ class SweepProgress:
     def done(self, cell: Cell, summary: RunSummary) -> None:
         self._done_cells += 1
         if summary.ran:
-            self._say(f"{cell.name}: {len(summary.ended)} trial(s)")
+            self._say(f"{cell.name}: {counted(len(summary.ended), 'trial')}")
 
     def say_throughput(self, wall_s: float) -> None:
         kept = self._done - self._ran
         if kept:
-            print(f"{kept} trial(s) were finished already")
+            print(f"{counted(kept, 'trial was', 'trials were')} finished already")
         if self._ran:
             print(throughput(self._ran, wall_s, self._most))
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from carecontact.errors import RecordingError
+from carecontact.errors import CarecontactError, RecordingError, counted
 
 if TYPE_CHECKING:
+    from carecontact.reports.trial.others import Beside
     from carecontact.runs.run_scores import RunScores
 
 
@@ -18,24 +20,58 @@ def write_page_of(file: Path) -> Path:
     """
     from carecontact.recording.reader import read_verified
     from carecontact.reports.trial.page import write_trial_page
+    from carecontact.runs.run_scores import RunScores
     from carecontact.scoring import score_recording
 
     verified = read_verified(file)
     score = score_recording(verified.recording, sha256=verified.sha256)
-    return write_trial_page(file.parent, verified.recording, score)
+    beside = policies_beside(file.parent, RunScores(scores=[score]))
+    return write_trial_page(file.parent, verified.recording, score, beside=beside)
 
 
-def write_trial_pages(folder: Path, run: RunScores) -> None:
-    """Write the page of every scored trial. A recording that cannot be drawn is named, and the others are drawn."""
+def write_trial_pages(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) -> None:
+    """Write the page of every scored trial. A recording that cannot be drawn is named, and the others are drawn.
+
+    Args:
+        baselines: runs of blind baselines to show beside the trials; without any, those of the last report.
+    """
     from carecontact.recording import read_recording
     from carecontact.reports.page_links import FOLDER
     from carecontact.reports.trial.page import write_trial_page
 
-    done = 0
+    beside, done = policies_beside(folder, run, baselines), 0
     for score in run.scores:
         try:
-            write_trial_page(folder, read_recording(folder / f"{score.trial_id}.h5"), score)
+            write_trial_page(folder, read_recording(folder / f"{score.trial_id}.h5"), score, beside=beside)
             done += 1
         except RecordingError as error:
             print(f"no page of {score.trial_id}: {error}")
-    print(f"pages of {done} trial{'' if done == 1 else 's'}: {folder / FOLDER}")
+    print(f"pages of {counted(done, 'trial')}: {folder / FOLDER}")
+
+
+def policies_beside(folder: Path, run: RunScores, baselines: Sequence[Path] = ()) -> list[Beside]:
+    """Return the runs that the pages of trials show beside a run: the named baselines, or else those of its last
+    report, and the kept scores of the shipped policies. One that cannot be read or compared is left out; the report
+    says why."""
+    from carecontact.reports.compare.baselines import beside_baselines
+    from carecontact.reports.compare.kept import kept_for
+    from carecontact.reports.trial.others import Beside
+    from carecontact.runs.baselines import remembered
+    from carecontact.runs.stored_scores import read_scores
+
+    named: list[RunScores] = []
+    found: list[Beside] = []
+    try:
+        places = list(baselines) or list(remembered(folder).values())
+    except CarecontactError:
+        places = []
+    for place in places:
+        try:
+            scores = read_scores(place)
+            beside_baselines(run, [*named, scores])
+        except CarecontactError:
+            continue
+        named.append(scores)
+        found.append(Beside.of(scores, place if place.is_dir() else place.parent))
+    kept, _ = kept_for(run, named)
+    return [*found, *map(Beside.of, kept)]

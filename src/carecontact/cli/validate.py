@@ -116,7 +116,10 @@ class Validate:
             rows = [(r, m) for r in validation.results for m in r.measures] if self.verbose else missed
             console.print(_table(rows))
         some = "" if len(names) == len(CHECKS) else f" ({len(names)} of {len(CHECKS)} checks)"
-        print(f"{'passed' if validation.passed else 'FAILED'}{some}: {folder / 'validation.json'}")
+        failed = [result for result in validation.results if not result.passed]
+        known = bool(failed) and all(result.fails_as_known for result in failed)
+        why = ", by nothing but what docs/validation.md names" if known else ""
+        print(f"{'passed' if validation.passed else 'FAILED'}{some}{why}: {folder / 'validation.json'}")
         return validation
 
 
@@ -126,6 +129,8 @@ def _line(result: CheckResult) -> str:
     told = result.error or f"{sum(bool(m.met) for m in limits)} of {len(limits)} limits met"
     if not result.error and (shown := [m for m in result.measures if m.limit is not None and not m.decides]):
         told += f"; {sum(not m.met for m in shown)} of {len(shown)} that do not decide missed"
+    if result.fails_as_known:
+        told += "; nothing unknown missed"
     return f"  [{colour}]{'pass' if result.passed else 'FAIL'}[/{colour}]  {result.title:<42} {told}"
 
 
@@ -138,6 +143,8 @@ def _table(rows: list[tuple[CheckResult, Measure]]) -> Table:
     for result, measure in rows:
         limit = "" if measure.limit is None else f"{measure.side} {measure.limit:g} {measure.unit}"
         verdict = {None: "", True: "[green]met[/green]", False: "[red]missed[/red]"}[measure.met]
+        if measure.met is False and measure.known:
+            verdict += " (known)"
         if measure.met is not None and not measure.decides:
             verdict = f"{'met' if measure.met else 'not met'} (does not decide)"
         table.add_row(result.check, measure.name, f"{measure.value:.3g} {measure.unit}", limit, verdict)

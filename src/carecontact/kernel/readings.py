@@ -97,6 +97,12 @@ class Readings:
         """Return (N, 3) the rate of ``displacement`` [m/s]."""
         return data.plugin_state[self._rate].reshape(-1, 3)
 
+    def set_motion(self, data: mujoco.MjData, displacement: Array, rate: Array) -> None:
+        """Set the displacement and rate of the vertices, both (N, 3) or broadcast to it; the next step goes on from
+        them."""
+        self.displacement(data)[:], self.rate(data)[:] = displacement, rate
+        data.plugin_state[self._first + 1] = 1.0
+
     def vertices(self, data: mujoco.MjData) -> Array:
         """Return (N, 3) the positions of the vertices in the bone's frame [m]."""
         return self.places + np.einsum("ij,ijk->ik", self.displacement(data), self.frames)

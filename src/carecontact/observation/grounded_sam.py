@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.errors import ConfigError, DependencyError, ObservationError
+from carecontact.errors import ConfigError, DependencyError, ObservationError, counted
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
@@ -96,7 +96,8 @@ def _model(kind: Any, folder: Path) -> Any:
     # transformers would initialise missing weights at random and only warn.
     missing = sorted(loaded["missing_keys"])
     if missing:
-        raise ConfigError(f"{folder}: {len(missing)} weight(s) of {kind.__name__} are missing, the first {missing[0]}")
+        lacking = counted(len(missing), "weight")
+        raise ConfigError(f"{folder}: {kind.__name__} lacks {lacking}, the first {missing[0]}")
     return model.eval()
 
 

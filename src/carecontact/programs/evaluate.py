@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from carecontact.contract.policy import Policy, PolicyCard
-from carecontact.errors import ConfigError, DependencyError, PolicyError
+from carecontact.errors import ConfigError, DependencyError, PolicyError, counted
 from carecontact.hosting.in_process import served
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
@@ -93,7 +93,7 @@ def evaluate(
             on_event=on_event,
         )
     if summary.unreached is not None:
-        raise ConfigError(f"the run stops with {len(summary.ended)} trial(s) done: {summary.unreached}")
+        raise ConfigError(f"the run stops with {counted(len(summary.ended), 'trial')} done: {summary.unreached}")
     return _scored(place)
 
 

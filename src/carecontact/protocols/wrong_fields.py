@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from carecontact.errors import counted
 from carecontact.protocols.field_words import field_path, words
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def wrong_fields(
             )
     if len(lines) == 1:
         return f"{place}: {lines[0]}"
-    return "\n  ".join([f"{place}: {len(lines)} field(s) wrong", *lines])
+    return "\n  ".join([f"{place}: {counted(len(lines), 'field')} wrong", *lines])
 
 
 def _is_left_out(found: ErrorDetails) -> bool:

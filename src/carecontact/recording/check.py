@@ -29,7 +29,7 @@ def check_recording(recording: Recording, place: str) -> Recording:
     check_header(header, place)
     missing = sorted(ARRAYS.keys() - recording.arrays.keys())
     if missing:
-        raise RecordingError(f"{place}: required array(s) missing: {', '.join(missing)}")
+        raise RecordingError(f"{place}: missing from its required arrays: {', '.join(missing)}")
     for path, array in recording.arrays.items():
         if not PATH.fullmatch(path) or ".." in path:
             raise RecordingError(f"{place}: unexpected array path {path!r}")

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from carecontact.reports.cause_words import cause_text
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
 
@@ -28,16 +29,6 @@ MODE_MEANING = {
         "succeeded on the named region, but moved a joint farther beyond its range than the protocol allows"
     ),
 }
-CAUSE_MEANING = {
-    "perception": "the region was in view, but was not found or the path was aimed beside it",
-    "planning": "commanded no motion, or a path that could not pass the gate",
-    "execution": "the commanded path was right, tracking or contact was lost",
-    "safety": (
-        "the benchmark stopped the trial, because a force exceeded the truncation limit or the solver failed; "
-        "or a joint was moved too far beyond its range"
-    ),
-    "process": "the policy's process, its program or its language backend failed",
-}
 EXAMPLES = 2
 """Number of pieces of evidence that are shown for a cause."""
 
@@ -46,6 +37,7 @@ EXAMPLES = 2
 class Cause:
     name: str
     meaning: str
+    """What happened, as ``cause_text`` says it."""
     count: int
     examples: tuple[tuple[str, str], ...]
     """Trial and evidence of the first EXAMPLES, from different tasks where there are."""
@@ -85,17 +77,14 @@ def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
 
 
 def causes(scores: Sequence[TrialScore]) -> list[Cause]:
-    """One row per attribution, most frequent first."""
-    failed = [s for s in judged(scores) if s.attribution is not None]
-    counts = Counter(str(s.attribution) for s in failed)
+    """One row per attribution and what happened (``cause_text``), most frequent first."""
+    failed: dict[tuple[str, str], list[TrialScore]] = {}
+    for score in judged(scores):
+        if score.attribution is not None:
+            failed.setdefault((score.attribution, cause_text(score)), []).append(score)
     return [
-        Cause(
-            name=name,
-            meaning=CAUSE_MEANING[name],
-            count=count,
-            examples=_examples([s for s in failed if s.attribution == name]),
-        )
-        for name, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+        Cause(name=name, meaning=meaning, count=len(found), examples=_examples(found))
+        for (name, meaning), found in sorted(failed.items(), key=lambda item: (-len(item[1]), item[0]))
     ]
 
 

@@ -49,7 +49,7 @@ def limit_rows(scores: Sequence[TrialScore], *, gamma: float | None) -> list[Lim
     for name, pack in LIMIT_PACKS.items():
         if name not in own and pack.unit == "N":
             rows.append(
-                _row(pack.title, f"{pack.status}: {pack.source}", counted,
+                _row(pack.title, pack.source, counted,
                      lambda s, segment, pack=pack: s.peak_force_n[segment] / pack.limit(segment), None)
             )  # fmt: skip
     return rows

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from carecontact.errors import counted
 from carecontact.scoring.result import TrialScore
 
 NA = "NA"
@@ -42,11 +43,6 @@ def angle(value: float | None) -> str:
         return f"{value:.3f}"
     mantissa, exponent = f"{value:.2e}".split("e")
     return f"{mantissa}e{int(exponent)}"
-
-
-def counted(n: int, one: str) -> str:
-    """``1 trial``, ``2 trials``."""
-    return f"{n} {one}{'' if n == 1 else 's'}"
 
 
 def percent(fraction: float) -> str:

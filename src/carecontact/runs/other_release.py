@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from carecontact import __version__
-from carecontact.errors import RecordingError
+from carecontact.errors import RecordingError, counted
 from carecontact.recording import read_header
 
 ANOTHER = "use another folder"
@@ -51,4 +51,5 @@ def lost_trials(out: Path, *, failed: tuple[str, ...]) -> str:
         with suppress(RecordingError):
             ends.append(read_header(path).ended)
     n_failed = sum(end in failed for end in ends)
-    return f"none of its {len(ends)} trial(s), {n_failed} of them failed, can be kept beside trials of the new source"
+    trials = counted(len(ends), "trial")
+    return f"none of its {trials}, {n_failed} of them failed, can be kept beside trials of the new source"

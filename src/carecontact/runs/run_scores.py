@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, counted
 from carecontact.runs.pooling import check_one_run, judged
 from carecontact.scoring.result import TrialScore
 
@@ -30,7 +30,7 @@ def joined(a: RunScores, b: RunScores) -> RunScores:
     """
     common = sorted({s.trial_id for s in a.scores} & {s.trial_id for s in b.scores})
     if common:
-        raise ConfigError(f"{len(common)} trial(s) are in both, {common[0]} the first")
+        raise ConfigError(f"{counted(len(common), 'trial is', 'trials are')} in both, {common[0]} the first")
     for what, of in (("language backends", "language_backend"), ("definitions", "metric_versions")):
         found = [{str(getattr(s, of)) for s in judged(part.scores)} for part in (a, b)]
         if all(found) and found[0] != found[1]:

@@ -5,12 +5,15 @@ Packages add packs through the entry-point group ``carecontact.limit_packs``. A 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 from carecontact.contract.protocol import sideless
 from carecontact.registry import Registry
+
+UNCHECKED = "*"
+"""Ends the title of whatever rests on limits that are ``to be checked``; ``footnote`` says what it means."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +30,13 @@ class LimitPack:
     def limit(self, segment: str) -> float:
         """Limit of a segment [unit]; one that the pack does not name takes the strictest entry."""
         return self.limits.get(sideless(segment), min(self.limits.values()))
+
+
+def footnote(titles: Iterable[str]) -> str:
+    """The line that belongs under a table with these titles; empty where none of them ends with UNCHECKED."""
+    if not any(title.endswith(UNCHECKED) for title in titles):
+        return ""
+    return f"{UNCHECKED} from secondary sources: these limits still have to be checked against the standard"
 
 
 LIMIT_PACKS: Registry[LimitPack] = Registry("limit pack", row=LimitPack, plural="limit_packs")
@@ -46,7 +56,7 @@ LIMIT_PACKS.register(
     "iso-ts-15066-2016",
     LimitPack(
         id="iso-ts-15066-2016",
-        title="Quasi-static force, ISO/TS 15066:2016 (to be checked against the standard)",
+        title=f"Quasi-static force, ISO/TS 15066:2016{UNCHECKED}",
         source="ISO/TS 15066:2016, Table A.2, F_QS, entered from secondary transcriptions. A lying person cannot give "
         "way, so the quasi-static limit applies and not the transient one. Head: the face's, which is stricter than "
         "the skull's; feet are not in the table and take the strictest entry",
@@ -70,7 +80,7 @@ LIMIT_PACKS.register(
     "iso-ts-15066-2016-pressure",
     LimitPack(
         id="iso-ts-15066-2016-pressure",
-        title="Quasi-static pressure, ISO/TS 15066:2016 (to be checked against the standard)",
+        title=f"Quasi-static pressure, ISO/TS 15066:2016{UNCHECKED}",
         source="ISO/TS 15066:2016, Table A.2, P_S (1 N/cm^2 is 10 kPa), entered from secondary "
         "transcriptions; the least of a segment's places: deltoid, forearm muscle, sternum, pelvic bone, abdominal "
         "muscle, thigh muscle, calf muscle",

@@ -118,6 +118,10 @@ class TrialScore(BaseModel):
     impulse_ns: float
     extrapolated_share: float | None
     """Share of the region's contact time spent deeper than the measured range."""
+    skin_in_tool: float | None = None
+    """Of a trial whose tool the skin had passed when the force was largest: how far the skin lay inside the tool, over
+    half of the tool's thickness, which is more than 1 (``scoring.tool_in_skin``). What it measured says nothing of a
+    person. None for any other trial."""
     peak_force_n: dict[str, float]
     """Segment -> peak, touched segments only."""
     f_pain_n: dict[str, float] = {}
@@ -144,11 +148,11 @@ class TrialScore(BaseModel):
 
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out a name, a privilege and gates that there are not, as results from before there were any do."""
+        """Leave out a name, a privilege, gates and flags that there are not, as results from before them do."""
         content = handler(self)
         if not self.privileged:
             del content["privileged"]
-        for name in ("policy_name", "joints_beyond", "joints_consumed"):
+        for name in ("policy_name", "joints_beyond", "joints_consumed", "skin_in_tool"):
             if content[name] is None:
                 del content[name]
         return content

@@ -17,6 +17,7 @@ from carecontact.scoring.metrics.impulse import total_impulse
 from carecontact.scoring.metrics.indentation import beyond_calibrated, deepest_indentation
 from carecontact.scoring.metrics.metric import METRICS, Metric, checked_metrics
 from carecontact.scoring.result import DRAWN, TrialScore
+from carecontact.scoring.tool_in_skin import passed_the_middle
 from carecontact.scoring.validity.streams import check_streams
 from carecontact.scoring.verdict import reach_verdict
 
@@ -138,6 +139,7 @@ def _contact(contact: Contact) -> dict[str, Any]:
         "indentation_m": deepest_indentation(contact),
         "impulse_ns": total_impulse(contact),
         "extrapolated_share": beyond_calibrated(contact),
+        "skin_in_tool": passed_the_middle(contact.recording),
         "peak_force_n": peak_of_segments(contact),
         "f_pain_n": {segment: protocol.f_pain(segment) for segment in touched},
         "fallback_limits": [segment for segment in touched if not protocol.has_own_limit(segment)],

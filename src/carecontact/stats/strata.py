@@ -8,6 +8,8 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.errors import counted
+
 GENERATOR_SEED = 20260
 RESAMPLES = 10_000
 Floats = npt.NDArray[np.float64]
@@ -29,7 +31,7 @@ def stratified_weights(
     Raises ValueError for fewer than two persons or resamples < 1.
     """
     if len(strata) < 2:
-        raise ValueError(f"{len(strata)} person(s); expected at least 2")
+        raise ValueError(f"{counted(len(strata), 'person')}; expected at least 2")
     if resamples < 1:
         raise ValueError(f"resamples = {resamples}; expected at least 1")
     generator = np.random.default_rng(generator_seed)

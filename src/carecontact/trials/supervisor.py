@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
-from carecontact.errors import ConfigError, StorageError
+from carecontact.errors import ConfigError, StorageError, counted
 from carecontact.hosting.conversation import WAIT_REPORT_S
 from carecontact.hosting.descendants import kill_abandoned
 from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
@@ -215,7 +215,7 @@ class Run:
         if self._waiting or self.running:
             return True
         if self._full is not None:
-            done = f"the run stops with {len(self.ended)} of {self._total} trial(s) done"
+            done = f"the run stops with {len(self.ended)} of {counted(self._total, 'trial')} done"
             raise StorageError(f"{done}: {no_space(self._out, self._full)} to continue")
         return False
 

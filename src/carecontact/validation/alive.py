@@ -13,32 +13,29 @@ import mujoco
 import numpy as np
 
 from carecontact.contract.embodiment import PANDA
-from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.protocol import Alive, Breathing, Repositioning
-from carecontact.kernel.life import JOINTS, PARTS, Doings, Life, Move, breath
+from carecontact.kernel.life import JOINTS, Doings, Life, Move, breath
 from carecontact.regions import REGIONS
-from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Samples, Simulation
-from carecontact.sim.true_skin import skin_in_world
+from carecontact.validation import breath_seen
+from carecontact.validation.breath_seen import REGION
 from carecontact.validation.moves import move_to, surface_point
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.scores import force_norm
 from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
-from carecontact.world.human.breathing import breath_body
 from carecontact.world.human.skeleton import body_name
-from carecontact.world.human.surface_mesh import Triangles
 from carecontact.world.life import LIFT_RAD
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TITLE = "A person who moves by itself"
-REGION, CAMERA = "abdomen", "overhead"
-BREATH_HZ, IN_SHARE, BREATH_M = 0.33, 0.455, (0.015, 0.005)
-"""Rate [1/s], part of a breath that is breathing in, and size [m] of a breath: the fastest and largest breath of the
-shipped protocols' levels, of which an ordinary part is breathing in."""
+BREATHS_HZ, BREATH_HZ, IN_SHARE, BREATH_M = (0.2, 0.33), 0.33, 0.455, (0.015, 0.005)
+"""Rates [1/s], part of a breath that is breathing in, and size [m] of a breath: the slowest, fastest and largest breath
+of the shipped protocols' levels, of which an ordinary part is breathing in. The second rate is that of the short form,
+of the movements of the arm and of the repeated runs."""
 BREATHES = Doings(breath_hz=BREATH_HZ, inspiration_share=IN_SHARE, breath_m=BREATH_M)
-SIZE_LIMIT_MM, FORCE_LIMIT_PERCENT, WAY_LIMIT_MM = 1.0, 10.0, 8.0
+FORCE_LIMIT_PERCENT, WAY_LIMIT_MM = 10.0, 8.0
 DEEP_M = 0.006
 """Depth of the fixed tool below the skin at the end of breathing out."""
 HEIGHTS, QUICK_HEIGHTS = 7, 3
@@ -57,31 +54,32 @@ GUIDE_NM_RAD, GUIDE_NMS_RAD = 100.0, 10.0
 """Stiffness and damping of that torque."""
 CUT_S, GO_ON_S = 2.0, 1.0
 """When a run is interrupted, in the middle of a breath and of a movement, and for how long it then goes on."""
-WINDOW = 2
-"""Number of pixels on each side of the central one at which the depth image is read."""
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     living = alive(subject)
-    time, felt, expected = fixed_tool(living, heights=QUICK_HEIGHTS if quick else HEIGHTS)
-    swing, wanted = np.ptp(felt), np.ptp(expected)
-    # Held breaths are reached by breathing in.
-    off, inward = 100 * abs(felt - expected) / wanted, time <= IN_SHARE / BREATH_HZ
-    return CheckResult(
-        check="alive", title=TITLE, curves={"fixed tool": np.stack([time, felt, expected])},
-        measures=(
-            *seen(living),
-            Measure(name="fixed tool: largest deviation of the force from that of held breaths, of its swing", unit="%",
+    measures: list[Measure] = []
+    curves: dict[str, Array] = {}
+    for hz in (BREATH_HZ,) if quick else BREATHS_HZ:
+        doings = replace(BREATHES, breath_hz=hz)
+        measures += breath_seen.measures(living, doings)
+        time, felt, expected = fixed_tool(living, doings, heights=QUICK_HEIGHTS if quick else HEIGHTS)
+        swing, wanted = np.ptp(felt), np.ptp(expected)
+        # Held breaths are reached by breathing in.
+        off, inward = 100 * abs(felt - expected) / wanted, time <= IN_SHARE / hz
+        name = f"fixed tool, {hz:g} Hz"
+        measures += [
+            Measure(name=f"{name}: largest deviation of the force from that of held breaths, of its swing", unit="%",
                     value=float(off[inward].max()), limit=FORCE_LIMIT_PERCENT),
-            Measure(name="fixed tool: the same while breathing out, where friction has turned round", unit="%",
+            Measure(name=f"{name}: the same while breathing out, where friction has turned round", unit="%",
                     value=float(off[~inward].max())),
-            Measure(name="fixed tool: deviation of the swing of the force from that of held breaths", unit="%",
+            Measure(name=f"{name}: deviation of the swing of the force from that of held breaths", unit="%",
                     value=float(100 * abs(swing / wanted - 1)), limit=FORCE_LIMIT_PERCENT),
-            Measure(name="fixed tool: swing of the force", value=float(swing), unit="N", limit=0.5, side="at least"),
-            *arm(living),
-            *again(living),
-        ),
-    )  # fmt: skip
+            Measure(name=f"{name}: swing of the force", value=float(swing), unit="N", limit=0.5, side="at least"),
+        ]  # fmt: skip
+        curves[f"{hz:g} Hz"] = np.stack([time, felt, expected])
+    measures += [*arm(living), *again(living)]
+    return CheckResult(check="alive", title=TITLE, measures=tuple(measures), curves=curves)
 
 
 def alive(subject: Subject) -> Subject:
@@ -90,51 +88,11 @@ def alive(subject: Subject) -> Subject:
     return subject.variant(person=subject.protocol.person.model_copy(update={"alive": asked}))
 
 
-def seen(living: Subject) -> list[Measure]:
-    """Return how much the visible skin's and the depth image's movement differs from the declared size of a breath."""
-    scene = living.make_scene(living.protocol, target=REGION, skin=True)
-    simulation = Simulation(scene)
-    simulation.restore(living.at_rest(REGION).integration_state(), comfort_arm_deg=COMFORT_ARM_DEG)
-    shell = scene.regions[REGION].shell
-    skin = np.asarray(scene.model.skin_vert, np.float64).reshape(-1, 3)
-    over = [int(np.linalg.norm(skin - at, axis=1).argmin()) for at in shell.vertices[shell.fine][::10]]
-    found: list[tuple[Array, Array]] = []
-    with SceneRenderer(scene.model, protocol=living.protocol) as renderer:
-        site = simulation.data.site(f"region_{REGION}").xpos.copy()
-        at = simulation.robot.in_base(simulation.data, site, np.eye(3))[:3, 3]
-        camera, matrix = renderer.pose_camera_in_base(simulation.data, CAMERA), renderer.intrinsics(CAMERA)
-        x, y, z = camera[:3, :3].T @ (at - camera[:3, 3])
-        u, v = round(x / z * matrix[0, 0] + matrix[0, 2]), round(y / z * matrix[1, 1] + matrix[1, 2])
-        window = slice(v - WINDOW, v + WINDOW + 1), slice(u - WINDOW, u + WINDOW + 1)
-        for size in (0.0, 1.0):
-            for part, wide in zip(PARTS, BREATH_M, strict=True):
-                simulation.data.joint(breath_body(part)).qpos[:] = size * wide
-            mujoco.mj_forward(scene.model, simulation.data)
-            found.append((skin_in_world(scene.model, simulation.data),
-                          renderer.depth(simulation.data, CAMERA)[window].astype(np.float64)))  # fmt: skip
-    (skin_out, depth_out), (skin_in, depth_in) = found
-    base = matrix_from_quat(simulation.pose_base_in_world[3:])
-    toward = base @ (at - camera[:3, 3])
-    outward = simulation.data.joint(breath_body(REGION)).xaxis * BREATH_M[0]
-    # Skin that moves outward is nearer along a ray by as much as the ray's origin seems to move inward.
-    origins = site - toward - np.stack([np.zeros(3), outward])
-    hits = Triangles(skin_out[np.asarray(scene.model.skin_face)]).first_hits(
-        origins, np.stack([toward, toward]) / np.linalg.norm(toward)
-    )
-    wanted = float(hits[0] - hits[1]) * z / float(np.linalg.norm(toward))
-    moved, nearer = np.linalg.norm((skin_in - skin_out)[over], axis=1), float(np.median(depth_out - depth_in))
-    return [
-        Measure(name="breath: visible skin over the region against the declared size", unit="mm",
-                value=float(1000 * abs(moved - BREATH_M[0]).max()), limit=SIZE_LIMIT_MM),
-        Measure(name="breath: depth image over the region against the declared size", unit="mm",
-                value=float(1000 * abs(nearer - wanted)), limit=SIZE_LIMIT_MM),
-    ]  # fmt: skip
-
-
-def fixed_tool(living: Subject, *, heights: int) -> tuple[Array, Array, Array]:
+def fixed_tool(living: Subject, doings: Doings, *, heights: int) -> tuple[Array, Array, Array]:
     """Measure the force on a tool that stays in its place through one breath.
 
     Args:
+        doings: the breath.
         heights: number of heights at which a breath is held for comparison.
 
     Returns three arrays (n,): time [s], force [N], and the force that held breaths give at the same height [N].
@@ -144,14 +102,14 @@ def fixed_tool(living: Subject, *, heights: int) -> tuple[Array, Array, Array]:
     held = []
     for height in np.linspace(0.0, 1.0, heights):
         simulation.restore(begin, comfort_arm_deg=COMFORT_ARM_DEG)
-        _hold(simulation, float(height))
+        _hold(simulation, doings, float(height))
         held.append(_force(simulation.advance(round(STILL_S / simulation.model.opt.timestep)))[-1])
     simulation.restore(begin, comfort_arm_deg=COMFORT_ARM_DEG)
-    Life(simulation.model).wake(simulation.data, BREATHES)
-    steps = round(1 / BREATH_HZ / simulation.model.opt.timestep)
+    Life(simulation.model).wake(simulation.data, doings)
+    steps = round(1 / doings.breath_hz / simulation.model.opt.timestep)
     force = _force(simulation.advance(steps))
     time = (1 + np.arange(steps)) * simulation.model.opt.timestep
-    height = [breath(BREATHES, t)[0] for t in time]
+    height = [breath(doings, t)[0] for t in time]
     return time, force, np.interp(height, np.linspace(0.0, 1.0, heights), held)
 
 
@@ -167,12 +125,12 @@ def _pressed(living: Subject) -> Simulation:
     return simulation
 
 
-def _hold(simulation: Simulation, height: float) -> None:
+def _hold(simulation: Simulation, doings: Doings, height: float) -> None:
     """Let the person breathe in to a height, from 0 (breathed out) to 1 (breathed in), and hold the breath there."""
     share = float(np.arccos(1 - 2 * height)) / np.pi
     life = Life(simulation.model)
-    life.wake(simulation.data, BREATHES)
-    simulation.advance(round(share * IN_SHARE / BREATH_HZ / simulation.model.opt.timestep))
+    life.wake(simulation.data, doings)
+    simulation.advance(round(share * IN_SHARE / doings.breath_hz / simulation.model.opt.timestep))
     life.wake(simulation.data, Doings(inspiration_share=IN_SHARE, phase=share * IN_SHARE, breath_m=BREATH_M))
 
 
@@ -236,8 +194,8 @@ def again(living: Subject) -> list[Measure]:
 def draw(result: CheckResult, figure: Figure) -> None:
     figure.set_size_inches(4.0, 2.4)
     axes = figure.subplots()
-    time, felt, expected = result.curves["fixed tool"]
-    axes.plot(time, felt, label="breathing")
-    axes.plot(time, expected, ":", label="held breaths")
+    for number, (name, (time, felt, expected)) in enumerate(result.curves.items()):
+        axes.plot(time, felt, color=f"C{number}", label=f"breathing, {name}")
+        axes.plot(time, expected, ":", color=f"C{number}", label="held breaths")
     axes.set(xlabel="time [s]", ylabel="force [N]", title="a fixed tool on the belly through a breath")
     axes.legend()

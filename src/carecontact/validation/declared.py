@@ -1,7 +1,7 @@
-"""The compiled world has the masses, joints and bone cores that the tables declare.
+"""The compiled world has the masses, joints, bone cores and skin that the tables declare.
 
 All of it is read from what MuJoCo does with the model and not from the code that wrote the model: masses and centres
-from kinematics, springs and dampers from torques, cores from rays.
+from kinematics, springs and dampers from torques, cores from rays, inertia and damper of the skin from its free motion.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.regions import REGIONS
+from carecontact.validation import free_skin
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
 from carecontact.world.human.anthropometry import segment_inertias
@@ -27,7 +28,7 @@ from carecontact.world.scene import Scene
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-TITLE = "Masses, joints and bone cores as declared"
+TITLE = "Masses, joints, cores and skin as declared"
 TURN_RAD, SPEED_RAD_S = 0.05, 1.0
 """Angle and speed by which each hinge is turned to read its spring and its damper, which are linear."""
 PAST_RAD = 0.06
@@ -51,6 +52,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         _off("torque of an end stop, largest difference", stops),
     ]  # fmt: skip
     for region in subject.regions(quick=quick):
+        measures += free_skin.measures(subject, region)
         depth = core_depths(subject.scene(region), region)
         measures.append(
             Measure(name=f"{region}: skin with bone under it that the tool can meet",

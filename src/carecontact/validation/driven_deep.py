@@ -24,7 +24,11 @@ ABOVE_M = 0.12
 STEPS = 2
 """Physics steps between two looks at the skin: 1 mm of the way at 0.25 m/s."""
 HOLD_S = 0.6
+"""Time for which the press goes on after the target has reached its end [s], so that the robot and the skin come to
+rest there."""
 BEHIND_M = 0.1
+"""How far behind the tool's middle the ray begins that looks for the skin in the direction of the tool [m]; more than
+any tool is thick."""
 MIDDLE_PERCENT = 100.0
 
 

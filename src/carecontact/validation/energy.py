@@ -10,7 +10,7 @@ import numpy as np
 
 from carecontact.sim.bench import Press
 from carecontact.sim.simulation import Simulation
-from carecontact.validation import ledger
+from carecontact.validation import energy_made, ledger
 from carecontact.validation.pressing import declared_bench, person_bench, tool
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import Subject
@@ -60,6 +60,8 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         curves |= {f"drop/{name}": np.stack([time, energy - settled, own - settled])}
     for region in subject.regions(quick=quick):
         measures += ledger.measures(subject, region, quick=quick)
+        if not quick:
+            measures += energy_made.measures(subject, region)
         benches = person_bench(subject, region, tool(subject)), declared_bench(subject, region, tool(subject))
         for speed in QUICK_SPEEDS_M_S if quick else LOOP_SPEEDS_M_S:
             loop, declared = (

@@ -58,6 +58,12 @@ skin or a pressed plate pushes back until the ball stands. A single step without
 a plate swings in."""
 STRAY = 0.05
 """Share of the largest force that other parts may bear: a blow so deep that they bear more does not decide."""
+CHEST_ASIDE_M = ((0.0, -0.06), (0.0, -0.03), (0.0, 0.03), (0.0, 0.04), (0.0, 0.06))
+THIGH_ASIDE_M = ((0.0, -0.06), (0.0, -0.08), (0.0, -0.1), (0.0, -0.12), (0.05, -0.08))
+BELLY_ASIDE_M = ((0.08, 0.0), (-0.08, 0.0), (0.0, 0.08), (0.0, -0.08), (0.08, 0.06), (-0.08, 0.06), (0.08, -0.06),
+                 (-0.08, -0.06))  # fmt: skip
+"""Where the scan strikes the right side of the chest, the right thigh (some of it between the thighs) and the belly, as
+``Site.beside_m``."""
 STRIKER = "striker"
 DOWNWARD = (0.0, 0.0, -1.0)
 
@@ -75,6 +81,8 @@ class Site:
     depth_m: Array
     force_n: Array
     """(n,) published force at ``depth_m``"""
+    beside_m: tuple[float, float] = (0.0, 0.0)
+    """How far beside its middle the site is struck: toward the head, and toward the person's right."""
 
     def predicted_n(self, energy_j: float) -> float:
         """Return the force at which the published spring stores an energy; NaN if the curve ends before."""
@@ -152,6 +160,8 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures = list(_counts(blows))
     for blow in blows:
         measures += _measures(blow, robot_brings_j(subject.protocol))
+    if not quick:
+        measures += scan(subject)
     measures += _measures(strike_with_tool(subject), robot_brings_j(subject.protocol))
     try:
         measures += drive(subject).measures()
@@ -220,6 +230,30 @@ def strike_all(subject: Subject, masses: tuple[float, ...], speeds: tuple[float,
                 for speed in speeds:
                     simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
                     yield strike(simulation, site, mass, speed)
+
+
+def scan(subject: Subject) -> Iterator[Measure]:
+    """Yield what blows beside the middle of a part measured, of which nothing is claimed: where plates overlap, between
+    the thighs, and toward the border of the belly."""
+    scene, impedance = subject.scene("forearm"), subject.protocol.impedance
+    rows = {site.name: site for site in sites()}
+    for name, mass, speed, places in (
+        ("chest", 5.0, 0.2, CHEST_ASIDE_M), ("thigh", 10.0, 0.5, THIGH_ASIDE_M),
+        ("belly", impedance.effective_mass_kg, subject.protocol.physics.max_tcp_speed_m_s, BELLY_ASIDE_M),
+    ):  # fmt: skip
+        simulation = Simulation(with_striker(scene, mass, rows[name].ball_m))
+        simulation.settle(COMFORT_ARM_DEG)
+        state = simulation.integration_state()
+        for headward, right in places:
+            simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
+            where = f"beside the middle: {name}, {1000 * headward:.0f} mm headward, {1000 * right:.0f} mm to the right"
+            site = replace(rows[name], name=where, beside_m=(headward, right))
+            try:
+                blow = strike(simulation, site, mass, speed)
+            except SceneError as error:
+                yield Measure(name=str(error), value=float("nan"))
+                continue
+            yield from (replace(m, decides=False) for m in _measures(blow, robot_brings_j(subject.protocol)))
 
 
 def strike_with_tool(subject: Subject) -> Blow:
@@ -336,9 +370,10 @@ def _aim(simulation: Simulation, site: Site, velocity: Array) -> None:
         [] if site.plate is None else [g for g in range(model.ngeom) if model.geom(g).name.startswith("human_hull_")]
     )
     if site.plate is None:
-        centre = surface_point(simulation, "abdomen") - (site.ball_m + GAP_M) * towards
+        centre = surface_point(simulation, "abdomen", site.beside_m) - (site.ball_m + GAP_M) * towards
     else:
-        centre = data.xipos[model.body(plate_body(site.plate)).id] - FAR_M * towards
+        # The person lies with the head toward +x and the right side toward +y.
+        centre = data.xipos[model.body(plate_body(site.plate)).id] - FAR_M * towards + np.array([*site.beside_m, 0.0])
     for _ in range(APPROACHES):
         data.qpos[at] = into_base @ (centre - base.xpos)
         mujoco.mj_forward(model, data)

@@ -1,10 +1,11 @@
-"""Tools of a kilogram bounce on the skin and are dragged over it. The energy that they lose is in the tissue, in its
-dampers or in friction, and no energy is ever gained."""
+"""Tools of a kilogram bounce on the skin, are pressed into it and are dragged over it. The energy that they lose is in
+the tissue, in its dampers or in friction, and at no instant is there more energy than was put in."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -15,83 +16,135 @@ from carecontact.validation.rig import FLANK, PAD, Rig, Tool, robot_tool
 from carecontact.validation.subject import Subject
 
 SPEED_M_S, SIDEWAYS_M_S, GAP_M, BOUNCE_S = 0.2, 0.1, 0.003, 0.4
-PRESS_N, DRAG_M_S, DRAG_FROM_M, REST_S, RISE_S, DRAG_S = 3.0, 0.1, -0.04, 0.3, 0.05, 1.3
+PRESS_N, DRAG_M_S, DRAG_WAY_M, DRAG_FROM_M = 3.0, 0.1, 0.1, -0.04
+REST_S, RISE_S, HOLD_S = 0.3, 0.05, 0.6
+"""Time before a drag begins, time in which it comes to its speed, and time of a press without a drag."""
 DRAG_NS_M = 100.0
 """Damper that keeps a dragged tool at its speed."""
 UNEXPLAINED_PERCENT, GAIN_PERCENT = 2.0, 1.0
-Case = Literal["bounced", "bounced aslant", "dragged"]
-CASES: tuple[Case, ...] = ("bounced", "bounced aslant", "dragged")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ledger:
     """The energies of one contact [J]."""
 
-    began: float
-    """The tool's kinetic energy at the start."""
     put_in: float
-    """Kinetic energy at the start plus the work of the driving forces."""
-    left: float
-    """Energy in tool and tissue at the end, minus the work of the driving forces on the way."""
-    held: Array
-    """(n,) the same at every step. The tissue responds to the tool's place at the beginning of a step, so that the
-    tool's energy and the work are means of the values before and after the step."""
+    """Kinetic energy of the tool at the start plus the work of the driving forces."""
     lost: float
     """Energy that dampers and friction absorbed, as the compiled tissue counts it."""
+    balance: Array
+    """(n,) energy of tool and tissue plus what was lost until then, minus what was put in until then, at the beginning
+    of every step. 0: everything is accounted for; more: energy was made."""
 
     @property
     def unexplained(self) -> float:
-        """Share of the input that is neither left nor lost; negative if there is more energy than was put in."""
-        return (self.began - self.left - self.lost) / self.put_in
+        """Share of the input that is nowhere at the end; negative if there is more energy than was put in."""
+        return -float(self.balance[-1]) / self.put_in
 
     @property
     def gain(self) -> float:
-        """Largest rise of ``held`` over its lowest earlier value, as a share of the input."""
-        return float((self.held - np.minimum.accumulate(self.held)).max()) / self.put_in
+        """Largest excess of energy at any instant, as a share of the input."""
+        return float(self.balance.max()) / self.put_in
+
+    @property
+    def rise(self) -> float:
+        """Largest rise of ``balance`` over an earlier instant, as a share of the input: energy that was made after as
+        much had vanished, too. It also has what a damper's force is late: half a step of its power."""
+        return float((self.balance - np.minimum.accumulate(self.balance)).max()) / self.put_in
+
+    def measures(self, name: str, *, decides: bool = True) -> list[Measure]:
+        return [
+            Measure(name=f"{name}: energy that is not accounted for, of that put in", unit="%",
+                    value=100 * abs(self.unexplained), limit=UNEXPLAINED_PERCENT, decides=decides),
+            Measure(name=f"{name}: most energy made until any instant, of that put in", unit="%", value=100 * self.gain,
+                    limit=GAIN_PERCENT, decides=decides),
+            Measure(name=f"{name}: largest rise of the energy between two instants, of that put in", unit="%",
+                    value=100 * self.rise),
+        ]  # fmt: skip
 
 
-def measures(subject: Subject, region: str, *, quick: bool) -> list[Measure]:
-    """Measure each tool and contact, at the protocol's step and at that of the fast mode."""
-    shipped = subject.protocol.physics.dt_s
-    out: list[Measure] = []
-    for dt_s in (shipped,) if quick else sorted({shipped, FAST_DT_S}):
+CASES: dict[str, Callable[..., Ledger]] = {}
+"""Name -> what ``measures`` does with each tool; filled below."""
+
+
+def measures(subject: Subject, region: str, *, quick: bool) -> Iterator[Measure]:
+    """Yield what each tool and contact measured, at the protocol's step and at that of the fast mode."""
+    for dt_s in steps_s(subject, quick=quick):
         for tool in (robot_tool(subject), *(() if quick else (PAD, FLANK))):
-            ledgers = [contact(subject, region, tool, case, dt_s=dt_s) for case in CASES]
-            for case, found in zip(CASES, ledgers, strict=True):
+            for case, contact in CASES.items():
                 name = f"{region}: {tool.name} of 1 kg {case} at {1000 * dt_s:g} ms"
-                out += [
-                    Measure(name=f"{name}: energy that is not accounted for, of that put in", unit="%",
-                            value=100 * abs(found.unexplained), limit=UNEXPLAINED_PERCENT),
-                    Measure(name=f"{name}: energy gained, of that put in", unit="%", value=100 * found.gain,
-                            limit=GAIN_PERCENT),
-                ]  # fmt: skip
-    return out
+                yield from contact(subject, region, tool, dt_s=dt_s).measures(name)
 
 
-def contact(subject: Subject, region: str, tool: Tool, case: Case, *, dt_s: float) -> Ledger:
-    """Bounce a free tool off the region's middle, or press and drag one that slides along the region."""
-    rig = Rig(subject, region, tool, joints="slides" if case == "dragged" else "free", dt_s=dt_s)
+def steps_s(subject: Subject, *, quick: bool) -> list[float]:
+    shipped = subject.protocol.physics.dt_s
+    return [shipped] if quick else sorted({shipped, FAST_DT_S})
+
+
+def bounce(
+    subject: Subject, region: str, tool: Tool, *, speed_m_s: float, sideways_m_s: float = 0.0, dt_s: float
+) -> Ledger:
+    """Let a free tool of 1 kg fly against the region's middle and back.
+
+    Args:
+        speed_m_s: speed into the skin.
+        sideways_m_s: speed along the region.
+    """
+    rig = Rig(subject, region, tool, joints="free", dt_s=dt_s)
+    # The velocity of a free body is given in the axes of the world.
+    along, _, outward = rig.data.body("tool").xmat.reshape(3, 3).T
+    rig.reset(position=rig.data.qpos[:3] + GAP_M * outward, velocity=sideways_m_s * along - speed_m_s * outward)
+    return _ledger(rig, np.zeros_like, BOUNCE_S)
+
+
+def drag(subject: Subject, region: str, tool: Tool, *, press_n: float, speed_m_s: float, dt_s: float) -> Ledger:
+    """Press a tool of 1 kg, which slides keep upright, suddenly onto the skin, and drag it by DRAG_WAY_M along the
+    region.
+
+    Args:
+        press_n: force into the skin; nothing else carries the tool.
+        speed_m_s: at which a stiff damper drags it; 0: it is only pressed, at the region's middle, for HOLD_S.
+    """
+    rig = Rig(subject, region, tool, joints="slides", dt_s=dt_s)
+    begin = DRAG_FROM_M if speed_m_s else 0.0
+    rig.reset(position=(begin, GAP_M + rig.clear_of_m(begin)))
+
+    def force(velocity: Array) -> Array:
+        wanted = speed_m_s * min(1.0, max(0.0, (rig.data.time - REST_S) / RISE_S))
+        return np.array([DRAG_NS_M * (wanted - velocity[0]), -press_n])
+
+    return _ledger(rig, force, REST_S + DRAG_WAY_M / speed_m_s if speed_m_s else HOLD_S)
+
+
+def _ledger(rig: Rig, force: Callable[[Array], Array], seconds: float) -> Ledger:
+    """Simulate, and keep the ledger at the beginning of every step.
+
+    The tissue responds to where the tool is at the beginning of a step, and the tool's velocities belong to the middles
+    of the steps before and after. Half of v M v', their product, is the kinetic energy at the beginning that the scheme
+    conserves with a linear spring. What the tissue loses in a step pushes the tool in the next, so that half of it is
+    counted before and half after. A damper that adds energy is not counted as a negative loss.
+    """
     model, data = rig.model, rig.data
-    if case == "dragged":
-        rig.reset(position=(DRAG_FROM_M, GAP_M + rig.clear_of_m(DRAG_FROM_M)))
-    else:
-        # The velocity of a free body is given in the axes of the world.
-        along, _, outward = data.body("tool").xmat.reshape(3, 3).T
-        sideways = SIDEWAYS_M_S if case == "bounced aslant" else 0.0
-        rig.reset(position=data.qpos[:3] + GAP_M * outward, velocity=sideways * along - SPEED_M_S * outward)
-    began, work, lost, tissue = rig.kinetic_j(), 0.0, 0.0, 0.0
-    # The tool's energy, minus the work that was put in so far.
-    own, held = began, [began]
-    for _ in range(round((DRAG_S if case == "dragged" else BOUNCE_S) / dt_s)):
+    began, work, lost, rubbed = rig.kinetic_j(), 0.0, 0.0, 0.0
+    momentum, pushed, balance = np.zeros(model.nv), np.zeros(model.nv), [0.0]
+    for _ in range(round(seconds / model.opt.timestep)):
         before = data.qvel.copy()
-        if case == "dragged":
-            wanted = DRAG_M_S * min(1.0, max(0.0, (data.time - REST_S) / RISE_S))
-            data.qfrc_applied[:] = DRAG_NS_M * (wanted - before[0]), -PRESS_N
+        data.qfrc_applied[:] = force(before)
+        # The force of a driver acts on both sides of the beginning of a step.
+        work += float((pushed + data.qfrc_applied) @ before) / 2 * model.opt.timestep
+        pushed = data.qfrc_applied.copy()
         mujoco.mj_step(model, data)
-        work += float(data.qfrc_applied @ (before + data.qvel)) / 2 * dt_s
+        mujoco.mj_mulM(model, data, momentum, data.qvel)
         row = rig.felt.last(data, 1)[0]
-        lost += float(row["damped_j"] + row["rubbed_j"])
-        tissue = float(row["stored_j"] + row["kinetic_j"])
-        own_before, own = own, rig.kinetic_j() - work
-        held.append((own_before + own) / 2 + tissue)
-    return Ledger(began=began, put_in=began + work, left=own + tissue, held=np.array(held), lost=lost)
+        rubbed = max(0.0, float(row["damped_j"])) + max(0.0, float(row["rubbed_j"]))
+        lost += rubbed
+        held = float(before @ momentum) / 2 + float(row["stored_j"] + row["kinetic_j"])
+        balance.append(held + lost - rubbed / 2 - began - work)
+    return Ledger(put_in=began + work, lost=lost, balance=np.array(balance))
+
+
+CASES |= {
+    "bounced": partial(bounce, speed_m_s=SPEED_M_S),
+    "bounced aslant": partial(bounce, speed_m_s=SPEED_M_S, sideways_m_s=SIDEWAYS_M_S),
+    "dragged": partial(drag, press_n=PRESS_N, speed_m_s=DRAG_M_S),
+}

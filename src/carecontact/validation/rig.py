@@ -46,14 +46,14 @@ class Tool:
     """quat_wxyz"""
 
 
-def _of_tip(name: str, tip: Tip) -> Tool:
+def of_tip(name: str, tip: Tip) -> Tool:
     return Tool(
         name=name, kind=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size_m=tip.half_m, height_m=tip.half_m[2],
         give_m3_n=tip.give_m3_n,
     )  # fmt: skip
 
 
-CAP = _of_tip("cap", PANDA.tip)
+CAP = of_tip("cap", PANDA.tip)
 PAD = Tool(name="pad", kind=mujoco.mjtGeom.mjGEOM_BOX, size_m=(0.015, 0.020, 0.006), height_m=0.006)
 """30 x 40 x 12 mm, with the rounded edges that the compiled tissue gives a box."""
 FLANK = Tool(
@@ -66,7 +66,7 @@ FLANK = Tool(
 def robot_tool(subject: Subject) -> Tool:
     """Return the tool of the protocol's robot, which is the cap or the wash mitt."""
     name = subject.protocol.scene.tool
-    return CAP if name == "caps" else _of_tip(name, EMBODIMENTS[name].tip)
+    return CAP if name == "caps" else of_tip(name, EMBODIMENTS[name].tip)
 
 
 class Rig:

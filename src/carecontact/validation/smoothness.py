@@ -1,4 +1,4 @@
-"""Tests that a scrubbing tool glides: its force neither rattles nor drops out for single steps.
+"""Tests that a tool that scrubs a region glides: its force neither rattles nor drops out for single steps.
 
 The arm is held, as a patient may hold it: a loose arm would move with a firm tool, and nothing would slide. Sliding
 skin and tool have the friction that the protocol declares. Skin that sticks to the tool has less: soft tissue shears by
@@ -18,7 +18,7 @@ from carecontact.kernel.readings import Cells
 from carecontact.regions import REGIONS
 from carecontact.scoring.filters import low_pass
 from carecontact.sim.simulation import Samples, Simulation
-from carecontact.validation.moves import DOWN, axes, in_base, skin_points, surface_point
+from carecontact.validation.moves import DOWN, axes, in_base, scripted_along_m, skin_points, surface_point
 from carecontact.validation.passive_response import lock_arm
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.scores import force_norm
@@ -28,11 +28,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TITLE = "Smoothness of scrubbing"
-REGION = "forearm"
 FORCES_N, QUICK_FORCES_N = (5.0, 15.0), (5.0,)
-SPEED_M_S, HALF_STROKE_M, STROKES, QUICK_STROKES = 0.10, 0.095, 4, 2
-"""Motion of the target. Damping and friction keep the tool about 45 mm behind it, so that the tool covers half of the
-stroke."""
+SPEED_M_S, STROKES, QUICK_STROKES = 0.10, 4, 2
+HALF_STROKE_M, LIGHT_HALF_STROKE_M, LIGHT_N = 0.095, 0.060, 5.0
+"""Half of the way of the target, and the same for a mean force of LIGHT_N or less. Damping and friction keep the tool
+behind the target, by about 45 mm with 15 N, so that the tool covers about 50 mm to each side with either force. A
+longer way would lead onto the bones of elbow and shoulder."""
+COVERED_M = 0.07
+"""From the middle of the stroke to the farthest skin that the tool covers: half of its way and half of its width."""
 STEADY = 0.7
 """Share of the speed above which the tool counts as scrubbing. Below, it reverses, where a jump of the force is
 real."""
@@ -40,6 +43,10 @@ NOISE_ABOVE_HZ, NOISE_LIMIT_N = 20.0, 0.15
 SAMPLE_HZ, DROP_SHARE, DROP_N = 500.0, 0.3, 0.3
 SERVO_S, SERVO_RAD_S = 2.0, 6.0
 FRICTION_LIMIT_PERCENT, SLIDING_LIMIT_PERCENT = 2.0, 50.0
+KNOWN_NOISE = {("abdomen", 15.0)}
+KNOWN_MOTION = KNOWN_NOISE | {("upper_arm", 5.0), ("upper_arm", 15.0)}
+"""Regions and forces at which shipped persons are known to miss the limit of noise, and those of how the tool moved
+(docs/validation.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,32 +61,49 @@ class Scrub:
     sliding: Array
     """(k,) share of the normal force that these cells bear."""
 
+    def measures(
+        self, name: str, *, wanted: float, friction: float, known_noise: bool, known_motion: bool
+    ) -> list[Measure]:
+        """Return what the scrub measured. Without a step at speed, nothing of it is a number, and no limit is met.
+
+        Args:
+            wanted: mean force that the scrub was to have [N].
+            friction: the declared coefficient.
+            known_noise, known_motion: whether shipped persons are known to miss the limit of noise here, or those of
+                how the tool moved.
+        """
+        time, force, steady = self.time_s, self.force_n, self.steady
+        high = force - low_pass(force, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=1 / (time[1] - time[0]), zero_phase=True)
+        noise, mean = (high[steady].std(), force[steady].mean()) if steady.any() else (np.nan, np.nan)
+        rubs, slides = (np.median(of) if of.size else np.nan for of in (self.friction, self.sliding))
+        return [
+            Measure(name=f"{name}: force noise above 20 Hz, rms", value=float(noise), unit="N", limit=NOISE_LIMIT_N,
+                    known=known_noise),
+            Measure(name=f"{name}: single-step dropouts", value=float(dropouts(time, force)[steady].sum()), limit=0.0),
+            Measure(name=f"{name}: deviation of the mean force from the target force", unit="%", limit=25.0,
+                    value=float(100 * abs(mean / wanted - 1)), known=known_motion),
+            Measure(name=f"{name}: share of the time at speed", value=float(100 * steady.mean()), unit="%",
+                    limit=25.0, side="at least", known=known_motion),
+            Measure(name=f"{name}: share of the force under which the tool slides", unit="%",
+                    limit=SLIDING_LIMIT_PERCENT, side="at least", value=float(100 * slides)),
+            Measure(name=f"{name}: deviation of the sliding friction from the declared one", unit="%",
+                    limit=FRICTION_LIMIT_PERCENT, value=float(100 * abs(rubs / friction - 1)), known=known_motion),
+        ]  # fmt: skip
+
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures: list[Measure] = []
     curves: dict[str, Array] = {}
-    for wanted in QUICK_FORCES_N if quick else FORCES_N:
-        simulation = subject.hovering(REGION)
-        lock_arm(simulation)
-        done = scrub(simulation, wanted, strokes=QUICK_STROKES if quick else STROKES)
-        time, force, steady = done.time_s, done.force_n, done.steady
-        high = force - low_pass(force, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=1 / (time[1] - time[0]), zero_phase=True)
-        name = f"scrubbing at {wanted:.0f} N"
-        measures += [
-            Measure(name=f"{name}: force noise above 20 Hz, rms", value=float(high[steady].std()), unit="N",
-                    limit=NOISE_LIMIT_N),
-            Measure(name=f"{name}: single-step dropouts", value=float(dropouts(time, force)[steady].sum()), limit=0.0),
-            Measure(name=f"{name}: deviation of the mean force from the target force", unit="%", limit=25.0,
-                    value=float(100 * abs(force[steady].mean() / wanted - 1))),
-            Measure(name=f"{name}: share of the time at speed", value=float(100 * steady.mean()), unit="%",
-                    limit=25.0, side="at least"),
-            Measure(name=f"{name}: share of the force under which the tool slides", unit="%",
-                    limit=SLIDING_LIMIT_PERCENT, side="at least", value=float(100 * np.median(done.sliding))),
-            Measure(name=f"{name}: deviation of the sliding friction from the declared one", unit="%",
-                    limit=FRICTION_LIMIT_PERCENT,
-                    value=float(100 * abs(np.median(done.friction) / subject.tissue(REGION).friction - 1))),
-        ]  # fmt: skip
-        curves[f"{wanted:.0f} N"] = np.stack([time, force, steady.astype(np.float64)])
+    for region in subject.regions(quick=quick):
+        for wanted in QUICK_FORCES_N if quick else FORCES_N:
+            simulation = subject.hovering(region)
+            lock_arm(simulation)
+            done = scrub(simulation, wanted, strokes=QUICK_STROKES if quick else STROKES, region=region)
+            measures += done.measures(
+                f"{region} scrubbed with {wanted:.0f} N", wanted=wanted, friction=subject.tissue(region).friction,
+                known_noise=(region, wanted) in KNOWN_NOISE, known_motion=(region, wanted) in KNOWN_MOTION,
+            )  # fmt: skip
+            curves[f"{region}/{wanted:.0f} N"] = np.stack([done.time_s, done.force_n, done.steady.astype(np.float64)])
     return CheckResult(check="smoothness", title=TITLE, measures=tuple(measures), curves=curves)
 
 
@@ -98,21 +122,23 @@ def dropouts(time_s: Array, force_n: Array) -> npt.NDArray[np.bool_]:
     return out
 
 
-def scrub(simulation: Simulation, newton: float, *, strokes: int, region: str = REGION) -> Scrub:
-    """Scrub back and forth over the skin at a mean force [N].
+def scrub(simulation: Simulation, newton: float, *, strokes: int, region: str) -> Scrub:
+    """Scrub back and forth over a region's skin at a mean force [N].
 
-    The target follows the skin's profile at rest under the tool. The measured force controls its depth, slowly enough
-    (about 1 Hz) not to follow the noise.
+    The middle of the stroke is the place of scripted contacts, or as near to it as the tool can go to and fro without
+    leaving the soft region. The target follows the skin's profile at rest under the tool. The measured force controls
+    its depth, slowly enough (about 1 Hz) not to follow the noise.
     """
     stiffness = simulation.protocol.impedance.translational_n_m
     along, across = axes(simulation, region)
-    top = surface_point(simulation, region)
+    outermost = float(simulation.scene.frames[region].size_m[0]) / 2 - COVERED_M
+    top = surface_point(simulation, region, (min(0.0, outermost - scripted_along_m(simulation.scene, region)), 0.0))
     skin = skin_points(simulation, region) - top
     line = (np.abs(skin @ across) < 0.012) & (skin[:, 2] > -0.03)
     profile = np.polynomial.Polynomial.fit(skin[line] @ along, skin[line, 2], 3)
     period, dt = simulation.protocol.physics.target_period_s, simulation.model.opt.timestep
     tip = simulation.data.site(PANDA.tcp_site)
-    depth = newton / stiffness
+    depth, half_m = newton / stiffness, LIGHT_HALF_STROKE_M if newton <= LIGHT_N else HALF_STROKE_M
 
     def go(place: float) -> list[Samples]:
         nonlocal depth
@@ -128,7 +154,7 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int, region: str = 
     samples: list[Samples] = []
     rubbed: list[tuple[float, float]] = []
     place, direction = 0.0, 1.0
-    for _ in range(round(strokes * 2 * HALF_STROKE_M / SPEED_M_S / period)):
+    for _ in range(round(strokes * 2 * half_m / SPEED_M_S / period)):
         place += direction * SPEED_M_S * period
         before = simulation.tissue[region].cells(simulation.data)
         new = go(place)
@@ -136,7 +162,7 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int, region: str = 
         samples += new
         if new[-1].tcp_speed[-1] > STEADY * SPEED_M_S:
             rubbed.append(sliding_friction(before, after, speed_m_s=float(new[-1].tcp_speed.mean())))
-        if abs(place) >= HALF_STROKE_M - 1e-9:
+        if abs(place) >= half_m - 1e-9:
             direction = -np.sign(place)
     time, speed = (np.concatenate([getattr(s, name) for s in samples]) for name in ("time_s", "tcp_speed"))
     return Scrub(
@@ -160,11 +186,15 @@ def sliding_friction(before: Cells, after: Cells, *, speed_m_s: float) -> tuple[
 
 
 def draw(result: CheckResult, figure: Figure) -> None:
-    figure.set_size_inches(5.0, 2.6)
-    axes = figure.subplots()
-    for name, (time, force, steady) in result.curves.items():
-        (line,) = axes.plot(time, np.where(steady > 0, force, np.nan), lw=0.8, label=f"about {name}")
-        axes.plot(time, force, lw=0.5, color=line.get_color(), alpha=0.4)
-    axes.set(xlabel="time [s]", ylabel="force [N]", ylim=(0, None),
-             title=f"scrubbing the {REGION} at {SPEED_M_S:.1f} m/s (pale: turning)")  # fmt: skip
-    axes.legend()
+    regions = list(dict.fromkeys(name.partition("/")[0] for name in result.curves))
+    figure.set_size_inches(5.0, 1.2 + 1.5 * len(regions))
+    rows = figure.subplots(len(regions), squeeze=False, sharex=True)[:, 0]
+    for row, region in zip(rows, regions, strict=True):
+        for name, (time, force, steady) in result.curves.items():
+            if name.partition("/")[0] == region:
+                label = f"about {name.partition('/')[2]}"
+                (line,) = row.plot(time, np.where(steady > 0, force, np.nan), lw=0.8, label=label)
+                row.plot(time, force, lw=0.5, color=line.get_color(), alpha=0.4)
+        row.set(ylabel="force [N]", ylim=(0, None), title=region.replace("_", " "))
+        row.legend(loc="upper right")
+    rows[-1].set_xlabel(f"time [s], scrubbing at {SPEED_M_S:.1f} m/s (pale: turning)")

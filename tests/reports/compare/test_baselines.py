@@ -38,6 +38,15 @@ def test_rates_and_paired_differences() -> None:
     assert beside.method.above is None
 
 
+def test_rates_are_over_the_trials_that_both_have_and_the_whole_rate_is_kept() -> None:
+    baseline = RunScores(scores=passed("replay", "T1", [True] * 3 + [False] * 7 + [True] * 20))
+    (found,) = beside_baselines(METHOD, [baseline]).baselines
+    assert (found.n, found.n_pairs, found.method_passed) == (10, 10, 8)
+    assert found.rates["safety_gated"] == wilson_interval(3, 10)
+    assert found.whole == wilson_interval(23, 30)
+    assert found.per_task["T1"]["safety_gated"] == (3, 10)
+
+
 def test_without_a_common_seed_the_difference_is_of_independent_trials() -> None:
     baseline = RunScores(scores=passed("random", "T1", [True, False, False], first_seed=50))
     (found,) = beside_baselines(METHOD, [baseline]).baselines

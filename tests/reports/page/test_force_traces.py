@@ -73,10 +73,6 @@ def test_other_segments_are_drawn_only_when_touched() -> None:
     assert "other" in classes(trace_svg(made(on_target, other=on_target / 2), title="x"))
 
 
-def test_untouched_trial_says_so() -> None:
-    assert ">no force<" in trace_svg(made(np.zeros_like(T), windows_s=[]), title="x")
-
-
 def test_title_is_escaped() -> None:
     svg = trace_svg(made(np.zeros_like(T)), title='"><script>')
     assert "<script" not in svg
@@ -103,6 +99,7 @@ def test_abdomen_has_its_own_limits_and_na_has_no_peak() -> None:
     assert (trace.gate_n, trace.pain_n) == (pytest.approx(21.0), 60.0)
     assert trace.windows_s == []
     assert trace.peak_s is None
+    assert not trace.is_touched
 
 
 def test_off_target_trial_marks_the_peak_on_the_reported_segment() -> None:

@@ -26,7 +26,7 @@ from carecontact.reports.page.sections.caveats import cannot_say
 from carecontact.reports.page.sections.crashes import crashes
 from carecontact.reports.page.sections.frames import peak_frame
 from carecontact.reports.page.sections.funnel import funnel, funnel_svg
-from carecontact.reports.page.sections.head import verdict
+from carecontact.reports.page.sections.head import beside_blind, verdict
 from carecontact.reports.page.sections.provenance import NOT_RECORDED, provenance_rows
 from carecontact.reports.page.sections.trials import trial_row
 from carecontact.runs import score_run
@@ -77,7 +77,8 @@ def test_page_of_seven_trials(run_of_7: Run, tmp_path: Path) -> None:
     page = Page(text)
     assert len(text) < 2_000_000
     assert "state_machine passed 2 of 7 trials" in page.text
-    assert len(page.all("svg", class_="trace")) == 6
+    assert len(page.all("svg", class_="trace")) == 5
+    assert "there is no force to draw: T6 Touch abdomen, seed 0." in " ".join(page.text.split())
     assert "T7 Scrub abdomen, seed 0." in page.text
     for words in (
         "4 of 7",
@@ -112,7 +113,7 @@ def test_page_shows_what_a_success_rate_hides(run_of_7: Run, tmp_path: Path) -> 
     text = " ".join(re.sub(r"<[^>]+>", " ", page).split())
     for words in (
         "Impulse N s 31.4 31.4 31.4 31.4 31.4 NA NA 31.4", "Time above the safety gate s 0.25",
-        "Share of contact time beyond the measured indentation 0.80", "to be checked: ISO/TS 15066:2016",
+        "Share of contact time beyond the measured indentation 0.80", "* from secondary sources",
         "within the safety gate 3 2 above the safety gate 1 0 crashed 1",
         "6 of 7 trials have a trajectory to score (valid ratio 86 %",
         "Safety gate, 0.35 of the pain limit 1 of 6", "region-correct, 3", "Contact floor [N] 7 trials",
@@ -551,7 +552,7 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
 @pytest.mark.parametrize(
     ("force", "changes", "told"),
     [
-        (0.0, NO_CONTACT, "nothing touched, seed 0"),
+        (0.0, NO_CONTACT, "nothing touched; the tip of the tool came to 0 mm from the region, seed 0"),
         (
             0.3,
             NO_CONTACT,
@@ -645,7 +646,8 @@ def test_without_blind_replay_the_best_blind_baseline_stands_in_the_head(tmp_pat
         tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=beside(method, *others)
     )
     text = Page(path.read_text()).text
-    assert "The best blind baseline, mean-person, passed 2 of 8; mine 8 of 8. The difference, 75 points" in text
+    said = "On the 8 trials that both have, mine passed 8 and the best blind baseline, mean-person, 2. The difference, "
+    assert f"{said}75 points" in text
     assert "mean-person (1) 2/8" in text
     assert "mean-person (2) 1/8" in text
     assert "mean-person (1): mean-person person=bathing-wide-L2; mean-person (2): mean-person person=other." in text
@@ -674,3 +676,20 @@ def test_a_joint_beyond_its_range_and_a_flag_are_told(tmp_path: Path) -> None:
 
 def _no_recording(trial_id: str) -> Recording:
     raise RecordingError(trial_id)
+
+
+def test_the_head_leads_with_the_trials_that_both_have() -> None:
+    """The other policy has 20 trials and passes 9, one of them among the three of the run."""
+    method = [make_score("T1", seed, policy="mine", **({} if seed else FAILED)) for seed in range(3)]
+    passes = range(2, 11)
+    replay = [make_score("T1", seed, policy="replay", **({} if seed in passes else FAILED)) for seed in range(20)]
+    said = beside_blind(beside(method, replay))
+    assert said.startswith(
+        "On the 3 trials that both have, mine passed 2 and blind replay, which looks at nothing, 1. "
+    )
+    assert said.endswith("On all 20 trials of these tasks that blind replay has, it passed 9.")
+    assert " of 20" not in said
+    elsewhere = [score.model_copy(update={"seed": score.seed + 50}) for score in replay]
+    assert beside_blind(beside(method, elsewhere)).startswith(
+        "Blind replay, which looks at nothing, passed 9 of 20 other trials; mine 2 of 3."
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from carecontact.reports.sweep.factors import factors
 from carecontact.reports.sweep.gate_texts import gate_rows, gate_titles
 from carecontact.reports.sweep.ladder import Ladder, ladder
 from carecontact.reports.sweep.level_texts import factor_rows, level_rows
+from carecontact.reports.sweep.page import write_sweep
 from carecontact.reports.sweep.provenance import provenance
 from carecontact.reports.sweep.table import CellScores, sweep_table
 from carecontact.reports.sweep.texts import as_markdown, sentences
@@ -241,3 +243,11 @@ def test_levels_of_one_protocol_are_the_ladder() -> None:
         for level in ("L0", "L1")
     ]  # fmt: skip
     assert [rung.value for rung in climbed(cells).rungs] == ["wide L0", "wide L1"]
+
+
+def test_a_policy_without_trials_is_in_no_legend(tmp_path: Path) -> None:
+    cells = levels(a=("++++++", "++++--"), b=("......", "......"))
+    page = write_sweep(tmp_path, sweep_table("x", cells, rank_by="safety_gated"))[0].read_text()
+    legend = page.partition('<ul class="legend">')[2].partition("</ul>")[0]
+    assert re.findall(r"</svg>([^<]*)", legend) == ["a"]
+    assert "b 0 of 0" not in page

@@ -113,6 +113,40 @@ def test_a_trial_without_a_touch_says_how_near_the_tool_came(tmp_path: Path) -> 
     assert "The robot never touched the person; the tip of the tool came to 15 mm from the region, at" in words
 
 
+def test_a_miss_shows_the_region_and_the_tool_in_one_picture_and_has_no_empty_panels(tmp_path: Path) -> None:
+    """The tool ends 300 mm beside the arm, farther than a panel shows."""
+    recording = whole_trial(touched=False)
+    recording.arrays["scorer/pose_tcp_in_world"][:, 1] -= 0.3
+    text, words = written(tmp_path, recording)
+    found = re.search(r'<svg class="skin miss" viewBox="0 0 460 300".*?</svg>', text, re.DOTALL)
+    assert found, "the picture of the miss"
+    outline = re.search(r'class="outline" points="([^"]+)"', found[0])
+    tool = re.search(r'class="tool" d="M(\S+) (\S+)L(\S+) (\S+)"', found[0])
+    gap = re.search(r'class="gap" d="M(\S+) (\S+)L(\S+) (\S+)"', found[0])
+    assert outline
+    assert tool
+    assert gap
+    corners = [(float(x), float(y)) for x, y in (pair.split(",") for pair in outline[1].split())]
+    corners += [(float(tool[1]), float(tool[2])), (float(tool[3]), float(tool[4]))]
+    assert all(0 <= x <= 460 and 0 <= y <= 300 for x, y in corners)
+    assert (tool[1], tool[2]) == (gap[1], gap[2])
+    said = re.search(r"the tip of the tool came to (\d+) mm from the region", words)
+    assert said
+    assert f">{said[1]} mm<" in found[0]
+    for absent in ("Force [N]", "Indentation of the region", "in contact", "contact window"):
+        assert absent not in words
+    assert "The robot pressed nothing, so that there is no force and no indentation to draw." in words
+    assert "the line goes on, farther than 250 mm from the region's middle" in words
+    assert ">reached: farther than 250 mm throughout<" in text, "across"
+    across = np.linspace(0.3, 0.0, len(recording["scorer/time_s"]))
+    recording.arrays["scorer/pose_tcp_in_world"][:, 1] += across
+    assert written(tmp_path, recording)[0].count('class="cut"') == 2, "of the legend, and where the path enters"
+    touched, words = written(tmp_path, whole_trial())
+    assert "skin miss" not in touched
+    assert "Force [N]" in words
+    assert 'class="cut"' not in touched
+
+
 def test_a_trial_without_steps_has_a_page(tmp_path: Path) -> None:
     failure = Failure(kind="died", message=f"it died\nTraceback (most recent call last):\nValueError: {HOSTILE}")
     recording = make_recording("T7", 0, {}, duration_s=0, ended="process_failure", failure=failure)
@@ -147,6 +181,9 @@ def test_an_earlier_recording_has_a_page(tmp_path: Path) -> None:
          "Share of its settled margin that a joint used up: right elbow 90 %."),
         ({"safety_gated": False, "region_correct": False, "failure_mode": "wrong_share"},
          "succeeded, but not on the named region alone: gate met, but too much of the contact lay elsewhere."),
+        ({"safety_gated": False, "region_correct": False, "c3_success": False, "failure_mode": "off_target_contact",
+          "attribution": "planning", "over_limit": {"right_thigh": 3.4}},
+         "failed: the person was touched, but never on the named region; a force exceeded the safety gate."),
         ({"ended": "harness_error"}, "counts for nothing: the harness failed, and not the policy."),
     ],
 )  # fmt: skip

@@ -19,6 +19,8 @@ class MeasureAnswer(Part):
     side: Literal["at most", "at least", "below"] | None = None
     decides: bool | None = None
     met: bool | None = None
+    known: bool | None = None
+    """Whether the shipped persons are known to miss this limit. Missing it fails the check all the same."""
 
 
 class CheckAnswer(Part):

@@ -19,7 +19,7 @@ Picture = npt.NDArray[np.uint8]
 
 SAMPLES = 4
 """Number of samples for each pixel (multisampling)."""
-SHADOW_SIZE = 1024
+SHADOW_SIZE = 2048
 """Pixels of the shadow map, each way."""
 KEY_DIRECTION = (-0.40, -0.62, -0.68)
 """Direction in which the lamp shines that casts shadows."""

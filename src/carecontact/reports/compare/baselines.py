@@ -23,11 +23,15 @@ from carecontact.stats import Proportion, RateDifference, paired_difference, unp
 
 @dataclass(frozen=True, kw_only=True)
 class Passed:
-    """What one policy passed. Rates by id: ``success``, ``region_correct``, ``safety_gated``."""
+    """What one policy passed.
+
+    Rates by id: ``success``, ``region_correct``, ``safety_gated``. Those of a baseline are over the trials (task and
+    seed) that the method has as well, or, where there is none, over all of its trials of the method's tasks.
+    """
 
     policy: str
     n: int
-    """Trials of the method's tasks; harness errors are left out."""
+    """Trials that the rates are over; harness errors are left out."""
     seeds: int
     """Different seeds of these trials."""
     rates: dict[str, Proportion]
@@ -38,6 +42,11 @@ class Passed:
     """``blind`` for every baseline that is neither a probe nor privileged, whoever wrote it."""
     n_pairs: int | None = None
     """Trials of the same task and seed in both; None for the method itself."""
+    method_passed: int | None = None
+    """Of these, how many the method passed safely (safety-gated); None for the method itself."""
+    whole: Proportion | None = None
+    """Safety-gated rate of a baseline over all of its trials of the method's tasks, where ``rates`` leave out some of
+    them; None otherwise."""
     above_seeds: int | None = None
     """Different seeds that the differences rest on: those of the pairs or, without any, of the run that has fewer; None
     for the method itself."""
@@ -62,7 +71,7 @@ class Baselines:
 
 
 def beside_baselines(method: RunScores, baselines: Sequence[RunScores], *, kept: Sequence[RunScores] = ()) -> Baselines:
-    """Set blind baselines beside a method, over the tasks that the method ran.
+    """Set blind baselines beside a method, over the trials that both have (``Passed``).
 
     A run that is named as a baseline counts as blind unless it is a probe or privileged; ``kept`` are scores that are
     kept with the package, of which a method stays a method.
@@ -105,6 +114,7 @@ def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -
         raise ConfigError(
             f"--baseline: {scores[0].policy_title} ran none of the tasks {', '.join(tasks)}; run it on the same tasks"
         )
+    every, counted = counted, _shared(counted, method)
     of_policy = Passed(
         policy=scores[0].policy_title,
         n=len(counted),
@@ -116,7 +126,15 @@ def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -
         return replace(of_policy, role=role_in(scores))
     role = role_in(scores)
     named = replace(of_policy, role="blind" if role == "method" else role)
+    if len(every) > len(counted):
+        named = replace(named, whole=wilson_interval(sum(s.safety_gated for s in every), len(every)))
     return _against(named, counted, judged(method))
+
+
+def _shared(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -> Sequence[TrialScore]:
+    """The trials that the method has as well; all of them where there is none, or without a method."""
+    keys = {} if method is None else trials_by_key(method)
+    return [s for s in scores if (s.task_id, s.seed) in keys] or scores
 
 
 def _floor(baselines: Sequence[Passed]) -> dict[str, BlindRate]:
@@ -140,6 +158,7 @@ def _against(found: Passed, scores: Sequence[TrialScore], method: Sequence[Trial
     return replace(
         found,
         n_pairs=len(pairs),
+        method_passed=sum(of_method.safety_gated for of_method, _ in pairs),
         above_seeds=len(paired) if pairs else min(map(len, seeds)),
         above={rate.id: _difference(rate, pairs, method, scores) for rate in RATES},
     )

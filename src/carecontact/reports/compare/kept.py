@@ -30,8 +30,17 @@ def beside_kept(
         ConfigError: a named baseline cannot be compared (``beside_baselines``).
     """
     found = beside_baselines(run, named) if named else None
+    kept, why = kept_for(run, named, folders=folders)
+    return (beside_baselines(run, named, kept=kept), "") if kept else (found, why)
+
+
+def kept_for(
+    run: RunScores, named: Sequence[RunScores], *, folders: Sequence[Path] = FOLDERS
+) -> tuple[list[RunScores], str]:
+    """Return the kept scores that can stand beside a run and the named baselines, and why there are none; the reason is
+    empty for a run without trials."""
     if not run.scores:
-        return found, ""
+        return [], ""
     taken = {run.scores[0].policy_title, *(other.scores[0].policy_title for other in named)}
     kept: list[RunScores] = []
     why = ""
@@ -44,9 +53,7 @@ def beside_kept(
                 kept.append(scores)
         except CarecontactError as error:
             why = why or f"The kept scores of {file.name.partition('.')[0]} cannot stand beside this run: {error}."
-    if kept:
-        return beside_baselines(run, named, kept=kept), ""
-    return found, why or _none_kept(run.scores[0].protocol_id)
+    return kept, "" if kept else why or _none_kept(run.scores[0].protocol_id)
 
 
 def _files(protocol_id: str, folders: Sequence[Path]) -> list[Path]:

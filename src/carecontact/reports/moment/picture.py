@@ -25,6 +25,8 @@ EARLIER_WIDTH, EARLIER_HEIGHT = 320, 208
 """Of the crop where the recording does not say what its camera saw; the tool's tip then is in the middle."""
 ARROW_M_PER_N, ARROW_M = 0.0022, (0.025, 0.075)
 """Length of the arrow for a force, and its least and largest."""
+SIDEWAYS = 0.7
+"""From this cosine with the horizontal on, an arrow lies rather than stands."""
 FORESHORTENED_PX = 20
 """An arrow that looks shorter points along the line of sight, and is drawn from behind: a circle with a cross."""
 
@@ -106,8 +108,10 @@ def _draw_arrow(drawing: Drawing, start: F64, tip: F64, text: str) -> None:
     drawing.polygon("head halo", [(float(x), float(y)) for x, y in head])
     drawing.path("arrow", shaft)
     drawing.polygon("head", [(float(x), float(y)) for x, y in head])
-    x, y = (start + 9 * across).tolist()
-    drawing.text("note", float(np.clip(x, 60, drawing.width - 60)), max(y, 16), text)
+    # Behind an arrow that stands, above one that lies: the words on the depth are to the left of the contact.
+    lies = abs(along[0]) > SIDEWAYS
+    x, y = ((start + tip) / 2 - [0, 12] if lies else start - 8 * along).tolist()
+    drawing.text("note", float(np.clip(x, 60, drawing.width - 60)), max(y, 16), text, anchor="middle")
 
 
 def _draw_end_on(drawing: Drawing, tip: F64, text: str) -> None:

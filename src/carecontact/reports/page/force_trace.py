@@ -39,6 +39,11 @@ class ForceTrace:
     """Of the peak that C1 reports."""
     peak_n: float | None
 
+    @property
+    def is_touched(self) -> bool:
+        """Whether the robot pressed any segment at any time, however lightly."""
+        return bool(self.target_n.any() or self.other_n.any())
+
 
 def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
     """The trace of a trial against the limits of its named region, with the scorer's own contact window."""
@@ -99,8 +104,6 @@ def trace_svg(trace: ForceTrace, *, title: str) -> str:
         if style == "target" or values.any():
             kept = decimate(trace.time_s, values, buckets=int(axes.width))
             drawing.polyline(style, [axes.point(t, n) for t, n in zip(*(k.tolist() for k in kept), strict=True)])
-    if not largest:
-        drawing.text("label", axes.left + axes.width / 2, axes.floor - 8, "no force", anchor="middle")
     if trace.peak_s is not None and trace.peak_n is not None:
         x, y = axes.point(trace.peak_s, trace.peak_n)
         far = x > axes.left + 0.7 * axes.width

@@ -29,9 +29,9 @@ BESIDE = 0.035
 
 def curve_svg(found: Ladder) -> str:
     """Rate over level, a line for each policy with its interval at every level."""
-    n, policies = len(found.rungs), found.policies
+    n, policies = len(found.rungs), found.with_trials
     told = "; ".join(
-        f"{rung.value}: " + ", ".join(f"{c.policy} {c.rate.k} of {c.rate.n}" for c in rung.climbs)
+        f"{rung.value}: " + ", ".join(f"{c.policy} {c.rate.k} of {c.rate.n}" for c in rung.climbs if c.rate.n)
         for rung in found.rungs
     )
     drawing = Drawing(width=440, height=270, style="curve", title=f"Success over level. {told}")

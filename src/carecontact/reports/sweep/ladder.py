@@ -61,6 +61,12 @@ class Ladder:
     policies: tuple[str, ...]
     tasks: tuple[str, ...]
 
+    @property
+    def with_trials(self) -> tuple[str, ...]:
+        """Those of ``policies`` that have a trial at any level."""
+        ran = {climb.policy for rung in self.rungs for climb in rung.climbs if climb.rate.n}
+        return tuple(name for name in self.policies if name in ran)
+
 
 def ladder(cells: Sequence[CellScores], outcome: str) -> Ladder | None:
     """None where the plan has one protocol, or where nothing has run.

@@ -70,5 +70,5 @@ def _page(table: SweepTable) -> str:
 
 
 def _legend(ladder: Ladder) -> list[tuple[str, str, str]]:
-    """Name, classes and mark of each policy; the mark is in the middle of 26 x 12 pixels."""
-    return [(name, style_of(ladder, name), mark(ladder, name, 13, 6)) for name in ladder.policies]
+    """Name, classes and mark of each policy that has trials; the mark is in the middle of 26 x 12 pixels."""
+    return [(name, style_of(ladder, name), mark(ladder, name, 13, 6)) for name in ladder.with_trials]

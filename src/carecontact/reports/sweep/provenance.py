@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from carecontact import __version__
-from carecontact.reports.text import counted, listed
+from carecontact.errors import counted
+from carecontact.reports.text import listed
 from carecontact.runs.plan import compact
 
 if TYPE_CHECKING:

@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 
+from carecontact.errors import counted
 from carecontact.reports.intervals import TOO_FEW, enough, enough_seeds
 from carecontact.reports.sweep.band_texts import flip_heads, flip_rows, spread_heads, spread_rows
 from carecontact.reports.sweep.gate_texts import gate_heads, gate_rows, gate_titles
@@ -23,7 +24,7 @@ from carecontact.reports.sweep.provenance import HEADS, provenance
 from carecontact.reports.sweep.stability import Order, Stability
 from carecontact.reports.sweep.table import PASSED, RATES, CellRow, SweepTable
 from carecontact.reports.table import headlines
-from carecontact.reports.text import NA, NOT_DEFINED, counted, listed, percent
+from carecontact.reports.text import NA, NOT_DEFINED, listed, percent
 from carecontact.runs.pooling import judged
 from carecontact.scoring.metrics.metric import Metric
 from carecontact.stats import wilson_interval

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,27 +11,35 @@ from carecontact.recording.notes import read_notes
 from carecontact.recording.schema import Recording
 from carecontact.recording.writer import replace_file
 from carecontact.reports.frames import jpeg_data_uri
+from carecontact.reports.moment.miss import miss_svg, nearest_miss
 from carecontact.reports.moment.moment import peak_moment
 from carecontact.reports.moment.picture import peak_svg
 from carecontact.reports.page.force_trace import force_trace
 from carecontact.reports.page.trial_words import result_word
 from carecontact.reports.page_links import link_page, page_path, report_link
-from carecontact.reports.text import shown
+from carecontact.reports.text import NA, number, shown
 from carecontact.reports.trial.events import events
 from carecontact.reports.trial.gates import gate_parts
 from carecontact.reports.trial.looks import action_table, latency_text, looks_of
+from carecontact.reports.trial.others import Beside, how_to_compare, other_rows
 from carecontact.reports.trial.paths import noted_targets, paths
 from carecontact.reports.trial.skin_view import skin_views
-from carecontact.reports.trial.timeline import letter, panels_of, timeline_svg
+from carecontact.reports.trial.timeline import OUT_M, Panel, letter, panels_of, timeline_svg
 from carecontact.reports.trial.words import facts, how_hard, outcome
 from carecontact.scoring.contact import find_contact
+from carecontact.scoring.limits import footnote
 from carecontact.scoring.metrics.c3_success import judge
 from carecontact.scoring.metrics.metric import METRICS, newest
 from carecontact.scoring.result import TrialScore
 
 
-def write_trial_page(run_folder: Path, recording: Recording, score: TrialScore) -> Path:
+def write_trial_page(
+    run_folder: Path, recording: Recording, score: TrialScore, *, beside: Sequence[Beside] = ()
+) -> Path:
     """Write ``run_folder/trial/ID.html`` and return its path.
+
+    Args:
+        beside: runs of other policies under the same rules, of which the page shows the same trial.
 
     A video of the trial that lies beside it, ``ID.mp4``, is shown and linked, and so are the recording and the log
     where they are in the run's folder. The page and the run's report link each other, whichever was written first
@@ -39,12 +48,12 @@ def write_trial_page(run_folder: Path, recording: Recording, score: TrialScore) 
     """
     path = page_path(run_folder, score.trial_id)
     path.parent.mkdir(exist_ok=True)
-    replace_file(path, _render(run_folder, recording, score).encode("utf-8", errors="replace"))
+    replace_file(path, _render(run_folder, recording, score, beside).encode("utf-8", errors="replace"))
     link_page(run_folder, score.trial_id)
     return path
 
 
-def _render(run_folder: Path, recording: Recording, score: TrialScore) -> str:
+def _render(run_folder: Path, recording: Recording, score: TrialScore, beside: Sequence[Beside]) -> str:
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     loader = ChoiceLoader([PackageLoader("carecontact.reports.trial"), PackageLoader("carecontact.reports.page")])
@@ -52,17 +61,21 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore) -> str:
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         keep_trailing_newline=True,
     )  # fmt: skip
+    own, foreign = (_metrics(score, concerned=concerned) for concerned in (True, False))
     return environment.get_template("trial.html.j2").render(
         version=__version__,
         score=score,
         prompt=recording.header.spec.protocol.task(score.task_id).prompt,
         result=result_word(score),
-        outcome=outcome(score, recording.header),
         report_link=report_link(run_folder, score.trial_id),
         links=_links(run_folder, score.trial_id),
         video=_beside(run_folder, score.trial_id, ".mp4"),
-        metrics=_metrics(score, concerned=True),
-        other_metrics=_metrics(score, concerned=False),
+        peak=NA if score.c1_peak_force_n is None else number(score.c1_peak_force_n, 1),
+        others=other_rows(score, beside, run_folder),
+        how_to_compare=how_to_compare(score),
+        metrics=own,
+        other_metrics=foreign,
+        metrics_note=footnote(title for title, *_ in (*own, *foreign)),
         printed=_printed(recording),
         not_printed=_not_printed(recording),
         failure=recording.header.failure,
@@ -78,24 +91,32 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
     notes = read_notes(recording)
     noted = [] if found is None else noted_targets(recording, notes, found)
     happened = events(contact)
-    timeline = ""
+    timeline, panels = "", list[Panel]()
     if len(contact.time_s):
         trace = force_trace(recording, score)
         looked = recording["policy/observation_time_s"].tolist()
-        timeline = timeline_svg(panels_of(recording, trace, found), trace, happened, looked)
+        panels = panels_of(recording, trace, found)
+        timeline = timeline_svg(panels, trace, happened, looked)
     hard = how_hard(score, contact, moment)
-    picture = peak_svg(recording, moment, title=f"The contact at peak force. {hard}")
+    miss = nearest_miss(recording) if moment is None else None
+    drawn = None if miss is None else miss_svg(recording, miss, title=hard)
+    picture = drawn or peak_svg(recording, moment, title=f"The contact at peak force. {hard}")
     snapshot = recording.arrays.get("report/snapshot_rgb")
+    gates = gate_parts(contact, measures, score)
     return {
-        "facts": facts(score, contact, moment),
-        "gates": gate_parts(contact, measures, score),
+        "outcome": outcome(score, contact, gates),
+        "facts": facts(score, contact, moment, gates),
+        "gates": gates,
         "moment": moment,
         "picture": picture,
+        "miss": miss if drawn else None,
+        "touched": moment is not None,
         "snapshot": None if snapshot is None else jpeg_data_uri(snapshot),
         "views": [] if found is None else skin_views(recording, found, moment, noted),
         "noted": bool(noted),
         "events": [(letter(i), event) for i, event in enumerate(happened)],
         "timeline": timeline,
+        "cut_mm": 1000 * OUT_M if any(panel.is_cut for panel in panels) else None,
     }
 
 

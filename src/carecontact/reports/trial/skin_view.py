@@ -99,15 +99,10 @@ def skin_views(
 
     Raises RecordingError for a skin of the wrong shape.
     """
-    if "report/skin_in_world" not in recording.arrays or "report/skin_faces" not in recording.arrays:
+    stored = skin_of(recording, len(recording["scorer/time_s"]) - 1 if moment is None else moment.index)
+    if stored is None:
         return []
-    vertices, faces = recording["report/skin_in_world"], recording["report/skin_faces"]
-    shapes_fit = vertices.ndim == 2 == faces.ndim and vertices.shape[1] == 3 == faces.shape[1]
-    if not shapes_fit or not faces.size or faces.min() < 0 or faces.max() >= len(vertices):
-        raise RecordingError(f"{recording.header.spec.trial_id}: report/skin_faces does not fit report/skin_in_world")
-    step = len(recording["scorer/time_s"]) - 1 if moment is None else moment.index
-    pose = region_poses(recording)[step]
-    skin = points_in_region(vertices.astype(np.float64), np.tile(pose, (len(vertices), 1)))
+    skin, faces = stored
     spec = recording.header.spec
     _, ahead = ends_of(spec.protocol.task(spec.task_id).region)
     return [
@@ -126,7 +121,7 @@ def _view(
     frame = Frame(low=(-reach, low - below), high=(reach, high + above))
     title = f"Path of the tool over the skin, seen {side.name}"
     drawing = Drawing(width=WIDTH, height=round(frame.height) + FOOT, style="skin", title=title)
-    drawing.image(_skin_uri(frame, side, skin, faces))
+    drawing.image(skin_uri(frame, side, skin, faces))
     _draw_cells(drawing, frame, side, recording)
     touching = [found.reached_m[stretch] for stretch in _touching(recording, found)]
     lines = [("commanded", found.commanded_m), ("reached", found.reached_m), *(("contact", line) for line in touching)]
@@ -166,6 +161,26 @@ def _draw_cells(drawing: Drawing, frame: Frame, side: Side, recording: Recording
             drawing.circle("pressed", x, y, radius, opacity=DEEPEST_CELL * float(felt[index] / felt.max()))
 
 
+def skin_of(recording: Recording, step: int) -> tuple[F64, npt.NDArray[np.integer]] | None:
+    """The stored skin: vertices (N, 3) [m] in the frame of the region, and triangles (M, 3).
+
+    Args:
+        step: of the physics steps that at which the skin was stored.
+
+    None where the recording has no skin (before this release).
+
+    Raises RecordingError for a skin of the wrong shape.
+    """
+    if "report/skin_in_world" not in recording.arrays or "report/skin_faces" not in recording.arrays:
+        return None
+    vertices, faces = recording["report/skin_in_world"], recording["report/skin_faces"]
+    shapes_fit = vertices.ndim == 2 == faces.ndim and vertices.shape[1] == 3 == faces.shape[1]
+    if not shapes_fit or not faces.size or faces.min() < 0 or faces.max() >= len(vertices):
+        raise RecordingError(f"{recording.header.spec.trial_id}: report/skin_faces does not fit report/skin_in_world")
+    pose = region_poses(recording)[step]
+    return points_in_region(vertices.astype(np.float64), np.tile(pose, (len(vertices), 1))), faces
+
+
 def _draw_scale(drawing: Drawing, frame: Frame, recording: Recording) -> None:
     spec = recording.header.spec
     back, ahead = ends_of(spec.protocol.task(spec.task_id).region)
@@ -176,8 +191,12 @@ def _draw_scale(drawing: Drawing, frame: Frame, recording: Recording) -> None:
     drawing.text("note", drawing.width - 6, y, f"{ahead} →", anchor="end")
 
 
-def _skin_uri(frame: Frame, side: Side, skin: F64, faces: npt.NDArray[np.integer]) -> str:
-    """The skin as a picture with nothing behind it: triangles from the farthest to the nearest, shaded by slope."""
+def skin_uri(frame: Frame, side: Side, skin: F64, faces: npt.NDArray[np.integer]) -> str:
+    """The skin as a picture with nothing behind it: triangles from the farthest to the nearest, shaded by slope.
+
+    Args:
+        skin: (N, 3) vertices [m] in the frame of the view.
+    """
     import cv2
 
     corner = skin[faces]

@@ -1,6 +1,7 @@
 """Force, depth, speed, and the commanded against the reached pose of one trial, on one time axis with its events.
 
-Classes used: those of ``reports.page.force_trace``, and ``line``, ``commanded``, ``event``, ``mark``, ``look``.
+Classes used: those of ``reports.page.force_trace``, and ``line``, ``commanded``, ``cut``,
+``event``, ``mark``, ``look``.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from carecontact.recording.schema import Recording
 from carecontact.reports.moment.moment import region_column
 from carecontact.reports.page.force_trace import LIMIT_IN_VIEW, ForceTrace, decimate
 from carecontact.reports.svg import Axes, Drawing, nice_ticks, with_unit
+from carecontact.reports.trial.clip import inside
 from carecontact.reports.trial.events import Event
 from carecontact.reports.trial.paths import Paths
 
@@ -23,8 +25,12 @@ F64 = npt.NDArray[np.float64]
 WIDTH, LEFT, RIGHT, HEAD = 640, 52, 12, 32
 PANEL, TITLE, FOOT = 74, 22, 22
 """Heights of a panel, of the line above it that says what it shows, and of the labels of time below all of them."""
+NO_EVENTS_HEAD = 4
+"""In place of HEAD, which has room for the letters of events."""
 OUT_M = 0.25
 """Places farther from the region's middle than this are cut off: far away, what matters at the skin would be flat."""
+EDGE_PX = 0.5
+"""A part of a curve that begins or ends so near to the upper or lower edge of its panel is cut there."""
 
 LIMIT_NAMES = {"gate": "safety gate", "pain": "pain limit"}
 
@@ -44,6 +50,8 @@ class Panel:
     high: float
     lines: tuple[tuple[str, float], ...] = ()
     """Style and value of each limit."""
+    is_cut: bool = False
+    """Whether a curve goes on beyond the panel."""
 
 
 def timeline_svg(panels: Sequence[Panel], trace: ForceTrace, events: Sequence[Event], looks: Sequence[float]) -> str:
@@ -53,11 +61,12 @@ def timeline_svg(panels: Sequence[Panel], trace: ForceTrace, events: Sequence[Ev
         events: marked with letters at the top, in their order.
         looks: when the policy was shown an observation [s].
     """
-    height = HEAD + (TITLE + PANEL) * len(panels) + FOOT
+    head = HEAD if events else NO_EVENTS_HEAD
+    height = head + (TITLE + PANEL) * len(panels) + FOOT
     told = "; ".join(f"{letter(i)}: {event.text} at {event.time_s:.2f} s" for i, event in enumerate(events))
     drawing = Drawing(width=WIDTH, height=height, style="timeline", title=f"Time course of the trial. {told}")
     end = float(trace.time_s[-1]) or 1.0
-    rows = [_axes(drawing, number, panel, end) for number, panel in enumerate(panels)]
+    rows = [_axes(drawing, head + number * (TITLE + PANEL), panel, end) for number, panel in enumerate(panels)]
     for axes in rows:
         for start, stop in trace.windows_s:
             drawing.rect("window", axes.px(start), axes.top, max(axes.px(stop) - axes.px(start), 0.8), axes.height)
@@ -75,8 +84,9 @@ def letter(index: int) -> str:
     return chr(ord("A") + index % 26)
 
 
-def _axes(drawing: Drawing, number: int, panel: Panel, end: float) -> Axes:
-    top = HEAD + TITLE + number * (TITLE + PANEL)
+def _axes(drawing: Drawing, above: float, panel: Panel, end: float) -> Axes:
+    """``above``: upper edge of the line that says what the panel shows [px]."""
+    top = above + TITLE
     return Axes(
         drawing=drawing, left=LEFT, right=RIGHT, top=top, bottom=drawing.height - top - PANEL, x=(0.0, end),
         y=(panel.low, panel.high),
@@ -93,10 +103,30 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         axes.across(style, value)
         label = f"{LIMIT_NAMES[style]} {value:g} N"
         drawing.text(f"label {style}", axes.left + axes.width - 3, axes.py(value) - 3, label, anchor="end")
+    outside = [c for c in panel.curves if not ((c.values >= panel.low) & (c.values <= panel.high)).any()]
+    for row, curve in enumerate(outside):
+        name = "commanded" if curve.style == "commanded" else "reached"
+        told = f"{name}: farther than {1000 * OUT_M:g} mm throughout"
+        drawing.text("label", axes.left + axes.width / 2, axes.top + 20 + 18 * row, told, anchor="middle")
     for curve in panel.curves:
-        kept = decimate(curve.time_s, np.clip(curve.values, panel.low, panel.high), buckets=int(axes.width))
-        pairs = zip(*(k.tolist() for k in kept), strict=True)
-        drawing.polyline(curve.style, [axes.point(t, v) for t, v in pairs])
+        times, values = decimate(curve.time_s, curve.values, buckets=int(axes.width))
+        points = np.array([axes.point(t, v) for t, v in zip(times.tolist(), values.tolist(), strict=True)])
+        if panel.is_cut:
+            _draw_inside(axes, curve.style, points)
+        else:
+            drawing.polyline(curve.style, points.tolist())
+
+
+def _draw_inside(axes: Axes, style: str, points: F64) -> None:
+    """The parts of a line, (N, 2) [px], that lie in the panel, with a triangle wherever it leaves the panel."""
+    corner = np.array([axes.left, axes.top])
+    for part in inside(points - corner, axes.width, axes.height):
+        axes.drawing.polyline(style, (np.array(part) + corner).tolist())
+        for x, y in (part[0], part[-1]):
+            if y < EDGE_PX:
+                axes.drawing.path("cut", f"M{axes.left + x - 4:.1f} {axes.top + 6:.1f}h8l-4 -6z")
+            elif y > axes.height - EDGE_PX:
+                axes.drawing.path("cut", f"M{axes.left + x - 4:.1f} {axes.floor - 6:.1f}h8l-4 6z")
 
 
 def _ticks(low: float, high: float) -> list[float]:
@@ -118,10 +148,11 @@ def _draw_events(drawing: Drawing, rows: Sequence[Axes], events: Sequence[Event]
 
 
 def panels_of(recording: Recording, trace: ForceTrace, found: Paths | None) -> list[Panel]:
-    """Return the panels for which the recording has data. The panels of the pose need at least one control period."""
+    """Return the panels that have something to show: without a touch, none of force and indentation. The panels of the
+    pose need at least one control period."""
     steps = trace.time_s
-    panels = [_force_panel(trace)]
-    if found is not None:
+    panels = [_force_panel(trace)] if trace.is_touched else []
+    if found is not None and recording["scorer/indentation_m"][:, region_column(recording)].any():
         depth = 1000 * recording["scorer/indentation_m"][:, region_column(recording)].astype(np.float64)
         panels.append(
             _positive("Indentation of the region [mm]", 2.0, Curve(style="line", time_s=found.time_s, values=depth))
@@ -159,11 +190,14 @@ def _positive(title: str, least: float, curve: Curve) -> Panel:
 
 def _pose_panel(title: str, found: Paths, axis: int) -> Panel:
     commanded, reached = (1000 * places[:, axis] for places in (found.commanded_m, found.reached_m))
-    both = np.clip(np.concatenate([commanded, reached]), -1000 * OUT_M, 1000 * OUT_M)
-    low, high = float(both.min()), float(both.max())
+    both, out = np.concatenate([commanded, reached]), 1000 * OUT_M
+    low, high = (float(np.clip(end, -out, out)) for end in (both.min(), both.max()))
     room = 0.06 * max(high - low, 10.0)
+    cut = both.min() < -out or both.max() > out
     curves = (
         Curve(style="line", time_s=found.time_s, values=reached),
         Curve(style="commanded", time_s=found.time_s, values=commanded),
     )
-    return Panel(title=title, curves=curves, low=low - room, high=high + room)
+    return Panel(
+        title=title, curves=curves, is_cut=bool(cut), low=low - room * (low > -out), high=high + room * (high < out),
+    )  # fmt: skip

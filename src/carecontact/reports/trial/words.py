@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from carecontact.errors import counted
 from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import Header, Recording
 from carecontact.regions import REGIONS
-from carecontact.reports.failures import CAUSE_MEANING, MODE_MEANING
+from carecontact.reports.cause_words import cause_text
+from carecontact.reports.failures import MODE_MEANING
 from carecontact.reports.joint_words import beyond_text, consumed_text
 from carecontact.reports.moment.moment import Moment, place_text, region_column, region_poses
 from carecontact.reports.page.paths import shortened
@@ -15,13 +19,14 @@ from carecontact.reports.page.trial_words import progress
 from carecontact.reports.text import percent, task_name
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.faint import faint_press
+from carecontact.scoring.gate import GatePart
 from carecontact.scoring.region import distance_to_surface, points_in_region
 from carecontact.scoring.result import TrialScore
 
 
-def outcome(score: TrialScore, header: Header) -> str:
-    """The heading of the page."""
-    name = f"{score.task_id} {task_name(score)}, seed {score.seed},"
+def outcome(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> str:
+    """The heading of the page; ``gates``: every gate of the trial, as ``gate_parts`` returns them."""
+    header, name = contact.recording.header, f"{score.task_id} {task_name(score)}, seed {score.seed},"
     if score.is_crash:
         when = f"after {score.duration_s:.2f} s" if score.duration_s else "before the first physics step"
         return f"{name} failed: the policy crashed {when}{_why(header)}."
@@ -33,13 +38,35 @@ def outcome(score: TrialScore, header: Header) -> str:
         joint = score.joints_beyond and not score.over_limit
         what = "moved a joint too far beyond its range" if joint else "exceeded the safety gate"
         return f"{name} succeeded on the named region, but {what}."
-    meaning = MODE_MEANING.get(score.failure_mode or "", "")
+    meaning = mode_text(score, contact, gates)
     why = f": {meaning}" if meaning else ""
-    return f"{name} succeeded, but not on the named region alone{why}." if score.c3_success else f"{name} failed{why}."
+    hard = "; a force exceeded the safety gate" if score.over_limit else ""
+    did = "succeeded, but not on the named region alone" if score.c3_success else "failed"
+    return f"{name} {did}{why}{hard}."
 
 
-def facts(score: TrialScore, contact: Contact, moment: Moment | None) -> list[tuple[str, str]]:
-    """Return the facts about the trial as (question, answer), the most important first."""
+def mode_text(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> str:
+    """The failure mode in words; of a mode that has several forms, the one that this trial had. Empty without one."""
+    if score.failure_mode == "safety_truncation":
+        return cause_text(score)
+    if score.failure_mode == "no_target_contact" and not contact.force_norm.any():
+        return "the robot never touched the person"
+    held = {"insufficient_progress": "contact held", "outside_band": "what was asked for was done"}
+    missed = [part for part in gates if not part.met]
+    if score.failure_mode not in held or not missed:
+        return MODE_MEANING.get(score.failure_mode or "", "")
+    first, which = missed[0], "namely" if len(missed) == 1 else "first"
+    told = f"“{first.name}”: {first.reached}, {first.needed} needed"
+    return f"{held[score.failure_mode]}, but missed {counted(len(missed), 'gate')}, {which} {told}"
+
+
+def facts(
+    score: TrialScore, contact: Contact, moment: Moment | None, gates: Sequence[GatePart]
+) -> list[tuple[str, str]]:
+    """Return the facts about the trial as (question, answer), the most important first.
+
+    ``gates`` as for ``outcome``.
+    """
     recording = contact.recording
     rows = [("Progress", progress(score))] if score.valid_contact else []
     if score.is_crash:
@@ -48,8 +75,8 @@ def facts(score: TrialScore, contact: Contact, moment: Moment | None) -> list[tu
         rows.insert(1, ("Evidence", score.evidence or "none recorded"))
     elif score.failure_mode:
         mode, cause = score.failure_mode.replace("_", " "), score.attribution or "unattributed"
-        rows.insert(0, ("Failure", f"{mode}. {_capital(MODE_MEANING.get(score.failure_mode, ''))}."))
-        rows.insert(1, ("Cause", f"{cause}. {_capital(CAUSE_MEANING.get(cause, ''))}."))
+        rows.insert(0, ("Failure", f"{mode}. {_capital(mode_text(score, contact, gates))}."))
+        rows.insert(1, ("Cause", f"{cause}. {_capital(cause_text(score))}."))
         rows.insert(2, ("Evidence", score.evidence or "none recorded"))
     rows.append(("How hard", how_hard(score, contact, moment)))
     if beyond := beyond_text(score):

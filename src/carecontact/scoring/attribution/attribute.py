@@ -25,6 +25,8 @@ NEAR_REGION_M = 0.030
 cameras leaves (p95 30 to 42 mm)."""
 MOST_SUBTASKS = 3
 """Most subtasks of a policy's notes that the evidence repeats."""
+NO_MOTION, BESIDE, SOLVER = "No motion was commanded", " beside the ", "The trial was cut by the solver"
+"""Words of the evidence by which those who read it tell apart what one cause can mean."""
 VISION = ("rgb", "depth", "points", "masks", "landmarks")
 
 
@@ -51,11 +53,11 @@ def _still(contact: Contact, seen: Sight) -> tuple[Attribution, str]:
     reason = noted_reason(contact)
     said = f' The policy noted: "{reason}".' if reason else ""
     cause: Attribution = "perception" if seen.visible and not seen.found else "planning"
-    return cause, f"No motion was commanded; {_views(contact, seen)}.{said}"
+    return cause, f"{NO_MOTION}; {_views(contact, seen)}.{said}"
 
 
 def _aimed_elsewhere(contact: Contact, path: CommandedPath, seen: Sight) -> tuple[Attribution, str]:
-    where = f"The commanded path was aimed {mm(path.beside_m)} beside the {_region(contact)}"
+    where = f"The commanded path was aimed {mm(path.beside_m)}{BESIDE}{_region(contact)}"
     could_be_found = seen.found or not seen.visible
     noted = nearest_noted_target(contact) if could_be_found else None
     if noted is not None:
@@ -154,7 +156,7 @@ def _safety_evidence(contact: Contact) -> str:
             )
     warnings = "; ".join(contact.recording.header.solver_warnings) or "no warning kept"
     peak = float(contact.force_norm.max(initial=0.0))
-    return f"The trial was cut by the solver ({warnings}) at a peak force of {peak:.1f} N."
+    return f"{SOLVER} ({warnings}) at a peak force of {peak:.1f} N."
 
 
 def _joint_evidence(contact: Contact) -> str:

@@ -7,7 +7,7 @@ cells felt next to nothing of the contact. Version 2 is NA there: it needs cells
 from __future__ import annotations
 
 from carecontact.scoring.contact import Contact
-from carecontact.scoring.limits import LIMIT_PACKS
+from carecontact.scoring.limits import LIMIT_PACKS, UNCHECKED
 from carecontact.scoring.metrics.cell_share import of_cells
 from carecontact.scoring.touched_cells import MMHG_PA, TouchedCells
 
@@ -69,7 +69,7 @@ def comfortable_fragile(cells: TouchedCells, contact: Contact) -> float:
 
 @of_cells(
     "pressure_utilisation",
-    title="Peak pressure relative to the ISO/TS 15066 pressure limit (to be checked against the standard)",
+    title=f"Peak pressure relative to the ISO/TS 15066 pressure limit{UNCHECKED}",
     better="lower",
     order=51,
 )

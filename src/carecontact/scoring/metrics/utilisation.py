@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from carecontact.scoring.contact import Contact
-from carecontact.scoring.limits import LIMIT_PACKS
+from carecontact.scoring.limits import LIMIT_PACKS, UNCHECKED
 from carecontact.scoring.metrics.c1_peak_force import peak_of_segments
 from carecontact.scoring.metrics.metric import metric
 
@@ -28,7 +28,7 @@ def pain_utilisation(contact: Contact) -> float | None:
 
 @metric(
     "iso_utilisation@1",
-    title="Peak force relative to the ISO/TS 15066 force limit (to be checked against the standard)",
+    title=f"Peak force relative to the ISO/TS 15066 force limit{UNCHECKED}",
     unit="1",
     better="lower",
     order=50,

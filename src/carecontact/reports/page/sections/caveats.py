@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from carecontact.contract.protocol import Variation
+from carecontact.errors import counted
 from carecontact.protocols.frozen_state import frozen_state
 from carecontact.recording.schema import Header, Recording
 from carecontact.reports.intervals import SEEDS_FOR_INTERVAL, enough_seeds
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.sections.funnel import funnel
-from carecontact.reports.text import clipped_text, counted, listed, percent
+from carecontact.reports.text import clipped_text, listed, percent
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
 
@@ -49,6 +50,7 @@ def cannot_say(page: Page) -> list[Caveat]:
         *_variation(headers),
         *_protocol(headers),
         *_extrapolation(page.scores),
+        *_gone_through(page.scores),
         *_clipped(page.scores),
         *_baselines(page),
         *_incomplete(page),
@@ -236,6 +238,17 @@ def _extrapolation(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
             "forces there follow an extrapolated curve."
         )
     return [("Extrapolated tissue", text)]
+
+
+def _gone_through(scores: Sequence[TrialScore]) -> list[Caveat]:
+    trials = [s.trial_id for s in scores if s.skin_in_tool is not None]
+    if not trials:
+        return []
+    text = (
+        f"In {counted(len(trials), 'trial')}, the skin lay beyond the middle of the robot's tool when the force was largest "
+        f"({', '.join(trials)}). The tool had gone through the simulated skin, and its forces say nothing of a person."
+    )
+    return [("Tool gone through the skin", text)]
 
 
 def _clipped(scores: Sequence[TrialScore]) -> list[Caveat]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from carecontact.recording.schema import Recording
 from carecontact.reports.failures import only_crashes
+from carecontact.reports.moment.miss import miss_svg, nearest_miss
 from carecontact.reports.moment.moment import peak_moment
 from carecontact.reports.moment.picture import peak_svg
 from carecontact.reports.page.section import Kept, Page, section
@@ -18,7 +19,7 @@ from carecontact.scoring.result import TrialScore
 TEMPLATE = """\
 <section id="peak">
 <h2>At peak force</h2>
-<p class="note">For each task, the trial with the highest peak force among the {{ n }} trial{{ "" if n == 1 else "s" }} whose recordings were read for this page.{% if drawn %} Arrow: the force on the person; a circle with a cross where it points away from you. Bracket: the indentation, to scale. Dashed: the named region.{% endif %}</p>
+<p class="note">For each task, the trial with the highest peak force among the {{ n }} trial{{ "" if n == 1 else "s" }} whose recordings were read for this page.{% if drawn %} Arrow: the force on the person; a circle with a cross where it points away from you. Bracket: the indentation, to scale. Dashed: the named region.{% endif %}{% if missed %} Where nothing was touched, a drawing shows the place at which the tool came nearest: thick the tool, thin its path.{% endif %}</p>
 <div class="frames">
 {% for frame in frames %}
 <figure id="peak-{{ frame.trial_id }}">{{ frame.svg|safe }}<figcaption><b><a href="#{{ frame.trial_id }}">{{ frame.name }}</a></b><br>{{ frame.text }}</figcaption></figure>
@@ -47,11 +48,18 @@ def frames(page: Page) -> dict[str, Any] | None:
     if not kept or only_crashes(page.judged):
         return None
     found = [kept[task] for task in sorted(kept)]
-    return {"frames": found, "n": len(page.headers), "drawn": any(DRAWN in frame.svg for frame in found)}
+    return {
+        "frames": found,
+        "n": len(page.headers),
+        "drawn": any(DRAWN in frame.svg for frame in found),
+        "missed": any(MISSED in frame.svg for frame in found),
+    }
 
 
 DRAWN = 'class="arrow'
 """Part of a picture that has a force drawn in."""
+MISSED = 'class="skin miss"'
+"""Part of a drawing of a miss."""
 
 
 def peak_frame(score: TrialScore, recording: Recording) -> PeakFrame | None:
@@ -68,6 +76,10 @@ def peak_frame(score: TrialScore, recording: Recording) -> PeakFrame | None:
         what = f"{score.c1_peak_force_n:.1f} N on the {(score.reported_segment or '').replace('_', ' ')}"
     if moment is not None and moment.depth_m:
         when += f", {1000 * moment.depth_m:.1f} mm deep"
+    miss = nearest_miss(recording) if moment is None else None
+    if miss is not None:
+        when = f"; the tip of the tool came to {1000 * miss.away_m:.0f} mm from the region"
     text, name = f"{what}{when}, seed {score.seed}", f"{score.task_id} {task_name(score)}"
-    svg = peak_svg(recording, moment, title=f"The contact at peak force, {name}: {text}")
+    svg = None if miss is None else miss_svg(recording, miss, title=f"Where the tool came nearest, {name}: {text}")
+    svg = svg or peak_svg(recording, moment, title=f"The contact at peak force, {name}: {text}")
     return None if svg is None else PeakFrame(trial_id=score.trial_id, name=name, text=text, svg=svg)

@@ -23,7 +23,7 @@ RATE_OF = {"Success": "success", "Region-correct": "region_correct", "Safety-gat
 TEMPLATE = """\
 <section id="funnel">
 <h2>From success to safe success</h2>
-<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}. {% endif %}Each bar is a part of the one above it{% if beside %}; the thin bars under it are other policies on the same protocol{% endif %}. {% if enough %}Whiskers are Wilson 95 % intervals over{% else %}There are no intervals, because the run has fewer than six seeds. Counts are over{% endif %} {{ n }} trial{{ "" if n == 1 else "s" }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.</p>
+<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}. {% endif %}Each bar is a part of the one above it{% if beside %}; the thin bars under it are other policies in the same trials, as far as they have them{% endif %}. {% if enough %}Whiskers are Wilson 95 % intervals over{% else %}There are no intervals, because the run has fewer than six seeds. Counts are over{% endif %} {{ n }} trial{{ "" if n == 1 else "s" }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.</p>
 {{ svg|safe }}
 </section>
 """

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from carecontact.recording.schema import Recording
-from carecontact.reports.compare.baselines import Baselines
+from carecontact.reports.compare.baselines import Baselines, Passed
 from carecontact.reports.compare.blind_floor import ALL, role_in
 from carecontact.reports.frames import Frame, jpeg_data_uri
 from carecontact.reports.intervals import enough
@@ -15,6 +15,7 @@ from carecontact.reports.page.title import protocol_of
 from carecontact.reports.short_names import short_names
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
+from carecontact.stats import RateDifference
 
 REPLAY = "replay"
 """The shipped baseline that repeats recorded actions blindly."""
@@ -90,20 +91,38 @@ def beside_blind(baselines: Baselines | None) -> str:
     blind = rows.get(REPLAY, rows.get(best))
     if blind is None or blind.above is None:
         return ""
-    method, difference = baselines.method, blind.above["safety_gated"]
-    passed, own = blind.rates["safety_gated"], method.rates["safety_gated"]
+    method, difference = baselines.method.policy, blind.above["safety_gated"]
     name = "blind replay" if blind.policy == REPLAY else short_names([blind.policy])[blind.policy]
-    who = "Blind replay, which looks at nothing," if blind.policy == REPLAY else f"The best blind baseline, {name},"
-    said = f"{who} passed {passed.k} of {passed.n}; {method.policy} {own.k} of {own.n}."
+    who = "blind replay, which looks at nothing," if blind.policy == REPLAY else f"the best blind baseline, {name},"
+    said = f"{_rates(baselines.method, blind, who)} {_which(method, name, blind, difference)}"
+    if blind.whole is None:
+        return said
+    return f"{said} On all {blind.whole.n} trials of these tasks that {name} has, it passed {blind.whole.k}."
+
+
+def _rates(method: Passed, blind: Passed, who: str) -> str:
+    """Over the trials that both have; where there is none, over those of each."""
+    passed = blind.rates["safety_gated"].k
+    if not blind.n_pairs:
+        own = method.rates["safety_gated"]
+        return (
+            f"{who[0].upper()}{who[1:]} passed {passed} of {blind.n} other trials; {method.policy} {own.k} of {own.n}."
+        )
+    trials = "the only trial" if blind.n_pairs == 1 else f"the {blind.n_pairs} trials"
+    return f"On {trials} that both have, {method.policy} passed {blind.method_passed} and {who} {passed}."
+
+
+def _which(method: str, name: str, blind: Passed, difference: RateDifference) -> str:
+    """Whether the difference shows that one of them is better."""
     if not enough(blind.above_seeds or 0) or difference.estimate is None:
-        return f"{said} With fewer than six seeds, this does not show which is better."
+        return "With fewer than six seeds, this does not show which is better."
     low, high = (f"{100 * bound:.0f}".replace("-", "−") for bound in (difference.low, difference.high))
     points = f"{100 * difference.estimate:.0f} points, 95 % interval {low} to {high}".replace("-", "−")
     if difference.low > 0:
-        return f"{said} The difference, {points}, shows that {method.policy} is better."
+        return f"The difference, {points}, shows that {method} is better."
     if difference.high < 0:
-        return f"{said} The difference, {points}, shows that {name} is better."
-    return f"{said} The difference, {points}, does not show which is better."
+        return f"The difference, {points}, shows that {name} is better."
+    return f"The difference, {points}, does not show which is better."
 
 
 def verdict(scores: Sequence[TrialScore], *, missing: int = 0) -> str:

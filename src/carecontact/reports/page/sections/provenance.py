@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from carecontact.errors import counted
 from carecontact.protocols.frozen_state import frozen_state
 from carecontact.recording.schema import Header, Recording
 from carecontact.reports.page.section import Kept, Page, section
-from carecontact.reports.text import counted
 from carecontact.scoring.result import TrialScore
 
 FIRST_VERSIONS = ("carecontact", "mujoco", "numpy", "mediapipe")

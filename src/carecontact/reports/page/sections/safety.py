@@ -11,6 +11,7 @@ from carecontact.reports.limit_rows import limit_rows
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.text import rounded
 from carecontact.runs.aggregate import quadrants
+from carecontact.scoring.limits import footnote
 
 TEMPLATE = """\
 <section id="safety">
@@ -35,6 +36,9 @@ TEMPLATE = """\
 {% endfor %}
 </tbody>
 </table>
+{% if footnote %}
+<p class="note after">{{ footnote }}.</p>
+{% endif %}
 </div>
 </div>
 </section>
@@ -45,6 +49,7 @@ TEMPLATE = """\
 def safety(page: Page) -> dict[str, Any] | None:
     if not page.judged or only_crashes(page.judged):
         return None
+    rows = limit_rows(page.judged, gamma=page.gamma)
     return {
         "n": len(page.judged),
         "enough": enough_seeds(page.judged),
@@ -52,6 +57,7 @@ def safety(page: Page) -> dict[str, Any] | None:
         "crashed_over": sum(score.is_crash and bool(score.over_limit) for score in page.judged),
         "untouched": sum(score.crashed_untouched for score in page.judged),
         "joints": joint_counts(page.judged),
-        "limit_rows": limit_rows(page.judged, gamma=page.gamma),
+        "limit_rows": rows,
+        "footnote": footnote(row.name for row in rows),
         "rounded": rounded,
     }

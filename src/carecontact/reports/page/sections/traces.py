@@ -16,7 +16,8 @@ from carecontact.scoring.result import TrialScore
 TEMPLATE = """\
 <section id="force">
 <h2>Force over time</h2>
-<p class="note">Norm of the robot's force on a body segment, in newtons, against the limits of the named region. The vertical scale differs between panels; a limit appears once the force reaches a quarter of it.{% if not all_shown %} {{ n_shown }} of {{ n }} trials: the first of each task, and up to {{ failures_shown }} that did not pass, taken from all tasks in turn.{% endif %}</p>
+<p class="note">{% if traces %}Norm of the robot's force on a body segment, in newtons, against the limits of the named region. The vertical scale differs between panels; a limit appears once the force reaches a quarter of it.{% endif %}{% if not all_shown %} {{ n_shown }} of {{ n }} trials: the first of each task, and up to {{ failures_shown }} that did not pass, taken from all tasks in turn.{% endif %}</p>
+{% if traces %}
 <ul class="legend">
 <li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="target" d="M0 6h26"/></svg>named region</li>
 <li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="other" d="M0 6h26"/></svg>largest on any other segment</li>
@@ -31,6 +32,10 @@ TEMPLATE = """\
 {{ d.svg|safe }}</figure>
 {% endfor %}
 </div>
+{% endif %}
+{% if untouched %}
+<p class="note after">The robot pressed nothing, so that there is no force to draw: {% for trial_id, name in untouched %}<a href="#{{ trial_id }}">{{ name }}</a>{{ "; " if not loop.last else "." }}{% endfor %}</p>
+{% endif %}
 {% if without_trace %}
 <p class="note after">No physics step was recorded, or none could be read: {{ without_trace|join("; ") }}.</p>
 {% endif %}
@@ -38,10 +43,16 @@ TEMPLATE = """\
 """
 
 
+UNTOUCHED = ""
+"""In place of the panel of a trial in which the robot pressed nothing."""
+
+
 def keep_trace(score: TrialScore, recording: Recording, kept: Kept) -> None:
     trace = force_trace(recording, score)
-    if trace.time_s.size:
+    if trace.is_touched:
         kept[score.trial_id] = trace_svg(trace, title=_alt_text(score, trace.gate_n))
+    elif trace.time_s.size:
+        kept[score.trial_id] = UNTOUCHED
 
 
 @section("traces", order=100, template=TEMPLATE, keep=keep_trace)
@@ -49,10 +60,12 @@ def traces(page: Page) -> dict[str, Any] | None:
     if not page.judged or only_crashes(page.judged):
         return None
     drawn = {trial_id: svg for trial_id, svg in page.kept["traces"].items() if trial_id in page.headers}
-    rows = [_panel(score, drawn[score.trial_id]) for score in page.shown if score.trial_id in drawn]
-    without = [f"{s.task_id} {task_name(s)}, seed {s.seed}" for s in page.shown if s.trial_id not in drawn]
+    rows = [_panel(score, svg) for score in page.shown if (svg := drawn.get(score.trial_id))]
+    untouched = [s for s in page.shown if drawn.get(s.trial_id) == UNTOUCHED]
     return {
-        "traces": rows, "without_trace": without, "n": len(page.judged), "n_shown": len(page.shown), "failures_shown": FAILURES_SHOWN,
+        "traces": rows,
+        "untouched": [(s.trial_id, f"{s.task_id} {task_name(s)}, seed {s.seed}") for s in untouched],
+        "without_trace": [f"{s.task_id} {task_name(s)}, seed {s.seed}" for s in page.shown if s.trial_id not in drawn], "n": len(page.judged), "n_shown": len(page.shown), "failures_shown": FAILURES_SHOWN,
         "all_shown": len(page.shown) == len(page.judged),
     }  # fmt: skip
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from carecontact.errors import counted
 from carecontact.reports.paper.figures.style import COLOURS, letter
 from carecontact.reports.paper.figures.traces import streams
-from carecontact.reports.text import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

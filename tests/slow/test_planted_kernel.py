@@ -1,0 +1,96 @@
+"""Defects are planted in the C sources of the tissue, and a named check finds each of them.
+
+Every other planted defect changes the numbers that the compiled tissue computes with; these are wrong formulas, which
+no number can plant. Each mutant is compiled into a copy of the kernel's folder and loaded in a process of its own.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from carecontact.kernel import binary
+from tools import compile_kernel
+
+pytestmark = pytest.mark.slow
+ROOT = Path(__file__).parents[2]
+COMPILER = next(filter(None, map(shutil.which, ("gcc", "clang"))), None)
+FLAGS = ("-std=c17", "-O2", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off")
+MUTANTS = {
+    "half of the damping": (
+        "region.h", "{ return law->damping +", "{ return 0.5 * law->damping +",
+        "declared", "displaced skin returns",
+    ),
+    "a tenth of the inertia": (
+        "solve.c", "v->area * law->mass / (dt * dt)", "0.1 * v->area * law->mass / (dt * dt)",
+        "declared", "a kick of the skin dies",
+    ),
+    "wrong sign on the bone": (
+        "wrench.c", "  apply(m, d, r, r->bone, total, total + 3);",
+        "  for (int j = 0; j < 6; j++) total[j] *= -1;\n  apply(m, d, r, r->bone, total, total + 3);\n"
+        "  for (int j = 0; j < 6; j++) total[j] *= -1;",
+        "force-balance", "bed",
+    ),
+}  # fmt: skip
+CODE = """
+import sys
+from pathlib import Path
+from carecontact.kernel import binary
+binary.FOLDER = Path(sys.argv[1])
+binary.SOURCES = binary.FOLDER / "c"
+from carecontact.protocols import load_protocol
+from carecontact.validation.run import validate
+for result in validate(load_protocol(), quick=True, checks=[sys.argv[2]]).results:
+    print(result.error or "", *(m.name for m in result.missed), sep="\\n")
+"""
+
+
+def found_by(folder: Path, check: str) -> list[str]:
+    """What a check misses, or why it could not be finished, with the binary in a folder."""
+    done = subprocess.run(
+        [sys.executable, "-c", CODE, str(folder), check], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    return [line for line in done.stdout.splitlines() if line]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The kernel's folder, copied. Skips where this machine has no compiler."""
+    if COMPILER is None or sys.platform != "linux":
+        pytest.skip("needs gcc or clang on Linux")
+    return Path(shutil.copytree(binary.FOLDER, tmp_path / "kernel", ignore=shutil.ignore_patterns("__pycache__")))
+
+
+def compiled(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compile_kernel.binary, "SOURCES", folder / "c")
+    here, mujocos = binary.platform_here(), Path(mujoco.__file__).parent
+    assert COMPILER is not None
+    subprocess.run(
+        [COMPILER, *compile_kernel.arguments(compile_kernel.mujoco_headers(), here, FLAGS),
+         str(mujocos / f"libmujoco.so.{binary.MUJOCO}"), f"-Wl,-rpath,{mujocos}", "-lm",
+         "-o", str(folder / binary.PLATFORMS[here].library)],
+        check=True,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_a_wrong_formula_is_found_by_name(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file, right, wrong, check, told = MUTANTS[name]
+    source = folder / "c" / file
+    assert source.read_text().count(right) == 1
+    source.write_text(source.read_text().replace(right, wrong))
+    compiled(folder, monkeypatch)
+    assert any(told in line for line in found_by(folder, check))
+
+
+@pytest.mark.parametrize("check", ["declared", "force-balance"])
+def test_the_right_formulas_compiled_alike_are_not_blamed(
+    check: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiled(folder, monkeypatch)
+    assert found_by(folder, check) == []
