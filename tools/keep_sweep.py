@@ -42,6 +42,13 @@ def file_name(run: RunScores, *, best: bool) -> str:
     return first.policy if best else re.sub(r"[^A-Za-z0-9._-]+", "-", first.policy_title)
 
 
+def without_folders(tables: str) -> str:
+    """Leave out the last column of the cells, the folders of the sweep, which are not beside the page."""
+    before, title, rest = tables.partition("\n## Cells\n")
+    cells, end, after = rest.partition("\n## ")
+    return before + title + re.sub(r"(?m) [^|\n]* \|$", "", cells) + end + after
+
+
 def keep(sweep: Path, out: Path) -> list[Path]:
     """Write the page and the scores of a sweep's cells, and return the files.
 
@@ -59,7 +66,7 @@ def keep(sweep: Path, out: Path) -> list[Path]:
             f"{sweep}: expected cells of one protocol with the same trials in each; run the rest first"
         )
     (protocol,), (seed,), (size,) = protocols, seeds, sizes
-    tables = (sweep / "sweep.md").read_text(encoding="utf-8").partition("\n")[2]
+    tables = without_folders((sweep / "sweep.md").read_text(encoding="utf-8").partition("\n")[2])
     files = [out / f"{protocol}.md"]
     out.mkdir(parents=True, exist_ok=True)
     files[0].write_text(

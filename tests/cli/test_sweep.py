@@ -15,6 +15,7 @@ import pytest
 
 import carecontact
 from carecontact.cli import main
+from carecontact.cli.answers.sweep import SweepCellAnswer
 from carecontact.contract.trial import TrialSpec
 from carecontact.runs import score_folder
 from carecontact.trials import supervisor
@@ -59,6 +60,12 @@ def rows() -> list[dict[str, str]]:
 def test_a_sweep_is_a_run_for_each_cell_and_one_table(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    assert main(["sweep", "p.toml", "--out", "s", "--dry-run", "--json"]) == 0
+    lines = [SweepCellAnswer.model_validate_json(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(line.policy, line.values, line.trials, line.recorded) for line in lines[:2]] == [
+        ("hover", {"body": "man-adult"}, 2, 0), ("zero-action", {"body": "man-adult"}, 2, 0),
+    ]  # fmt: skip
+    assert len(lines) == 4
     assert main(["sweep", "p.toml", "--out", "s", "--dry-run"]) == 0
     assert capsys.readouterr().out.count("2 trials\n") == 4
     assert not Path("s").exists()
@@ -193,6 +200,12 @@ def test_a_piece_of_a_plan_is_a_beginning_of_the_whole(
     assert main(["sweep", "p.toml", "--out", "s", "--seeds", "1", "--tasks", "T1"]) == 0
     assert [row["planned"] for row in rows()] == ["1"] * 4
     capsys.readouterr()
+    assert main(["sweep", "p.toml", "--out", "s", "--dry-run", "--json"]) == 0
+    lines = [SweepCellAnswer.model_validate_json(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(line.policy, line.values, line.trials, line.recorded) for line in lines[:2]] == [
+        ("hover", {"body": "man-adult"}, 2, 0), ("zero-action", {"body": "man-adult"}, 2, 0),
+    ]  # fmt: skip
+    assert len(lines) == 4
     assert main(["sweep", "p.toml", "--out", "s", "--dry-run"]) == 0
     assert capsys.readouterr().out.count(": 2 trials, 1 recorded\n") == 4
     assert main(["sweep", "p.toml", "--out", "s"]) == 0

@@ -28,13 +28,18 @@ def cell(sweep: Path, name: str, policy: str, passed: int, *, seeds: int = 2, **
     return run
 
 
+CELLS = "| policy | trials | folder |\n| --- | --- | --- |\n| a | 2 | `cells/a_1` |\n| b\\|c | 1 | `cells/b_2` |\n"
+
+
 @pytest.fixture
 def sweep(tmp_path: Path) -> Path:
     folder = tmp_path / "sweep"
     cell(folder, "a", "mean-person", 1, policy_arguments={"person": "worse"})
     cell(folder, "b", "mean-person", 2, policy_arguments={"person": "better"})
     cell(folder, "c", "state-machine", 2)
-    (folder / "sweep.md").write_text("# Sweep results\n\n3 cells of 3 policies.\n")
+    (folder / "sweep.md").write_text(
+        "# Sweep results\n\n3 cells of 3 policies.\n\n## Cells\n\n" + CELLS + "\n## Provenance\n\n| plan | x |\n"
+    )
     return folder
 
 
@@ -46,7 +51,10 @@ def test_what_is_kept_stands_beside_a_run_of_the_level(
     assert "3 files of scores" in capsys.readouterr().out
     page = (kept / "bathing-wide-v1.md").read_text()
     assert page.startswith("# bathing-wide-v1: results\n\nSeeds 0 to 1, 2 trials")
-    assert page.endswith("3 cells of 3 policies.\n")
+    assert "3 cells of 3 policies.\n" in page
+    assert page.endswith("| a | 2 |\n| b\\|c | 1 |\n\n## Provenance\n\n| plan | x |\n"), (
+        "folders are not beside the page"
+    )
     assert "# Sweep" not in page
     folder = kept / "bathing-wide-v1-L2"
     assert {file.name for file in folder.iterdir()} == {

@@ -51,10 +51,9 @@ def test_the_rates_of_the_page_are_those_of_the_kept_scores(protocol: str, metho
     assert rate["estimate"] == pytest.approx(sum(score.safety_gated for score in scores) / 140)
 
 
-@pytest.mark.parametrize("page", [*(f"{protocol}.md" for protocol in EARLIER), "README.md"])
+@pytest.mark.parametrize("page", [*(f"{protocol}.md" for protocol in EARLIER), "earlier.md"])
 def test_a_page_says_that_it_was_made_with_the_earlier_tissue(page: str) -> None:
-    text = (RESULTS / page).read_text().partition("## Earlier")[2] or (RESULTS / page).read_text()
-    top = text.split("\n\n")[1].replace("\n> ", " ")
+    top = (RESULTS / page).read_text().split("\n\n")[1].replace("\n> ", " ")
     assert top.startswith("> **These results were made with an earlier model of the soft tissue**")
     assert "do not hold for" in top or "have no successor" in top
 
@@ -110,6 +109,29 @@ def test_the_readme_has_ceiling_methods_and_floor(level: str) -> None:
         assert cell == told(passed[name], runs[name])
     floor = level_cells(ROOT / "README.md", r"\[policy that does not look\]")[f"bathing-wide-v1 {level}"]
     assert floor == told(passed[blind], runs[blind])
+
+
+def test_the_newcomers_page_has_the_floors_and_ceilings() -> None:
+    page = " ".join((ROOT / "docs" / "bathing-wide.md").read_text().split())
+    said = re.search(
+        r"On L2, the floor is (\d+) %, the ceiling (\d+) %, and our script passes (\d+) %\. "
+        r"On L3, these are (\d+), (\d+) and (\d+) %", page
+    )  # fmt: skip
+    assert said is not None
+    rates = {
+        level: {
+            (path.stem, role_in(run.scores)): 100 * sum(s.safety_gated for s in run.scores) / len(run.scores)
+            for path in EXAM if path.parent.name.endswith(level) for run in [read_scores(path)]
+        }
+        for level in ("L2", "L3")
+    }  # fmt: skip
+    expected: list[float] = []
+    for of_level in rates.values():
+        expected += [
+            max(rate for (_, role), rate in of_level.items() if role == kind) for kind in ("blind", "privileged")
+        ]
+        expected.append(of_level["state-machine.json", "method"])
+    assert list(map(int, said.groups())) == [round(rate) for rate in expected]
 
 
 def told(passed: int, run: RunScores) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, counted
 from carecontact.recording.reader import read_verified
 from carecontact.trials.pace import ACT, BETWEEN, PACED, WARM_S, Pace, check_pace
 
@@ -105,7 +105,8 @@ def test_a_run_keeps_its_pace_and_the_hash_stays(tmp_path: Path) -> None:
     assert found["paced"].recording[PACED].tolist() == [0.8, 0.0]
     late = int(found["hasty"].recording[PACED][1])
     assert late > 0
-    assert f"warning: --pace 0.101: {late} observations of 1 trial were not ready in time" in told
+    told_late = f"{counted(late, 'observation')} of 1 trial {'was' if late == 1 else 'were'} not ready in time"
+    assert f"warning: --pace 0.101: {told_late}" in told
     assert (
         "0.8 s for each control period; observations came late in 0 of 1"
         in (tmp_path / "paced" / "report.html").read_text()

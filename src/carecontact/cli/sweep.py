@@ -88,8 +88,7 @@ class Sweep:
         )
         if self.dry_run:
             for cell in mine:
-                told = f", {recorded} recorded" if (recorded := len(cell.specs) - self._lacking(cell)) else ""
-                print(f"{self._folder(cell)}: {counted(len(cell.specs), 'trial')}{told}")
+                self._say_cell(cell)
             return 0
         policies = self._checked(plan, setups, mine)
         (self.out / CELLS).mkdir(parents=True, exist_ok=True)
@@ -142,6 +141,17 @@ class Sweep:
         from carecontact.runs.sweep.cells import CELLS
 
         return self.out / CELLS / cell.name
+
+    def _say_cell(self, cell: Cell) -> None:
+        from carecontact.cli.answers.sweep import SweepCellAnswer
+        from carecontact.cli.json_lines import say
+
+        folder, planned = self._folder(cell), len(cell.specs)
+        recorded = planned - self._lacking(cell)
+        print(f"{folder}: {counted(planned, 'trial')}" + (f", {recorded} recorded" if recorded else ""))
+        if self.output.json:
+            found = {"values": cell.place.values, "folder": str(folder), "trials": planned, "recorded": recorded}
+            say(SweepCellAnswer.model_validate({"policy": cell.label, **found}))
 
     def _lacking(self, cell: Cell) -> int:
         """Return how many trials of a cell have no recording."""
@@ -202,7 +212,7 @@ class Sweep:
                 CellScores(
                     label=cell.label, role=role_of(cell.specs[0].policy), values=cell.place.values,
                     folder=self._folder(cell).relative_to(self.out).as_posix(),
-                    planned=len(cell.specs), scores=_of_plan(cell, run),
+                    planned=len(cell.specs), scores=_of_plan(cell, run), versions=run.versions if run else {},
                 )
                 for cell, run in found
             ],

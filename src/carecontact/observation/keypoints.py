@@ -100,7 +100,7 @@ def _without_needless() -> Iterator[None]:
 def import_pose() -> Any:
     """MediaPipe's class, which no thread belongs to before an object of it is made.
 
-    Raises DependencyError if MediaPipe is not installed.
+    Raises DependencyError if MediaPipe is not installed, or is installed and cannot be imported.
     """
     os.environ.setdefault("GLOG_minloglevel", "3")
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
@@ -111,6 +111,12 @@ def import_pose() -> Any:
         raise DependencyError(
             f"the modalities landmarks and masks need MediaPipe, and {error.name} is not installed; "
             "`carecontact doctor` prints the command that installs it"
+        ) from None
+    except (ImportError, OSError) as error:
+        told = " ".join(str(error).split()) or type(error).__name__
+        raise DependencyError(
+            f"the modalities landmarks and masks need MediaPipe, which is installed but cannot be imported ({told}); "
+            "`carecontact doctor` says what is wrong"
         ) from None
     return Pose
 

@@ -24,7 +24,7 @@ def cell(name: str, body: str, peaks: Sequence[float], *, fails: Sequence[int] =
 
 
 def drawn(cells: Sequence[CellScores]) -> Bands:
-    found = bands(cells, "safety_gated")
+    found = bands(cells, "safety_gated", ranked=list(dict.fromkeys(one.label for one in cells)))
     assert found is not None
     return found
 
@@ -40,7 +40,7 @@ def test_a_band_is_over_all_draws_of_a_policy() -> None:
     band = one.bands["C1@1"]
     assert band is not None
     assert (band.n, band.low, band.median, band.high) == (21, 2.0, 11.0, 20.0)
-    assert column(spread_heads(), spread_rows(found), "C1 [N]")["a"].startswith("11.00 [2.00 to 20.00]")
+    assert column(spread_heads(), spread_rows(found, {"a": "a"}), "C1 [N]")["a"].startswith("11.00 [2.00 to 20.00]")
 
 
 def test_flips_are_the_draws_that_go_against_the_order_over_all() -> None:
@@ -59,7 +59,7 @@ def test_equal_policies_have_no_order_to_flip() -> None:
 
 
 def test_one_draw_has_no_band_and_levels_are_no_draws() -> None:
-    assert bands([cell("a", "thin", [2])], "safety_gated") is None
+    assert bands([cell("a", "thin", [2])], "safety_gated", ranked=["a"]) is None
     assert sweep_table("x", levels(a=("++", "+-"), b=("++", "--")), rank_by="safety_gated").bands is None
     told = as_markdown(sweep_table("x", [cell("a", "thin", [2, 3])], rank_by="safety_gated"))
     assert "## Spread over the draws" in told

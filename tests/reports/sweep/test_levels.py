@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from carecontact.policies.registry import Role
+from carecontact.reports.sweep import page as sweep_page
 from carecontact.reports.sweep.curve import curve_svg
 from carecontact.reports.sweep.factors import factors
+from carecontact.reports.sweep.gate_texts import gate_rows, gate_titles
 from carecontact.reports.sweep.ladder import Ladder, ladder
-from carecontact.reports.sweep.level_texts import factor_rows, gate_rows, level_rows
+from carecontact.reports.sweep.level_texts import factor_rows, level_rows
 from carecontact.reports.sweep.page import write_sweep
+from carecontact.reports.sweep.provenance import provenance
 from carecontact.reports.sweep.table import CellScores, sweep_table
 from carecontact.reports.sweep.texts import as_markdown, sentences
 from carecontact.runs.sweep.factors import ALL, AXIS, NONE, alone, without
@@ -179,7 +183,57 @@ def test_an_order_that_another_gate_turns_is_named_with_its_place() -> None:
     pushes = {order.place: (order.least, order.setting) for order in table.gate_orders if order.gate == "push_force_n"}
     assert pushes["L1"] == (-1.0, "push_force_n 1")
     assert pushes["L0"][0] == 1.0
-    assert ["push_force_n", "1.00", "1.00", "-1.00 (push_force_n 1)"] in gate_rows(table.gate_orders)
+    titles = gate_titles([score for cell in cells for score in cell.scores])
+    first, *others = gate_rows(table.gate_orders, titles)
+    assert first == ["Push: force (push_force_n)", "1.00", "1.00", "-1.00 (at 1)"]
+    assert [row[0][:20] for row in others] == ["All others: Region-c"]
+    assert len(gate_rows([one for one in table.gate_orders if one.gate != "push_force_n"], titles)) == 1
+
+
+def test_gates_of_actions_that_did_not_run_are_left_out() -> None:
+    gates = {"gate_sweep": {"push_force_n": {"1": 3}, "floor_n": {"1": 3}}}
+    cells = [
+        replace(one, scores=[score.model_copy(update=gates) for score in one.scores])
+        for one in levels(a=("+", "-"), b=("+", "+"))
+    ]
+    table = sweep_table("x", cells, rank_by="safety_gated")
+    assert {order.gate for order in table.gate_orders} >= {"push_force_n", "floor_n"}
+    page = as_markdown(table)
+    assert "Contact floor" in page
+    assert "push_force_n" not in page
+    assert "Push: force" not in page
+
+
+def test_a_blind_baseline_is_called_so_and_changes_no_places() -> None:
+    """Also without levels, where no ladder says so."""
+    cells = [cell(name, "L0", {"T1": "++-", "T2": "+-+"}) for name in ("a", "b", "blind")]
+    cells[1] = cell("b", "L0", {"T1": "-++", "T2": "--+"})
+    table = sweep_table("x", cells, rank_by="safety_gated")
+    assert table.ladder is None
+    assert "Not ranked, because they are no methods: blind (blind)." in sentences(table)
+    page = as_markdown(table)
+    assert "| a - b | T2 |" in page
+    assert "a - blind" not in page
+    assert "| blind (blind) | L0 |" in page
+
+
+def test_the_page_says_what_decided_its_numbers_and_where_each_run_is() -> None:
+    cells = levels(a=("+", "-"), b=("+", "+"))
+    table = sweep_table("plan", cells, rank_by="safety_gated")
+    rows = dict(provenance(table))
+    first = cells[0].scores[0]
+    assert first.protocol_sha256[:12] in rows["protocols, with their hashes"]
+    assert (rows["plan"], rows["tasks"], rows["seeds"]) == ("plan", "T1", "0")
+    assert rows["recordings"].startswith("4 trials; ")
+    assert "gates gates-v1" in rows["definitions of the scores"]
+    page, text = sweep_page._page(table), as_markdown(table)  # pyright: ignore[reportPrivateUsage]
+    for what, value in rows.items():
+        assert f"| {what} | {value} |" in text
+        assert value in page
+    assert '<a href="a/">a</a>' in page
+    assert "| `a` |" in text
+    for told in (page, text):
+        assert "–" not in told
 
 
 def test_levels_of_one_protocol_are_the_ladder() -> None:

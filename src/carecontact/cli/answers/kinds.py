@@ -16,7 +16,7 @@ from carecontact.cli.answers.protocol import (
 )
 from carecontact.cli.answers.run import RunAnswer, TrialAnswer
 from carecontact.cli.answers.score import ScoreAnswer
-from carecontact.cli.answers.sweep import SweepAnswer
+from carecontact.cli.answers.sweep import SweepAnswer, SweepCellAnswer
 from carecontact.cli.answers.validate import ValidateAnswer
 
 ANSWERS: tuple[type[Answer], ...] = (
@@ -27,6 +27,7 @@ ANSWERS: tuple[type[Answer], ...] = (
     ScoreAnswer,
     CompareAnswer,
     SweepAnswer,
+    SweepCellAnswer,
     ProtocolListAnswer,
     ProtocolShowAnswer,
     ProtocolVerifyAnswer,

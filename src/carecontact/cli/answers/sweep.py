@@ -1,4 +1,4 @@
-"""The answer of `carecontact sweep`."""
+"""The answers of `carecontact sweep`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,22 @@ from carecontact.reports.sweep.factors import Factors
 from carecontact.reports.sweep.gate_orders import GateOrder
 from carecontact.reports.sweep.ladder import Ladder
 from carecontact.reports.sweep.stability import Stability
+
+
+class SweepCellAnswer(Answer):
+    """One cell of a plan, with `--dry-run`."""
+
+    kind: Annotated[Literal["carecontact-sweep-cell-1"], Field(alias="schema")] = "carecontact-sweep-cell-1"
+    policy: str
+    """Its label in the tables."""
+    values: dict[str, str]
+    """Axis -> value."""
+    folder: str
+    """Where its run is or will be."""
+    trials: int
+    """Number of planned trials."""
+    recorded: int
+    """How many of them are recorded."""
 
 
 class SweepAnswer(Answer):

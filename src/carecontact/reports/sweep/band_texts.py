@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from carecontact.reports.intervals import enough
 from carecontact.reports.sweep.bands import Band, Bands
 from carecontact.reports.table import headlines
-from carecontact.reports.text import NOT_DEFINED, percent, shown
+from carecontact.reports.text import NA, percent, shown
 from carecontact.scoring.metrics.metric import Metric
 
 
@@ -13,10 +15,11 @@ def spread_heads() -> list[str]:
     return ["policy", "task", "passed", *(metric.label for metric in headlines())]
 
 
-def spread_rows(found: Bands) -> list[list[str]]:
+def spread_rows(found: Bands, named: Mapping[str, str]) -> list[list[str]]:
+    """``named``: policy -> its name with its role."""
     return [
         [
-            one.policy,
+            named[one.policy],
             one.task,
             f"{one.passed}/{one.n}",
             *(_band(metric, one.bands[metric.id], of=one.n) for metric in headlines()),
@@ -27,7 +30,7 @@ def spread_rows(found: Bands) -> list[list[str]]:
 
 def _band(metric: Metric, found: Band | None, *, of: int) -> str:
     if found is None:
-        return NOT_DEFINED
+        return NA
     low, middle, high = (
         shown(value, digits=metric.digits, unit=metric.unit) for value in (found.low, found.median, found.high)
     )
@@ -45,4 +48,4 @@ def flip_rows(found: Bands) -> list[list[str]]:
 
 
 def _share(found: tuple[int, int] | None) -> str:
-    return NOT_DEFINED if found is None else f"{found[0]}/{found[1]} ({percent(found[0] / found[1])})"
+    return NA if found is None else f"{found[0]}/{found[1]} ({percent(found[0] / found[1])})"

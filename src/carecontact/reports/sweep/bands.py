@@ -61,11 +61,12 @@ class Bands:
     flips: tuple[Flips, ...]
 
 
-def bands(cells: Sequence[CellScores], outcome: str) -> Bands | None:
+def bands(cells: Sequence[CellScores], outcome: str, *, ranked: Sequence[str]) -> Bands | None:
     """None where no policy has two trials of a task. A *draw* is one combination of the axes' values and one seed.
 
     Args:
         outcome: field of a score that says whether a trial passed.
+        ranked: policies of which it is asked whether they change places.
     """
     policies = list(dict.fromkeys(cell.label for cell in cells))
     found = {name: trials_of((c for c in cells if c.label == name), outcome, without=()) for name in policies}
@@ -74,7 +75,7 @@ def bands(cells: Sequence[CellScores], outcome: str) -> Bands | None:
     spreads = [_spread(name, task, one) for (name, task), one in alone.items() if one.scores]
     if max((one.n for one in spreads), default=0) < 2:
         return None
-    flips = [_flips(a, b, task, alone[a, task], alone[b, task]) for a, b in combinations(policies, 2) for task in tasks]
+    flips = [_flips(a, b, task, alone[a, task], alone[b, task]) for a, b in combinations(ranked, 2) for task in tasks]
     return Bands(spreads=tuple(spreads), flips=tuple(one for one in flips if one.by))
 
 

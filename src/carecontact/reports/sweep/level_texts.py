@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from carecontact.reports.intervals import enough
 from carecontact.reports.sweep.factors import Factors
-from carecontact.reports.sweep.gate_orders import GateOrder
 from carecontact.reports.sweep.ladder import Ladder
 from carecontact.reports.text import NA
 from carecontact.stats import PersonDifference, PersonRate, WorstShare
@@ -85,22 +82,6 @@ def factor_rows(found: Factors) -> Rows:
         ]  # fmt: skip
         rows.append([name, "all", "", "", "", rate(found.high[name]), "", ""])
     return rows
-
-
-def gate_heads(orders: Sequence[GateOrder]) -> list[str]:
-    return ["gate", *map(level_name, dict.fromkeys(order.place for order in orders))]
-
-
-def gate_rows(orders: Sequence[GateOrder]) -> Rows:
-    """The smallest tau of each gate, place by place, with the setting where it is."""
-    places = dict.fromkeys(order.place for order in orders)
-    cells = {(order.gate, order.place): _tau(order.least, order.setting) for order in orders}
-    gates = dict.fromkeys(order.gate for order in orders)
-    return [[gate, *(cells.get((gate, place), NA) for place in places)] for gate in gates]
-
-
-def _tau(least: float | None, setting: str) -> str:
-    return NA if least is None else "1.00" if least > 0.9999 else f"{least:.2f} ({setting})"
 
 
 def level_name(value: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carecontact.reports.text import NOT_DEFINED
+from carecontact.reports.text import NA
 
 OVER_PERSONS = (
     "Intervals are over persons: whole seeds are drawn, those of one body among themselves. Where all persons fare "
@@ -16,7 +16,7 @@ NOTES = {
     "Draws in which two policies change places": (
         "In how many of the draws that both have, the two stand the other way round than over all of them, where "
         "passes are counted and medians compared: the chance that the order flips with the person who is drawn. "
-        f"{NOT_DEFINED}: the two are equal over all, or no draw has a number of both."
+        f"{NA}: the two are equal over all, or no draw has a number of both."
     ),
     "Success over level": (
         f"{OVER_PERSONS} Above the best blind: points above the blind baseline that passes most often at the level, "
@@ -37,7 +37,8 @@ NOTES = {
     ),
     "The order under other gates": (
         "The smallest Kendall's tau-b with the order under the protocol's own gates, over the values of each gate, and "
-        "where it is. 1: the same order everywhere; -1: the reverse somewhere; NA: nothing is ordered."
+        "the value where it is; only the gates of the actions that ran. 1: the same order everywhere; -1: the reverse "
+        "somewhere; NA: nothing is ordered."
     ),
 }
 """Title of a table -> what it shows."""

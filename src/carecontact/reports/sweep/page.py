@@ -11,6 +11,7 @@ from carecontact.recording.writer import replace_file
 from carecontact.reports.sweep.curve import curve_svg, mark, style_of
 from carecontact.reports.sweep.ladder import Ladder
 from carecontact.reports.sweep.notes import NOTES
+from carecontact.reports.sweep.provenance import provenance
 from carecontact.reports.sweep.table import PASSED, SweepTable
 from carecontact.reports.sweep.texts import (
     ORDER_HEADS,
@@ -63,7 +64,8 @@ def _page(table: SweepTable) -> str:
         level_tables=[(title, NOTES[title], *rest) for title, *rest in level_tables(table)],
         heads=heads(table),
         left=1 + len(table.axes),
-        cells=[cells(row) for row in table.rows],
+        cells=[(row.cell.folder, cells(row)) for row in table.rows],
+        provenance=provenance(table),
     )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from carecontact.policies.registry import Role
 from carecontact.reports.sweep.bands import Bands, bands
@@ -34,6 +34,8 @@ class CellScores:
     """Trials."""
     scores: Sequence[TrialScore]
     """Of those that have run; empty for a cell that has not."""
+    versions: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
+    """Package -> the versions with which the trials were recorded."""
 
     @property
     def is_whole(self) -> bool:
@@ -66,6 +68,12 @@ class SweepTable:
     """Of the policies that are ranked."""
 
     @property
+    def named(self) -> dict[str, str]:
+        """Policy -> its name, with its role where it is no method: ``hover (blind)``."""
+        roles = {row.cell.label: row.cell.role for row in self.rows}
+        return {name: name if role == "method" else f"{name} ({role})" for name, role in roles.items()}
+
+    @property
     def unfinished(self) -> int:
         """Cells that lack a trial."""
         return sum(not row.cell.is_whole for row in self.rows)
@@ -87,7 +95,7 @@ def sweep_table(title: str, cells: Sequence[CellScores], *, rank_by: str) -> Swe
         rank_by=rank_by,
         rows=tuple(map(_row, cells)),
         stability=stability(groups, ranked, outcome=OUTCOMES[rank_by]) if len(ranked) > 1 else None,
-        bands=bands(cells, OUTCOMES[rank_by]) if compared == (None, None) else None,
+        bands=bands(cells, OUTCOMES[rank_by], ranked=ranked) if compared == (None, None) else None,
         ladder=compared[0],
         factors=compared[1],
         gate_orders=gate_orders(cells, ranked),

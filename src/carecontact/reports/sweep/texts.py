@@ -9,22 +9,22 @@ from collections.abc import Sequence
 from carecontact.errors import counted
 from carecontact.reports.intervals import TOO_FEW, enough, enough_seeds
 from carecontact.reports.sweep.band_texts import flip_heads, flip_rows, spread_heads, spread_rows
+from carecontact.reports.sweep.gate_texts import gate_heads, gate_rows, gate_titles
 from carecontact.reports.sweep.level_texts import (
     CONTRAST_HEADS,
     FACTOR_HEADS,
     LEVEL_HEADS,
     contrast_rows,
     factor_rows,
-    gate_heads,
-    gate_rows,
     level_rows,
     task_heads,
     task_rows,
 )
+from carecontact.reports.sweep.provenance import HEADS, provenance
 from carecontact.reports.sweep.stability import Order, Stability
 from carecontact.reports.sweep.table import PASSED, RATES, CellRow, SweepTable
 from carecontact.reports.table import headlines
-from carecontact.reports.text import NA, percent
+from carecontact.reports.text import NA, NOT_DEFINED, listed, percent
 from carecontact.runs.pooling import judged
 from carecontact.scoring.metrics.metric import Metric
 from carecontact.stats import wilson_interval
@@ -71,13 +71,16 @@ def heads(table: SweepTable) -> list[str]:
 
 def cells(row: CellRow) -> list[str]:
     """The cells of a row, as tables for people show them."""
-    left = [row.cell.label, *row.cell.values.values()]
+    role = row.cell.role
+    label = row.cell.label if role == "method" else f"{row.cell.label} ({role})"
+    left = [label, *row.cell.values.values()]
     if row.counts is None:
         return [*left, f"0/{row.cell.planned}", *[NA] * (len(RATES) + len(headlines()))]
     counts = row.counts
     trials = str(counts.n) if counts.n == row.cell.planned else f"{counts.n}/{row.cell.planned}"
     rates = [f"{getattr(counts, name)}/{counts.n}" for name in RATES]
-    return [*left, trials, *rates, *counts.median_cells()]
+    # A table of one policy in each row has one sign for what has no value.
+    return [*left, trials, *rates, *(NA if text == NOT_DEFINED else text for text in counts.median_cells())]
 
 
 def as_markdown(table: SweepTable) -> str:
@@ -87,7 +90,10 @@ def as_markdown(table: SweepTable) -> str:
         lines += [*_markdown(marginal_heads(table), marginal_rows(table)), ""]
     for title, head, rows in level_tables(table):
         lines += [f"## {title}", "", *_markdown(head, rows), ""]
-    lines += ["## Cells", "", *_markdown(heads(table), map(cells, table.rows)), ""]
+    # The folder is the last column, because a copy of the table elsewhere does without it.
+    rows = [[*cells(row), f"`{row.cell.folder}`"] for row in table.rows]
+    lines += ["## Cells", "", *_markdown([*heads(table), "folder"], rows), ""]
+    lines += ["## Provenance", "", *_markdown(HEADS, provenance(table)), ""]
     return "\n".join(lines)
 
 
@@ -110,9 +116,13 @@ def sentences(table: SweepTable) -> list[str]:
     if found is None:
         told.append("There is no order of policies: it needs a trial of the same task and seed of two policies.")
         return told
-    told.append(f"{_order(found)}, by the share of {PASSED[table.rank_by]} trials over all.")
+    told.append(
+        f"{_order(found)}, by the share of {PASSED[table.rank_by]} trials that all of them ran ({found.n} each)."
+    )
     if found.groups > 1:
         told.append(_held(found))
+    if others := [named for name, named in table.named.items() if name not in found.passed]:
+        told.append(f"Not ranked, because they are no methods: {listed(others)}.")
     return told
 
 
@@ -181,7 +191,7 @@ def level_tables(table: SweepTable) -> list[tuple[str, Sequence[str], list[list[
     """Title, heads and rows of what the table has of draws, levels, factors and gates."""
     found: list[tuple[str, Sequence[str], list[list[str]]]] = []
     if table.bands is not None:
-        found.append(("Spread over the draws", spread_heads(), spread_rows(table.bands)))
+        found.append(("Spread over the draws", spread_heads(), spread_rows(table.bands, table.named)))
         found.append(("Draws in which two policies change places", flip_heads(), flip_rows(table.bands)))
     if table.ladder is not None:
         found.append(("Success over level", LEVEL_HEADS, level_rows(table.ladder)))
@@ -189,7 +199,8 @@ def level_tables(table: SweepTable) -> list[tuple[str, Sequence[str], list[list[
         found.append(("Methods against each other", CONTRAST_HEADS, contrast_rows(table.ladder)))
     if table.factors is not None:
         found.append(("One factor at a time", FACTOR_HEADS, factor_rows(table.factors)))
-    found.append(("The order under other gates", gate_heads(table.gate_orders), gate_rows(table.gate_orders)))
+    titles = gate_titles([score for row in table.rows for score in row.cell.scores])
+    found.append(("The order under other gates", gate_heads(table.gate_orders), gate_rows(table.gate_orders, titles)))
     return [one for one in found if one[2]]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,8 @@ MODES = (
     "insufficient_progress", "no_target_contact", "off_target_contact", "lost_contact", "wrong_share",
     "safety_truncation", "time_limit", "process_failure", "outside_band", "joint_beyond_range",
 )  # fmt: skip
+LINES = ("-", "--", ":", "-.")
+"""Of the tasks of one method over one region."""
 NEAR_MM = 250.0
 """Tool paths are drawn where they are within this distance of the region's middle, along it and across it."""
 MODE_COLOURS = (
@@ -42,42 +45,70 @@ def mean_force(score: TrialScore) -> float | None:
     return score.impulse_ns / score.contact_s if score.valid_contact and score.contact_s else None
 
 
-PANELS: tuple[tuple[str, str, Callable[[TrialScore], float | None]], ...] = (
-    ("Touch: mean force [N]", "touch", mean_force),
-    ("Scrub: mean force [N]", "scrub", mean_force),
-    ("Scrub: stroke [mm]", "scrub", lambda s: 1000 * s.stroke_m),
-    ("Push: wrist moved [mm]", "push", lambda s: 1000 * s.wrist_displacement_m),
-    ("Push: C2 [mrad]", "push", lambda s: None if s.c2_joint_margin_rad is None else 1000 * s.c2_joint_margin_rad),
-    ("Motion activity, C4", "", lambda s: s.c4_motion_activity),
-)
-"""Title, action ("" for all), and the value of a trial."""
+def within_run_sd(score: TrialScore) -> float | None:
+    """C5 [N]."""
+    return score.c5_force_sd_n if mean_force(score) is not None else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    title: str
+    action: str = ""
+    """Empty: all."""
+    value: Callable[[TrialScore], float | None]
+    """Of a trial; None: it has none, and is no point."""
+    spread: Callable[[TrialScore], float | None] = lambda score: None
+    """Half the length of a thin bar through the point."""
+
+
+PANELS = (
+    Panel(title="Touch: force, mean and\nSD in a trial [N]", action="touch", value=mean_force, spread=within_run_sd),
+    Panel(title="Scrub: force, mean and\nSD in a trial [N]", action="scrub", value=mean_force, spread=within_run_sd),
+    Panel(title="Scrub: stroke [mm]", action="scrub", value=lambda s: 1000 * s.stroke_m),
+    Panel(title="Push: wrist\nmoved [mm]", action="push", value=lambda s: 1000 * s.wrist_displacement_m),
+    Panel(title="Push: joint-limit\nmargin, C2 [mrad]", action="push",
+          value=lambda s: None if s.c2_joint_margin_rad is None else 1000 * s.c2_joint_margin_rad),
+    Panel(title="Push: force, mean and\nSD in a trial [N]", action="push", value=mean_force, spread=within_run_sd),
+    Panel(title="Motion activity, C4", value=lambda s: s.c4_motion_activity),
+)  # fmt: skip
 
 
 def draw(figure: Figure, methods: Sequence[Method], paths: Sequence[Sequence[Recording]]) -> None:
     """``paths``: for each method, the recordings whose tool paths are drawn; none where there are no recordings."""
-    figure.set_size_inches(7.2, 5.6)
-    halves: Any = figure.subfigures(2, 1, height_ratios=(2, 1.1))
-    upper, lower = halves
-    for index, (panel, (title, action, value)) in enumerate(zip(upper.subplots(2, 3).flat, PANELS, strict=True)):
-        letter(panel, index, title)
-        _dots(panel, methods, action, value)
-    tool, failures = lower.subplots(1, 2, width_ratios=(1, 1.9))
-    letter(tool, 6, "Tool paths over the region [mm]")
-    _paths(tool, methods, paths)
-    letter(failures, 7, "Why trials failed")
+    by_region = _by_region(paths)
+    figure.set_size_inches(7.2, 7.4 if by_region else 5.8)
+    thirds: Any = figure.subfigures(3 if by_region else 2, 1, height_ratios=(2, 1, 1.1) if by_region else (2, 1.1))
+    upper: Any = thirds[0].subplots(2, 4).flat
+    for index, (panel, what) in enumerate(zip(upper, PANELS, strict=False)):
+        letter(panel, index, what.title)
+        _dots(panel, methods, what)
+    last = len(PANELS)
+    letter(upper[last], last, "Trials with valid\ncontact [%]")
+    _valid(upper[last], methods)
+    if by_region:
+        for index, (panel, (region, shown)) in enumerate(
+            zip(thirds[1].subplots(1, len(by_region), squeeze=False)[0], by_region.items(), strict=True)
+        ):
+            letter(panel, last + 1 + index, f"{region.replace('_', ' ').capitalize()}: tool path [mm]")
+            _paths(panel, methods, shown)
+    failures = thirds[-1].subplots()
+    letter(failures, last + 1 + len(by_region), "Why trials failed")
     _failures(failures, methods)
 
 
-def _dots(panel: Any, methods: Sequence[Method], action: str, value: Callable[[TrialScore], float | None]) -> None:
+def _dots(panel: Any, methods: Sequence[Method], what: Panel) -> None:
     """Every trial is a point, and the median a line. The spread to the side is fixed by the order of the trials."""
     found: list[float] = []
     for place, method in enumerate(methods):
-        of_action = [value(s) for s in method.scores if action in ("", s.action)]
-        values = np.array([v for v in of_action if v is not None], float)
-        found += values.tolist()
-        side = 0.28 * (((np.arange(len(values)) * 0.618034) % 1) * 2 - 1)
-        size = 2.2 if len(values) > 30 else 3.5
-        panel.plot(place + side, values, "o", ms=size, color=COLOURS[place % len(COLOURS)], alpha=0.7, mew=0)
+        of_action = [(what.value(s), what.spread(s)) for s in method.scores if what.action in ("", s.action)]
+        valid = [(value, spread or 0.0) for value, spread in of_action if value is not None]
+        values, spreads = np.array(valid, float).reshape(-1, 2).T
+        found += [*(values + spreads), *np.maximum(values - spreads, np.minimum(values, 0))]
+        side = place + 0.28 * (((np.arange(len(values)) * 0.618034) % 1) * 2 - 1)
+        size, colour = 2.2 if len(values) > 30 else 3.5, COLOURS[place % len(COLOURS)]
+        if spreads.any():
+            panel.vlines(side, values - spreads, values + spreads, color=colour, lw=0.5, alpha=0.35)
+        panel.plot(side, values, "o", ms=size, color=colour, alpha=0.7, mew=0)
         if len(values):
             panel.plot([place - 0.36, place + 0.36], [np.median(values)] * 2, color="black", lw=1.3)
         else:
@@ -88,9 +119,20 @@ def _dots(panel: Any, methods: Sequence[Method], action: str, value: Callable[[T
     _method_ticks(panel, methods)
 
 
+def _valid(panel: Any, methods: Sequence[Method]) -> None:
+    """Trials with scoreable contact, which need not be successes."""
+    for place, method in enumerate(methods):
+        k, n = sum(score.valid_contact for score in method.scores), len(method.scores)
+        panel.bar(place, 100 * k / n, width=0.6, color=COLOURS[place % len(COLOURS)], alpha=0.85)
+        panel.text(place, 100 * k / n + 2, f"{k}/{n}", ha="center", va="bottom", fontsize=6.5)
+    panel.set_ylim(0, 118)
+    panel.set_yticks((0, 50, 100))
+    _method_ticks(panel, methods)
+
+
 def _method_ticks(panel: Any, methods: Sequence[Method]) -> None:
     panel.set_xlim(-0.6, len(methods) - 0.4)
-    panel.set_xticks(range(len(methods)), [_short(m.title).replace(" ", "\n") for m in methods])
+    panel.set_xticks(range(len(methods)), [_short(m.title).replace(" ", "\n").replace("-", "-\n") for m in methods])
     panel.grid(visible=False, axis="x")
 
 
@@ -98,31 +140,49 @@ def _short(title: str) -> str:
     return title if len(title) <= 14 else f"{title[:13]}…"
 
 
-def _paths(panel: Any, methods: Sequence[Method], paths: Sequence[Sequence[Recording]]) -> None:
-    """The tool point above the named region at rest, along it and across it; a cross marks the region's middle."""
-    drawn = False
+def _by_region(paths: Sequence[Sequence[Recording]]) -> dict[str, list[tuple[int, Recording]]]:
+    """Region -> the recordings of its tasks that have a path, each with the place of its method."""
+    found: dict[str, list[tuple[int, Recording]]] = {}
     for place, recordings in enumerate(paths):
         for recording in recordings:
-            along, across = _over_region(recording)
-            near = np.maximum(np.abs(along), np.abs(across)) <= NEAR_MM
-            along, across = np.where(near, along, np.nan), np.where(near, across, np.nan)
-            drawn |= bool(near.any())
-            panel.plot(along, across, color=COLOURS[place % len(COLOURS)], lw=0.7, alpha=0.8)
-    if not drawn:
-        panel.set_axis_off()
-        panel.text(0.5, 0.5, "no recorded path", ha="center", va="center", transform=panel.transAxes, color=GREY)
-        return
-    panel.plot([0], [0], "k+", ms=7)
+            spec = recording.header.spec
+            if len(recording["scorer/region_pose_in_world"]):
+                found.setdefault(spec.protocol.task(spec.task_id).region, []).append((place, recording))
+    return found
+
+
+def _paths(panel: Any, methods: Sequence[Method], shown: Sequence[tuple[int, Recording]]) -> None:
+    """The tool point above the region at rest, along it and across it, and the region's outline from above."""
+    for place, recording in shown:
+        task = recording.header.spec.task_id
+        along, across = _over_region(recording)
+        near = np.maximum(np.abs(along), np.abs(across)) <= NEAR_MM
+        along, across = np.where(near, along, np.nan), np.where(near, across, np.nan)
+        label = f"{_short(methods[place].title)}, {task}" + ("" if near.any() else " (not near)")
+        style = LINES[sum(p == place for p, r in shown[: shown.index((place, recording))]) % len(LINES)]
+        panel.plot(along, across, color=COLOURS[place % len(COLOURS)], lw=0.8, alpha=0.85, ls=style, label=label)
+    half_length, half_width = _half_size_mm(shown[0][1])
+    x, y = np.array([-1, 1, 1, -1, -1]) * half_length, np.array([-1, -1, 1, 1, -1]) * half_width
+    panel.plot(x, y, color="black", lw=0.9, label="region")
+    panel.plot([0], [0], "k+", ms=6)
+    # Above the outline there is room for the legend.
+    panel.plot([0], [half_width * (1.4 + 0.3 * len(shown))], alpha=0)
     panel.set(xlabel="along the region", ylabel="across it")
     panel.set_aspect("equal", adjustable="datalim")
+    panel.legend(loc="upper left", fontsize=5.5, handlelength=1.6, borderaxespad=0.1, labelspacing=0.25)
+
+
+def _half_size_mm(recording: Recording) -> tuple[float, float]:
+    header = recording.header
+    column = header.regions.index(header.spec.protocol.task(header.spec.task_id).region)
+    length, radius, _ = recording["scorer/region_size_m"][column]
+    return 500 * float(length), 1000 * float(radius)
 
 
 def _over_region(recording: Recording) -> tuple[Any, Any]:
     header = recording.header
     region = header.regions.index(header.spec.protocol.task(header.spec.task_id).region)
     poses = recording["scorer/region_pose_in_world"]
-    if not len(poses):
-        return np.zeros(0), np.zeros(0)
     origin, (w, x, y, z) = poses[0, region, :3].astype(float), poses[0, region, 3:].astype(float)
     ahead = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z)])
     ahead /= np.linalg.norm(ahead) or 1.0
@@ -132,25 +192,31 @@ def _over_region(recording: Recording) -> tuple[Any, Any]:
 
 def _failures(panel: Any, methods: Sequence[Method]) -> None:
     counts = [Counter(s.failure_mode for s in m.scores if s.failure_mode) for m in methods]
-    left = np.zeros(len(methods))
-    for mode, colour in zip(MODES, MODE_COLOURS, strict=True):
-        widths = np.array([count[mode] for count in counts], float)
-        if not widths.any():
-            continue
-        panel.barh(range(len(methods)), widths, left=left, color=colour, height=0.55, label=mode.replace("_", " "))
-        for place in range(len(methods)):
-            if widths[place] >= 0.06 * max(sum(c.values()) for c in counts):
-                ink = "white" if colour in ("#0072B2", "#D55E00", "#000000") else "black"
-                x = left[place] + widths[place] / 2
-                panel.text(x, place, f"{widths[place]:.0f}", ha="center", va="center", color=ink, fontsize=7)
-        left += widths
-    if not left.any():
+    most = max((sum(count.values()) for count in counts), default=0)
+    if not most:
         panel.set_axis_off()
         told = "every trial was region-correct"
         panel.text(0.5, 0.5, told, ha="center", va="center", transform=panel.transAxes, color=GREY)
         return
+    for mode, colour in zip(MODES, MODE_COLOURS, strict=True):
+        for place, count in enumerate(counts):
+            if count[mode]:
+                left = sum(count[earlier] for earlier in MODES[: MODES.index(mode)])
+                # The name is on one bar of each mode.
+                first = not any(other[mode] for other in counts[:place])
+                label = mode.replace("_", " ") if first else None
+                panel.barh(place, count[mode], left=left, color=colour, height=0.5, label=label)
+                _number(panel, left + count[mode] / 2, place, count[mode], colour, wide=count[mode] >= 0.03 * most)
     names = [f"{_short(m.title)}\n({sum(c.values())} of {len(m.scores)})" for m, c in zip(methods, counts, strict=True)]
     panel.set_yticks(range(len(methods)), names)
-    panel.set(xlabel="trials that are not region-correct", ylim=(len(methods) - 0.4, -0.9 - 0.4 * len(methods)))
+    panel.set(xlabel="trials that are not region-correct", ylim=(len(methods) - 0.5, -1.1 - 0.45 * len(methods)))
+    panel.locator_params(axis="x", integer=True)
     panel.grid(visible=False, axis="y")
-    panel.legend(loc="upper left", ncols=3, bbox_to_anchor=(0, 1.02), handlelength=1, columnspacing=1)
+    panel.legend(loc="upper left", ncols=4, bbox_to_anchor=(0, 1.02), handlelength=1, columnspacing=1)
+
+
+def _number(panel: Any, x: float, place: int, count: int, colour: str, *, wide: bool) -> None:
+    """In the bar, or above one that is too narrow for it."""
+    ink = "white" if wide and colour in ("#0072B2", "#D55E00", "#000000") else "black"
+    y, align = (place, "center") if wide else (place - 0.27, "bottom")
+    panel.text(x, y, str(count), ha="center", va=align, color=ink, fontsize=7 if wide else 6)
