@@ -34,9 +34,9 @@ def written(folder: Path, recording: Recording, score: TrialScore | None = None)
 def test_the_page_says_what_happened_how_hard_and_where(tmp_path: Path) -> None:
     text, words = written(tmp_path, whole_trial())
     for told in (
-        "T1 Touch forearm, seed 0, passed, on the named region and below the safety gate.",
+        "T1 Touch forearm, seed 0, passed, on the right forearm and below the safety gate.",
         "Peak force 20.0 N", "57 % of its safety gate of 35 N", "pain limit of 100 N",
-        "30 mm toward the hand from the middle of the region", "6.0 mm at that moment",
+        "30 mm toward the hand from the middle of the region", "6.0 mm at that moment; at most 6.0 mm in the trial",
         "Look 0 at 0.00 s, answered after 0.25 s of wall time; 2 actions from 0.00 to 3.00 s",
         "Look 1 at 6.00 s, answered after 1.50 s of wall time; 1 action at 6.00 s",
         "(median of 2), and at most 1.50 s, at look 1", "subtask touch it", "stored arrays: map (4, 5)",
@@ -172,15 +172,15 @@ def test_an_earlier_recording_has_a_page(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"safety_gated": False}, "succeeded on the named region, but exceeded the safety gate."),
+        ({"safety_gated": False}, "succeeded on the right forearm, but exceeded the safety gate."),
         ({"safety_gated": False, "joints_beyond": {"right_elbow": 0.15}, "failure_mode": "joint_beyond_range"},
-         "succeeded on the named region, but moved a joint too far beyond its range."),
+         "succeeded on the right forearm, but moved a joint too far beyond its range."),
         ({"safety_gated": False, "joints_beyond": {"right_elbow": 0.15}, "failure_mode": "joint_beyond_range"},
          "Right elbow by 0.150 rad, farther than the protocol allows."),
         ({"joints_beyond": {}, "joints_consumed": {"right_elbow": 0.9}},
          "Share of its settled margin that a joint used up: right elbow 90 %."),
         ({"safety_gated": False, "region_correct": False, "failure_mode": "wrong_share"},
-         "succeeded, but not on the named region alone: gate met, but too much of the contact lay elsewhere."),
+         "succeeded, but not on the right forearm alone: gate met, but too much of the contact lay elsewhere."),
         ({"safety_gated": False, "region_correct": False, "c3_success": False, "failure_mode": "off_target_contact",
           "attribution": "planning", "over_limit": {"right_thigh": 3.4}},
          "failed: the person was touched, but never on the named region; a force exceeded the safety gate."),

@@ -39,8 +39,9 @@ def _counted(contact: Contact) -> GatePart:
 
 def _region(contact: Contact) -> GatePart:
     least, share = contact.protocol.gates.region_share, contact.region_share
+    segment = contact.segments[contact.target].replace("_", " ")
     return GatePart(
-        name="Share of the contact on the named region (force times time)",
+        name=f"Share of the contact (force times time) on the {segment}, the segment of the named region",
         needed=f"at least {percent(least)}",
         reached="no contact" if share is None else percent(share),
         met=share is not None and share >= least,
