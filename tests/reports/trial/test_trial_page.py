@@ -232,7 +232,8 @@ def test_metrics_of_other_actions_are_folded_away(tmp_path: Path) -> None:
     _, words = written(tmp_path, recording, score)
     _, _, found = words.partition("Metrics of this trial")
     own, _, other = found.partition("metrics made for other actions")
-    assert "Wrist moved since contact" in own
+    assert "Wrist moved since contact 30.0 mm" in own
+    assert "Task success yes" in own
     assert "Mean pressure in contact 6.00 kPa" in own
     assert "5.00" not in found, "an older version beside a newer one"
     for title in ("Share of the region wiped 0.25", "Share of gentle wiping", "Wiped below 25 mmHg"):

@@ -17,7 +17,7 @@ from carecontact.reports.moment.picture import peak_svg
 from carecontact.reports.page.force_trace import force_trace
 from carecontact.reports.page.trial_words import result_word
 from carecontact.reports.page_links import link_page, page_path, report_link
-from carecontact.reports.text import NA, number, shown
+from carecontact.reports.text import NA, number, rounded, shown
 from carecontact.reports.trial.events import events
 from carecontact.reports.trial.gates import gate_parts
 from carecontact.reports.trial.looks import action_table, latency_text, looks_of
@@ -29,7 +29,7 @@ from carecontact.reports.trial.words import facts, how_hard, outcome
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.limits import footnote
 from carecontact.scoring.metrics.c3_success import judge
-from carecontact.scoring.metrics.metric import METRICS, newest
+from carecontact.scoring.metrics.metric import METRICS, Metric, newest
 from carecontact.scoring.result import TrialScore
 
 
@@ -159,9 +159,17 @@ def _metrics(score: TrialScore, *, concerned: bool) -> list[tuple[str, str, str]
         is_old = metric.id in score.additional and metric.id not in current
         if isinstance(value, bool) or value is None or is_old or metric.concerns(score.action) != concerned:
             continue
-        unit = "" if metric.unit == "1" else metric.unit
-        rows.append((metric.title, shown(value, digits=metric.digits, unit=metric.unit), unit))
+        rows.append((metric.title, *_with_unit(metric, float(value))))
     return rows
+
+
+def _with_unit(metric: Metric, value: float) -> tuple[str, str]:
+    """A value and its unit: a yes or a no in words, and metres and joules in thousandths, of which a trial has few."""
+    if not metric.median and value in (0.0, 1.0):
+        return ("yes" if value else "no"), ""
+    if metric.unit in ("m", "J") and metric.digits is None:
+        return rounded(1000 * value), f"m{metric.unit}"
+    return shown(value, digits=metric.digits, unit=metric.unit), "" if metric.unit == "1" else metric.unit
 
 
 def _printed(recording: Recording) -> str:
