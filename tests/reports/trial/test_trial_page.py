@@ -150,11 +150,13 @@ def test_a_miss_shows_the_region_and_the_tool_in_one_picture_and_has_no_empty_pa
 def test_a_trial_without_steps_has_a_page(tmp_path: Path) -> None:
     failure = Failure(kind="died", message=f"it died\nTraceback (most recent call last):\nValueError: {HOSTILE}")
     recording = make_recording("T7", 0, {}, duration_s=0, ended="process_failure", failure=failure)
+    recording.arrays["report/snapshot_rgb"] = np.zeros((48, 64, 3), np.uint8)
     text, words = written(tmp_path, recording)
     assert "T7 Scrub abdomen, seed 0, failed: the policy crashed before the first physics step: ValueError:" in words
     assert "Failure and traceback it died Traceback (most recent call last):" in words
     assert "The trial ended before its first physics step." in words
     assert "The policy was shown nothing." in words
+    assert "<figure>" not in text, "the room as it was set up is not the end of a trial"
     assert HOSTILE not in text
     assert StrictReader(text).faults == []
 
@@ -250,6 +252,10 @@ def test_a_crash_is_told_with_its_reason_where_and_why_nothing_was_printed(tmp_p
     assert "After 12.00 s, the policy crashed: ValueError: no forearm in it." in words
     assert "Traceback (most recent call last):." not in words
     assert "The policy printed nothing." in words
+    assert "a trial that broke off passes none, whatever it reached before" in words
+    assert "Safety gate: largest force on the right forearm at most 35 N 20.0 N met" in words
+    nobody = whole_trial(ended="process_failure", failure=Failure(kind="exception", message=message), touched=False)
+    assert "What the trial needed" not in written(tmp_path, nobody)[1]
     del recording.arrays["wall/policy_output"]
     assert "The recording does not say what the policy printed." in written(tmp_path, recording)[1]
     spec = recording.header.spec.model_copy(update={"policy": "ws://127.0.0.1:8765"})

@@ -19,7 +19,7 @@ from carecontact.reports.page.trial_words import result_word
 from carecontact.reports.page_links import link_page, page_path, report_link
 from carecontact.reports.text import NA, number, rounded, shown
 from carecontact.reports.trial.events import events
-from carecontact.reports.trial.gates import gate_parts
+from carecontact.reports.trial.gates import BROKEN, gate_parts
 from carecontact.reports.trial.looks import action_table, latency_text, looks_of
 from carecontact.reports.trial.others import Beside, how_to_compare, other_rows
 from carecontact.reports.trial.paths import noted_targets, paths
@@ -100,13 +100,16 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
     hard = how_hard(score, contact, moment)
     miss = nearest_miss(recording) if moment is None else None
     drawn = None if miss is None else miss_svg(recording, miss, title=hard)
-    picture = drawn or peak_svg(recording, moment, title=f"The contact at peak force. {hard}")
-    snapshot = recording.arrays.get("report/snapshot_rgb")
+    # Before the first step a picture shows only the room as it was set up.
+    began = len(contact.time_s) > 0
+    picture = drawn or (peak_svg(recording, moment, title=f"The contact at peak force. {hard}") if began else None)
+    snapshot = recording.arrays.get("report/snapshot_rgb") if began else None
     gates = gate_parts(contact, measures, score)
     return {
         "outcome": outcome(score, contact, gates),
         "facts": facts(score, contact, moment, gates),
         "gates": gates,
+        "broken": score.ended in BROKEN,
         "moment": moment,
         "picture": picture,
         "miss": miss if drawn else None,
