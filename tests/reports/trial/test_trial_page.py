@@ -264,6 +264,19 @@ def test_a_crash_is_told_with_its_reason_where_and_why_nothing_was_printed(tmp_p
     assert "the policy ran behind ws://127.0.0.1:8765, outside the benchmark" in words
 
 
+def test_neighbouring_trials_are_linked_once_their_pages_are_there(tmp_path: Path) -> None:
+    """The order is that of the recordings, whichever page is written first."""
+    for seed in (0, 1):
+        (tmp_path / f"T1-s00{seed}.h5").touch()
+    first = make_recording("T1", 0, {}, duration_s=1)
+    assert '<span hidden> · <a href="T1-s001.html">next trial</a>' in written(tmp_path, first)[0]
+    text, words = written(tmp_path, make_recording("T1", 1, {}, duration_s=1))
+    assert '<span> · <a href="T1-s000.html">previous trial</a>' in text
+    assert "next trial" not in text
+    assert '<span> · <a href="T1-s001.html">next trial</a>' in (tmp_path / "trial" / "T1-s000.html").read_text()
+    assert "carecontact video T1-s001.h5" in words
+
+
 def test_video_recording_log_and_report_are_linked_where_they_are(tmp_path: Path) -> None:
     assert "<video" not in written(tmp_path, whole_trial())[0]
     for name in ("report.html", "T1-s000.h5", "T1-s000.log", "trial/T1-s000.mp4"):

@@ -16,7 +16,7 @@ from carecontact.reports.moment.moment import peak_moment
 from carecontact.reports.moment.picture import peak_svg
 from carecontact.reports.page.force_trace import force_trace
 from carecontact.reports.page.trial_words import result_word
-from carecontact.reports.page_links import link_page, page_path, report_link
+from carecontact.reports.page_links import link_neighbours, link_page, neighbour_links, page_path, report_link
 from carecontact.reports.text import NA, number, rounded, shown
 from carecontact.reports.trial.events import events
 from carecontact.reports.trial.gates import BROKEN, gate_parts
@@ -50,6 +50,7 @@ def write_trial_page(
     path.parent.mkdir(exist_ok=True)
     replace_file(path, _render(run_folder, recording, score, beside).encode("utf-8", errors="replace"))
     link_page(run_folder, score.trial_id)
+    link_neighbours(run_folder, score.trial_id)
     return path
 
 
@@ -68,6 +69,7 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore, beside: S
         prompt=recording.header.spec.protocol.task(score.task_id).prompt,
         result=result_word(score),
         report_link=report_link(run_folder, score.trial_id),
+        neighbours=neighbour_links(run_folder, score.trial_id),
         links=_links(run_folder, score.trial_id),
         video=_beside(run_folder, score.trial_id, ".mp4"),
         peak=NA if score.c1_peak_force_n is None else number(score.c1_peak_force_n, 1),
