@@ -43,7 +43,7 @@ class Touch(Behaviour[TouchGate]):
         return f"the longest hold was {result.longest_on_s:.2f} s of {gate.duration_s:g} s"
 
     def parts(self, contact: Contact, gate: TouchGate, result: Gate) -> list[GatePart]:
-        return [result.time_part("Touched without interruption", gate.duration_s)]
+        return [result.time_part("Touched the named region or beside it without interruption", gate.duration_s)]
 
 
 BEHAVIOURS.register("touch", Touch())

@@ -64,7 +64,7 @@ class GentleTouch(Behaviour[GentleTouchGate]):
     def parts(self, contact: Contact, gate: GentleTouchGate, result: Gate) -> list[GatePart]:
         held = longest_run(held_in_band(contact, gate.least_n, gate.most_n)) * contact.dt_s
         return [
-            result.time_part("Touched without interruption", gate.duration_s),
+            result.time_part("Touched the named region or beside it without interruption", gate.duration_s),
             GatePart(
                 name=f"Touched without interruption with {gate.least_n:g} to {gate.most_n:g} N",
                 needed=f"{gate.duration_s:g} s",

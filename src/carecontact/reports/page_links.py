@@ -58,6 +58,29 @@ def link_report(run_folder: Path, trial_ids: Iterable[str]) -> None:
         _replace(page_path(run_folder, trial_id), HIDDEN.format(address), SHOWN.format(address))
 
 
+def neighbour_links(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:
+    """Words and beginning of the links from the page of a trial to those of the trials before and after it, in the
+    order of the recordings' names; a link is hidden while that page is not there."""
+    return [
+        (words, (SHOWN if page_path(run_folder, name).is_file() else HIDDEN).format(quote(f"{name}.html")))
+        for words, name in _neighbours(run_folder, trial_id)
+    ]
+
+
+def link_neighbours(run_folder: Path, trial_id: str) -> None:
+    """Show the links to the page of a trial on the pages of the trials before and after it."""
+    address = quote(f"{trial_id}.html")
+    for _, name in _neighbours(run_folder, trial_id):
+        _replace(page_path(run_folder, name), HIDDEN.format(address), SHOWN.format(address))
+
+
+def _neighbours(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:
+    names = sorted({path.stem for path in run_folder.glob("*.h5")} | {trial_id})
+    at = names.index(trial_id)
+    found = [("previous trial", names[at - 1])] if at else []
+    return found + [("next trial", name) for name in names[at + 1 : at + 2]]
+
+
 def _replace(path: Path, old: str, new: str) -> None:
     if path.is_file() and old in (text := path.read_text(encoding="utf-8", errors="replace")):
         replace_file(path, text.replace(old, new).encode("utf-8", errors="replace"))

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from carecontact.errors import RecordingError
-from carecontact.reports.moment.moment import Moment, peak_moment, place_text
+from carecontact.recording.schema import Recording
+from carecontact.reports.moment.moment import Moment, peak_moment
 from carecontact.reports.moment.picture import EARLIER_WIDTH, WIDTH, peak_svg
+from carecontact.reports.moment.place import place_notes, place_text
 from tests.reports.synthetic_run import make_recording
 from tests.reports.synthetic_trial import CONTACT, FORCE_N, whole_trial
 
@@ -21,6 +23,12 @@ def moment_of(**changes: bool) -> Moment:
     return found
 
 
+def of_the_mitt() -> Recording:
+    """Of a robot whose tool's tip is known."""
+    recording = whole_trial()
+    return replace(recording, header=recording.header.model_copy(update={"embodiment": "panda-mitt"}))
+
+
 def test_where_and_how_hard_and_how_deep() -> None:
     recording, moment = whole_trial(), moment_of()
     assert moment.force_n == pytest.approx(FORCE_N)
@@ -28,9 +36,26 @@ def test_where_and_how_hard_and_how_deep() -> None:
     assert moment.depth_m == pytest.approx(0.006)
     assert moment.outward_in_world == pytest.approx([0, 0, 1])
     assert place_text(recording, moment) == (
-        "the right forearm, 30 mm toward the hand from the middle of the region, which is 260 mm long"
+        "the right forearm, 30 mm toward the hand from the middle of the region, which is 260 mm long, "
+        "inside the region's outline"
     )
+    assert moment.deepest == (pytest.approx(0.006), pytest.approx(moment.time_s, abs=0.1))
+    assert place_notes(of_the_mitt(), moment) == []
     assert peak_moment(whole_trial(touched=False)) is None
+
+
+def test_a_press_outside_the_outline_and_away_from_the_tip_is_told() -> None:
+    """Its cells lie within 10 mm across; another part of the tool presses 30 mm from them, and they feel nothing."""
+    recording, moment = of_the_mitt(), moment_of()
+    recording.arrays["scorer/cell_press_ns"][:] = 0
+    beside = moment.centroid_in_region + [0.0, 0.04, 0.0]
+    moved = replace(moment, centroid_in_region=beside, centroid_in_world=CONTACT + [0.0, 0.04, 0.0])
+    told = place_text(recording, moved)
+    assert "30 mm toward the hand and 40 mm across from the middle" in told
+    assert told.endswith("outside the region's outline: 30 mm from the nearest of its cells")
+    away, felt = place_notes(recording, moved)
+    assert away.startswith("The force acts 40 mm from the tip of the tool: another part")
+    assert felt == "The cells inside the region's outline felt 0\N{NO-BREAK SPACE}% of this force."
 
 
 def test_a_press_beside_the_region_is_named_and_has_no_depth() -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from typing import Literal
 from xml.etree import ElementTree
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carecontact.reports.page.force_trace import ForceTrace, decimate, force_trace, trace_svg
+from carecontact.reports.page.force_trace import ForceTrace, Limit, decimate, force_trace, trace_svg
 from carecontact.reports.svg import nice_ticks
 from tests.reports.synthetic_run import NO_CONTACT, PROTOCOL, make_recording, make_score, plateau
 
@@ -21,9 +22,14 @@ def classes(svg: str) -> list[str]:
 
 
 def made(target: np.ndarray, other: np.ndarray | None = None, **changes: object) -> ForceTrace:
+    rows: list[tuple[Literal["gate", "pain"], float]] = [("gate", 35.0), ("pain", 100.0)]
+    limits = tuple(
+        Limit(style=style, segment="right forearm", value_n=value, largest_n=float(target.max()))
+        for style, value in rows
+    )
     base = ForceTrace(
         time_s=T, target_n=target, other_n=np.zeros_like(T) if other is None else other, windows_s=[(3.0, 9.0)],
-        gate_n=35.0, pain_n=100.0, peak_s=None, peak_n=None,
+        gate_n=35.0, pain_n=100.0, limits=limits, peak_s=None, peak_n=None,
     )  # fmt: skip
     return dataclasses.replace(base, **changes)
 
@@ -62,7 +68,7 @@ def test_a_spike_of_one_sample_reaches_the_drawing() -> None:
 )
 def test_limits_are_drawn_once_the_force_comes_near(peak: float, drawn: list[str]) -> None:
     svg = trace_svg(made(plateau(T, start=3, end=9, level=peak, ripple=0)), title="x")
-    lines = [c for c in classes(svg) if c in ("gate", "pain")]
+    lines = sorted(c for c in classes(svg) if c in ("gate", "pain"))
     assert lines == drawn
     assert "gate 35" in svg
 
@@ -111,6 +117,23 @@ def test_off_target_trial_marks_the_peak_on_the_reported_segment() -> None:
     assert not trace.target_n.any()
     assert trace.peak_s == T[2700]
     assert len(trace.windows_s) == 1
+
+
+def test_each_limit_is_of_the_segment_that_is_drawn_and_named_on_its_line() -> None:
+    """A trial that touched the pelvis alone shows the pelvis's limits; one that touched both shows both."""
+    pelvis = plateau(T, start=3, end=9, level=80, ripple=0)
+    svg = trace_svg(
+        force_trace(make_recording("T1", 0, {"pelvis": pelvis}, duration_s=12), make_score("T1", 0)), title=""
+    )
+    of_pelvis = PROTOCOL.f_pain("pelvis")
+    assert f">gate {PROTOCOL.limits.gamma * of_pelvis:g}<" in svg
+    assert f">pain {of_pelvis:g}<" in svg
+    assert ">pelvis<" in svg
+    assert "right forearm" not in svg
+    assert ">gate 35<" not in svg
+    both = {"pelvis": pelvis, "right_forearm": pelvis / 4}
+    svg = trace_svg(force_trace(make_recording("T1", 0, both, duration_s=12), make_score("T1", 0)), title="")
+    assert (svg.count(">pelvis<"), svg.count(">right forearm<")) == (2, 1), "20 N is below a quarter of 100 N"
 
 
 def test_empty_recording_has_an_empty_trace() -> None:

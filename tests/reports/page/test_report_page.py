@@ -558,7 +558,7 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
             NO_CONTACT,
             "the robot pressed the right forearm for 3.0 s with at most 0.3 N; contact counts from 0.5 N",
         ),
-        (7.25, {"c1_peak_force_n": 7.25}, "7.2 N on the right forearm at 1.50"),
+        (7.25, {"c1_peak_force_n": 7.25}, "7.2 N on the right forearm at 0.00"),
     ],
 )
 def test_what_the_frame_at_peak_force_shows(force: float, changes: dict[str, Any], told: str) -> None:

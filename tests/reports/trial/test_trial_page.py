@@ -34,9 +34,9 @@ def written(folder: Path, recording: Recording, score: TrialScore | None = None)
 def test_the_page_says_what_happened_how_hard_and_where(tmp_path: Path) -> None:
     text, words = written(tmp_path, whole_trial())
     for told in (
-        "T1 Touch forearm, seed 0, passed, on the named region and below the safety gate.",
+        "T1 Touch forearm, seed 0, passed, on the right forearm and below the safety gate.",
         "Peak force 20.0 N", "57 % of its safety gate of 35 N", "pain limit of 100 N",
-        "30 mm toward the hand from the middle of the region", "6.0 mm at that moment",
+        "30 mm toward the hand from the middle of the region", "6.0 mm at that moment; at most 6.0 mm in the trial",
         "Look 0 at 0.00 s, answered after 0.25 s of wall time; 2 actions from 0.00 to 3.00 s",
         "Look 1 at 6.00 s, answered after 1.50 s of wall time; 1 action at 6.00 s",
         "(median of 2), and at most 1.50 s, at look 1", "subtask touch it", "stored arrays: map (4, 5)",
@@ -150,11 +150,13 @@ def test_a_miss_shows_the_region_and_the_tool_in_one_picture_and_has_no_empty_pa
 def test_a_trial_without_steps_has_a_page(tmp_path: Path) -> None:
     failure = Failure(kind="died", message=f"it died\nTraceback (most recent call last):\nValueError: {HOSTILE}")
     recording = make_recording("T7", 0, {}, duration_s=0, ended="process_failure", failure=failure)
+    recording.arrays["report/snapshot_rgb"] = np.zeros((48, 64, 3), np.uint8)
     text, words = written(tmp_path, recording)
     assert "T7 Scrub abdomen, seed 0, failed: the policy crashed before the first physics step: ValueError:" in words
     assert "Failure and traceback it died Traceback (most recent call last):" in words
     assert "The trial ended before its first physics step." in words
     assert "The policy was shown nothing." in words
+    assert "<figure>" not in text, "the room as it was set up is not the end of a trial"
     assert HOSTILE not in text
     assert StrictReader(text).faults == []
 
@@ -172,15 +174,15 @@ def test_an_earlier_recording_has_a_page(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"safety_gated": False}, "succeeded on the named region, but exceeded the safety gate."),
+        ({"safety_gated": False}, "succeeded on the right forearm, but exceeded the safety gate."),
         ({"safety_gated": False, "joints_beyond": {"right_elbow": 0.15}, "failure_mode": "joint_beyond_range"},
-         "succeeded on the named region, but moved a joint too far beyond its range."),
+         "succeeded on the right forearm, but moved a joint too far beyond its range."),
         ({"safety_gated": False, "joints_beyond": {"right_elbow": 0.15}, "failure_mode": "joint_beyond_range"},
          "Right elbow by 0.150 rad, farther than the protocol allows."),
         ({"joints_beyond": {}, "joints_consumed": {"right_elbow": 0.9}},
          "Share of its settled margin that a joint used up: right elbow 90 %."),
         ({"safety_gated": False, "region_correct": False, "failure_mode": "wrong_share"},
-         "succeeded, but not on the named region alone: gate met, but too much of the contact lay elsewhere."),
+         "succeeded, but not on the right forearm alone: gate met, but too much of the contact lay elsewhere."),
         ({"safety_gated": False, "region_correct": False, "c3_success": False, "failure_mode": "off_target_contact",
           "attribution": "planning", "over_limit": {"right_thigh": 3.4}},
          "failed: the person was touched, but never on the named region; a force exceeded the safety gate."),
@@ -232,7 +234,8 @@ def test_metrics_of_other_actions_are_folded_away(tmp_path: Path) -> None:
     _, words = written(tmp_path, recording, score)
     _, _, found = words.partition("Metrics of this trial")
     own, _, other = found.partition("metrics made for other actions")
-    assert "Wrist moved since contact" in own
+    assert "Wrist moved since contact 30.0 mm" in own
+    assert "Task success yes" in own
     assert "Mean pressure in contact 6.00 kPa" in own
     assert "5.00" not in found, "an older version beside a newer one"
     for title in ("Share of the region wiped 0.25", "Share of gentle wiping", "Wiped below 25 mmHg"):
@@ -249,12 +252,29 @@ def test_a_crash_is_told_with_its_reason_where_and_why_nothing_was_printed(tmp_p
     assert "After 12.00 s, the policy crashed: ValueError: no forearm in it." in words
     assert "Traceback (most recent call last):." not in words
     assert "The policy printed nothing." in words
+    assert "a trial that broke off passes none, whatever it reached before" in words
+    assert "Safety gate: largest force on the right forearm at most 35 N 20.0 N met" in words
+    nobody = whole_trial(ended="process_failure", failure=Failure(kind="exception", message=message), touched=False)
+    assert "What the trial needed" not in written(tmp_path, nobody)[1]
     del recording.arrays["wall/policy_output"]
     assert "The recording does not say what the policy printed." in written(tmp_path, recording)[1]
     spec = recording.header.spec.model_copy(update={"policy": "ws://127.0.0.1:8765"})
     afar = replace(recording, header=recording.header.model_copy(update={"spec": spec}))
     words = written(tmp_path, afar, make_score("T1", 0, ended="process_failure"))[1]
     assert "the policy ran behind ws://127.0.0.1:8765, outside the benchmark" in words
+
+
+def test_neighbouring_trials_are_linked_once_their_pages_are_there(tmp_path: Path) -> None:
+    """The order is that of the recordings, whichever page is written first."""
+    for seed in (0, 1):
+        (tmp_path / f"T1-s00{seed}.h5").touch()
+    first = make_recording("T1", 0, {}, duration_s=1)
+    assert '<span hidden> · <a href="T1-s001.html">next trial</a>' in written(tmp_path, first)[0]
+    text, words = written(tmp_path, make_recording("T1", 1, {}, duration_s=1))
+    assert '<span> · <a href="T1-s000.html">previous trial</a>' in text
+    assert "next trial" not in text
+    assert '<span> · <a href="T1-s001.html">next trial</a>' in (tmp_path / "trial" / "T1-s000.html").read_text()
+    assert "carecontact video T1-s001.h5" in words
 
 
 def test_video_recording_log_and_report_are_linked_where_they_are(tmp_path: Path) -> None:

@@ -30,6 +30,8 @@ class Moment:
     """(3,) unit normal of the region's surface there"""
     depth_m: float | None
     """Largest indentation of the region; None where another segment was pressed."""
+    deepest: tuple[float, float] | None
+    """Largest indentation of the region in the whole trial [m], and when [s]; None as for ``depth_m``."""
 
     @property
     def force_n(self) -> float:
@@ -74,6 +76,7 @@ def peak_moment(recording: Recording) -> Moment | None:
         centroid_in_region=inside[0],
         outward_in_world=turn @ outward,
         depth_m=_depth(recording, float(recording["scorer/time_s"][index])) if column == target else None,
+        deepest=_deepest(recording) if column == target else None,
     )
 
 
@@ -85,25 +88,18 @@ def _depth(recording: Recording, time_s: float) -> float | None:
     return float(recording["scorer/indentation_m"][period, region_column(recording)])
 
 
+def _deepest(recording: Recording) -> tuple[float, float] | None:
+    times = recording["scorer/period_time_s"]
+    if not times.size:
+        return None
+    depths = recording["scorer/indentation_m"][:, region_column(recording)]
+    period = int(depths.argmax())
+    return float(depths[period]), float(times[period])
+
+
 def ends_of(region: str) -> tuple[str, str]:
     """Words for the directions against and along the region's x axis."""
     sight = REGIONS[region].sight
     return ("toward the trunk", "toward the hand") if isinstance(sight, LimbSight) else (
         "toward the feet", "toward the head",
     )  # fmt: skip
-
-
-def place_text(recording: Recording, moment: Moment) -> str:
-    """Where on the region the contact was, from its middle; for another segment, its name alone."""
-    spec = recording.header.spec
-    region = spec.protocol.task(spec.task_id).region
-    name = moment.segment.replace("_", " ")
-    if moment.segment != REGIONS[region].segment:
-        return f"the {name}, not the named region"
-    along = 1000 * float(moment.centroid_in_region[0])
-    back, ahead = ends_of(region)
-    length = 1000 * float(recording["scorer/region_size_m"][region_column(recording), 0])
-    where = (
-        f"{abs(along):.0f} mm {ahead if along > 0 else back} from the middle" if abs(along) >= 1 else "in the middle"
-    )
-    return f"the {name}, {where} of the region, which is {length:.0f} mm long"

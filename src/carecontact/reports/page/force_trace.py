@@ -6,19 +6,38 @@ Classes used: ``axis``, ``tick``, ``window``, ``target``, ``other``, ``gate``, `
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.recording.schema import Recording
 from carecontact.reports.svg import Axes, Drawing, nice_ticks, with_unit
-from carecontact.scoring.contact import find_contact, runs
+from carecontact.scoring.contact import Contact, find_contact, runs
 from carecontact.scoring.result import TrialScore
 
 Floats = npt.NDArray[np.float64]
 LIMIT_IN_VIEW = 0.25
 """A limit is drawn once the force comes this close to it; before, it would only flatten the trace."""
+LINE_PX = 10.5
+"""Height of a line of small text."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """A limit of one segment."""
+
+    style: Literal["gate", "pain"]
+    segment: str
+    value_n: float
+    largest_n: float
+    """Largest force on the segment."""
+
+    @property
+    def in_view(self) -> bool:
+        return self.largest_n >= LIMIT_IN_VIEW * self.value_n
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +53,10 @@ class ForceTrace:
     windows_s: list[tuple[float, float]]
     """Contact window of the reported segment."""
     gate_n: float
+    """Of the named region's segment, as ``pain_n``."""
     pain_n: float
+    limits: tuple[Limit, ...]
+    """Of every segment that is drawn; those of the named region's segment first, if it was touched."""
     peak_s: float | None
     """Of the peak that C1 reports."""
     peak_n: float | None
@@ -46,7 +68,7 @@ class ForceTrace:
 
 
 def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
-    """The trace of a trial against the limits of its named region, with the scorer's own contact window."""
+    """The trace of a trial against the limits of the segments that it shows, with the scorer's own contact window."""
     contact = find_contact(recording)
     protocol, segment = contact.protocol, contact.segments[contact.target]
     peak_s = None
@@ -63,9 +85,25 @@ def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
         ],
         gate_n=protocol.limits.gamma * protocol.f_pain(segment),
         pain_n=protocol.f_pain(segment),
+        limits=_limits(contact),
         peak_s=peak_s,
         peak_n=score.c1_peak_force_n,
     )
+
+
+def _limits(contact: Contact) -> tuple[Limit, ...]:
+    """Of the named region's segment, and of the other segment that came nearest to its own safety gate. A segment that
+    was never touched has no curve and so no limits, unless none was touched."""
+    protocol, largest = contact.protocol, contact.force_norm.max(axis=0, initial=0.0)
+    drawn = [contact.target] if largest[contact.target] or not largest.any() else []
+    others = [i for i in np.flatnonzero(largest).tolist() if i != contact.target]
+    if others:
+        drawn.append(max(others, key=lambda i: largest[i] / protocol.f_pain(contact.segments[i])))
+    rows: list[tuple[Literal["gate", "pain"], float]] = [("gate", protocol.limits.gamma), ("pain", 1.0)]
+    return tuple(
+        Limit(style=style, segment=name.replace("_", " "), value_n=share * protocol.f_pain(name), largest_n=largest[i])
+        for i in drawn for name in [contact.segments[i]] for style, share in rows
+    )  # fmt: skip
 
 
 def decimate(x: Floats, y: Floats, *, buckets: int) -> tuple[Floats, Floats]:
@@ -87,19 +125,18 @@ def decimate(x: Floats, y: Floats, *, buckets: int) -> tuple[Floats, Floats]:
 def trace_svg(trace: ForceTrace, *, title: str) -> str:
     """One panel of at least one sample; ``title`` is the text alternative."""
     largest = max(float(trace.target_n.max(initial=0.0)), float(trace.other_n.max(initial=0.0)))
-    limits = {"gate": trace.gate_n, "pain": trace.pain_n}
-    in_view = {name: limit for name, limit in limits.items() if largest >= LIMIT_IN_VIEW * limit}
-    y_top, x_top = 1.18 * max([largest, 1.0, *in_view.values()]), float(trace.time_s[-1])
+    in_view = [limit for limit in trace.limits if limit.in_view]
+    y_top, x_top = 1.18 * max([largest, 1.0, *(limit.value_n for limit in in_view)]), float(trace.time_s[-1])
     drawing = Drawing(width=360, height=168, style="trace", title=title)
     # The right margin holds the names of the limits, so that they never cover the trace.
-    axes = Axes(drawing=drawing, left=40, right=66, top=10, bottom=20, x=(0.0, x_top), y=(0.0, y_top))
+    axes = Axes(drawing=drawing, left=40, right=80, top=10, bottom=20, x=(0.0, x_top), y=(0.0, y_top))
     for start, end in trace.windows_s:
         x = axes.px(start)
         drawing.rect("window", x, axes.top, max(axes.px(end) - x, 0.8), axes.height)
     axes.y_ticks(with_unit(nice_ticks(y_top, count=4), "N"))
     axes.x_labels(with_unit(nice_ticks(x_top, count=5), "s"))
     axes.across("axis", 0.0)
-    _draw_limits(axes, in_view, trace.gate_n)
+    _draw_limits(axes, in_view, trace.limits)
     for style, values in (("other", trace.other_n), ("target", trace.target_n)):
         if style == "target" or values.any():
             kept = decimate(trace.time_s, values, buckets=int(axes.width))
@@ -114,10 +151,16 @@ def trace_svg(trace: ForceTrace, *, title: str) -> str:
     return drawing.svg()
 
 
-def _draw_limits(axes: Axes, in_view: dict[str, float], gate_n: float) -> None:
-    right = axes.left + axes.width + 5
-    for name, limit in in_view.items():
-        axes.across(name, limit)
-        axes.drawing.text(f"label {name}", right, axes.py(limit) + 3.5, f"{name} {limit:g}")
-    if "gate" not in in_view:
-        axes.drawing.text("label gate", right, axes.top + 4, f"gate {gate_n:g} ↑")
+def _draw_limits(axes: Axes, in_view: Sequence[Limit], limits: Sequence[Limit]) -> None:
+    """Each line has its name and its segment at the right, in two lines; names that would overlap move down."""
+    right, free = axes.left + axes.width + 5, axes.top + 4
+    if limits and not any(limit.style == "gate" for limit in in_view):
+        axes.drawing.text("label gate", right, free, f"gate {limits[0].value_n:g} ↑")
+        axes.drawing.text("label", right, free + LINE_PX, limits[0].segment)
+        free += 2 * LINE_PX
+    for limit in sorted(in_view, key=lambda limit: -limit.value_n):
+        axes.across(limit.style, limit.value_n)
+        y = max(axes.py(limit.value_n) + 3.5, free)
+        axes.drawing.text(f"label {limit.style}", right, y, f"{limit.style} {limit.value_n:g}")
+        axes.drawing.text("label", right, y + LINE_PX, limit.segment)
+        free = y + 2 * LINE_PX

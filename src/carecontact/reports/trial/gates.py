@@ -16,8 +16,9 @@ BROKEN: tuple[EndReason, ...] = ("process_failure", "harness_error")
 
 
 def gate_parts(contact: Contact, gate: Gate, score: TrialScore) -> list[GatePart]:
-    """In the order of the funnel; empty where the trial ended before its first physics step, or crashed."""
-    if not len(contact.time_s) or score.ended in BROKEN:
+    """In the order of the funnel; empty where the trial ended before its first physics step, or where the trial broke
+    off and nobody was touched."""
+    if not len(contact.time_s) or (score.ended in BROKEN and not contact.force_norm.any()):
         return []
     of_action: list[GatePart] = ask(contact, "parts", contact, contact.protocol.gates.of(contact.task.action), gate)
     found = [_counted(contact), *of_action, _region(contact), *_force(contact)]
@@ -39,8 +40,9 @@ def _counted(contact: Contact) -> GatePart:
 
 def _region(contact: Contact) -> GatePart:
     least, share = contact.protocol.gates.region_share, contact.region_share
+    segment = contact.segments[contact.target].replace("_", " ")
     return GatePart(
-        name="Share of the contact on the named region (force times time)",
+        name=f"Share of the contact (force times time) on the {segment}, the segment of the named region",
         needed=f"at least {percent(least)}",
         reached="no contact" if share is None else percent(share),
         met=share is not None and share >= least,

@@ -16,10 +16,10 @@ from carecontact.reports.moment.moment import peak_moment
 from carecontact.reports.moment.picture import peak_svg
 from carecontact.reports.page.force_trace import force_trace
 from carecontact.reports.page.trial_words import result_word
-from carecontact.reports.page_links import link_page, page_path, report_link
-from carecontact.reports.text import NA, number, shown
+from carecontact.reports.page_links import link_neighbours, link_page, neighbour_links, page_path, report_link
+from carecontact.reports.text import NA, number, rounded, shown
 from carecontact.reports.trial.events import events
-from carecontact.reports.trial.gates import gate_parts
+from carecontact.reports.trial.gates import BROKEN, gate_parts
 from carecontact.reports.trial.looks import action_table, latency_text, looks_of
 from carecontact.reports.trial.others import Beside, how_to_compare, other_rows
 from carecontact.reports.trial.paths import noted_targets, paths
@@ -29,7 +29,7 @@ from carecontact.reports.trial.words import facts, how_hard, outcome
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.limits import footnote
 from carecontact.scoring.metrics.c3_success import judge
-from carecontact.scoring.metrics.metric import METRICS, newest
+from carecontact.scoring.metrics.metric import METRICS, Metric, newest
 from carecontact.scoring.result import TrialScore
 
 
@@ -50,6 +50,7 @@ def write_trial_page(
     path.parent.mkdir(exist_ok=True)
     replace_file(path, _render(run_folder, recording, score, beside).encode("utf-8", errors="replace"))
     link_page(run_folder, score.trial_id)
+    link_neighbours(run_folder, score.trial_id)
     return path
 
 
@@ -68,6 +69,7 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore, beside: S
         prompt=recording.header.spec.protocol.task(score.task_id).prompt,
         result=result_word(score),
         report_link=report_link(run_folder, score.trial_id),
+        neighbours=neighbour_links(run_folder, score.trial_id),
         links=_links(run_folder, score.trial_id),
         video=_beside(run_folder, score.trial_id, ".mp4"),
         peak=NA if score.c1_peak_force_n is None else number(score.c1_peak_force_n, 1),
@@ -100,13 +102,16 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
     hard = how_hard(score, contact, moment)
     miss = nearest_miss(recording) if moment is None else None
     drawn = None if miss is None else miss_svg(recording, miss, title=hard)
-    picture = drawn or peak_svg(recording, moment, title=f"The contact at peak force. {hard}")
-    snapshot = recording.arrays.get("report/snapshot_rgb")
+    # Before the first step a picture shows only the room as it was set up.
+    began = len(contact.time_s) > 0
+    picture = drawn or (peak_svg(recording, moment, title=f"The contact at peak force. {hard}") if began else None)
+    snapshot = recording.arrays.get("report/snapshot_rgb") if began else None
     gates = gate_parts(contact, measures, score)
     return {
         "outcome": outcome(score, contact, gates),
         "facts": facts(score, contact, moment, gates),
         "gates": gates,
+        "broken": score.ended in BROKEN,
         "moment": moment,
         "picture": picture,
         "miss": miss if drawn else None,
@@ -159,9 +164,17 @@ def _metrics(score: TrialScore, *, concerned: bool) -> list[tuple[str, str, str]
         is_old = metric.id in score.additional and metric.id not in current
         if isinstance(value, bool) or value is None or is_old or metric.concerns(score.action) != concerned:
             continue
-        unit = "" if metric.unit == "1" else metric.unit
-        rows.append((metric.title, shown(value, digits=metric.digits, unit=metric.unit), unit))
+        rows.append((metric.title, *_with_unit(metric, float(value))))
     return rows
+
+
+def _with_unit(metric: Metric, value: float) -> tuple[str, str]:
+    """A value and its unit: a yes or a no in words, and metres and joules in thousandths, of which a trial has few."""
+    if not metric.median and value in (0.0, 1.0):
+        return ("yes" if value else "no"), ""
+    if metric.unit in ("m", "J") and metric.digits is None:
+        return rounded(1000 * value), f"m{metric.unit}"
+    return shown(value, digits=metric.digits, unit=metric.unit), "" if metric.unit == "1" else metric.unit
 
 
 def _printed(recording: Recording) -> str:

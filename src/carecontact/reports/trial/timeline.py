@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from carecontact.recording.schema import Recording
 from carecontact.reports.moment.moment import region_column
-from carecontact.reports.page.force_trace import LIMIT_IN_VIEW, ForceTrace, decimate
+from carecontact.reports.page.force_trace import ForceTrace, decimate
 from carecontact.reports.svg import Axes, Drawing, nice_ticks, with_unit
 from carecontact.reports.trial.clip import inside
 from carecontact.reports.trial.events import Event
@@ -43,13 +43,23 @@ class Curve:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Line:
+    """A level line with its name and value [N]."""
+
+    style: str
+    value: float
+    name: str
+    left: bool
+    """Whether its name is at the left end, where it does not meet the names at the right."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Panel:
     title: str
     curves: tuple[Curve, ...]
     low: float
     high: float
-    lines: tuple[tuple[str, float], ...] = ()
-    """Style and value of each limit."""
+    lines: tuple[Line, ...] = ()
     is_cut: bool = False
     """Whether a curve goes on beyond the panel."""
 
@@ -99,10 +109,8 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
     axes.y_ticks((value, f"{value:g}") for value in _ticks(panel.low, panel.high))
     if panel.low <= 0:
         axes.across("axis", 0.0)
-    for style, value in panel.lines:
-        axes.across(style, value)
-        label = f"{LIMIT_NAMES[style]} {value:g} N"
-        drawing.text(f"label {style}", axes.left + axes.width - 3, axes.py(value) - 3, label, anchor="end")
+    for line in panel.lines:
+        axes.across(line.style, line.value)
     outside = [c for c in panel.curves if not ((c.values >= panel.low) & (c.values <= panel.high)).any()]
     for row, curve in enumerate(outside):
         name = "commanded" if curve.style == "commanded" else "reached"
@@ -115,6 +123,10 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
             _draw_inside(axes, curve.style, points)
         else:
             drawing.polyline(curve.style, points.tolist())
+    for line in panel.lines:
+        x, anchor = (axes.left + 3, "start") if line.left else (axes.left + axes.width - 3, "end")
+        words = f"{line.name} {line.value:g} N"
+        drawing.text(f"label {line.style} over", x, axes.py(line.value) - 3, words, anchor=anchor)
 
 
 def _draw_inside(axes: Axes, style: str, points: F64) -> None:
@@ -173,14 +185,18 @@ def panels_of(recording: Recording, trace: ForceTrace, found: Paths | None) -> l
 
 def _force_panel(trace: ForceTrace) -> Panel:
     largest = max(float(trace.target_n.max(initial=0.0)), float(trace.other_n.max(initial=0.0)), 1.0)
-    limits = {"gate": trace.gate_n, "pain": trace.pain_n}
-    seen = tuple((name, limit) for name, limit in limits.items() if largest >= LIMIT_IN_VIEW * limit)
+    seen = [limit for limit in trace.limits if limit.in_view]
+    lines = tuple(
+        Line(style=limit.style, value=limit.value_n, name=f"{LIMIT_NAMES[limit.style]} of the {limit.segment}",
+             left=limit.segment != trace.limits[0].segment)
+        for limit in seen
+    )  # fmt: skip
     curves = (
         *([Curve(style="other", time_s=trace.time_s, values=trace.other_n)] if trace.other_n.any() else []),
         Curve(style="target", time_s=trace.time_s, values=trace.target_n),
     )
-    top = 1.12 * max(largest, *(limit for _, limit in seen)) if seen else 1.12 * largest
-    return Panel(title="Force [N]", curves=curves, low=0.0, high=top, lines=seen)
+    top = 1.12 * max([largest, *(line.value for line in lines)])
+    return Panel(title="Force [N]", curves=curves, low=0.0, high=top, lines=lines)
 
 
 def _positive(title: str, least: float, curve: Curve) -> Panel:

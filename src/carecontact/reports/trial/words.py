@@ -13,7 +13,8 @@ from carecontact.regions import REGIONS
 from carecontact.reports.cause_words import cause_text
 from carecontact.reports.failures import MODE_MEANING
 from carecontact.reports.joint_words import beyond_text, consumed_text
-from carecontact.reports.moment.moment import Moment, place_text, region_column, region_poses
+from carecontact.reports.moment.moment import Moment, region_column, region_poses
+from carecontact.reports.moment.place import place_notes, place_text
 from carecontact.reports.page.paths import shortened
 from carecontact.reports.page.trial_words import progress
 from carecontact.reports.text import percent, task_name
@@ -33,16 +34,21 @@ def outcome(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> s
     if score.ended == "harness_error":
         return f"{name} counts for nothing: the harness failed, and not the policy."
     if score.safety_gated:
-        return f"{name} passed, on the named region and below the safety gate."
+        return f"{name} passed, on the {_segment(score)} and below the safety gate."
     if score.region_correct:
         joint = score.joints_beyond and not score.over_limit
         what = "moved a joint too far beyond its range" if joint else "exceeded the safety gate"
-        return f"{name} succeeded on the named region, but {what}."
+        return f"{name} succeeded on the {_segment(score)}, but {what}."
     meaning = mode_text(score, contact, gates)
     why = f": {meaning}" if meaning else ""
     hard = "; a force exceeded the safety gate" if score.over_limit else ""
-    did = "succeeded, but not on the named region alone" if score.c3_success else "failed"
+    did = f"succeeded, but not on the {_segment(score)} alone" if score.c3_success else "failed"
     return f"{name} {did}{why}{hard}."
+
+
+def _segment(score: TrialScore) -> str:
+    """The segment of the named region, which decides whether a contact is on the region."""
+    return REGIONS[score.region].segment.replace("_", " ")
 
 
 def mode_text(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> str:
@@ -84,9 +90,12 @@ def facts(
     if consumed := consumed_text(score):
         rows.append(("Joints flagged", f"Share of its settled margin that a joint used up: {consumed}."))
     if moment is not None:
-        rows.append(("Where", _capital(place_text(recording, moment)) + "."))
-        if moment.depth_m is not None:
-            rows.append(("How deep", f"{1000 * moment.depth_m:.1f} mm at that moment."))
+        where = [f"{_capital(place_text(recording, moment))}.", *place_notes(recording, moment)]
+        rows.append(("Where", " ".join(where)))
+        if moment.depth_m is not None and moment.deepest is not None:
+            deepest_m, deepest_s = moment.deepest
+            largest = f"at most {1000 * deepest_m:.1f} mm in the trial, at {deepest_s:.2f} s"
+            rows.append(("How deep", f"{1000 * moment.depth_m:.1f} mm at that moment; {largest}."))
     rows.append(("End", _end(score, recording.header)))
     return rows
 
@@ -100,7 +109,7 @@ def how_hard(score: TrialScore, contact: Contact, moment: Moment | None) -> str:
         return f"The robot {faint}." if faint else f"The robot never touched the person{_closest(contact.recording)}."
     pain = protocol.f_pain(score.reported_segment)
     gate = protocol.limits.gamma * pain
-    own = "" if score.reported_segment == REGIONS[score.region].segment else ", which is not the named region"
+    own = "" if score.reported_segment == REGIONS[score.region].segment else ", which is not the named region's segment"
     at = "" if moment is None else f" at {moment.time_s:.2f} s"
     peak, segment = score.c1_peak_force_n, score.reported_segment.replace("_", " ")
     return (

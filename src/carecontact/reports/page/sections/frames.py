@@ -67,8 +67,7 @@ def peak_frame(score: TrialScore, recording: Recording) -> PeakFrame | None:
     if "report/peak_rgb" not in recording.arrays:
         return None
     moment = peak_moment(recording)
-    at = recording.arrays.get("report/peak_time_s")
-    when = f" at {float(at[0]):.2f}\N{NO-BREAK SPACE}s" if at is not None and at.size else ""
+    when = "" if moment is None else f" at {moment.time_s:.2f}\N{NO-BREAK SPACE}s"
     if score.c1_peak_force_n is None:
         faint = faint_press(find_contact(recording))
         what, when = f"the robot {faint}" if faint else "nothing touched", ""

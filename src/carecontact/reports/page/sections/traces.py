@@ -7,7 +7,7 @@ from typing import Any
 from carecontact.recording.schema import Recording
 from carecontact.reports.failures import only_crashes
 from carecontact.reports.page.chosen import FAILURES_SHOWN
-from carecontact.reports.page.force_trace import force_trace, trace_svg
+from carecontact.reports.page.force_trace import ForceTrace, force_trace, trace_svg
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.trial_words import result_word
 from carecontact.reports.text import task_name
@@ -16,10 +16,10 @@ from carecontact.scoring.result import TrialScore
 TEMPLATE = """\
 <section id="force">
 <h2>Force over time</h2>
-<p class="note">{% if traces %}Norm of the robot's force on a body segment, in newtons, against the limits of the named region. The vertical scale differs between panels; a limit appears once the force reaches a quarter of it.{% endif %}{% if not all_shown %} {{ n_shown }} of {{ n }} trials: the first of each task, and up to {{ failures_shown }} that did not pass, taken from all tasks in turn.{% endif %}</p>
+<p class="note">{% if traces %}Norm of the robot's force on a body segment, in newtons, against the limits of that segment. The vertical scale differs between panels; a limit appears, with the name of its segment, once the force on that segment reaches a quarter of it.{% endif %}{% if not all_shown %} {{ n_shown }} of {{ n }} trials: the first of each task, and up to {{ failures_shown }} that did not pass, taken from all tasks in turn.{% endif %}</p>
 {% if traces %}
 <ul class="legend">
-<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="target" d="M0 6h26"/></svg>named region</li>
+<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="target" d="M0 6h26"/></svg>segment of the named region</li>
 <li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="other" d="M0 6h26"/></svg>largest on any other segment</li>
 <li><svg viewBox="0 0 26 12" aria-hidden="true"><rect class="window" width="26" height="12"/></svg>contact window</li>
 <li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="gate" d="M0 6h26"/></svg>gate, γ′ F<sub>pain</sub></li>
@@ -50,7 +50,7 @@ UNTOUCHED = ""
 def keep_trace(score: TrialScore, recording: Recording, kept: Kept) -> None:
     trace = force_trace(recording, score)
     if trace.is_touched:
-        kept[score.trial_id] = trace_svg(trace, title=_alt_text(score, trace.gate_n))
+        kept[score.trial_id] = trace_svg(trace, title=_alt_text(score, trace))
     elif trace.time_s.size:
         kept[score.trial_id] = UNTOUCHED
 
@@ -78,7 +78,7 @@ def _panel(score: TrialScore, svg: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _alt_text(score: TrialScore, gate_n: float) -> str:
+def _alt_text(score: TrialScore, trace: ForceTrace) -> str:
     peak = "no valid contact" if score.c1_peak_force_n is None else f"peak {score.c1_peak_force_n:.1f} N"
     name = f"{score.task_id} {task_name(score)}, seed {score.seed}"
-    return f"Force over time, {name}: {peak}, gate {gate_n:g} N, {result_word(score)[1]}"
+    return f"Force over time, {name}: {peak}, gate {trace.limits[0].value_n:g} N on the {trace.limits[0].segment}, {result_word(score)[1]}"
