@@ -693,3 +693,13 @@ def test_the_head_leads_with_the_trials_that_both_have() -> None:
     assert beside_blind(beside(method, elsewhere)).startswith(
         "Blind replay, which looks at nothing, passed 9 of 20 other trials; mine 2 of 3."
     )
+
+
+def test_by_task_says_where_replay_has_no_trials(tmp_path: Path) -> None:
+    method = [make_score(task, 0, policy="mine") for task in ("T1", "T2")]
+    others = beside(method, [make_score("T1", 0, policy="replay")])
+    path = write_report(tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=others)
+    text = Page(path.read_text()).text
+    assert "replay: no trials here" in text
+    assert "passed nothing there, or has no trials there." in text
+    assert "0/0" not in text

@@ -64,6 +64,8 @@ class Baselines:
     """``all`` and each task -> the safety-gated rate of the blind baseline that passes most there."""
     kept: tuple[str, ...] = ()
     """Those of ``baselines`` whose scores are kept with the package; methods that see may be among them."""
+    completed: tuple[str, ...] = ()
+    """Named ones of ``baselines`` whose run lacks trials that are kept with the package, and that have those here."""
 
     @property
     def tasks(self) -> tuple[str, ...]:

@@ -116,7 +116,9 @@ def sentences(table: SweepTable) -> list[str]:
     if found is None:
         told.append("There is no order of policies: it needs a trial of the same task and seed of two policies.")
         return told
-    told.append(f"{_order(found)}, by the share of {PASSED[table.rank_by]} trials that all of them ran ({found.n} each).")
+    told.append(
+        f"{_order(found)}, by the share of {PASSED[table.rank_by]} trials that all of them ran ({found.n} each)."
+    )
     if found.groups > 1:
         told.append(_held(found))
     if others := [named for name, named in table.named.items() if name not in found.passed]:

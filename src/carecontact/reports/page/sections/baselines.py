@@ -12,7 +12,7 @@ from carecontact.reports.short_names import short_names
 TEMPLATE = """\
 <section id="baselines">
 <h2>{{ "Shipped policies and blind baselines" if shipped else "Blind baselines" }}</h2>
-<p class="note">A blind baseline is a policy that deliberately lacks an ability that the task is meant to require. Each of its successes is a false positive of the gates. Therefore, a method has shown only the difference between its rate and those of the baselines. {% if enough %}Rates have Wilson 95 % intervals; differences of safety-gated rates have Newcombe 95 % intervals, over pairs of the same task and seed if both runs have them.{% else %}There are no intervals, because the run has fewer than six seeds.{% endif %}{% if fewer %} Where another policy has more trials than this run, its rates are over the trials that both have; “in all” is its rate over all of its trials of these tasks.{% endif %}{% if shipped %} From the scores that are kept of the shipped policies: {{ shipped }}.{% endif %}</p>
+<p class="note">A blind baseline is a policy that deliberately lacks an ability that the task is meant to require. Each of its successes is a false positive of the gates. Therefore, a method has shown only the difference between its rate and those of the baselines. {% if enough %}Rates have Wilson 95 % intervals; differences of safety-gated rates have Newcombe 95 % intervals, over pairs of the same task and seed if both runs have them.{% else %}There are no intervals, because the run has fewer than six seeds.{% endif %}{% if fewer %} Where another policy has more trials than this run, its rates are over the trials that both have; “in all” is its rate over all of its trials of these tasks.{% endif %}{% if shipped %} From the scores that are kept of the shipped policies: {{ shipped }}.{% endif %}{% if completed %} Of {{ completed }}, the trials that the named run does not have are kept scores.{% endif %}</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of other policies">
 <table>
 <thead><tr><th scope="col">policy</th><th scope="col" class="num">trials</th><th scope="col" class="num">success</th><th scope="col" class="num">region-correct</th><th scope="col" class="num">safety-gated</th><th scope="col" class="num wrap">method − baseline [points]</th></tr></thead>
@@ -30,7 +30,7 @@ TEMPLATE = """\
 <tbody>
 {% for row in rows %}
 {% set blind = row.role == "blind" %}
-<tr{% if loop.first %} class="sum method"{% endif %}><th scope="row" class="keep">{{ names[row.policy] }}</th>{% for task in tasks %}{% set of_task = row.per_task.get(task) %}<td class="num{% if blind and of_task and of_task.success[0] %} false{% endif %}">{% if of_task %}{{ of_task.success[0] }}/{{ of_task.success[1] }}{% else %}–{% endif %}</td>{% endfor %}</tr>
+<tr{% if loop.first %} class="sum method"{% endif %}><th scope="row" class="keep">{{ names[row.policy] }}</th>{% for task in tasks %}{% set of_task = row.per_task.get(task) %}<td class="num{% if blind and of_task and of_task.success[0] %} false{% endif %}">{% if of_task and of_task.success[1] %}{{ of_task.success[0] }}/{{ of_task.success[1] }}{% else %}–{% endif %}</td>{% endfor %}</tr>
 {% endfor %}
 {% if floor %}
 <tr class="sum"><th scope="row" class="keep">best blind baseline<span class="meaning">safety-gated</span></th>{% for task in tasks %}{% set at = floor.get(task) %}<td class="num">{% if at %}{{ at.rate.k }}/{{ at.rate.n }}<span class="meaning">{{ names[at.policy] }}</span>{% else %}–{% endif %}</td>{% endfor %}</tr>
@@ -57,5 +57,6 @@ def baselines(page: Page) -> dict[str, Any] | None:
         "enough": enough_seeds(page.judged),
         "fewer": any(row.whole is not None for row in found.baselines),
         "enough_of": enough,
+        "completed": " and ".join(found.completed),
         "shipped": ", ".join(found.kept),
     }
