@@ -616,8 +616,8 @@ def test_a_page_without_blind_replay_says_how_to_get_it(tmp_path: Path) -> None:
     scores = [make_score("T1", 0)]
     path = write_report(tmp_path, scores=scores, recordings=_no_recording, skipped={}, kept_scores="None are kept.")
     text = Page(path.read_text()).text
-    assert "None are kept. To learn whether" in text
-    assert "carecontact report DIR --baseline" in text.partition("From success to safe success")[0]
+    assert "None are kept. These commands tell whether" in text
+    assert f"carecontact report {tmp_path} --baseline {tmp_path}-replay" in text.partition("From success to safe")[0]
 
 
 def test_the_page_of_a_blind_baseline_does_not_set_it_beside_itself(tmp_path: Path) -> None:
@@ -625,7 +625,7 @@ def test_the_page_of_a_blind_baseline_does_not_set_it_beside_itself(tmp_path: Pa
     path = write_report(tmp_path, scores=scores, recordings=_no_recording, skipped={}, kept_scores="None are kept.")
     text = Page(path.read_text()).text
     assert "replay is a blind baseline, which lacks what the tasks require" in text
-    assert "To learn whether" not in text
+    assert "These commands tell" not in text
     assert "Run zero-action, hover, random, replay-registered and mean-person with" in text
 
 

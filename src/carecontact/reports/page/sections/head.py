@@ -12,6 +12,7 @@ from carecontact.reports.frames import Frame, jpeg_data_uri
 from carecontact.reports.intervals import enough
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.title import protocol_of
+from carecontact.reports.replay_commands import replay_commands
 from carecontact.reports.short_names import short_names
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
@@ -27,6 +28,9 @@ TEMPLATE = """\
 <h1>{{ verdict }}</h1>
 {% if beside %}
 <p class="beside">{{ beside }}</p>
+{% endif %}
+{% if commands %}
+<pre>{{ commands|join("\n") }}</pre>
 {% endif %}
 </div>
 {% if scene %}
@@ -54,6 +58,7 @@ def head(page: Page) -> dict[str, Any]:
         "scene": page.kept["head"].get("scene"),
         "verdict": verdict(page.scores, missing=len(page.missing)),
         "beside": _beside(page),
+        "commands": _commands(page),
     }
 
 
@@ -71,14 +76,18 @@ def _beside(page: Page) -> str:
 
 
 def _nothing_beside(page: Page) -> str:
-    """What the reader can do where no blind policy stands beside the run."""
+    """What the reader can do where no blind policy stands beside the run; ``_commands`` say how."""
     if not page.judged or not page.kept_scores:
         return page.kept_scores
     return (
-        f"{page.kept_scores} To learn whether {page.judged[0].policy_title[:80]} is better than actions repeated "
-        "blindly, run carecontact run --policy replay with the same protocol, tasks and seeds, and then carecontact "
-        "report DIR --baseline with the folder of that run."
+        f"{page.kept_scores} These commands tell whether {page.judged[0].policy_title[:80]} is better than actions "
+        "repeated blindly; give them in the folder in which the command that wrote this page was given:"
     )
+
+
+def _commands(page: Page) -> tuple[str, ...]:
+    told = page.kept_scores and role_in(page.judged) not in ("blind", "privileged") and not beside_blind(page.baselines)
+    return replay_commands(page.judged, page.folder) if page.judged and told else ()
 
 
 def beside_blind(baselines: Baselines | None) -> str:
