@@ -21,11 +21,12 @@ from carecontact.reports.failures import failure_modes
 from carecontact.reports.frames import MAX_BYTES, jpeg_data_uri
 from carecontact.reports.page.chosen import FAILURES_SHOWN, trials_in_detail
 from carecontact.reports.page.page import write_report
+from carecontact.reports.page.same_trials import same_trials
 from carecontact.reports.page.section import Page as RunPage
 from carecontact.reports.page.sections.caveats import cannot_say
 from carecontact.reports.page.sections.crashes import crashes
 from carecontact.reports.page.sections.frames import peak_frame
-from carecontact.reports.page.sections.funnel import funnel, funnel_svg
+from carecontact.reports.page.sections.funnel import drawn_beside, funnel, funnel_svg
 from carecontact.reports.page.sections.head import beside_blind, verdict
 from carecontact.reports.page.sections.provenance import NOT_RECORDED, provenance_rows
 from carecontact.reports.page.sections.trials import trial_row
@@ -703,3 +704,32 @@ def test_by_task_says_where_replay_has_no_trials(tmp_path: Path) -> None:
     assert "replay: no trials here" in text
     assert "passed nothing there, or has no trials there." in text
     assert "0/0" not in text
+
+
+def test_the_funnel_draws_four_other_policies_at_most_and_names_the_rest(tmp_path: Path) -> None:
+    def run(policy: str, seeds: range, passed: int) -> list[TrialScore]:
+        return [make_score("T1", seed, policy=policy, **({} if seed < passed else FAILED)) for seed in seeds]
+
+    method = run("mine", range(3), 2)
+    names = ("zero-action", "hover", "mean-person", "replay", "voxposer", "state-machine", "oracle")
+    others = beside(method, *(run(name, range(3), 3 if name == "hover" else 1) for name in names))
+    assert [row.policy for row in drawn_beside(others)] == ["hover", "replay", "state-machine", "oracle"]
+    assert len(drawn_beside(beside(method, run("replay", range(3), 1)))) == 1
+    path = write_report(tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=others)
+    text = Page(path.read_text()).text
+    assert "the thin bars under it are other policies in the same trials. " in text
+    assert "table of baselines has 3 further policies." in text
+
+
+def test_policies_with_other_seeds_are_not_said_to_have_the_same_trials(tmp_path: Path) -> None:
+    method = [make_score("T1", 1, policy="mine")]
+    elsewhere = [make_score("T1", seed, policy="replay") for seed in (4, 5)]
+    assert same_trials(beside(method, elsewhere).baselines, 1) == "with other seeds: they have none of these trials"
+    both = beside(method, elsewhere, [make_score("T1", 1, policy="hover")]).baselines
+    assert same_trials(both, 1).endswith("or, having none of these trials, with other seeds (replay)")
+    path = write_report(
+        tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=beside(method, elsewhere)
+    )
+    text = Page(path.read_text()).text
+    assert "in the same trials" not in text
+    assert "replay (other seeds)" in text

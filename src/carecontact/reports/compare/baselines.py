@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from carecontact.errors import ConfigError
-from carecontact.policies.registry import Role
+from carecontact.policies.registry import POLICIES, Role
 from carecontact.reports.compare.blind_floor import ALL, BlindRate, raise_floor, role_in
 from carecontact.reports.compare.comparable import check_comparable, trials_by_key
 from carecontact.reports.compare.outcomes import RATES, Outcome
@@ -39,7 +39,7 @@ class Passed:
     per_task: dict[str, dict[str, tuple[int, int]]]
     """Task -> rate -> count and number of trials."""
     role: Role = "method"
-    """``blind`` for every baseline that is neither a probe nor privileged, whoever wrote it."""
+    """``blind`` for every named baseline that is not registered with another role."""
     n_pairs: int | None = None
     """Trials of the same task and seed in both; None for the method itself."""
     method_passed: int | None = None
@@ -75,8 +75,8 @@ class Baselines:
 def beside_baselines(method: RunScores, baselines: Sequence[RunScores], *, kept: Sequence[RunScores] = ()) -> Baselines:
     """Set blind baselines beside a method, over the trials that both have (``Passed``).
 
-    A run that is named as a baseline counts as blind unless it is a probe or privileged; ``kept`` are scores that are
-    kept with the package, of which a method stays a method.
+    A run that is named as a baseline counts as blind unless its policy is registered with another role; ``kept`` are
+    scores that are kept with the package, of which a method stays a method.
 
     Differences are Newcombe's (method 10, of pairs or of independent trials), rates Wilson's. Raises ConfigError,
     naming what differs, for another protocol, overrides, definitions or world, a baseline that is the method itself or
@@ -127,7 +127,7 @@ def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -
     if method is None:
         return replace(of_policy, role=role_in(scores))
     role = role_in(scores)
-    named = replace(of_policy, role="blind" if role == "method" else role)
+    named = replace(of_policy, role="blind" if role == "method" and scores[0].policy not in POLICIES else role)
     if len(every) > len(counted):
         named = replace(named, whole=wilson_interval(sum(s.safety_gated for s in every), len(every)))
     return _against(named, counted, judged(method))

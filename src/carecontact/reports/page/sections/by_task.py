@@ -6,6 +6,7 @@ from typing import Any
 
 from carecontact.reports.failures import only_crashes
 from carecontact.reports.intervals import enough_seeds
+from carecontact.reports.page.same_trials import same_trials
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.page.sections.head import REPLAY
 from carecontact.reports.short_names import short_names
@@ -17,7 +18,7 @@ from carecontact.scoring.metrics.metric import METRICS, Metric
 TEMPLATE = """\
 <section id="tasks">
 <h2>By task</h2>
-<p class="note">{% if only_crashes %}The policy crashed in every trial before any contact. Therefore, this page has no medians, and nothing on force, safety, load and gates.{% else %}Counts, then medians over the trials that have a value; n says over how many, NA that none has. {{ metrics }}. {{ valid.n }} of {{ n }} trial{{ "" if n == 1 else "s" }} {{ "has" if valid.n == 1 else "have" }} a trajectory to score (valid ratio {{ '%.0f'|format(valid.pc) }} %{% if enough %}, 95 % interval {{ '%.0f'|format(valid.pc_ci95[0]) }} to {{ '%.0f'|format(valid.pc_ci95[1]) }} %{% endif %}); {{ touched }} had valid contact.{% endif %}{% if beside %} Under each count: what other policies passed, in {{ "the same trials" if same else "the same trials or, of policies that have none of them, in other trials" }}; {{ "a policy that is not named under a count" if beside == 1 else "policies that are not named under a count" }} passed nothing there{{ (", or has" if beside == 1 else ", or have") ~ " no trials there" if gaps else "" }}.{% endif %}</p>
+<p class="note">{% if only_crashes %}The policy crashed in every trial before any contact. Therefore, this page has no medians, and nothing on force, safety, load and gates.{% else %}Counts, then medians over the trials that have a value; n says over how many, NA that none has. {{ metrics }}. {{ valid.n }} of {{ n }} trial{{ "" if n == 1 else "s" }} {{ "has" if valid.n == 1 else "have" }} a trajectory to score (valid ratio {{ '%.0f'|format(valid.pc) }} %{% if enough %}, 95 % interval {{ '%.0f'|format(valid.pc_ci95[0]) }} to {{ '%.0f'|format(valid.pc_ci95[1]) }} %{% endif %}); {{ touched }} had valid contact.{% endif %}{% if beside %} Under each count: what other policies passed {{ same }}; {{ "a policy that is not named under a count" if beside == 1 else "policies that are not named under a count" }} passed nothing there{{ (", or has" if beside == 1 else ", or have") ~ " no trials there" if gaps else "" }}.{% endif %}</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table by task">
 <table>
 <thead><tr><th scope="col">task</th><th scope="col">name</th>{% for column in columns %}<th scope="col" class="num{% if column == "n" %} wide{% endif %}">{{ column }}</th>{% endfor %}</tr></thead>
@@ -58,7 +59,7 @@ def by_task(page: Page) -> dict[str, Any] | None:
         "n": len(page.judged),
         "touched": sum(score.valid_contact for score in page.judged),
         "whole_names": [(short, whole) for whole, short in _names(page).items() if short != whole],
-        "same": all(row.n_pairs for row in others),
+        "same": same_trials(others, len(page.judged)) if others else "",
         "gaps": any(not row.per_task[task]["success"][1] for row in others for task in row.per_task),
         "beside": len(others),
     }
