@@ -287,7 +287,7 @@ def test_run_of_harness_errors_alone(tmp_path: Path) -> None:
     add_harness_error(run, "T1", 0)
     add_harness_error(run, "T2", 0)
     page = Page(write(run, tmp_path))
-    assert "The harness failed in all 2 trials, so there is nothing to say about the policy." in page.text
+    assert "The harness failed in both trials, so there is nothing to say about the policy." in page.text
     assert "T2-s000the person" in page.text
     assert "Why trials failed" not in page.text
 
@@ -330,15 +330,15 @@ OFF, HARD = {"region_correct": False, "safety_gated": False}, {"safety_gated": F
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ([{}, {}], "passed all 2 trials on the named region and below the safety gate."),
+        ([{}, {}], "passed both trials on the named region and below the safety gate."),
         ([{}], "passed its only trial on the named region and below the safety gate."),
         ([FAILED], "did not pass its only trial; it touched the person in 1 of 1."),
         ([NO_CONTACT, FAILED], "passed none of 2 trials; it touched the person in 1 of 2."),
         ([{}, FAILED], "passed 1 of 2 trials on the named region and below the safety gate."),
-        ([CRASHED, CRASHED], "crashed in all 2 trials; nothing else can be said about it."),
+        ([CRASHED, CRASHED], "crashed in both trials; nothing else can be said about it."),
         ([CRASHED], "crashed in its only trial; nothing else can be said about it."),
         ([PRESSED], "crashed in its only trial, after a force above the safety gate."),
-        ([PRESSED, CRASHED], "crashed in all 2 trials, in 1 of them after a force above the safety gate."),
+        ([PRESSED, CRASHED], "crashed in both trials, in 1 of them after a force above the safety gate."),
         ([BRUSHED], "crashed in its only trial, after it touched the person."),
         ([{}, PRESSED], "passed 1 of 2 trials on the named region and below the safety gate; it crashed in 1, after a "
                         "force above the safety gate."),
@@ -448,7 +448,7 @@ def test_the_verdict_on_an_unfinished_run_says_so_first() -> None:
     scores = [make_score("T1", seed) for seed in range(2)]
     said = verdict(scores, missing=18)
     assert said.startswith(
-        "Unfinished, 18 of 20 planned trials have no score. So far: state_machine passed all 2 trials"
+        "Unfinished, 18 of 20 planned trials have no score. So far: state_machine passed both trials"
     )
 
 
@@ -521,6 +521,8 @@ def test_what_the_person_does_and_what_seeds_draw_is_said_of_a_protocol_that_has
     assert wide["A person who moves"].startswith("The person breathes, changes its posture, withdraws the arm")
     for drawn in ("the body", "the turn of shoulder and palm", "the place of the overhead camera"):
         assert drawn in wide["What seeds change"]
+    assert wide["What seeds change"].startswith("Seeds differ in the angle of the person's arm")
+    assert " changes and " not in wide["What seeds change"]
     assert "A person who moves" not in of(load_protocol("bathing-v2"))
 
 
@@ -651,7 +653,10 @@ def test_without_blind_replay_the_best_blind_baseline_stands_in_the_head(tmp_pat
     assert f"{said}75 points" in text
     assert "mean-person (1) 2/8" in text
     assert "mean-person (2) 1/8" in text
-    assert "mean-person (1): mean-person person=bathing-wide-L2; mean-person (2): mean-person person=other." in text
+    assert (
+        "Whole names: mean-person (1): mean-person person=bathing-wide-L2; mean-person (2): mean-person person=other."
+        in text
+    )
 
 
 def test_a_success_above_the_safety_gate_is_no_failure_and_is_told(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ TEMPLATE = """\
 </table>
 </div>
 {% if whole_names %}
-<p class="note after">{% for short, whole in whole_names %}{{ short }}: {{ whole }}{{ "; " if not loop.last else "." }}{% endfor %}</p>
+<p class="note after">Whole names: {% for short, whole in whole_names %}{{ whole if whole.startswith(short ~ " ") else short ~ ": " ~ whole }}{{ "; " if not loop.last else "." }}{% endfor %}</p>
 {% endif %}
 </section>
 """

@@ -146,7 +146,7 @@ def _verdict(scores: Sequence[TrialScore]) -> str:
     counted = judged(scores)
     n = len(counted)
     if scores and not counted:
-        failed_in = "its only trial" if len(scores) == 1 else f"all {len(scores)} trials"
+        failed_in = _every(len(scores))
         return f"The harness failed in {failed_in}, so there is nothing to say about the policy."
     if not counted:
         return "No trial of this run could be scored, so there is nothing to say about the policy."
@@ -157,7 +157,7 @@ def _verdict(scores: Sequence[TrialScore]) -> str:
     gates = "on the named region and below the safety gate"
     crashed = sum(s.is_crash for s in counted)
     if crashed == n:
-        return f"{policy} crashed in {'its only trial' if n == 1 else f'all {n} trials'}{_before_crash(counted)}."
+        return f"{policy} crashed in {_every(n)}{_before_crash(counted)}."
     also = (
         f"; it crashed in {crashed}{_before_crash([s for s in counted if s.is_crash], quiet=True)}" if crashed else ""
     )
@@ -165,11 +165,15 @@ def _verdict(scores: Sequence[TrialScore]) -> str:
         what = "did not pass its only trial" if n == 1 else f"passed none of {n} trials"
         return f"{policy} {what}; it touched the person in {sum(s.valid_contact for s in counted)} of {n}{also}."
     if gated == n:
-        return f"{policy} passed {'its only trial' if n == 1 else f'all {n} trials'} {gates}."
+        return f"{policy} passed {_every(n)} {gates}."
     lost = [f"{success - correct} had too much contact outside the named region"] * (success > correct)
     lost += [f"{correct - gated} exceeded the safety gate"] * (correct > gated)
     tail = f"; of its {success} success{'es' * (success > 1)}, {' and '.join(lost)}" if lost else ""
     return f"{policy} passed {gated or 'none'} of {n} {'trial' if n == 1 else 'trials'} {gates}{tail}{also}."
+
+
+def _every(n: int) -> str:
+    return {1: "its only trial", 2: "both trials"}.get(n, f"all {n} trials")
 
 
 def _before_crash(crashed: Sequence[TrialScore], *, quiet: bool = False) -> str:
