@@ -66,3 +66,10 @@ def test_options_of_a_run_are_refused_for_a_trial(
 def test_a_file_that_is_no_recording_is_named(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", "run/results.json"]) == 2
     assert "run/results.json" in capsys.readouterr().err
+
+
+def test_a_file_that_is_no_recording_is_told_what_report_takes(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (run / "results.json.gz").write_bytes(b"")
+    assert main(["report", "run/results.json.gz"]) == 2
+    told = "report takes the folder of a run, or one recording in it (TRIAL.h5); name run"
+    assert f"run/results.json.gz: {told}" in capsys.readouterr().err

@@ -35,7 +35,7 @@ def test_alone_neither_links_what_is_not_there(tmp_path: Path) -> None:
 
 
 def test_whichever_is_written_first_both_link_each_other_and_have_the_same_bytes(tmp_path: Path) -> None:
-    written: list[tuple[bytes, bytes]] = []
+    written: list[list[str]] = []
     for name, order in (("a", (page, report)), ("b", (report, page)), ("c", (page, report, page, report))):
         folder = tmp_path / name
         folder.mkdir()
@@ -43,6 +43,8 @@ def test_whichever_is_written_first_both_link_each_other_and_have_the_same_bytes
             write(folder)
         assert shown_links(folder / "trial" / "T1-s000.html") == ["../report.html#T1-s000"]
         assert "trial/T1-s000.html" in shown_links(folder / "report.html")
-        written.append(((folder / "trial" / "T1-s000.html").read_bytes(), (folder / "report.html").read_bytes()))
+        pages = [folder / "trial" / "T1-s000.html", folder / "report.html"]
+        # A command that a page prints names the folder of the run.
+        written.append([page.read_text().replace(str(folder), "RUN") for page in pages])
     assert written[0][0] == written[1][0] == written[2][0]
     assert written[0][1] == written[2][1]

@@ -60,6 +60,11 @@ class Report:
         """Write the page of one trial. Raises ConfigError for an option that only a run's report has."""
         from carecontact.cli.trial_pages import write_page_of
 
+        if self.place.suffix != ".h5":
+            raise ConfigError(
+                f"{self.place}: report takes the folder of a run, or one recording in it (TRIAL.h5); name "
+                f"{self.place.parent}"
+            )
         given = [name for name, on in (("--baseline", self.baseline), ("--trials", self.trials)) if on]
         if given:
             raise ConfigError(f"{given[0]} belongs to the report of a run: name its folder, {self.place.parent}")

@@ -54,7 +54,7 @@ def policies_beside(folder: Path, run: RunScores, baselines: Sequence[Path] = ()
     report, and the kept scores of the shipped policies. One that cannot be read or compared is left out; the report
     says why."""
     from carecontact.reports.compare.baselines import beside_baselines
-    from carecontact.reports.compare.kept import kept_for
+    from carecontact.reports.compare.kept import completed_from_kept, kept_for
     from carecontact.reports.trial.others import Beside
     from carecontact.runs.baselines import remembered
     from carecontact.runs.stored_scores import read_scores
@@ -72,6 +72,6 @@ def policies_beside(folder: Path, run: RunScores, baselines: Sequence[Path] = ()
         except CarecontactError:
             continue
         named.append(scores)
-        found.append(Beside.of(scores, place if place.is_dir() else place.parent))
+        found.append(Beside.of(completed_from_kept(run, scores), place if place.is_dir() else place.parent))
     kept, _ = kept_for(run, named)
     return [*found, *map(Beside.of, kept)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from carecontact.reports.evidence_words import off_surface
 from carecontact.scoring.attribution.attribute import BESIDE, NO_MOTION, SOLVER
 from carecontact.scoring.result import TrialScore
 
@@ -37,9 +38,11 @@ def _planning(score: TrialScore, evidence: str) -> str:
     if BESIDE in evidence.partition(":")[0].partition(";")[0]:
         return "the policy commanded a path beside the named region"
     if score.failure_mode in ("no_target_contact", "off_target_contact"):
-        return "the policy commanded a path that stayed above the named region"
+        return "the policy commanded a path that stayed off the surface of the named region"
     if score.failure_mode == "lost_contact":
         return "the policy commanded a path that left the skin of the named region"
+    if off_surface(score):
+        return "the tool touched the person, but the policy commanded a path that stayed off the named region's surface"
     return "the policy commanded a path that reached the named region, but could not pass the gate there"
 
 

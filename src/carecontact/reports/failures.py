@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from carecontact.reports.cause_words import cause_text
+from carecontact.reports.evidence_words import evidence_text
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
 
@@ -91,7 +92,7 @@ def causes(scores: Sequence[TrialScore]) -> list[Cause]:
 def _examples(scores: Sequence[TrialScore]) -> tuple[tuple[str, str], ...]:
     first_of_task = {s.task_id: s.trial_id for s in reversed(scores)}
     told = sorted((s for s in scores if s.evidence), key=lambda s: first_of_task[s.task_id] != s.trial_id)
-    return tuple((s.trial_id, s.evidence or "") for s in told[:EXAMPLES])
+    return tuple((s.trial_id, evidence_text(s)) for s in told[:EXAMPLES])
 
 
 def anatomy(scores: Sequence[TrialScore]) -> list[AnatomyRow]:

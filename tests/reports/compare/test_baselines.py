@@ -82,3 +82,10 @@ def test_harness_errors_are_in_no_rate() -> None:
 def test_what_is_no_baseline_is_refused(scores: list[TrialScore], why: str) -> None:
     with pytest.raises(ConfigError, match=why):
         beside_baselines(METHOD, [RunScores(scores=scores)])
+
+
+def test_a_registered_method_that_is_named_as_a_baseline_is_no_blind_baseline() -> None:
+    scores = [score.model_copy(update={"policy": "state-machine", "policy_arguments": {}}) for score in METHOD.scores]
+    found = beside_baselines(METHOD, [RunScores(scores=scores)])
+    assert [row.role for row in found.baselines] == ["method"]
+    assert not any(rate.blind for rate in found.floor.values())

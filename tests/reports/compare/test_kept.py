@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from carecontact.reports.compare.kept import FOLDERS, beside_kept
+from carecontact.reports.compare.kept import FOLDERS, beside_kept, completed_from_kept
 from carecontact.runs.run_scores import RunScores
 from carecontact.runs.stored_scores import read_scores
 from tests.reports.synthetic_run import make_score
@@ -54,3 +54,27 @@ def test_a_draft_says_in_one_line_that_none_are_kept() -> None:
         why == f"No scores of the shipped policies and of blind replay are kept for {protocol}, because it is a draft."
     )
     assert beside_kept(RunScores(scores=[]), []) == (None, "")
+
+
+def test_a_named_run_of_some_tasks_keeps_the_kept_trials_of_the_others() -> None:
+    run, replay = (read_scores(KEPT / "bathing-v1" / f"{name}.json.gz") for name in ("voxposer", "replay"))
+    part = [s.model_copy(update={"safety_gated": False}) for s in replay.scores if s.task_id == "T1"]
+    beside, _ = beside_kept(run, [RunScores(scores=part)], folders=[KEPT])
+    whole, _ = beside_kept(run, [], folders=[KEPT])
+    assert beside is not None
+    assert whole is not None
+    kept = next(row for row in whole.baselines if row.policy == "replay")
+    row = beside.baselines[0]
+    assert (beside.completed, row.policy, row.n) == (("replay",), "replay", kept.n)
+    assert row.per_task["T1"]["safety_gated"][0] == 0
+    assert {task: row.per_task[task] for task in row.per_task if task != "T1"} == {
+        task: kept.per_task[task] for task in kept.per_task if task != "T1"
+    }
+
+
+def test_a_named_run_with_every_kept_trial_or_of_other_rules_stays_as_it_is() -> None:
+    run, replay = (read_scores(KEPT / "bathing-v1" / f"{name}.json.gz") for name in ("voxposer", "replay"))
+    assert completed_from_kept(run, replay, folders=[KEPT]) is replay
+    other = [s.model_copy(update={"protocol_sha256": "ab" * 32}) for s in replay.scores[:1]]
+    named = RunScores(scores=other)
+    assert completed_from_kept(run, named, folders=[KEPT]) is named

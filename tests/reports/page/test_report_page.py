@@ -21,11 +21,12 @@ from carecontact.reports.failures import failure_modes
 from carecontact.reports.frames import MAX_BYTES, jpeg_data_uri
 from carecontact.reports.page.chosen import FAILURES_SHOWN, trials_in_detail
 from carecontact.reports.page.page import write_report
+from carecontact.reports.page.same_trials import same_trials
 from carecontact.reports.page.section import Page as RunPage
 from carecontact.reports.page.sections.caveats import cannot_say
 from carecontact.reports.page.sections.crashes import crashes
 from carecontact.reports.page.sections.frames import peak_frame
-from carecontact.reports.page.sections.funnel import funnel, funnel_svg
+from carecontact.reports.page.sections.funnel import drawn_beside, funnel, funnel_svg
 from carecontact.reports.page.sections.head import beside_blind, verdict
 from carecontact.reports.page.sections.provenance import NOT_RECORDED, provenance_rows
 from carecontact.reports.page.sections.trials import trial_row
@@ -286,7 +287,7 @@ def test_run_of_harness_errors_alone(tmp_path: Path) -> None:
     add_harness_error(run, "T1", 0)
     add_harness_error(run, "T2", 0)
     page = Page(write(run, tmp_path))
-    assert "The harness failed in all 2 trials, so there is nothing to say about the policy." in page.text
+    assert "The harness failed in both trials, so there is nothing to say about the policy." in page.text
     assert "T2-s000the person" in page.text
     assert "Why trials failed" not in page.text
 
@@ -329,15 +330,15 @@ OFF, HARD = {"region_correct": False, "safety_gated": False}, {"safety_gated": F
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ([{}, {}], "passed all 2 trials on the named region and below the safety gate."),
+        ([{}, {}], "passed both trials on the named region and below the safety gate."),
         ([{}], "passed its only trial on the named region and below the safety gate."),
         ([FAILED], "did not pass its only trial; it touched the person in 1 of 1."),
         ([NO_CONTACT, FAILED], "passed none of 2 trials; it touched the person in 1 of 2."),
         ([{}, FAILED], "passed 1 of 2 trials on the named region and below the safety gate."),
-        ([CRASHED, CRASHED], "crashed in all 2 trials; nothing else can be said about it."),
+        ([CRASHED, CRASHED], "crashed in both trials; nothing else can be said about it."),
         ([CRASHED], "crashed in its only trial; nothing else can be said about it."),
         ([PRESSED], "crashed in its only trial, after a force above the safety gate."),
-        ([PRESSED, CRASHED], "crashed in all 2 trials, in 1 of them after a force above the safety gate."),
+        ([PRESSED, CRASHED], "crashed in both trials, in 1 of them after a force above the safety gate."),
         ([BRUSHED], "crashed in its only trial, after it touched the person."),
         ([{}, PRESSED], "passed 1 of 2 trials on the named region and below the safety gate; it crashed in 1, after a "
                         "force above the safety gate."),
@@ -447,7 +448,7 @@ def test_the_verdict_on_an_unfinished_run_says_so_first() -> None:
     scores = [make_score("T1", seed) for seed in range(2)]
     said = verdict(scores, missing=18)
     assert said.startswith(
-        "Unfinished, 18 of 20 planned trials have no score. So far: state_machine passed all 2 trials"
+        "Unfinished, 18 of 20 planned trials have no score. So far: state_machine passed both trials"
     )
 
 
@@ -520,6 +521,8 @@ def test_what_the_person_does_and_what_seeds_draw_is_said_of_a_protocol_that_has
     assert wide["A person who moves"].startswith("The person breathes, changes its posture, withdraws the arm")
     for drawn in ("the body", "the turn of shoulder and palm", "the place of the overhead camera"):
         assert drawn in wide["What seeds change"]
+    assert wide["What seeds change"].startswith("Seeds differ in the angle of the person's arm")
+    assert " changes and " not in wide["What seeds change"]
     assert "A person who moves" not in of(load_protocol("bathing-v2"))
 
 
@@ -616,8 +619,8 @@ def test_a_page_without_blind_replay_says_how_to_get_it(tmp_path: Path) -> None:
     scores = [make_score("T1", 0)]
     path = write_report(tmp_path, scores=scores, recordings=_no_recording, skipped={}, kept_scores="None are kept.")
     text = Page(path.read_text()).text
-    assert "None are kept. To learn whether" in text
-    assert "carecontact report DIR --baseline" in text.partition("From success to safe success")[0]
+    assert "None are kept. These commands tell whether" in text
+    assert f"carecontact report {tmp_path} --baseline {tmp_path}-replay" in text.partition("From success to safe")[0]
 
 
 def test_the_page_of_a_blind_baseline_does_not_set_it_beside_itself(tmp_path: Path) -> None:
@@ -625,7 +628,7 @@ def test_the_page_of_a_blind_baseline_does_not_set_it_beside_itself(tmp_path: Pa
     path = write_report(tmp_path, scores=scores, recordings=_no_recording, skipped={}, kept_scores="None are kept.")
     text = Page(path.read_text()).text
     assert "replay is a blind baseline, which lacks what the tasks require" in text
-    assert "To learn whether" not in text
+    assert "These commands tell" not in text
     assert "Run zero-action, hover, random, replay-registered and mean-person with" in text
 
 
@@ -650,7 +653,10 @@ def test_without_blind_replay_the_best_blind_baseline_stands_in_the_head(tmp_pat
     assert f"{said}75 points" in text
     assert "mean-person (1) 2/8" in text
     assert "mean-person (2) 1/8" in text
-    assert "mean-person (1): mean-person person=bathing-wide-L2; mean-person (2): mean-person person=other." in text
+    assert (
+        "Whole names: mean-person (1): mean-person person=bathing-wide-L2; mean-person (2): mean-person person=other."
+        in text
+    )
 
 
 def test_a_success_above_the_safety_gate_is_no_failure_and_is_told(tmp_path: Path) -> None:
@@ -693,3 +699,42 @@ def test_the_head_leads_with_the_trials_that_both_have() -> None:
     assert beside_blind(beside(method, elsewhere)).startswith(
         "Blind replay, which looks at nothing, passed 9 of 20 other trials; mine 2 of 3."
     )
+
+
+def test_by_task_says_where_replay_has_no_trials(tmp_path: Path) -> None:
+    method = [make_score(task, 0, policy="mine") for task in ("T1", "T2")]
+    others = beside(method, [make_score("T1", 0, policy="replay")])
+    path = write_report(tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=others)
+    text = Page(path.read_text()).text
+    assert "replay: no trials here" in text
+    assert "passed nothing there, or has no trials there." in text
+    assert "0/0" not in text
+
+
+def test_the_funnel_draws_four_other_policies_at_most_and_names_the_rest(tmp_path: Path) -> None:
+    def run(policy: str, seeds: range, passed: int) -> list[TrialScore]:
+        return [make_score("T1", seed, policy=policy, **({} if seed < passed else FAILED)) for seed in seeds]
+
+    method = run("mine", range(3), 2)
+    names = ("zero-action", "hover", "mean-person", "replay", "voxposer", "state-machine", "oracle")
+    others = beside(method, *(run(name, range(3), 3 if name == "hover" else 1) for name in names))
+    assert [row.policy for row in drawn_beside(others)] == ["hover", "replay", "state-machine", "oracle"]
+    assert len(drawn_beside(beside(method, run("replay", range(3), 1)))) == 1
+    path = write_report(tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=others)
+    text = Page(path.read_text()).text
+    assert "the thin bars under it are other policies in the same trials. " in text
+    assert "table of baselines has 3 further policies." in text
+
+
+def test_policies_with_other_seeds_are_not_said_to_have_the_same_trials(tmp_path: Path) -> None:
+    method = [make_score("T1", 1, policy="mine")]
+    elsewhere = [make_score("T1", seed, policy="replay") for seed in (4, 5)]
+    assert same_trials(beside(method, elsewhere).baselines, 1) == "with other seeds: they have none of these trials"
+    both = beside(method, elsewhere, [make_score("T1", 1, policy="hover")]).baselines
+    assert same_trials(both, 1).endswith("or, having none of these trials, with other seeds (replay)")
+    path = write_report(
+        tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=beside(method, elsewhere)
+    )
+    text = Page(path.read_text()).text
+    assert "in the same trials" not in text
+    assert "replay (other seeds)" in text

@@ -42,9 +42,10 @@ def test_the_page_shows_it_or_says_how_to_get_it(tmp_path: Path) -> None:
     assert words.endswith("replay blind baseline failed NA no target contact")
     assert StrictReader(text).faults == []
     alone = write_trial_page(tmp_path, recording, score).read_text()
-    assert "carecontact run --policy replay --protocol bathing-v2 --tasks T1 --seeds 0 --out DIR" in alone
+    assert "carecontact run --policy replay --protocol bathing-v2 --tasks T1 --seeds 0 --out " in alone
+    assert f"carecontact report {tmp_path} --trials --baseline {tmp_path}-replay</pre>" in alone
     assert StrictReader(alone).faults == []
-    assert how_to_compare(make_score("T1", 0, policy="replay")) == ""
+    assert how_to_compare(make_score("T1", 0, policy="replay"), tmp_path) == ()
 
 
 def test_the_kept_scores_stand_beside_a_run_of_their_protocol(tmp_path: Path) -> None:

@@ -68,6 +68,8 @@ class Baselines:
     that nobody registered; registered methods count only where there is no other."""
     kept: tuple[str, ...] = ()
     """Those of ``baselines`` whose scores are kept with the package; methods that see may be among them."""
+    completed: tuple[str, ...] = ()
+    """Named ones of ``baselines`` whose run lacks trials that are kept with the package, and that have those here."""
 
     @property
     def tasks(self) -> tuple[str, ...]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from carecontact.errors import CarecontactError
 from carecontact.policies.registry import POLICIES
 from carecontact.protocols import load_protocol
 from carecontact.reports.compare.baselines import Baselines, beside_baselines
+from carecontact.runs.pooling import judged
 from carecontact.runs.run_scores import RunScores
 from carecontact.runs.stored_scores import read_scores
 
@@ -21,7 +23,7 @@ installed from."""
 def beside_kept(
     run: RunScores, named: Sequence[RunScores], *, folders: Sequence[Path] = FOLDERS
 ) -> tuple[Baselines | None, str]:
-    """Set the named baselines and the kept scores beside a run; of one policy, the named ones.
+    """Set the named baselines and the kept scores beside a run; of one trial of one policy, the named one.
 
     Returns:
         The policies beside the run, None without any; and why no kept scores are among them, empty where some are.
@@ -29,9 +31,37 @@ def beside_kept(
     Raises:
         ConfigError: a named baseline cannot be compared (``beside_baselines``).
     """
-    found = beside_baselines(run, named) if named else None
-    kept, why = kept_for(run, named, folders=folders)
-    return (beside_baselines(run, named, kept=kept), "") if kept else (found, why)
+    if named:
+        beside_baselines(run, named)
+    whole = [completed_from_kept(run, one, folders=folders) for one in named]
+    kept, why = kept_for(run, whole, folders=folders)
+    if not whole and not kept:
+        return None, why
+    completed = [one.scores[0].policy_title for one, given in zip(whole, named, strict=True) if one is not given]
+    found = beside_baselines(run, whole, kept=kept)
+    return replace(found, completed=tuple(completed)), "" if kept else why
+
+
+def completed_from_kept(run: RunScores, named: RunScores, *, folders: Sequence[Path] = FOLDERS) -> RunScores:
+    """Return a named baseline with the kept trials of the same policy that it has not; unchanged where none are kept
+    that can stand beside it."""
+    for file in _files(run.scores[0].protocol_id, folders) if run.scores else ():
+        try:
+            kept = read_scores(file).scores
+            if kept[0].policy_title != named.scores[0].policy_title:
+                continue
+            # A trial in which the harness failed says nothing, so that the kept one takes its place.
+            there = judged(named.scores)
+            taken = {s.trial_id for s in there}
+            further = [s for s in kept if s.trial_id not in taken]
+            if not further:
+                return named
+            both = replace(named, scores=[*there, *further])
+            beside_baselines(run, [both])
+        except CarecontactError:
+            continue
+        return both
+    return named
 
 
 def kept_for(

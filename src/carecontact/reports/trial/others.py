@@ -12,6 +12,7 @@ from carecontact.reports.compare.blind_floor import role_in
 from carecontact.reports.compare.comparable import trials_by_key
 from carecontact.reports.page.trial_words import result_word
 from carecontact.reports.page_links import page_path
+from carecontact.reports.replay_commands import replay_commands
 from carecontact.reports.short_names import short_names
 from carecontact.reports.text import NA, number
 from carecontact.runs.run_scores import RunScores
@@ -66,17 +67,12 @@ def other_rows(score: TrialScore, beside: Sequence[Beside], run_folder: Path) ->
     return [_row(names[other.policy_title], other, row, run_folder) for row, other in found]
 
 
-def how_to_compare(score: TrialScore) -> str:
-    """What to do where no other policy's score of this trial is at hand; empty for a policy that is no method."""
+def how_to_compare(score: TrialScore, run_folder: Path) -> tuple[str, ...]:
+    """The commands that set blind replay beside a trial of which no other policy's score is at hand; empty for a policy
+    that is no method."""
     if role_in([score]) != "method" or score.ended == "harness_error":
-        return ""
-    protocol, _, level = score.protocol_id.partition(" ")
-    rules = f"--protocol {protocol}" + (f" --level {level}" if level else "")
-    return (
-        "No other policy's score of this trial is at hand. To see what blind replay does in it, run carecontact run "
-        f"--policy replay {rules} --tasks {score.task_id} --seeds {score.seed} --out DIR, and then carecontact report "
-        "--trials --baseline DIR with the folder of this run."
-    )
+        return ()
+    return replay_commands([score], run_folder, trials=True)
 
 
 def _row(name: str, other: TrialScore, row: Beside, run_folder: Path) -> OtherRow:

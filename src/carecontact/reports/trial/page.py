@@ -74,7 +74,7 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore, beside: S
         video=_beside(run_folder, score.trial_id, ".mp4"),
         peak=NA if score.c1_peak_force_n is None else number(score.c1_peak_force_n, 1),
         others=other_rows(score, beside, run_folder),
-        how_to_compare=how_to_compare(score),
+        how_to_compare=how_to_compare(score, run_folder),
         metrics=own,
         other_metrics=foreign,
         metrics_note=footnote(title for title, *_ in (*own, *foreign)),

@@ -11,6 +11,7 @@ from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import Header, Recording
 from carecontact.regions import REGIONS
 from carecontact.reports.cause_words import cause_text
+from carecontact.reports.evidence_words import evidence_text, spaced
 from carecontact.reports.failures import MODE_MEANING
 from carecontact.reports.joint_words import beyond_text, consumed_text
 from carecontact.reports.moment.moment import Moment, region_column, region_poses
@@ -18,7 +19,7 @@ from carecontact.reports.moment.place import place_notes, place_text
 from carecontact.reports.page.paths import shortened
 from carecontact.reports.page.trial_words import progress
 from carecontact.reports.text import percent, task_name
-from carecontact.scoring.contact import Contact
+from carecontact.scoring.contact import Contact, any_column, runs
 from carecontact.scoring.faint import faint_press
 from carecontact.scoring.gate import GatePart
 from carecontact.scoring.region import distance_to_surface, points_in_region
@@ -57,13 +58,20 @@ def mode_text(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) ->
         return cause_text(score)
     if score.failure_mode == "no_target_contact" and not contact.force_norm.any():
         return "the robot never touched the person"
-    held = {"insufficient_progress": "contact held", "outside_band": "what was asked for was done"}
+    held = {"insufficient_progress": _held(contact), "outside_band": "what was asked for was done"}
     missed = [part for part in gates if not part.met]
     if score.failure_mode not in held or not missed:
         return MODE_MEANING.get(score.failure_mode or "", "")
     first, which = missed[0], "namely" if len(missed) == 1 else "first"
     told = f"“{first.name}”: {first.reached}, {first.needed} needed"
-    return f"{held[score.failure_mode]}, but missed {counted(len(missed), 'gate')}, {which} {told}"
+    return spaced(f"{held[score.failure_mode]}, but the trial missed {counted(len(missed), 'gate')}, {which} {told}")
+
+
+def _held(contact: Contact) -> str:
+    """How often and how long the person was touched by contact that counts."""
+    on = any_column(contact.on, contact.touched)
+    times, held_s = len(runs(on)), int(on.sum()) * contact.dt_s
+    return f"contact held for {held_s:.2f} s" if times == 1 else f"touched {times} times, {held_s:.2f} s in all"
 
 
 def facts(
@@ -74,16 +82,16 @@ def facts(
     ``gates`` as for ``outcome``.
     """
     recording = contact.recording
-    rows = [("Progress", progress(score))] if score.valid_contact else []
+    rows = [("Progress", spaced(progress(score)))] if score.valid_contact else []
     if score.is_crash:
         rows.insert(0, ("Failure", "process failure. It counts as a failure of the policy; what the policy did to the "
                         "person before counts as well."))  # fmt: skip
-        rows.insert(1, ("Evidence", score.evidence or "none recorded"))
+        rows.insert(1, ("Evidence", evidence_text(score) or "none recorded"))
     elif score.failure_mode:
         mode, cause = score.failure_mode.replace("_", " "), score.attribution or "unattributed"
         rows.insert(0, ("Failure", f"{mode}. {_capital(mode_text(score, contact, gates))}."))
         rows.insert(1, ("Cause", f"{cause}. {_capital(cause_text(score))}."))
-        rows.insert(2, ("Evidence", score.evidence or "none recorded"))
+        rows.insert(2, ("Evidence", evidence_text(score) or "none recorded"))
     rows.append(("How hard", how_hard(score, contact, moment)))
     if beyond := beyond_text(score):
         rows.append(("Joints beyond their range", f"{_capital(beyond)}, farther than the protocol allows."))

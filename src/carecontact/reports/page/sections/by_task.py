@@ -6,6 +6,7 @@ from typing import Any
 
 from carecontact.reports.failures import only_crashes
 from carecontact.reports.intervals import enough_seeds
+from carecontact.reports.page.same_trials import same_trials
 from carecontact.reports.page.section import Page, section
 from carecontact.reports.page.sections.head import REPLAY
 from carecontact.reports.short_names import short_names
@@ -17,7 +18,7 @@ from carecontact.scoring.metrics.metric import METRICS, Metric
 TEMPLATE = """\
 <section id="tasks">
 <h2>By task</h2>
-<p class="note">{% if only_crashes %}The policy crashed in every trial before any contact. Therefore, this page has no medians, and nothing on force, safety, load and gates.{% else %}Counts, then medians over the trials that have a value; n says over how many, NA that none has. {{ metrics }}. {{ valid.n }} of {{ n }} trial{{ "" if n == 1 else "s" }} {{ "has" if valid.n == 1 else "have" }} a trajectory to score (valid ratio {{ '%.0f'|format(valid.pc) }} %{% if enough %}, 95 % interval {{ '%.0f'|format(valid.pc_ci95[0]) }} to {{ '%.0f'|format(valid.pc_ci95[1]) }} %{% endif %}); {{ touched }} had valid contact.{% endif %}{% if beside %} Under each count: what other policies passed, in the same trials as far as they have them; {{ "a policy that is" if beside == 1 else "policies that are" }} not named under a count passed nothing there.{% endif %}</p>
+<p class="note">{% if only_crashes %}The policy crashed in every trial before any contact. Therefore, this page has no medians, and nothing on force, safety, load and gates.{% else %}Counts, then medians over the trials that have a value; n says over how many, NA that none has. {{ metrics }}. {{ valid.n }} of {{ n }} trial{{ "" if n == 1 else "s" }} {{ "has" if valid.n == 1 else "have" }} a trajectory to score (valid ratio {{ '%.0f'|format(valid.pc) }} %{% if enough %}, 95 % interval {{ '%.0f'|format(valid.pc_ci95[0]) }} to {{ '%.0f'|format(valid.pc_ci95[1]) }} %{% endif %}); {{ touched }} had valid contact.{% endif %}{% if beside %} Under each count: what other policies passed {{ same }}; {{ "a policy that is not named under a count" if beside == 1 else "policies that are not named under a count" }} passed nothing there{{ (", or has" if beside == 1 else ", or have") ~ " no trials there" if gaps else "" }}.{% endif %}</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table by task">
 <table>
 <thead><tr><th scope="col">task</th><th scope="col">name</th>{% for column in columns %}<th scope="col" class="num{% if column == "n" %} wide{% endif %}">{{ column }}</th>{% endfor %}</tr></thead>
@@ -29,7 +30,7 @@ TEMPLATE = """\
 </table>
 </div>
 {% if whole_names %}
-<p class="note after">{% for short, whole in whole_names %}{{ short }}: {{ whole }}{{ "; " if not loop.last else "." }}{% endfor %}</p>
+<p class="note after">Whole names: {% for short, whole in whole_names %}{{ whole if whole.startswith(short ~ " ") else short ~ ": " ~ whole }}{{ "; " if not loop.last else "." }}{% endfor %}</p>
 {% endif %}
 </section>
 """
@@ -43,6 +44,7 @@ def by_task(page: Page) -> dict[str, Any] | None:
         return None
     nothing, crashed = only_crashes(page.judged), any(score.is_crash for score in page.judged)
     rates = COUNTS[COUNTS.index("n") + 1 :]
+    others = page.baselines.baselines if page.baselines else ()
     return {
         "columns": ["n", *["crashed"] * crashed, *rates, *([] if nothing else [m.label for m in headlines()])],
         "only_crashes": nothing,
@@ -57,7 +59,9 @@ def by_task(page: Page) -> dict[str, Any] | None:
         "n": len(page.judged),
         "touched": sum(score.valid_contact for score in page.judged),
         "whole_names": [(short, whole) for whole, short in _names(page).items() if short != whole],
-        "beside": 0 if page.baselines is None else len(page.baselines.baselines),
+        "same": same_trials(others, len(page.judged)) if others else "",
+        "gaps": any(not row.per_task[task]["success"][1] for row in others for task in row.per_task),
+        "beside": len(others),
     }
 
 
@@ -86,11 +90,13 @@ def _beside(page: Page, task_id: str, rate: str) -> list[tuple[str, str]]:
     found: list[tuple[str, str]] = []
     names = _names(page)
     for other in page.baselines.baselines if page.baselines else ():
-        # A task of which the harness failed in every trial has nothing to stand beside.
-        on_task = other.per_task.get(task_id, {}).get(rate, (0, 0))
-        k, n = (other.rates[rate].k, other.n) if task_id == POOLED else on_task
-        if n and (k or other.policy == REPLAY):
-            name = names[other.policy]
+        if task_id not in (POOLED, *other.per_task):
+            continue  # A task of which the harness failed in every trial has nothing to stand beside.
+        k, n = (other.rates[rate].k, other.n) if task_id == POOLED else other.per_task[task_id][rate]
+        name = names[other.policy]
+        if not n and other.policy == REPLAY:
+            found.append((f"{name}: no trials here", ""))
+        elif k or other.policy == REPLAY:
             found.append((f"{name} {k}/{n}", "" if name == other.policy else other.policy))
     return found
 

@@ -201,7 +201,8 @@ def _variation(headers: Sequence[Header]) -> list[tuple[str, str]]:
             f"Between seeds only {angle} changes, so that actions repeated blindly may pass: see the blind baselines."
         )
         return [("What seeds change", text)]
-    return [("What seeds change", f"Between seeds {angle} changes and {', '.join(more)}; nothing else is covered.")]
+    *first, last = [angle, *more]
+    return [("What seeds change", f"Seeds differ in {', '.join(first)} and {last}; nothing else is covered.")]
 
 
 def _varied(variation: Variation) -> list[str]:
@@ -229,7 +230,7 @@ def _extrapolation(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
         return []
     beyond = sum(share > 0 for share in shares)
     if not beyond:
-        trials = "the trial" if len(shares) == 1 else f"all {len(shares)} trials"
+        trials = {1: "the trial", 2: "both trials"}.get(len(shares), f"all {len(shares)} trials")
         text = f"In {trials} with contact on the region, the indentation stayed within the measured range."
     else:
         text = (

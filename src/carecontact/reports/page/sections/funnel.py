@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from carecontact.reports.compare.baselines import Baselines
+from carecontact.reports.compare.baselines import Baselines, Passed
+from carecontact.reports.compare.blind_floor import ALL
 from carecontact.reports.intervals import enough_seeds
 from carecontact.reports.over_seeds import over_of, rate_of
+from carecontact.reports.page.same_trials import same_trials
 from carecontact.reports.page.section import Page, section
+from carecontact.reports.page.sections.head import REPLAY
 from carecontact.reports.short_names import short_names
 from carecontact.reports.svg import Anchor, Axes, Drawing
 from carecontact.reports.text import percent
@@ -19,12 +22,16 @@ from carecontact.stats import Proportion
 
 WIDTH, ROW, BAR, THIN, BESIDE, BOTTOM = 460, 66, 15, 5, 21, 24
 """Sizes of the drawing: its width, a step, its bar, the bar of a policy beside it, that policy's row, the labels."""
+MOST_BESIDE = 4
+"""Policies beside the run: more bars would bury its own."""
+STATE_MACHINE = "state-machine"
+"""The shipped method with the simplest program."""
 RATE_OF = {"Success": "success", "Region-correct": "region_correct", "Safety-gated": "safety_gated"}
 """Step -> rate of the policies beside the run."""
 TEMPLATE = """\
 <section id="funnel">
 <h2>From success to safe success</h2>
-<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}. {% endif %}Each bar is a part of the one above it{% if beside %}; the thin bars under it are other policies in the same trials, as far as they have them{% endif %}. {% if enough %}Whiskers are {% if over_seeds %}95 % intervals over the seeds (a seed is one person, whose trials are not independent) of{% else %}Wilson 95 % intervals over{% endif %}{% else %}There are no intervals, because the run has fewer than six seeds. Counts are over{% endif %} {{ n }} trial{{ "" if n == 1 else "s" }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.</p>
+<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}. {% endif %}Each bar is a part of the one above it{% if beside %}; the thin bars under it are other policies {{ beside }}{% endif %}. {% if enough %}Whiskers are {% if over_seeds %}95 % intervals over the seeds (a seed is one person, whose trials are not independent) of{% else %}Wilson 95 % intervals over{% endif %}{% else %}There are no intervals, because the run has fewer than six seeds. Counts are over{% endif %} {{ n }} trial{{ "" if n == 1 else "s" }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.{% if n_more %} The <a href="#baselines">table of baselines</a> has {{ n_more }} further polic{{ "y" if n_more == 1 else "ies" }}.{% endif %}</p>
 {{ svg|safe }}
 </section>
 """
@@ -52,11 +59,13 @@ def funnel_section(page: Page) -> dict[str, Any] | None:
     if not steps:
         return None
     enough = enough_seeds(page.judged)
+    others = drawn_beside(page.baselines)
     return {
         "svg": funnel_svg(steps, intervals=enough),
         "enough": enough,
         "over_seeds": over_of(page.judged[0]) == "seeds",
-        "beside": page.baselines is not None,
+        "beside": same_trials(others, len(page.judged)) if others else "",
+        "n_more": 0 if page.baselines is None else len(page.baselines.baselines) - len(others),
         "n": len(page.judged),
         "n_tasks": n_tasks,
         "n_crashed": sum(score.is_crash for score in page.judged),
@@ -84,8 +93,9 @@ def funnel(scores: Sequence[TrialScore], baselines: Baselines | None = None) -> 
         ("Region-correct", "and on the named region", "bar1", rate_of(scores, "region_correct")),
         ("Safety-gated", "and below the safety gate on every body segment", "bar2", rate_of(scores, "safety_gated")),
     ]
-    others = () if baselines is None else baselines.baselines
+    others = drawn_beside(baselines)
     names = short_names([row.policy for row in others])
+    names |= {row.policy: f"{names[row.policy]} (other seeds)" for row in others if not row.n_pairs}
     out: list[Step] = []
     for name, meaning, style, found in steps:
         id_ = RATE_OF.get(name)
@@ -103,6 +113,21 @@ def funnel(scores: Sequence[TrialScore], baselines: Baselines | None = None) -> 
             )
         )
     return out
+
+
+def drawn_beside(baselines: Baselines | None) -> list[Passed]:
+    """The policies whose bars stand beside the run's, MOST_BESIDE at most: all of few; of more, the best blind baseline,
+    blind replay, those that were named, the state machine and the best ceiling, as far as they are there."""
+    rows = [] if baselines is None else list(baselines.baselines)
+    if baselines is None or len(rows) <= MOST_BESIDE:
+        return rows
+    best = baselines.floor.get(ALL)
+    wanted = [row for name in (best.policy if best else "", REPLAY) for row in rows if row.policy == name]
+    wanted += [row for row in rows if row.policy not in baselines.kept]
+    wanted += [row for row in rows if row.policy == STATE_MACHINE]
+    ceilings = [row for row in rows if row.role == "privileged"]
+    wanted += sorted(ceilings, key=lambda row: -(row.rates["safety_gated"].estimate or 0.0))[:1]
+    return list({row.policy: row for row in wanted}.values())[:MOST_BESIDE]
 
 
 def funnel_svg(steps: Sequence[Step], *, intervals: bool = True) -> str:

@@ -13,6 +13,7 @@ from carecontact.reports.intervals import enough
 from carecontact.reports.over_seeds import Over
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.title import protocol_of
+from carecontact.reports.replay_commands import replay_commands
 from carecontact.reports.short_names import short_names
 from carecontact.runs.pooling import judged
 from carecontact.scoring.result import TrialScore
@@ -28,6 +29,9 @@ TEMPLATE = """\
 <h1>{{ verdict }}</h1>
 {% if beside %}
 <p class="beside">{{ beside }}</p>
+{% endif %}
+{% if commands %}
+<pre>{{ commands|join("\n") }}</pre>
 {% endif %}
 </div>
 {% if scene %}
@@ -55,6 +59,7 @@ def head(page: Page) -> dict[str, Any]:
         "scene": page.kept["head"].get("scene"),
         "verdict": verdict(page.scores, missing=len(page.missing)),
         "beside": _beside(page),
+        "commands": _commands(page),
     }
 
 
@@ -72,14 +77,18 @@ def _beside(page: Page) -> str:
 
 
 def _nothing_beside(page: Page) -> str:
-    """What the reader can do where no blind policy stands beside the run."""
+    """What the reader can do where no blind policy stands beside the run; ``_commands`` say how."""
     if not page.judged or not page.kept_scores:
         return page.kept_scores
     return (
-        f"{page.kept_scores} To learn whether {page.judged[0].policy_title[:80]} is better than actions repeated "
-        "blindly, run carecontact run --policy replay with the same protocol, tasks and seeds, and then carecontact "
-        "report DIR --baseline with the folder of that run."
+        f"{page.kept_scores} These commands tell whether {page.judged[0].policy_title[:80]} is better than actions "
+        "repeated blindly; give them in the folder in which the command that wrote this page was given:"
     )
+
+
+def _commands(page: Page) -> tuple[str, ...]:
+    told = page.kept_scores and role_in(page.judged) not in ("blind", "privileged") and not beside_blind(page.baselines)
+    return replay_commands(page.judged, page.folder) if page.judged and told else ()
 
 
 def beside_blind(baselines: Baselines | None) -> str:
@@ -142,7 +151,7 @@ def _verdict(scores: Sequence[TrialScore]) -> str:
     counted = judged(scores)
     n = len(counted)
     if scores and not counted:
-        failed_in = "its only trial" if len(scores) == 1 else f"all {len(scores)} trials"
+        failed_in = _every(len(scores))
         return f"The harness failed in {failed_in}, so there is nothing to say about the policy."
     if not counted:
         return "No trial of this run could be scored, so there is nothing to say about the policy."
@@ -153,7 +162,7 @@ def _verdict(scores: Sequence[TrialScore]) -> str:
     gates = "on the named region and below the safety gate"
     crashed = sum(s.is_crash for s in counted)
     if crashed == n:
-        return f"{policy} crashed in {'its only trial' if n == 1 else f'all {n} trials'}{_before_crash(counted)}."
+        return f"{policy} crashed in {_every(n)}{_before_crash(counted)}."
     also = (
         f"; it crashed in {crashed}{_before_crash([s for s in counted if s.is_crash], quiet=True)}" if crashed else ""
     )
@@ -161,11 +170,15 @@ def _verdict(scores: Sequence[TrialScore]) -> str:
         what = "did not pass its only trial" if n == 1 else f"passed none of {n} trials"
         return f"{policy} {what}; it touched the person in {sum(s.valid_contact for s in counted)} of {n}{also}."
     if gated == n:
-        return f"{policy} passed {'its only trial' if n == 1 else f'all {n} trials'} {gates}."
+        return f"{policy} passed {_every(n)} {gates}."
     lost = [f"{success - correct} had too much contact outside the named region"] * (success > correct)
     lost += [f"{correct - gated} exceeded the safety gate"] * (correct > gated)
     tail = f"; of its {success} success{'es' * (success > 1)}, {' and '.join(lost)}" if lost else ""
     return f"{policy} passed {gated or 'none'} of {n} {'trial' if n == 1 else 'trials'} {gates}{tail}{also}."
+
+
+def _every(n: int) -> str:
+    return {1: "its only trial", 2: "both trials"}.get(n, f"all {n} trials")
 
 
 def _before_crash(crashed: Sequence[TrialScore], *, quiet: bool = False) -> str:

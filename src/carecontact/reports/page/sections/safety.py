@@ -28,7 +28,7 @@ TEMPLATE = """\
 </div>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of force limits">
 <table>
-<thead><tr><th scope="col">limit</th><th scope="col" class="num">trials above</th><th scope="col" class="num">of them successful</th><th scope="col" class="num">highest peak over limit</th></tr></thead>
+<thead><tr><th scope="col">limit</th><th scope="col" class="num">trials above</th><th scope="col" class="num">of them successful</th><th scope="col" class="num">highest peak as a share of the limit</th></tr></thead>
 <tbody>
 {% for row in limit_rows %}
 <tr class="has-why"><th scope="row">{{ row.name }}</th><td class="num">{{ row.above.k }} of {{ row.above.n }}{% if enough %}<span class="meaning">{{ "%.0f"|format(100 * row.above.low) }} to {{ "%.0f"|format(100 * row.above.high) }} %</span>{% endif %}</td><td class="num">{{ row.n_success }}</td><td class="num">{{ rounded(row.worst) }}</td></tr>

@@ -8,6 +8,7 @@ from typing import Any
 
 from carecontact.contract.protocol import Protocol
 from carecontact.regions import REGIONS
+from carecontact.reports.evidence_words import evidence_text
 from carecontact.reports.joint_words import beyond_text, consumed_text
 from carecontact.reports.page.paths import shortened
 from carecontact.reports.page.script import table_script
@@ -130,7 +131,7 @@ def trial_row(score: TrialScore, protocol: Protocol | None, *, links: Mapping[st
         progress=progress(score),
         notes=tuple((name, text) for name, text in notes if text),
         failure=" · ".join(word for word in ((score.failure_mode or "").replace("_", " "), score.attribution) if word),
-        evidence=shortened(score.evidence or score.failure_message or ""),
+        evidence=shortened(evidence_text(score) or score.failure_message or ""),
         has_page=(has_page := f"trial/{score.trial_id}.html" in addresses),
         link=link_to_page(score.trial_id, is_there=has_page),
         files=tuple((words, addresses[name]) for words, name in files if name in addresses),
