@@ -203,7 +203,7 @@ def test_a_piece_of_a_plan_is_a_beginning_of_the_whole(
     assert main(["sweep", "p.toml", "--out", "s", "--dry-run", "--json"]) == 0
     lines = [SweepCellAnswer.model_validate_json(line) for line in capsys.readouterr().out.splitlines()]
     assert [(line.policy, line.values, line.trials, line.recorded) for line in lines[:2]] == [
-        ("hover", {"body": "man-adult"}, 2, 0), ("zero-action", {"body": "man-adult"}, 2, 0),
+        ("hover", {"body": "man-adult"}, 2, 1), ("zero-action", {"body": "man-adult"}, 2, 1),
     ]  # fmt: skip
     assert len(lines) == 4
     assert main(["sweep", "p.toml", "--out", "s", "--dry-run"]) == 0
