@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -91,8 +91,13 @@ class Tissue(Section):
         return self
 
 
+PersonVersion = Literal["person-v1", "person-v2"]
+"""How the person is built and touched (``world.human.versions``). Results of two versions are of two persons."""
+
+
 class Person(Section):
     body: str
+    version: PersonVersion = "person-v1"
     tissue_set: str
     tissue: dict[RegionName, Tissue]
     """One row for each soft region of the protocol, and no other (``Protocol.soft_regions``)."""
@@ -108,7 +113,7 @@ class Person(Section):
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out what protocols did not always have, at its default: they keep their hash."""
         content = handler(self)
-        for name in ("alive", "shoulder_rotation_deg", "palm_deg"):
+        for name in ("version", "alive", "shoulder_rotation_deg", "palm_deg"):
             if getattr(self, name) == type(self).model_fields[name].default:
                 del content[name]
         return content
