@@ -134,6 +134,42 @@ def test_the_newcomers_page_has_the_floors_and_ceilings() -> None:
     assert list(map(int, said.groups())) == [round(rate) for rate in expected]
 
 
+CHANGED = sorted(RESULTS.glob("sensitivity/bathing-wide-v1-*/*.json.gz"))
+
+
+@pytest.mark.parametrize("scores", CHANGED, ids=lambda path: f"{path.parent.name} {path.name}")
+def test_the_rates_under_a_changed_protocol_are_those_of_the_kept_scores(scores: Path) -> None:
+    run = read_scores(scores)
+    first, passed = run.scores[0], sum(score.safety_gated for score in run.scores)
+    value = scores.name.removesuffix(".json.gz").rpartition("_")[2]
+    title = re.escape(first.policy_title) + r"(?: \(\w+\))?"
+    row = rf"\| {title} \| bathing-wide-v1 L2 \| {value} \| {len(run.scores)} \| {passed}/{len(run.scores)} \|"
+    assert re.search(row, (RESULTS / f"{scores.parent.name}.md").read_text())
+    assert depends_on()[first.policy][value] == str(passed)
+
+
+@pytest.mark.parametrize(
+    "scores", [path for path in CHANGED if path.name.endswith(("_400.json.gz", "_human-published.json.gz"))],
+    ids=lambda path: f"{path.parent.name} {path.name}",
+)  # fmt: skip
+def test_under_the_protocols_own_value_the_same_recordings_come_out(scores: Path) -> None:
+    """The sweeps ran on other machines than the results: each cell of the unchanged protocol has the same hashes."""
+    run = read_scores(scores)
+    twins = [read_scores(path) for path in (RESULTS / "bathing-wide-v1-L2").glob(f"{run.scores[0].policy}*.json.gz")]
+    hashes = {s.recording_sha256 for twin in twins for s in twin.scores}
+    assert {s.recording_sha256 for s in run.scores} <= hashes
+
+
+def depends_on() -> dict[str, dict[str, str]]:
+    """Return the table of results/README.md on what the result depends on: policy, changed value, passed trials."""
+    section = (RESULTS / "README.md").read_text().partition("## What the result depends on")[2].partition("\n## ")[0]
+    lines = section.splitlines()
+    rows = [[cell.strip().strip("`") for cell in line.split("|")[1:-1]] for line in lines if line.startswith("|")]
+    columns = {"human-published": "400", **{name: name.removesuffix(" N/m") for name in rows[0]}}
+    found = {row[0]: {columns[name]: cell for name, cell in zip(rows[0], row, strict=True)} for row in rows[2:]}
+    return {policy: cells | {"human-published": cells["400"]} for policy, cells in found.items()}
+
+
 def told(passed: int, run: RunScores) -> str:
     return f"{passed} ({100 * passed / len(run.scores):.0f} %)"
 
