@@ -27,7 +27,7 @@ void wrench_apply(const mjModel* m, mjData* d, Region* r) {
       touching++;
       for (int j = 0; j < 3; j++) {
         at[j] = c->at[j] + c->moved[j];
-        f[j] = area * (c->pressure * c->normal[j] + c->traction[j]);
+        f[j] = area * (c->pressure * c->push[j] + c->traction[j]);
       }
       cross(moment, at, f);
       for (int j = 0; j < 3; j++) {
