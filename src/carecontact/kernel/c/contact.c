@@ -12,8 +12,6 @@ static const double STEEPEST = 0.05;
 // Skin that the tool's face has pressed goes on bearing where it is pushed round the rim and up the wall, until the wall
 // overhangs this much.
 static const double OVERHANGS = -0.3;
-// [m] In a region that lets skin in, a point this deep behind a wall is met by the tool's underside.
-static const double BESIDE = 0.001;
 // How far a middle stands off at first, over the tool's depth. Beside a mesh of 2.5 mm (ball of 10 and 20 mm, cap), the
 // forces at 0.3 to 2 mm are nearest with this: with 1/8 they are 10 to 25 % too high, with 1/2 as much too low.
 static const double ARRIVES = 0.25;
@@ -46,11 +44,12 @@ static int deepest_tool(const Region* r, const Point* p, const double place[3], 
     if (!r->tool[k].near || r->tool[k].faced != p->third) continue;
     int kind = tool_gap(r->tool + k, place, p->inward, NEAR_GAP, &enters, &found, n);
     if (!kind) continue;
-    if (dot(n, p->inward) < steepest) {
-      if (law->entry == 0 || (!stayed && found > -BESIDE)) continue;
+    if (law->entry > 0 && stayed && dot(n, p->inward) < 0) {
+      // Skin that has been pushed up to where the wall overhangs is met by the tool's underside.
       if (!tool_below(r->tool + k, place, p->inward, &enters, &found, n)) continue;
       kind = 2;
     }
+    if (dot(n, p->inward) < steepest) continue;
     // A tool that begins deeper than the tissue lies beyond the bone.
     if (enters > law->thickness || found > *gap) continue;
     best = k;
@@ -93,13 +92,8 @@ static int measure(const Region* r, const Law* law, Contact* c) {
   tool_shift(r->tool + tool, c->at, c->shift);
   double along = dot(c->before, normal);
   for (int k = 0; k < 3; k++) c->held[k] = c->before[k] - along * normal[k];
-  memcpy(c->push, normal, sizeof normal);
   if (law->entry > 0) entry_allow(law, c, exact);
-  for (int k = 0; k < 3; k++) {
-    const double* frame = r->vertex[p->corner[k]].frame;
-    rotate(c->local[k], frame, normal);
-    if (law->entry > 0) rotate(c->leaning[k], frame, c->push);
-  }
+  for (int k = 0; k < 3; k++) rotate(c->local[k], r->vertex[p->corner[k]].frame, normal);
   return 1;
 }
 
@@ -135,7 +129,7 @@ static void find_one(Region* r, const State* s, const Law* law, double dt, int q
 }
 
 // What the tool presses a point with where its gap was measured, as if the layer could pull too [Pa].
-static double pressed(const Contact* c) { return -c->stiff * (c->gap + dot(c->push, c->seen)); }
+static double pressed(const Contact* c) { return -c->stiff * (c->gap + dot(c->normal, c->seen)); }
 
 // Skin that lies in a round tool and in one with faces at once is not to bear twice. Each third of the triangle belongs to
 // the one that presses it more, which of equally stiff ones is the one that it lies deeper in. So its pressure does not

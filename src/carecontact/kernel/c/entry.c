@@ -24,24 +24,18 @@ void entry_allow(const Law* law, Contact* c, int exact) {
   } else if (depth > 0) {
     c->allowed = most(0, depth - most(0, along) - slack);
   }
-  memset(c->ramp, 0, sizeof c->ramp);
+  memset(c->drag, 0, sizeof c->drag);
   if (c->allowed == 0) return;
-  double far = 0;
+  double far = 0, way[3], across = dot(c->shift, c->normal);
   for (int k = 0; k < 3; k++) {
-    c->ramp[k] = away[k] - along * c->normal[k];
-    far += c->ramp[k] * c->ramp[k];
+    way[k] = c->shift[k] - across * c->normal[k];
+    far += way[k] * way[k];
   }
   far = sqrt(far);
-  double slope = far > 1e-9 ? c->allowed / (law->entry + far) / far : 0;
-  for (int k = 0; k < 3; k++) {
-    c->ramp[k] *= slope;
-    c->push[k] += c->ramp[k];
+  if (far > 1e-9) {
+    double left = c->allowed * law->entry / (law->entry + far), slope = (c->allowed - left) / far;
+    for (int k = 0; k < 3; k++) c->drag[k] = slope * way[k] / far;
+    c->allowed = left;
   }
-  c->gap += c->allowed - dot(c->ramp, c->shift);
-}
-
-double entry_left(const Contact* c) {
-  double left = c->allowed;
-  for (int k = 0; k < 3; k++) left += c->ramp[k] * (c->moved[k] - c->shift[k]);
-  return left;
+  c->gap += c->allowed;
 }

@@ -28,7 +28,7 @@ void ledger(Region* r, const State* s, const Law* law) {
     if (!c->touching) continue;
     double area = c->area, size = dot(c->traction, c->traction);
     if (law->layer > 0) {
-      double depth = -(c->gap + dot(c->push, c->moved));
+      double depth = -(c->gap + dot(c->normal, c->moved));
       stored += area * (layer_energy(c->stiff, c->layer, depth) + size / (2 * c->stiff));
     } else {
       stored += area * (c->pressure * c->pressure + size) / (2 * c->stiff);

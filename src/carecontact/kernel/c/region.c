@@ -306,7 +306,7 @@ void region_step(const mjModel* m, mjData* d, Region* r, const State* s) {
   contact_find(r, s, &law, m->opt.timestep);
   solve(r, s, &law, m->opt.timestep, option[OPTION_TOLERANCE], (int)option[OPTION_SWEEPS]);
   rim_find(r, &law);
-  wrench_apply(m, d, r);
+  wrench_apply(m, d, r, law.entry > 0);
   if (option[OPTION_LEDGER] != 0) ledger(r, s, &law);
 }
 
@@ -353,8 +353,8 @@ void region_commit(Region* r, State* s, double dt) {
     row[0] = c->point;
     memcpy(row + 1, c->traction, 3 * sizeof(double));
     if (r->held_size == HELD_LONG) {
-      row[4] = -(c->gap + dot(c->push, c->moved));
-      row[5] = entry_left(c);
+      row[4] = -(c->gap + dot(c->normal, c->moved));
+      row[5] = c->allowed;
     }
   }
   add_to_cells(r, s, dt);

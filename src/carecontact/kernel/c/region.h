@@ -102,9 +102,8 @@ typedef struct {
   double at[3];          // where it was at the start of the step
   double normal[3];      // of the tool, outward
   double gap;            // negative inside; continued from `seen` to the start of the step as if the tool were flat [m]
-  double push[3];        // the slope of the gap; the normal, but for a point that is being let in (entry.c)
-  double allowed;        // how far its depth in the tool was more than its depth in the layer, at the step's start [m]
-  double ramp[3];        // slope of the allowance
+  double allowed;        // how far its depth in the tool is more than its depth in the layer, at the step's end [m]
+  double drag[3];        // by how much the allowance fell, over the tool's way, along this way (entry.c)
   double seen[3];        // how far it had moved where the gap was measured [m]
   double traction[3];    // friction per area now [Pa]
   int stayed;            // whether it touched in the step before
@@ -115,7 +114,6 @@ typedef struct {
   double stiff;          // of the layer between skin and tool: the skin's and the tool's own, one after the other [N/m^3]
   double shift[3];       // how far the tool's material moved past it in the last step [m]
   double local[3][3];    // the normal in the frame of each corner
-  double leaning[3][3];  // the slope of the gap, alike
   double moved[3];       // since the start of the step [m]
   double pressure;       // [Pa]
   double slipped;        // [m]
@@ -194,14 +192,12 @@ void contact_find(Region* r, const State* s, const Law* law, double dt);
 // What is measured of a point that lies in a tool becomes what it bears with (entry.c). `exact`: whether the gap is a
 // distance.
 void entry_allow(const Law* law, Contact* c, int exact);
-// The allowance that is left at the end of the step [m].
-double entry_left(const Contact* c);
 // Measures anew the gaps of points that end far from where they were expected; returns whether there were any.
 int contact_review(Region* r, const Law* law);
 void solve(Region* r, const State* s, const Law* law, double dt, double tolerance, int sweeps);
 // How much of each contact's area touches.
 void rim_find(Region* r, const Law* law);
-void wrench_apply(const mjModel* m, mjData* d, Region* r);
+void wrench_apply(const mjModel* m, mjData* d, Region* r, int entry);
 void ledger(Region* r, const State* s, const Law* law);
 
 static inline double law_pressure(const Law* law, double x) {

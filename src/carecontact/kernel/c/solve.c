@@ -21,7 +21,7 @@ static const double CAUTION = 0.5;
 // Pressure and friction of a contact for the displacements as they stand; returns the share of the friction layer's
 // stiffness that is left: 1 where it sticks.
 static double respond(const Law* law, Contact* c) {
-  double slide[3], size = 0, gap = c->gap + dot(c->push, c->moved);
+  double slide[3], size = 0, gap = c->gap + dot(c->normal, c->moved);
   c->touching = gap < 0;
   c->slipped = 0;
   if (!c->touching) {
@@ -52,18 +52,6 @@ static void solve3(const double B[6], const double g[3], double x[3]) {
   x[2] = (c2 * g[0] + (b * c - a * e) * g[1] + (a * d - b * b) * g[2]) / det;
 }
 
-// The tangent of a contact whose layer stiffens or whose gap has another slope than the normal.
-static void add_leaning(const Contact* c, int corner, double stiff, double sticks, double B[6]) {
-  const double *m = c->local[corner], *l = c->leaning[corner];
-  double own = stiff * sticks, hard = layer_tangent(stiff, c->layer, -(c->gap + dot(c->push, c->moved)));
-  B[0] += own * (1 - m[0] * m[0]) + hard * l[0] * l[0];
-  B[1] += hard * l[0] * l[1] - own * m[0] * m[1];
-  B[2] += hard * l[0] * l[2] - own * m[0] * m[2];
-  B[3] += own * (1 - m[1] * m[1]) + hard * l[1] * l[1];
-  B[4] += hard * l[1] * l[2] - own * m[1] * m[2];
-  B[5] += own * (1 - m[2] * m[2]) + hard * l[2] * l[2];
-}
-
 // Adds what the contacts of a vertex do: to the forces g and to the tangent B, both in the vertex's frame.
 static int add_contacts(Region* r, const Law* law, int i, double g[3], double B[6]) {
   const Vertex* v = r->vertex + i;
@@ -79,11 +67,8 @@ static int add_contacts(Region* r, const Law* law, int i, double g[3], double B[
     double share = p->share[corner] * c->area, stiff = c->stiff * share * p->share[corner];
     const double* m = c->local[corner];
     double rest = stiff * (1 - sticks), own = stiff * sticks;
-    for (int j = 0; j < 3; j++) sum[j] += share * (c->pressure * c->push[j] + c->traction[j]);
-    if (law->entry > 0) {
-      add_leaning(c, corner, stiff, sticks, B);
-      continue;
-    }
+    if (c->layer > 0) rest = layer_tangent(stiff, c->layer, -(c->gap + dot(c->normal, c->moved))) - own;
+    for (int j = 0; j < 3; j++) sum[j] += share * (c->pressure * c->normal[j] + c->traction[j]);
     B[0] += rest * m[0] * m[0] + own;
     B[1] += rest * m[0] * m[1];
     B[2] += rest * m[0] * m[2];
