@@ -15,6 +15,11 @@ static const double OVERHANGS = -0.3;
 // How far a middle stands off at first, over the tool's depth. Beside a mesh of 2.5 mm (ball of 10 and 20 mm, cap), the
 // forces at 0.3 to 2 mm are nearest with this: with 1/8 they are 10 to 25 % too high, with 1/2 as much too low.
 static const double ARRIVES = 0.25;
+// By which friction is at most lengthened; more would be of a surface that turns by more than 60 degrees in a step.
+static const double MOST_TURNED = 2;
+// [m] A tool whose surface gives way, such as the pile of a mitt, is compressed by so much where it has become twice as
+// stiff. Assumed: half of what a pile of 5 mm can give.
+static const double PILE = 0.0025;
 // [m] On the roundest rim, a point that ends this far from where its gap was measured is wrong by a tenth of a micrometre.
 static const double REVIEW = 2e-5;
 
@@ -75,6 +80,13 @@ static double standing_off(const Region* r, const Point* p, int tool, const doub
   return least(bend, ARRIVES * deep);
 }
 
+// Friction that turns with the tool's surface keeps its size, and with it the energy that it holds.
+static void keep_size(Contact* c) {
+  double before = dot(c->before, c->before), turned = dot(c->held, c->held);
+  double grows = turned > 0 ? least(MOST_TURNED, sqrt(before / turned)) : 0;
+  for (int k = 0; k < 3; k++) c->held[k] *= grows;
+}
+
 // Measures the gap where the point has moved by `seen`, from which it is taken as linear. Returns 0 far from every tool.
 static int measure(const Region* r, const Law* law, Contact* c) {
   const Point* p = r->point + c->point;
@@ -88,10 +100,11 @@ static int measure(const Region* r, const Law* law, Contact* c) {
   memcpy(c->normal, normal, sizeof normal);
   c->gap = gap - dot(normal, c->seen);
   c->stiff = 1 / (1 / law->contact + r->tool[tool].give);
-  c->layer = law->layer * law->contact / c->stiff;
+  c->layer = law->layer > 0 && r->tool[tool].give > 0 ? law->layer + PILE : law->layer;
   tool_shift(r->tool + tool, c->at, c->shift);
   double along = dot(c->before, normal);
   for (int k = 0; k < 3; k++) c->held[k] = c->before[k] - along * normal[k];
+  if (law->entry > 0) keep_size(c);
   if (law->entry > 0) entry_allow(law, c, exact);
   for (int k = 0; k < 3; k++) rotate(c->local[k], r->vertex[p->corner[k]].frame, normal);
   return 1;
