@@ -15,8 +15,6 @@ static const double OVERHANGS = -0.3;
 // How far a middle stands off at first, over the tool's depth. Beside a mesh of 2.5 mm (ball of 10 and 20 mm, cap), the
 // forces at 0.3 to 2 mm are nearest with this: with 1/8 they are 10 to 25 % too high, with 1/2 as much too low.
 static const double ARRIVES = 0.25;
-// By which friction is at most lengthened; more would be of a surface that turns by more than 60 degrees in a step.
-static const double MOST_TURNED = 2;
 // [m] A tool whose surface gives way, such as the pile of a mitt, is compressed by so much where it has become twice as
 // stiff. Assumed: half of what a pile of 5 mm can give.
 static const double PILE = 0.0025;
@@ -49,8 +47,8 @@ static int deepest_tool(const Region* r, const Point* p, const double place[3], 
     if (!r->tool[k].near || r->tool[k].faced != p->third) continue;
     int kind = tool_gap(r->tool + k, place, p->inward, NEAR_GAP, &enters, &found, n);
     if (!kind) continue;
+    // Where skin is let in, skin that has been pushed up to where the wall overhangs is met by the tool's underside.
     if (law->entry > 0 && stayed && dot(n, p->inward) < 0) {
-      // Skin that has been pushed up to where the wall overhangs is met by the tool's underside.
       if (!tool_below(r->tool + k, place, p->inward, &enters, &found, n)) continue;
       kind = 2;
     }
@@ -80,13 +78,6 @@ static double standing_off(const Region* r, const Point* p, int tool, const doub
   return least(bend, ARRIVES * deep);
 }
 
-// Friction that turns with the tool's surface keeps its size, and with it the energy that it holds.
-static void keep_size(Contact* c) {
-  double before = dot(c->before, c->before), turned = dot(c->held, c->held);
-  double grows = turned > 0 ? least(MOST_TURNED, sqrt(before / turned)) : 0;
-  for (int k = 0; k < 3; k++) c->held[k] *= grows;
-}
-
 // Measures the gap where the point has moved by `seen`, from which it is taken as linear. Returns 0 far from every tool.
 static int measure(const Region* r, const Law* law, Contact* c) {
   const Point* p = r->point + c->point;
@@ -104,7 +95,7 @@ static int measure(const Region* r, const Law* law, Contact* c) {
   tool_shift(r->tool + tool, c->at, c->shift);
   double along = dot(c->before, normal);
   for (int k = 0; k < 3; k++) c->held[k] = c->before[k] - along * normal[k];
-  if (law->entry > 0) keep_size(c);
+  if (law->entry > 0 && c->stayed) entry_turn(c);
   if (law->entry > 0) entry_allow(law, c, exact);
   for (int k = 0; k < 3; k++) rotate(c->local[k], r->vertex[p->corner[k]].frame, normal);
   return 1;
@@ -134,6 +125,7 @@ static void find_one(Region* r, const State* s, const Law* law, double dt, int q
     if (r->held_size == HELD_LONG) {
       c.depth_before = row[4];
       c.allowed_before = row[5];
+      memcpy(c.normal_before, row + 6, sizeof c.normal_before);
     }
   }
   place_of(r, s, r->point + q, dt, c.at, c.seen);

@@ -53,7 +53,7 @@ static int numeric(const mjModel* m, const char* key, const char* name, int size
   return m->numeric_adr[id];
 }
 
-static int optional(const mjModel* m, const char* key, const char* name) {
+static int has_numeric(const mjModel* m, const char* key, const char* name) {
   char full[256];
   snprintf(full, sizeof full, "%s/%s", key, name);
   return mj_name2id(m, mjOBJ_NUMERIC, full) >= 0;
@@ -252,7 +252,7 @@ int region_init(const mjModel* m, int instance, Region* r) {
   int triangles = numeric(m, key, "triangles", TRIANGLE_SIZE * ntriangle);
   r->law_address = numeric(m, key, "law", LAW_SIZE);
   r->option_address = numeric(m, key, "options", OPTION_SIZE);
-  r->contact_address = optional(m, key, "contact") ? numeric(m, key, "contact", CONTACT_SIZE) : -1;
+  r->contact_address = has_numeric(m, key, "contact") ? numeric(m, key, "contact", CONTACT_SIZE) : -1;
   r->held_size = r->contact_address < 0 ? HELD_SIZE : HELD_LONG;
   if (vertices < 0 || edges < 0 || triangles < 0 || r->law_address < 0 || r->option_address < 0) return -1;
   const double *edge = m->numeric_data + edges, *triangle = m->numeric_data + triangles;
@@ -355,6 +355,7 @@ void region_commit(Region* r, State* s, double dt) {
     if (r->held_size == HELD_LONG) {
       row[4] = -(c->gap + dot(c->normal, c->moved));
       row[5] = c->allowed;
+      memcpy(row + 6, c->normal, sizeof c->normal);
     }
   }
   add_to_cells(r, s, dt);
