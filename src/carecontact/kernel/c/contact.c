@@ -87,7 +87,8 @@ static int measure(const Region* r, const Law* law, Contact* c) {
   int tool = deepest_tool(r, p, place, law, c->stayed, &gap, normal, &exact);
   if (tool < 0) return 0;
   c->tool = tool;
-  gap += standing_off(r, p, tool, place, gap, normal);
+  c->stands_off = standing_off(r, p, tool, place, gap, normal);
+  gap += c->stands_off;
   memcpy(c->normal, normal, sizeof normal);
   c->gap = gap - dot(normal, c->seen);
   c->stiff = 1 / (1 / law->contact + r->tool[tool].give);

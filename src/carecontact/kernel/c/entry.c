@@ -24,14 +24,14 @@ static const double UPSIDE_DOWN = 1e-3;  // 1 plus the cosine between two normal
 
 // The part of the depth that the tool has not pressed, before its way in this step.
 static double not_pressed(const Contact* c, int exact) {
-  double way[3], along, depth = -(c->gap + dot(c->normal, c->seen));
+  double way[3], along, layer = -(c->gap + dot(c->normal, c->seen)), depth = layer + c->stands_off;
   for (int k = 0; k < 3; k++) way[k] = c->shift[k] - c->seen[k];
   along = dot(way, c->normal);
   double bends = SLACK + (c->stayed ? STAYS : BENDS) * sqrt(dot(way, way));
   // The depth under a tangent plane can jump by any amount.
   if (!exact) bends = 0;
-  if (!c->stayed) return most(0, depth - most(0, along) - bends);
-  double jumped = depth - (c->depth_before + c->allowed_before + (along + dot(way, c->normal_before)) / 2);
+  if (!c->stayed) return most(0, layer - most(0, along) - bends);
+  double jumped = depth - (c->depth_before + (along + dot(way, c->normal_before)) / 2);
   return c->allowed_before + (fabs(jumped) > bends ? jumped : 0);
 }
 

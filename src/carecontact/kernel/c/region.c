@@ -353,7 +353,7 @@ void region_commit(Region* r, State* s, double dt) {
     row[0] = c->point;
     memcpy(row + 1, c->traction, 3 * sizeof(double));
     if (r->held_size == HELD_LONG) {
-      row[4] = -(c->gap + dot(c->normal, c->moved));
+      row[4] = c->stands_off + c->allowed - (c->gap + dot(c->normal, c->moved));
       row[5] = c->allowed;
       memcpy(row + 6, c->normal, sizeof c->normal);
     }

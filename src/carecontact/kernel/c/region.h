@@ -102,6 +102,7 @@ typedef struct {
   double at[3];          // where it was at the start of the step
   double normal[3];      // of the tool, outward
   double gap;            // negative inside; continued from `seen` to the start of the step as if the tool were flat [m]
+  double stands_off;     // of the gap: how far the point stands off a round tool
   double allowed;        // its allowance at the step's end: depth in the tool that is not in the layer (entry.c) [m]
   double drag[3];        // the fall of the allowance over the tool's way, along this way
   double seen[3];        // how far it had moved where the gap was measured [m]
@@ -109,7 +110,7 @@ typedef struct {
   int stayed;            // whether it touched in the step before
   double before[3];      // its friction per area then [Pa]
   double held[3];        // the same, turned onto the tool's tangent plane [Pa]
-  double depth_before, allowed_before, normal_before[3];  // depth in the layer, allowance [m] and tool's normal then
+  double depth_before, allowed_before, normal_before[3];  // depth in the tool, allowance [m] and tool's normal then
   double layer;          // depth at which the layer's pressure is twice as high as a linear layer's [m]; 0: it is linear
   double stiff;          // of the layer between skin and tool: the skin's and the tool's own, one after the other [N/m^3]
   double shift[3];       // how far the tool's material moved past it in the last step [m]
@@ -160,7 +161,7 @@ typedef struct {
 } Region;
 
 // Where things lie in a region's plugin_state. `holds` is the number of points that touched in the last step, and `held`
-// has a row for each: its number and its friction per area, and in a region that lets skin in also its depth in the layer,
+// has a row for each: its number and its friction per area, and in a region that lets skin in also its depth in the tool,
 // its allowance and the tool's normal.
 typedef struct {
   double *steps, *awake, *u, *rate, *holds, *held, *cells, *ring;
