@@ -62,12 +62,14 @@ class Sheet:
         free: let the tool turn and go anywhere, instead of slide; then ``move`` and ``hold`` do not work.
         vertices: (n, 3) of a mesh named "tool", for a geom of type MESH.
         more: further geoms of the tool, of ``MjsBody.add_geom``, whose ``pos`` is seen from the lowest point.
+        layer_m, entry_m: of ``add_region``.
     """
 
     def __init__(
         self, law: Tissue, mesh: Mesh, *, bottom_m: float, dt_s: float = 0.002, mass_kg: float = HEAVY_KG,
         ledger: bool = False, give_m3_n: float = 0.0, bone_mass_kg: float | None = None, frame: Array | None = None,
-        free: bool = False, vertices: Array | None = None, more: tuple[dict[str, Any], ...] = (), **geom: object,
+        free: bool = False, vertices: Array | None = None, more: tuple[dict[str, Any], ...] = (), layer_m: float = 0.0,
+        entry_m: float = 0.0, **geom: object,
     ) -> None:  # fmt: skip
         spec = mujoco.MjSpec()
         spec.option.timestep, spec.option.gravity = dt_s, [0, 0, 0]
@@ -93,7 +95,10 @@ class Sheet:
             tool.add_geom(mass=0, contype=1, conaffinity=0, **other)
         if give_m3_n:
             spec.nuser_geom, tool.first_geom().userdata = 1, [give_m3_n]
-        add_region(spec, name="sheet", bone=bone, mesh=mesh, tissue=law, tools="tool", ledger=ledger)
+        add_region(
+            spec, name="sheet", bone=bone, mesh=mesh, tissue=law, tools="tool", ledger=ledger, layer_m=layer_m,
+            entry_m=entry_m,
+        )  # fmt: skip
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.felt = Readings(self.model, "sheet")

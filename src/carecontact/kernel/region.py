@@ -1,7 +1,7 @@
 """Adds a soft region to a MuJoCo model: an instance of the plugin on the bone, and the numbers that it reads.
 
-The arrays travel as custom numerics ``<name>/vertices``, ``/edges``, ``/triangles``, ``/law`` and ``/options``; their
-columns are those of ``c/region.h``.
+The arrays travel as custom numerics ``<name>/vertices``, ``/edges``, ``/triangles``, ``/law``, ``/options`` and, from
+person-v2 on, ``/contact``; their columns are those of ``c/region.h``.
 """
 
 from __future__ import annotations
@@ -129,6 +129,8 @@ def add_region(
     tissue: Tissue,
     tools: str,
     ledger: bool = False,
+    layer_m: float = 0.0,
+    entry_m: float = 0.0,
 ) -> None:
     """Add a soft region to a bone of an uncompiled model.
 
@@ -140,6 +142,8 @@ def add_region(
         tools: name of a body. The region can be touched by the geoms of this body and of the bodies below it whose
             contype has bit 1.
         ledger: whether to keep the energy of every step (``Readings``), which takes a tenth of the solver's time.
+        layer_m: depth in the contact layer at which its pressure is twice that of a linear layer; 0: it is linear.
+        entry_m: way of the tool over which skin that it meets from the side comes to bear; 0: it bears nothing.
 
     Raises DependencyError if the compiled tissue is missing.
     """
@@ -152,6 +156,9 @@ def add_region(
         "triangles": mesh.rows, "law": np.array(astuple(Law.of(tissue))),
         "options": np.array([reach, TOLERANCE_M, SWEEPS, ledger], np.float64),
     }  # fmt: skip
+    # Models of person-v1 are as they were when it had neither.
+    if layer_m or entry_m:
+        numbers["contact"] = np.array([layer_m, entry_m])
     for kind, values in numbers.items():
         spec.add_numeric(name=f"{name}/{kind}", data=values.ravel().tolist(), size=values.size)
     made = spec.add_plugin(name=name, plugin_name=library.PLUGIN, active=True)

@@ -30,6 +30,7 @@ from carecontact.world.human.shell import Shell, kept_shell, limb_shell, trunk_s
 from carecontact.world.human.skeleton import add_skeleton, body_name
 from carecontact.world.human.skin import add_skin
 from carecontact.world.human.tissue import SoftRegion, add_tissue
+from carecontact.world.human.versions import BUILDS
 from carecontact.world.joint_impedance import replace_impedance
 from carecontact.world.place import UNMOVED, Place
 from carecontact.world.robot import add_robot
@@ -134,7 +135,7 @@ def _add_person(
         tissue, turn = tissue_of(body, region, protocol.person.tissue[region]), arm_turn(protocol)
         shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue, turn), turn=turn)
         on = carrier(REGIONS[region].segment, breathes=breathes)
-        regions[region] = add_tissue(spec, body, region, shell, tissue, on=on)
+        regions[region] = add_tissue(spec, body, region, shell, tissue, on=on, build=BUILDS[protocol.person.version])
     return hinges, regions
 
 

@@ -15,6 +15,9 @@ static const double OVERHANGS = -0.3;
 // How far a middle stands off at first, over the tool's depth. Beside a mesh of 2.5 mm (ball of 10 and 20 mm, cap), the
 // forces at 0.3 to 2 mm are nearest with this: with 1/8 they are 10 to 25 % too high, with 1/2 as much too low.
 static const double ARRIVES = 0.25;
+// [m] A tool whose surface gives way, such as the pile of a mitt, is compressed by so much where it has become twice as
+// stiff. Assumed: half of what a pile of 5 mm can give.
+static const double PILE = 0.0025;
 // [m] On the roundest rim, a point that ends this far from where its gap was measured is wrong by a tenth of a micrometre.
 static const double REVIEW = 2e-5;
 
@@ -34,17 +37,26 @@ static void place_of(const Region* r, const State* s, const Point* p, double dt,
 }
 
 // The gap to the tool that a point at a place lies deepest in, and that tool's normal. Returns its number, or -1.
-static int deepest_tool(const Region* r, const Point* p, const double place[3], double thickness, double steepest,
-                        double* gap, double normal[3]) {
+static int deepest_tool(const Region* r, const Point* p, const double place[3], const Law* law, int stayed,
+                        double* gap, double normal[3], int* exact) {
+  double steepest = stayed ? OVERHANGS : STEEPEST;
   int best = -1;
   *gap = NEAR_GAP;
   for (int k = 0; k < r->ntool; k++) {
     double enters, found, n[3];
     if (!r->tool[k].near || r->tool[k].faced != p->third) continue;
-    if (!tool_gap(r->tool + k, place, p->inward, NEAR_GAP, &enters, &found, n)) continue;
+    int kind = tool_gap(r->tool + k, place, p->inward, NEAR_GAP, &enters, &found, n);
+    if (!kind) continue;
+    // Where skin is let in, skin that has been pushed up to where the wall overhangs is met by the tool's underside.
+    if (law->entry > 0 && stayed && dot(n, p->inward) < 0) {
+      if (!tool_below(r->tool + k, place, p->inward, &enters, &found, n)) continue;
+      kind = 2;
+    }
+    if (dot(n, p->inward) < steepest) continue;
     // A tool that begins deeper than the tissue lies beyond the bone.
-    if (enters > thickness || dot(n, p->inward) < steepest || found > *gap) continue;
+    if (enters > law->thickness || found > *gap) continue;
     best = k;
+    *exact = kind == 1;
     *gap = found;
     memcpy(normal, n, 3 * sizeof(double));
   }
@@ -70,17 +82,22 @@ static double standing_off(const Region* r, const Point* p, int tool, const doub
 static int measure(const Region* r, const Law* law, Contact* c) {
   const Point* p = r->point + c->point;
   double place[3], gap, normal[3];
+  int exact = 1;
   for (int k = 0; k < 3; k++) place[k] = c->at[k] + c->seen[k];
-  int tool = deepest_tool(r, p, place, law->thickness, c->stayed ? OVERHANGS : STEEPEST, &gap, normal);
+  int tool = deepest_tool(r, p, place, law, c->stayed, &gap, normal, &exact);
   if (tool < 0) return 0;
   c->tool = tool;
-  gap += standing_off(r, p, tool, place, gap, normal);
+  c->stands_off = standing_off(r, p, tool, place, gap, normal);
+  gap += c->stands_off;
   memcpy(c->normal, normal, sizeof normal);
   c->gap = gap - dot(normal, c->seen);
   c->stiff = 1 / (1 / law->contact + r->tool[tool].give);
+  c->layer = law->layer > 0 && r->tool[tool].give > 0 ? law->layer + PILE : law->layer;
   tool_shift(r->tool + tool, c->at, c->shift);
   double along = dot(c->before, normal);
   for (int k = 0; k < 3; k++) c->held[k] = c->before[k] - along * normal[k];
+  if (law->entry > 0 && c->stayed) entry_turn(c);
+  if (law->entry > 0) entry_allow(law, c, exact);
   for (int k = 0; k < 3; k++) rotate(c->local[k], r->vertex[p->corner[k]].frame, normal);
   return 1;
 }
@@ -103,7 +120,15 @@ void contact_forget(Region* r) {
 
 static void find_one(Region* r, const State* s, const Law* law, double dt, int q) {
   Contact c = {.point = q, .area = r->point[q].area, .stayed = r->held_of[q] >= 0};
-  if (c.stayed) memcpy(c.before, s->held + HELD_SIZE * r->held_of[q] + 1, sizeof c.before);
+  if (c.stayed) {
+    const double* row = s->held + r->held_size * r->held_of[q];
+    memcpy(c.before, row + 1, sizeof c.before);
+    if (r->held_size == HELD_LONG) {
+      c.depth_before = row[4];
+      c.allowed_before = row[5];
+      memcpy(c.normal_before, row + 6, sizeof c.normal_before);
+    }
+  }
   place_of(r, s, r->point + q, dt, c.at, c.seen);
   if (!measure(r, law, &c)) return;
   contact_keep(r, &c);
@@ -131,10 +156,10 @@ static void share_out(Region* r) {
 void contact_find(Region* r, const State* s, const Law* law, double dt) {
   int meets[2] = {0, 0};
   for (int k = 0; k < r->ntool; k++) meets[r->tool[k].faced] |= r->tool[k].near;
-  for (int k = 0; k < (int)*s->holds; k++) r->held_of[(int)s->held[HELD_SIZE * k]] = k;
+  for (int k = 0; k < (int)*s->holds; k++) r->held_of[(int)s->held[r->held_size * k]] = k;
   for (int q = 0; q < r->npoint; q++)
     if (r->moves[r->point[q].corner[0]] == CLOSE && meets[r->point[q].third]) find_one(r, s, law, dt, q);
-  for (int k = 0; k < (int)*s->holds; k++) r->held_of[(int)s->held[HELD_SIZE * k]] = -1;
+  for (int k = 0; k < (int)*s->holds; k++) r->held_of[(int)s->held[r->held_size * k]] = -1;
   if (meets[0] && meets[1]) share_out(r);
 }
 

@@ -1,6 +1,7 @@
 // The energy that the shell holds at the end of a step and what it lost during it.
 #include <math.h>
 
+#include "layer.h"
 #include "region.h"
 #include "vec.h"
 
@@ -26,7 +27,12 @@ void ledger(Region* r, const State* s, const Law* law) {
     const Contact* c = r->contact + i;
     if (!c->touching) continue;
     double area = c->area, size = dot(c->traction, c->traction);
-    stored += area * (c->pressure * c->pressure + size) / (2 * c->stiff);
+    if (law->layer > 0) {
+      double depth = -(c->gap + dot(c->normal, c->moved));
+      stored += area * (layer_energy(c->stiff, c->layer, depth) + size / (2 * c->stiff));
+    } else {
+      stored += area * (c->pressure * c->pressure + size) / (2 * c->stiff);
+    }
     // By the trapezoidal rule, like the work of a spring.
     rubbed += area * (law->friction * c->pressure + sqrt(dot(c->before, c->before))) / 2 * c->slipped;
   }

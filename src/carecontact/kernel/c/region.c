@@ -24,11 +24,15 @@ State state_of(const Region* r, double* state) {
   return s;
 }
 
+// How many points the state can hold.
+static int held_rows(const Region* r) { return (int)((long)HELD_SIZE * r->npoint / r->held_size); }
+
 int state_sound(const Region* r, const State* s) {
   static const double LAST = 9e15;  // up to which a double holds every whole number
   if (!counts(*s->steps, LAST) || !counts(*s->holds, r->npoint + 1)) return 0;
+  if ((int)*s->holds > held_rows(r)) return 0;
   for (int k = 0; k < (int)*s->holds; k++)
-    if (!counts(s->held[HELD_SIZE * k], r->npoint)) return 0;
+    if (!counts(s->held[r->held_size * k], r->npoint)) return 0;
   return 1;
 }
 
@@ -49,10 +53,18 @@ static int numeric(const mjModel* m, const char* key, const char* name, int size
   return m->numeric_adr[id];
 }
 
+static int has_numeric(const mjModel* m, const char* key, const char* name) {
+  char full[256];
+  snprintf(full, sizeof full, "%s/%s", key, name);
+  return mj_name2id(m, mjOBJ_NUMERIC, full) >= 0;
+}
+
 Law law_read(const mjModel* m, const Region* r) {
   const double* x = m->numeric_data + r->law_address;
+  const double* contact = r->contact_address < 0 ? NULL : m->numeric_data + r->contact_address;
   return (Law){x[LAW_A], x[LAW_B], x[LAW_C], x[LAW_DAMPING], x[LAW_DAMPING_GROWTH], x[LAW_MASS], x[LAW_COUPLING],
-               x[LAW_MEMBRANE], x[LAW_FRICTION], x[LAW_CONTACT], x[LAW_THICKNESS]};
+               x[LAW_MEMBRANE], x[LAW_FRICTION], x[LAW_CONTACT], x[LAW_THICKNESS],
+               contact ? contact[CONTACT_LAYER] : 0, contact ? contact[CONTACT_ENTRY] : 0};
 }
 
 static double distance(const double a[3], const double b[3]) {
@@ -240,6 +252,8 @@ int region_init(const mjModel* m, int instance, Region* r) {
   int triangles = numeric(m, key, "triangles", TRIANGLE_SIZE * ntriangle);
   r->law_address = numeric(m, key, "law", LAW_SIZE);
   r->option_address = numeric(m, key, "options", OPTION_SIZE);
+  r->contact_address = has_numeric(m, key, "contact") ? numeric(m, key, "contact", CONTACT_SIZE) : -1;
+  r->held_size = r->contact_address < 0 ? HELD_SIZE : HELD_LONG;
   if (vertices < 0 || edges < 0 || triangles < 0 || r->law_address < 0 || r->option_address < 0) return -1;
   const double *edge = m->numeric_data + edges, *triangle = m->numeric_data + triangles;
   if (!refers_well(r, key, edge, nedge, triangle, ntriangle) || allocate(r, nedge)) return -1;
@@ -292,7 +306,7 @@ void region_step(const mjModel* m, mjData* d, Region* r, const State* s) {
   contact_find(r, s, &law, m->opt.timestep);
   solve(r, s, &law, m->opt.timestep, option[OPTION_TOLERANCE], (int)option[OPTION_SWEEPS]);
   rim_find(r, &law);
-  wrench_apply(m, d, r);
+  wrench_apply(m, d, r, law.entry > 0);
   if (option[OPTION_LEDGER] != 0) ledger(r, s, &law);
 }
 
@@ -333,11 +347,16 @@ void region_commit(Region* r, State* s, double dt) {
   }
   for (int i = 0; i < r->ncontact; i++) {
     const Contact* c = r->contact + i;
-    if (!c->touching) continue;
+    if (!c->touching || (int)*s->holds == held_rows(r)) continue;
     *s->awake = 1;
-    double* row = s->held + HELD_SIZE * (int)(*s->holds)++;
+    double* row = s->held + r->held_size * (int)(*s->holds)++;
     row[0] = c->point;
     memcpy(row + 1, c->traction, 3 * sizeof(double));
+    if (r->held_size == HELD_LONG) {
+      row[4] = c->stands_off + c->allowed - (c->gap + dot(c->normal, c->moved));
+      row[5] = c->allowed;
+      memcpy(row + 6, c->normal, sizeof c->normal);
+    }
   }
   add_to_cells(r, s, dt);
   memcpy(s->ring + ROW_SIZE * ((long)*s->steps % RING_ROWS), r->row, sizeof r->row);

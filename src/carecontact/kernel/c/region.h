@@ -43,6 +43,9 @@ enum {
 enum { LAW_A, LAW_B, LAW_C, LAW_DAMPING, LAW_DAMPING_GROWTH, LAW_MASS, LAW_COUPLING, LAW_MEMBRANE, LAW_FRICTION,
        LAW_CONTACT, LAW_THICKNESS, LAW_SIZE };
 
+// The numeric "<key>/contact" (world/human/versions.py). Regions of person-v1 have none, and all are 0 there.
+enum { CONTACT_LAYER, CONTACT_ENTRY, CONTACT_SIZE };
+
 // The numeric "<key>/options".
 enum { OPTION_REACH, OPTION_TOLERANCE, OPTION_SWEEPS, OPTION_LEDGER, OPTION_SIZE };
 
@@ -58,6 +61,7 @@ enum { POINTS_EACH = 4 };
 
 typedef struct {
   double a, b, c, damping, damping_growth, mass, coupling, membrane, friction, contact, thickness;
+  double layer, entry;  // of person-v2: depth over which the contact layer stiffens, way over which skin is let in [m]
 } Law;
 
 typedef struct {
@@ -98,11 +102,16 @@ typedef struct {
   double at[3];          // where it was at the start of the step
   double normal[3];      // of the tool, outward
   double gap;            // negative inside; continued from `seen` to the start of the step as if the tool were flat [m]
+  double stands_off;     // of the gap: how far the point stands off a round tool
+  double allowed;        // its allowance at the step's end: depth in the tool that is not in the layer (entry.c) [m]
+  double drag[3];        // the fall of the allowance over the tool's way, along this way
   double seen[3];        // how far it had moved where the gap was measured [m]
   double traction[3];    // friction per area now [Pa]
   int stayed;            // whether it touched in the step before
   double before[3];      // its friction per area then [Pa]
   double held[3];        // the same, turned onto the tool's tangent plane [Pa]
+  double depth_before, allowed_before, normal_before[3];  // depth in the tool, allowance [m] and tool's normal then
+  double layer;          // depth at which the layer's pressure is twice as high as a linear layer's [m]; 0: it is linear
   double stiff;          // of the layer between skin and tool: the skin's and the tool's own, one after the other [N/m^3]
   double shift[3];       // how far the tool's material moved past it in the last step [m]
   double local[3][3];    // the normal in the frame of each corner
@@ -122,6 +131,8 @@ typedef struct {
 typedef struct {
   // Read-only after region_init.
   int nvertex, npoint, ncell, ntool, bone, law_address, option_address;
+  int contact_address;  // of "<key>/contact", or -1
+  int held_size;        // numbers in a row of the state's friction
   Vertex* vertex;
   Point* point;
   Tool* tool;
@@ -150,12 +161,15 @@ typedef struct {
 } Region;
 
 // Where things lie in a region's plugin_state. `holds` is the number of points that touched in the last step, and `held`
-// has a row for each: its number and its friction per area.
+// has a row for each: its number and its friction per area, and in a region that lets skin in also its depth in the tool,
+// its allowance and the tool's normal.
 typedef struct {
   double *steps, *awake, *u, *rate, *holds, *held, *cells, *ring;
 } State;
 
-enum { HELD_SIZE = 4 };
+// The state has room for HELD_SIZE numbers for every point. Longer rows share this room: no tool touches four ninths of a
+// region's points at once, and points beyond would begin anew in each step.
+enum { HELD_SIZE = 4, HELD_LONG = 9 };
 
 int state_size(int nvertex, int ntriangle, int ncell);
 State state_of(const Region* r, double* state);
@@ -176,12 +190,16 @@ void window_find(const mjModel* m, const mjData* d, Region* r, const State* s, d
 void contact_keep(Region* r, const Contact* c);
 void contact_forget(Region* r);
 void contact_find(Region* r, const State* s, const Law* law, double dt);
+// Takes a point's allowance off its depth (entry.c). `exact`: whether its gap is a distance, and not one to a plane.
+void entry_allow(const Law* law, Contact* c, int exact);
+// Turns a point's friction with the tool's surface, so that it keeps its size and with it the energy that it holds.
+void entry_turn(Contact* c);
 // Measures anew the gaps of points that end far from where they were expected; returns whether there were any.
 int contact_review(Region* r, const Law* law);
 void solve(Region* r, const State* s, const Law* law, double dt, double tolerance, int sweeps);
 // How much of each contact's area touches.
 void rim_find(Region* r, const Law* law);
-void wrench_apply(const mjModel* m, mjData* d, Region* r);
+void wrench_apply(const mjModel* m, mjData* d, Region* r, int lets_in);
 void ledger(Region* r, const State* s, const Law* law);
 
 static inline double law_pressure(const Law* law, double x) {

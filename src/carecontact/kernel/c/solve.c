@@ -7,6 +7,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "layer.h"
 #include "region.h"
 #include "vec.h"
 
@@ -27,7 +28,7 @@ static double respond(const Law* law, Contact* c) {
     c->pressure = c->traction[0] = c->traction[1] = c->traction[2] = 0;
     return 0;
   }
-  c->pressure = -c->stiff * gap;
+  c->pressure = layer_pressure(c->stiff, c->layer, -gap);
   for (int j = 0; j < 3; j++) slide[j] = c->moved[j] - c->shift[j];
   double along = dot(slide, c->normal);
   for (int j = 0; j < 3; j++) {
@@ -66,6 +67,7 @@ static int add_contacts(Region* r, const Law* law, int i, double g[3], double B[
     double share = p->share[corner] * c->area, stiff = c->stiff * share * p->share[corner];
     const double* m = c->local[corner];
     double rest = stiff * (1 - sticks), own = stiff * sticks;
+    if (c->layer > 0) rest = layer_tangent(stiff, c->layer, -(c->gap + dot(c->normal, c->moved))) - own;
     for (int j = 0; j < 3; j++) sum[j] += share * (c->pressure * c->normal[j] + c->traction[j]);
     B[0] += rest * m[0] * m[0] + own;
     B[1] += rest * m[0] * m[1];

@@ -409,6 +409,7 @@ int tool_gap(const Tool* tool, const double point[3], const double direction[3],
   double value = outside(tool, x, gradient), found;
   if (value > farthest) return 0;
   if (value < 0 && !exit_of(tool, x, v, begins, &leaves, n)) return 0;
+  int exact = 1;
   *gap = -leaves * dot(n, v);
   // Deep inside, the nearest wall can be another than the one that the point has met.
   if (value < 0 && is_distance(tool, value) && (value > -EDGE || dot(gradient, n) > SAME_WALL)) {
@@ -422,8 +423,21 @@ int tool_gap(const Tool* tool, const double point[3], const double direction[3],
       memcpy(n, m, sizeof n);
     } else if (value >= 0) {
       return 0;
+    } else {
+      exact = 0;
     }
   }
+  rotate(normal, tool->axes, n);
+  return exact ? 1 : 2;
+}
+
+int tool_below(const Tool* tool, const double point[3], const double direction[3], double* begins, double* gap,
+               double normal[3]) {
+  double x[3], v[3], n[3] = {0, 0, 0}, leaves;
+  to_local(tool, point, x);
+  rotate_back(v, tool->axes, direction);
+  if (!exit_of(tool, x, v, begins, &leaves, n) || leaves <= 0) return 0;
+  *gap = -leaves * dot(n, v);
   rotate(normal, tool->axes, n);
   return 1;
 }

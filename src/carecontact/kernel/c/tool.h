@@ -30,9 +30,14 @@ double tool_distance(const Tool* tool, const double point[3]);
 // The signed distance from a point to the tool's surface, negative inside, and the outward normal at its foot there. The
 // foot is the one that is found from where a ray from the point along a unit direction leaves the tool. A point so deep
 // that the walk from there does not end, as beside the wall of a flat tool, has the distance to the tangent plane there.
-// Returns 0 where the point is farther outside than `farthest`, and otherwise also how far on the ray the tool begins.
+// Returns 0 where the point is farther outside than `farthest`, and otherwise also how far on the ray the tool begins: 1
+// for a distance, and 2 for one to a tangent plane.
 int tool_gap(const Tool* tool, const double point[3], const double direction[3], double farthest, double* begins,
              double* gap, double normal[3]);
+
+// For a point inside, the signed distance to the tangent plane where the ray leaves the tool. Returns 0 where it misses it.
+int tool_below(const Tool* tool, const double point[3], const double direction[3], double* begins, double* gap,
+               double normal[3]);
 
 // How far the surface bends away from its tangent plane at a foot on it (bone's frame), at an offset along that plane [m].
 // Rims, and hulls of meshes, count as flat: they are narrower than a triangle, or not known to be round.

@@ -13,7 +13,7 @@ static void apply(const mjModel* m, mjData* d, Region* r, int body, const double
   mj_applyFT(m, d, f, t, at, body, r->force);
 }
 
-void wrench_apply(const mjModel* m, mjData* d, Region* r) {
+void wrench_apply(const mjModel* m, mjData* d, Region* r, int lets_in) {
   double total[6] = {0}, centre[3] = {0}, weight = 0, *row = r->row;
   memset(r->force, 0, sizeof(double) * (size_t)m->nv);
   for (int k = 0; k < r->nwindow; k++) row[ROW_DEPTH] = most(row[ROW_DEPTH], r->u[3 * r->window[k]]);
@@ -28,6 +28,7 @@ void wrench_apply(const mjModel* m, mjData* d, Region* r) {
       for (int j = 0; j < 3; j++) {
         at[j] = c->at[j] + c->moved[j];
         f[j] = area * (c->pressure * c->normal[j] + c->traction[j]);
+        if (lets_in) f[j] += area * c->pressure * c->drag[j];
       }
       cross(moment, at, f);
       for (int j = 0; j < 3; j++) {
