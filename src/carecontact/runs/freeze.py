@@ -13,7 +13,7 @@ import numpy as np
 from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError
-from carecontact.kernel import binary
+from carecontact.kernel.found import sources_identity
 from carecontact.protocols import shipped_protocols
 from carecontact.protocols.lock import SUFFIX, Lock, lock_path, read_lock
 from carecontact.recording.versions import package_versions
@@ -45,12 +45,12 @@ def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
 
 def asset_hashes(protocol: Protocol) -> dict[str, str]:
     """Of the protocol's bodies, their skin, the robot and the C sources of the tissue; files that are not there have no
-    entry. Sources and not the binary, which differs between platforms."""
+    entry. Sources of the tissue and not the binary, which differs between platforms."""
     folder = resources.files("carecontact") / "assets"
     bodies = protocol.variation.bodies or (protocol.person.body,)
     places = [("bodies", f"{body}.{kind}") for body in bodies for kind in ("npz", "skin.png")]
     places.append(("panda", "panda.npz"))
-    return {"kernel/c": binary.sources_sha256()} | {
+    return {"kernel/c": sources_identity(protocol.person.version)} | {
         f"{place}/{name}": hashlib.sha256(file.read_bytes()).hexdigest()
         for place, name in places
         if (file := folder / place / name).is_file()

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
-from carecontact.kernel.found import sha256 as kernel_sha256
+from carecontact.kernel.found import identity as kernel_identity
 from carecontact.policies.language.selection import language_name
 from carecontact.policies.registry import POLICIES, policy_target
 from carecontact.recording.versions import package_versions, supplier_versions
@@ -87,7 +87,7 @@ def identity_of(
         | supplier_versions(spec.protocol)
         | policy_package(ref),
         sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()}
-        | {"kernel": kernel_sha256()},
+        | {"kernel": kernel_identity(spec.protocol.person.version)},
     )
 
 
