@@ -14,6 +14,7 @@ from carecontact.reports.frames import jpeg_data_uri
 from carecontact.reports.moment.miss import miss_svg, nearest_miss
 from carecontact.reports.moment.moment import peak_moment
 from carecontact.reports.moment.picture import peak_svg
+from carecontact.reports.moment.without_hand import drawn_svg, is_hidden
 from carecontact.reports.page.force_trace import force_trace
 from carecontact.reports.page.trial_words import result_word
 from carecontact.reports.page_links import link_neighbours, link_page, neighbour_links, page_path, report_link
@@ -105,6 +106,7 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
     # Before the first step a picture shows only the room as it was set up.
     began = len(contact.time_s) > 0
     picture = drawn or (peak_svg(recording, moment, title=f"The contact at peak force. {hard}") if began else None)
+    hidden = moment is not None and picture is not None and is_hidden(recording, moment)
     snapshot = recording.arrays.get("report/snapshot_rgb") if began else None
     gates = gate_parts(contact, measures, score)
     return {
@@ -114,6 +116,7 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
         "broken": score.ended in BROKEN,
         "moment": moment,
         "picture": picture,
+        "without_hand": drawn_svg(recording, moment, title=f"The contact without the hand. {hard}") if hidden else None,
         "miss": miss if drawn else None,
         "touched": moment is not None,
         "snapshot": None if snapshot is None else jpeg_data_uri(snapshot),
