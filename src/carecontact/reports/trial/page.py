@@ -19,6 +19,7 @@ from carecontact.reports.page.force_trace import force_trace
 from carecontact.reports.page.trial_words import result_word
 from carecontact.reports.page_links import link_neighbours, link_page, neighbour_links, page_path, report_link
 from carecontact.reports.text import NA, number, rounded, shown
+from carecontact.reports.trial.card_rows import card_rows, not_shown_text
 from carecontact.reports.trial.events import events
 from carecontact.reports.trial.gates import BROKEN, gate_parts
 from carecontact.reports.trial.looks import action_table, latency_text, looks_of
@@ -133,7 +134,8 @@ def _policy(recording: Recording) -> dict[str, Any]:
     looks, left_out = looks_of(recording, read_notes(recording))
     return {
         "looks": looks,
-        "left_out": left_out,
+        "not_shown": not_shown_text(recording, left_out),
+        "card": card_rows(recording.header),
         "latency": latency_text(recording),
         "actions": action_table(recording),
     }
