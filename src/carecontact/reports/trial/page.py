@@ -18,7 +18,7 @@ from carecontact.reports.moment.without_hand import drawn_svg, is_hidden
 from carecontact.reports.page.force_trace import force_trace
 from carecontact.reports.page.trial_words import result_word
 from carecontact.reports.page_links import link_neighbours, link_page, neighbour_links, page_path, report_link
-from carecontact.reports.text import NA, number, rounded, shown
+from carecontact.reports.text import NA, number, shown
 from carecontact.reports.trial.card_rows import card_rows, not_shown_text
 from carecontact.reports.trial.events import events
 from carecontact.reports.trial.gates import BROKEN, gate_parts
@@ -28,6 +28,7 @@ from carecontact.reports.trial.paths import noted_targets, paths
 from carecontact.reports.trial.skin_view import skin_views
 from carecontact.reports.trial.timeline import OUT_M, Panel, letter, panels_of, timeline_svg
 from carecontact.reports.trial.words import facts, how_hard, outcome
+from carecontact.reports.units import shown_unit
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.limits import footnote
 from carecontact.scoring.metrics.c3_success import judge
@@ -174,12 +175,11 @@ def _metrics(score: TrialScore, *, concerned: bool) -> list[tuple[str, str, str]
 
 
 def _with_unit(metric: Metric, value: float) -> tuple[str, str]:
-    """A value and its unit: a yes or a no in words, and metres and joules in thousandths, of which a trial has few."""
+    """A value in words or figures, and its unit."""
     if not metric.median and value in (0.0, 1.0):
         return ("yes" if value else "no"), ""
-    if metric.unit in ("m", "J") and metric.digits is None:
-        return rounded(1000 * value), f"m{metric.unit}"
-    return shown(value, digits=metric.digits, unit=metric.unit), "" if metric.unit == "1" else metric.unit
+    factor, unit = shown_unit(metric)
+    return shown(factor * value, digits=metric.digits, unit=unit), unit
 
 
 def _printed(recording: Recording) -> str:
