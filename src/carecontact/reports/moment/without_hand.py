@@ -176,21 +176,23 @@ def _view(found: _Round) -> F64:
     outward = found.normals.mean(axis=0)
     outward = outward / max(float(np.linalg.norm(outward)), 1e-9)
     skin = Triangles(_near(found))
-    level = np.cross(found.up, [1.0, 0.0, 0.0])
+    level: F64 = np.cross(found.up, [1.0, 0.0, 0.0])
     level /= np.linalg.norm(level)
-    ahead = np.cross(level, found.up)
+    ahead: F64 = np.cross(level, found.up)
     best: F64 = np.eye(3)
     most = -np.inf
     for elevation, azimuth in product(np.radians(ELEVATIONS_DEG), np.radians(AZIMUTHS_DEG)):
-        toward = np.cos(elevation) * (np.cos(azimuth) * ahead + np.sin(azimuth) * level) + np.sin(elevation) * found.up
-        right = np.cross(found.up, toward)
+        toward: F64 = (
+            np.cos(elevation) * (np.cos(azimuth) * ahead + np.sin(azimuth) * level) + np.sin(elevation) * found.up
+        )
+        right: F64 = np.cross(found.up, toward)
         right /= np.linalg.norm(right)
         # Only the person's skin can be in the way: the hand is not drawn.
         share = _share_seen(skin, found, np.tile(toward, (len(found.ring), 1)))
         # Half way between straight onto the skin and along it: the one hides the dent, the other the place.
         merit = share * float(toward @ outward) * float(np.linalg.norm(np.cross(toward, outward)))
         if merit > most:
-            best, most = np.array([right, np.cross(toward, right), toward]), merit
+            best, most = np.stack([right, np.cross(toward, right), toward]), merit
     return best
 
 

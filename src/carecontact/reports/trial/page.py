@@ -108,7 +108,9 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
     # Before the first step a picture shows only the room as it was set up.
     began = len(contact.time_s) > 0
     picture = drawn or (peak_svg(recording, moment, title=f"The contact at peak force. {hard}") if began else None)
-    hidden = moment is not None and picture is not None and is_hidden(recording, moment)
+    without_hand = None
+    if moment is not None and picture is not None and is_hidden(recording, moment):
+        without_hand = drawn_svg(recording, moment, title=f"The contact without the robot's hand. {hard}")
     snapshot = recording.arrays.get("report/snapshot_rgb") if began else None
     gates = gate_parts(contact, measures, score)
     return {
@@ -118,7 +120,7 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
         "broken": score.ended in BROKEN,
         "moment": moment,
         "picture": picture,
-        "without_hand": drawn_svg(recording, moment, title=f"The contact without the hand. {hard}") if hidden else None,
+        "without_hand": without_hand,
         "miss": miss if drawn else None,
         "touched": moment is not None,
         "snapshot": None if snapshot is None else jpeg_data_uri(snapshot),
