@@ -28,9 +28,8 @@ class Triangles:
         first = self.distances(origins, directions)
         if np.isinf(first).any():
             begins: Array = np.broadcast_to(origins, directions.shape)[np.isinf(first)][0]
-            raise SceneError(
-                f"a ray from {np.round(begins, 3).tolist()} misses the body's surface: the region does not fit this body"
-            )
+            place = np.round(begins, 3).tolist()
+            raise SceneError(f"a ray from {place} misses the body's surface: the region does not fit this body")
         return first
 
     def distances(self, origins: Array, directions: Array) -> Array:
