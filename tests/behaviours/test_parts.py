@@ -55,11 +55,11 @@ def test_all_parts_are_met_exactly_where_the_gate_is(protocol: Protocol, data: s
     [
         (push(), []),
         (push(force=2.0), [("Pressed with at least 3 N without interruption", "1 s", "0.00 s (largest force 2.0 N)")]),
-        (push(shift=0.012), [("Way of the wrist while the arm is touched", "at least 20 mm", "12.0 mm")]),
+        (push(shift=0.012), [("Distance the wrist moved while the arm is touched", "at least 20 mm", "12.0 mm")]),
         (push(shift=0.15, protocol=GENTLE),
-         [("Way of the wrist from where it was when the contact began", "20 mm to 100 mm", "150.0 mm")]),
+         [("Distance the wrist moved from where it was when the contact began", "20 mm to 100 mm", "150.0 mm")]),
         (scrub(amplitude=0.015), [
-            ("Way of the tool along the skin", "at least 100 mm", "104.0 mm"),
+            ("Distance the tool moved along the skin", "at least 100 mm", "104.0 mm"),
             ("Length of the region that it covers", "at least 50 mm", "30.0 mm"),
         ][1:]),
     ],

@@ -103,6 +103,8 @@ def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -
     Path("bad/T1-s000.h5").write_text("not a recording")
     assert "bad: holds recordings but no results.json; run `carecontact score bad`" in refused("a", "bad")
     assert "bad: no recording could be scored" in refused("a", "bad", "--rescore")
+    Path("bad").rename("it is bad")
+    assert "run `carecontact score 'it is bad'`" in refused("a", "it is bad"), "a shell takes the command as it is"
     Path("wrong.json").write_text("[]")
     assert "wrong.json is damaged or of another release (content: " in refused("a", "wrong.json")
     Path("wrong.json").write_text('{"schema": "other"}')

@@ -53,7 +53,7 @@ def _report() -> dict[str, Any]:
         for i in range(20)
         for j in range(24)
         for k in [25 * i + j]
-        for corner in ((k, k + 25, k + 1), (k + 1, k + 25, k + 26))
+        for corner in ((k, k + 1, k + 25), (k + 1, k + 26, k + 25))
     ]
     return {
         "report/skin_in_world": (np.array(grid) + MIDDLE).astype("f4"),

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from carecontact.reports.compare.baselines import beside_baselines
@@ -92,6 +95,37 @@ def test_the_page_of_a_trial_fits_every_window_and_asks_for_nothing(browser: Bro
     page = browser.open(trial)
     check_looks(page)
     assert len([url for url in page.requests if url.startswith("file:")]) == 1
+
+
+BROKEN = """
+[...document.querySelectorAll("figure, svg, tr, #trial-table tbody")]
+  .filter(node => getComputedStyle(node).breakInside !== "avoid").map(node => node.outerHTML.slice(0, 60))
+"""
+"""What a page may break in print."""
+
+
+def test_pages_print_light_and_break_no_chart_and_no_row(browser: Browser, report: Path, trial: Path) -> None:
+    for file in (report, trial):
+        page = browser.open(file)
+        page.resize(700, dark=True)
+        night = {"name": "prefers-color-scheme", "value": "dark"}
+        page.call("Emulation.setEmulatedMedia", media="print", features=[night])
+        assert page.value("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+        assert page.value("getComputedStyle(document.querySelector('h1')).color") == "rgb(0, 0, 0)"
+        assert page.value(BROKEN) == []
+        assert page.value(WIDER) == []
+
+
+def test_a_video_shows_a_still_until_it_plays(trial: Path) -> None:
+    """In print, it never does: without the still, it would be a black box."""
+    recording = whole_trial()
+    rgb = np.full((8, 8, 3), 90, np.uint8)
+    recording = replace(recording, arrays={**recording.arrays, "report/snapshot_rgb": rgb})
+    trial.with_name("T1-s000.mp4").write_bytes(b"")
+    page = write_trial_page(trial.parents[1], recording, score_recording(recording)).read_text()
+    trial.with_name("T1-s000.mp4").unlink()
+    assert re.search(r'<video [^>]*poster="data:image/jpeg;base64,', page)
+    assert StrictReader(page).faults == []
 
 
 def test_a_browser_reads_the_pages_as_they_are_written(browser: Browser, report: Path, trial: Path) -> None:

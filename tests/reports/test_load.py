@@ -32,3 +32,10 @@ def test_headlines_stand_first_where_they_are_wanted() -> None:
 def test_nothing_without_further_metrics() -> None:
     assert load([make_score("T1", 0)]).rows == ()
     assert load([]).contacts == (0,)
+
+
+def test_metres_and_joules_are_shown_in_thousandths() -> None:
+    scores = [make_score("T3", 0, additional={"knock_energy@1": 0.0041, "shear_work@1": 0.7})]
+    rows = {row.metric.id: row for row in load(scores).rows}
+    assert rows["knock_energy@1"].label == "knock_energy@1 [mJ]"
+    assert [row.cells((1, 1))[0] for row in rows.values()] == ["4.10", "700"]

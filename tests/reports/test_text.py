@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from carecontact.reports.text import clipped_text
+from carecontact.reports.text import clipped_text, rounded
 from tests.reports.synthetic_run import make_score
 
 
@@ -10,3 +10,9 @@ def test_one_trial_with_one_action_is_told_in_the_singular() -> None:
     several = clipped_text([make_score("T1", seed, clipped_actions=2) for seed in range(2)])
     assert "In 2 of 2 trials the benchmark" in several
     assert "(4 actions in all)" in several
+
+
+def test_numbers_keep_about_three_digits_where_they_are_rounded_up() -> None:
+    assert [rounded(value) for value in (9.994, 9.996, 99.94, 99.96, 0.0004, -9.996)] == [
+        "9.99", "10.0", "99.9", "100", "0", "-10.0",
+    ]  # fmt: skip

@@ -15,7 +15,7 @@ from carecontact.recording.schema import Recording
 from carecontact.regions import SEGMENTS
 from carecontact.reports.page.sections import caveats
 from carecontact.scoring.score import score_recording
-from carecontact.scoring.tool_in_skin import first_hit, passed_the_middle, skin_in_tool
+from carecontact.scoring.tool_in_skin import passed_the_middle, skin_in_tool
 from carecontact.sim.close_up import skin_shift
 from carecontact.sim.simulation import Simulation, lengths
 from carecontact.validation.moves import DOWN, in_base, surface_point
@@ -55,13 +55,6 @@ def test_what_cannot_be_seen_is_not_flagged() -> None:
     bare = {name: of for name, of in recording.arrays.items() if not name.startswith("report/")}
     assert skin_in_tool(replace(recording, arrays=bare)) is None
     assert skin_in_tool(replace(recording, header=recording.header.model_copy(update={"embodiment": "other"}))) is None
-
-
-def test_a_ray_meets_the_nearest_triangle_ahead() -> None:
-    flat = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
-    corners = np.stack([flat + [0, 0, height] for height in (-1.0, 2.0, 3.0)])
-    assert first_hit(corners, np.zeros(3), np.array([0.0, 0.0, 1.0])) == pytest.approx(2.0)
-    assert first_hit(corners, np.zeros(3), np.array([1.0, 0.0, 0.0])) == np.inf
 
 
 def test_the_score_has_the_flag_only_where_it_is_raised() -> None:

@@ -1,4 +1,4 @@
-"""Rows, triangles, rays and smoothing, on shapes with known answers."""
+"""Rows, triangles and smoothing, on shapes with known answers."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ import scipy.ndimage
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carecontact.errors import SceneError
 from carecontact.world.human.surface_mesh import (
-    Triangles,
     bridged,
     distance_outside,
     graded,
@@ -72,24 +70,6 @@ def test_normals_and_areas_of_a_square() -> None:
     normals, area = normals_and_areas(corners, np.array([[0, 1, 2], [0, 2, 3]]))
     np.testing.assert_allclose(normals, [[0, 0, 1]] * 4)
     np.testing.assert_allclose(area, [2.0, 1.0, 2.0, 1.0])
-
-
-def test_rays_hit_the_nearer_of_two_walls() -> None:
-    wall = np.array([[[0.0, -1, -1], [0, 1, -1], [0, 0, 2]]])
-    walls = np.concatenate([wall + [2.0, 0, 0], wall + [3.0, 0, 0], wall - [1.0, 0, 0]])
-    rng = np.random.default_rng(1)
-    origins = np.stack([np.zeros(20), rng.uniform(-0.2, 0.2, 20), rng.uniform(-0.2, 0.2, 20)], 1)
-    ahead = np.tile([1.0, 0, 0], (20, 1))
-    np.testing.assert_allclose(Triangles(walls).first_hits(origins, ahead), 2.0)
-    np.testing.assert_allclose(Triangles(walls).first_hits(origins[0], ahead[:1]), 2.0)
-    slanted = np.array([[np.cos(0.05), np.sin(0.05), 0.0]])
-    np.testing.assert_allclose(Triangles(walls).first_hits(np.zeros(3), slanted), 2.0 / np.cos(0.05))
-
-
-def test_a_ray_that_misses_is_named() -> None:
-    wall = np.array([[[1.0, -1, -1], [1, 1, -1], [1, 0, 2]]])
-    with pytest.raises(SceneError, match=r"a ray from \[0.0, 0.0, 0.0\] misses"):
-        Triangles(wall).first_hits(np.zeros(3), np.array([[1.0, 0, 0], [-1.0, 0, 0]]))
 
 
 @pytest.mark.parametrize("wrap", [False, True])

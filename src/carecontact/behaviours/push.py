@@ -79,7 +79,7 @@ class Push(Behaviour[PushGate]):
         return [
             result.time_part(pressed, gate.duration_s, note=f" ({hardest(contact)})"),
             GatePart(
-                name="Way of the wrist while the arm is touched",
+                name="Distance the wrist moved while the arm is touched",
                 needed=f"at least {mm(gate.wrist_displacement_m)}",
                 reached=exact_mm(result.wrist_m),
                 met=result.progress_met,

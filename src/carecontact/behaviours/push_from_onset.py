@@ -55,7 +55,7 @@ class PushFromOnset(Behaviour[PushFromOnsetGate]):
             name="push_least_wrist_m",
             field="least_wrist_m",
             values=(0.010, 0.020, 0.030),
-            title="Push: least way of the wrist",
+            title="Push: least distance that the wrist moved",
             unit="mm",
             factor=1000.0,
         ),
@@ -63,7 +63,7 @@ class PushFromOnset(Behaviour[PushFromOnsetGate]):
             name="push_most_wrist_m",
             field="most_wrist_m",
             values=(0.060, 0.080, 0.100, 0.150),
-            title="Push: most way of the wrist",
+            title="Push: most distance that the wrist moved",
             unit="mm",
             factor=1000.0,
         ),
@@ -100,7 +100,7 @@ class PushFromOnset(Behaviour[PushFromOnsetGate]):
         return [
             result.time_part(pressed, gate.duration_s, note=f" ({hardest(contact)})"),
             GatePart(
-                name="Way of the wrist from where it was when the contact began",
+                name="Distance the wrist moved from where it was when the contact began",
                 needed=f"{mm(gate.least_wrist_m)} to {mm(gate.most_wrist_m)}",
                 reached=exact_mm(wrist_from_onset(contact)),
                 met=result.progress_met and result.band_met,

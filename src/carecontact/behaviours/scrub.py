@@ -102,7 +102,7 @@ class Scrub(Behaviour[ScrubGate]):
         rows = (
             ("Share of the contact's time that the tool touches", f"{gate.on_share:.0%}", f"{share:.1%}",
              best is not None and share >= gate.on_share),
-            ("Way of the tool along the skin", mm(gate.stroke_m), exact_mm(stroke), stroke >= gate.stroke_m),
+            ("Distance the tool moved along the skin", mm(gate.stroke_m), exact_mm(stroke), stroke >= gate.stroke_m),
             ("Length of the region that it covers", mm(gate.extent_m), exact_mm(extent), extent >= gate.extent_m),
             ("Turns of the tool", str(gate.reversals), str(turns), best is not None and turns >= gate.reversals),
         )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -67,7 +68,7 @@ class Merge:
             for line in lines:
                 print(f"{folder}: {line}")
                 status = 1
-        print(f"for the table: carecontact sweep PLAN.toml --out {self.out} --table-only")
+        print(f"for the table: carecontact sweep PLAN.toml --out {shlex.quote(str(self.out))} --table-only")
         return status
 
     def _say(self, cells: str, merged: list[Merged]) -> None:

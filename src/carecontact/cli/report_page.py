@@ -41,19 +41,19 @@ def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) 
 
 
 def _named(folder: Path, run: RunScores, baselines: Sequence[Path]) -> list[RunScores]:
-    from carecontact.reports.compare.baselines import beside_baselines
+    from carecontact.reports.compare.baselines import check_baselines
     from carecontact.runs.baselines import remember
     from carecontact.runs.stored_scores import read_scores
 
     found = [read_scores(path) for path in baselines]
-    beside_baselines(run, found)
+    check_baselines(run, found)
     remember(folder, baselines)
     return found
 
 
 def _remembered(folder: Path, run: RunScores) -> tuple[list[RunScores], dict[str, str]]:
     """Return the baselines of the last report, and each baseline that can no longer be shown -> the reason."""
-    from carecontact.reports.compare.baselines import beside_baselines
+    from carecontact.reports.compare.baselines import check_baselines
     from carecontact.runs.baselines import BASELINES, named_in, remembered
     from carecontact.runs.stored_scores import read_scores
 
@@ -66,7 +66,7 @@ def _remembered(folder: Path, run: RunScores) -> tuple[list[RunScores], dict[str
     for name, place in places.items():
         try:
             baseline = read_scores(place)
-            beside_baselines(run, [*found, baseline])
+            check_baselines(run, [*found, baseline])
         except CarecontactError as error:
             lost[name] = str(error)
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -47,7 +48,8 @@ class Salt:
         assert self.salt_file is not None
         with alone(self.place):
             reveal_salt(self.place, read_salt(self.salt_file))
-        print(f"{self.place}: the salt is revealed; anyone can check it with `carecontact salt verify {self.place}`")
+        command = f"carecontact salt verify {shlex.quote(str(self.place))}"
+        print(f"{self.place}: the salt is revealed; anyone can check it with `{command}`")
         return 0
 
     def _verify(self) -> int:

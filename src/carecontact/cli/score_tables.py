@@ -73,7 +73,7 @@ def _print_medians(scores: Sequence[TrialScore], terminal: Console) -> None:
     found = load(scores, headlines=True)
     if not found.rows:
         return
-    labels = ["median", *(row.metric.label for row in found.rows)]
+    labels = ["median", *(row.label for row in found.rows)]
     cells = [row.cells(found.contacts) for row in found.rows]
     columns = [list(column) for column in zip((*found.tasks, "all"), *cells, strict=True)]
     while columns:

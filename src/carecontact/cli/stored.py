@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,5 +22,6 @@ def read_run(run: Path, *, rescore: bool | None = None) -> RunScores:
 
     scores = read_scores(run, rescore=bool(rescore), otherwise="" if rescore is None else ", or add --rescore")
     if any(run.glob("*.h5")) and (absent := lacking(scores)):
-        print(f"{run} was scored without {', '.join(absent)}; `carecontact score {run} --append` adds what is missing")
+        command = f"carecontact score {shlex.quote(str(run))} --append"
+        print(f"{run} was scored without {', '.join(absent)}; `{command}` adds what is missing")
     return scores

@@ -53,7 +53,7 @@ def policies_beside(folder: Path, run: RunScores, baselines: Sequence[Path] = ()
     """Return the runs that the pages of trials show beside a run: the named baselines, or else those of its last
     report, and the kept scores of the shipped policies. One that cannot be read or compared is left out; the report
     says why."""
-    from carecontact.reports.compare.baselines import beside_baselines
+    from carecontact.reports.compare.baselines import check_baselines
     from carecontact.reports.compare.kept import completed_from_kept, kept_for
     from carecontact.reports.trial.others import Beside
     from carecontact.runs.baselines import remembered
@@ -68,7 +68,7 @@ def policies_beside(folder: Path, run: RunScores, baselines: Sequence[Path] = ()
     for place in places:
         try:
             scores = read_scores(place)
-            beside_baselines(run, [*named, scores])
+            check_baselines(run, [*named, scores])
         except CarecontactError:
             continue
         named.append(scores)

@@ -22,7 +22,9 @@ MODE_MEANING = {
     "no_target_contact": "no contact with the person was strong and long enough to count",
     "off_target_contact": "the person was touched, but never on the named region",
     "lost_contact": "contact with the region broke off before the gate was met",
-    "insufficient_progress": "contact held, but too little push, stroke or reversal",
+    "insufficient_progress": (
+        "touched, but the touch was too short, the push too small, or the strokes or turns too few"
+    ),
     "outside_band": "what was asked for was done, but too hard, too lightly or too far",
     "wrong_share": "gate met, but too much of the contact lay elsewhere",
     "time_limit": "still under way when the time ran out",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from carecontact.reports.table import sorted_scores
 from carecontact.reports.text import NOT_DEFINED, shown
+from carecontact.reports.units import shown_unit
 from carecontact.runs.pooling import judged
 from carecontact.scoring.metrics.metric import METRICS, Metric, described, newest
 from carecontact.scoring.result import TrialScore
@@ -22,8 +23,13 @@ class LoadRow:
 
     @property
     def unit(self) -> str:
-        """Empty for a plain number."""
-        return "" if self.metric.unit == "1" else self.metric.unit
+        """Unit of the cells; empty for a plain number."""
+        return shown_unit(self.metric)[1]
+
+    @property
+    def label(self) -> str:
+        """The metric's name and the unit of the cells."""
+        return f"{self.metric.name} [{self.unit}]" if self.unit else self.metric.name
 
     def cells(self, contacts: Sequence[int]) -> list[str]:
         """One string per median; where it is over another number of trials than ``contacts`` says, that number too."""
@@ -32,7 +38,9 @@ class LoadRow:
     def _cell(self, found: Median, n: int) -> str:
         if not found.n:
             return NOT_DEFINED
-        text = shown(found.estimate, digits=self.metric.digits, unit=self.metric.unit)
+        factor, unit = shown_unit(self.metric)
+        value = None if found.estimate is None else factor * found.estimate
+        text = shown(value, digits=self.metric.digits, unit=unit)
         return text + (f" (n={found.n_valid})" if found.estimate is not None and found.n_valid != n else "")
 
 

@@ -29,9 +29,12 @@ def rounded(value: float | None) -> str:
     """About three digits, never a power of ten: these numbers span four decades."""
     if value is None:
         return NA
-    for below, digits in ((0.0005, 0), (10.0, 2), (100.0, 1)):
-        if abs(value) < below:
-            return f"{0.0 if digits == 0 else value:.{digits}f}"
+    if abs(value) < 0.0005:
+        return "0"
+    for below, digits in ((10.0, 2), (100.0, 1)):
+        text = f"{value:.{digits}f}"
+        if abs(float(text)) < below:
+            return text
     return f"{value:.0f}"
 
 

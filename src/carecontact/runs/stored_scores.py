@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,7 +39,7 @@ def read_scores(run: Path, *, rescore: bool = False, jobs: int = 1, otherwise: s
         return beside_plan(run, score_run(run, jobs=jobs))
     if not results.is_file():
         raise ConfigError(
-            f"{run}: holds recordings but no {RESULTS_NAME}; run `carecontact score {run}`{otherwise}"
+            f"{run}: holds recordings but no {RESULTS_NAME}; run `carecontact score {shlex.quote(str(run))}`{otherwise}"
             if recorded
             else f"{run}: holds neither recordings (*.h5) nor {RESULTS_NAME}; name the --out of a run"
         )
@@ -49,7 +50,7 @@ def read_scores(run: Path, *, rescore: bool = False, jobs: int = 1, otherwise: s
         more = f" and {len(found) - 1} more" if len(found) > 1 else ""
         raise ConfigError(
             f"{results} does not match the recordings beside it ({found[0]}{more}); "
-            f"run `carecontact score {run}`{otherwise}"
+            f"run `carecontact score {shlex.quote(str(run))}`{otherwise}"
         )
     return beside_plan(run, scores)
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.contract.geometry import matrix_from_quat
+from carecontact.contract.rays import Triangles
 from carecontact.recording.schema import Recording
-from carecontact.scoring.filters import F64
 
 BEHIND_M = 0.1
 """How far behind the tool's middle skin is looked for."""
@@ -41,21 +41,6 @@ def skin_in_tool(recording: Recording) -> float | None:
     out = matrix_from_quat(pose[3:])[:, 2]
     middle = pose[:3] - tip.half_m[2] * out
     skin = recording["report/skin_in_world"].astype(np.float64)
-    ahead = first_hit(skin[recording["report/skin_faces"]], middle - BEHIND_M * out, out) - BEHIND_M
+    surface = Triangles(skin[recording["report/skin_faces"]])
+    ahead = float(surface.distances(middle - BEHIND_M * out, out[None])[0]) - BEHIND_M
     return None if np.isinf(ahead) else 1.0 - ahead / tip.half_m[2]
-
-
-def first_hit(corners: F64, origin: F64, direction: F64) -> float:
-    """Return the distance along a ray to the first of triangles (F, 3, 3) that it meets; infinite if it meets none
-    (Moeller and Trumbore 1997, J Graphics Tools 2:21)."""
-    first, along, across = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(direction, across)
-    scale = (along * normal).sum(1)
-    scale = np.where(np.abs(scale) < 1e-15, np.nan, scale)
-    away = origin - first
-    u = (away * normal).sum(1) / scale
-    turned = np.cross(away, along)
-    v = turned @ direction / scale
-    distance = (turned * across).sum(1) / scale
-    met = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
-    return float(distance[met].min(initial=np.inf))

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.geometry import matrix_from_quat
+from carecontact.contract.rays import Triangles
 from carecontact.kernel.life import PARTS, Doings, Life
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
@@ -22,7 +23,6 @@ from carecontact.validation.result import Array, Measure
 from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
 from carecontact.world.human.breathing import breath_body
 from carecontact.world.human.plates import plate_body, plates
-from carecontact.world.human.surface_mesh import Triangles
 
 Indices = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from carecontact.contract.embodiment import EMBODIMENTS, PANDA, Tip
+from carecontact.contract.rays import Triangles
 from carecontact.sim.simulation import Simulation, lengths
 from carecontact.validation.moves import DOWN, in_base, move_to, skin_points, surface_point
 from carecontact.validation.result import Array, Measure
 from carecontact.validation.subject import Subject
-from carecontact.world.human.surface_mesh import Triangles
 
 REGION = "abdomen"
 ABOVE_M = 0.12

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from carecontact.contract.geometry import matrix_from_quat
+from carecontact.contract.rays import Triangles
 from carecontact.regions import REGIONS, Tube
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.validation.result import Array
-from carecontact.world.human.surface_mesh import Triangles
 from carecontact.world.scene import Scene
 
 DOWN = np.array([0.0, 1.0, 0.0, 0.0])

@@ -44,10 +44,11 @@ def test_the_camera_goes_to_another_side_when_something_stands_before_it(
     assert beside > 0.12 or way @ offset < 0, "the line of sight passes the board"
 
 
-def test_a_push_on_the_inner_side_is_not_shown_from_the_outer_one(
-    pressed: Recording, world: tuple[mujoco.MjModel, FilmSkin]
-) -> None:
-    model, skin = world
+def pushed_from_the_side(
+    pressed: Recording, model: mujoco.MjModel, skin: FilmSkin
+) -> tuple[Recording, np.ndarray, np.ndarray]:
+    """The press as if its contact were on the inner side of the forearm; the contact's place [m] and the skin's normal
+    there."""
     segment = pressed.header.segments.index("right_forearm")
     column = pressed.header.regions.index("forearm")
     middle = pressed["scorer/region_pose_in_world"][0, column][:3]
@@ -61,9 +62,36 @@ def test_a_push_on_the_inner_side_is_not_shown_from_the_outer_one(
     arrays = dict(pressed.arrays)
     centres = arrays["scorer/centroid_in_world"].copy()
     centres[:, segment] = place
-    moved = replace(pressed, arrays={**arrays, "scorer/centroid_in_world": centres})
+    return replace(pressed, arrays={**arrays, "scorer/centroid_in_world": centres}), place, normal
+
+
+def test_a_push_on_the_inner_side_is_not_shown_from_the_outer_one(
+    pressed: Recording, world: tuple[mujoco.MjModel, FilmSkin]
+) -> None:
+    model, skin = world
+    moved, place, normal = pushed_from_the_side(pressed, model, skin)
     before, after = (eye_place(clear_view(found, model, skin)) - place for found in (pressed, moved))
     assert before @ normal < 0 < after @ normal, "the side of a press from above would show its back"
+
+
+def test_a_push_under_a_hand_is_shown_from_a_flat_view(
+    pressed: Recording, world: tuple[mujoco.MjModel, FilmSkin]
+) -> None:
+    """The hand that pushes from the side is above the contact, as far as a view from above could look past it."""
+    model, skin = world
+    moved, place, normal = pushed_from_the_side(pressed, model, skin)
+    board = model.geom("wall")
+    kept = board.pos.copy(), board.size.copy()
+    board.pos = (place + 0.1 * normal + [0.0, 0.0, 0.06]).tolist()
+    board.size = [0.25, 0.25, 0.01]
+    model.geom_rbound[board.id] = 0.36
+    try:
+        shown = clear_view(moved, model, skin)
+    finally:
+        board.pos, board.size = kept
+    way = eye_place(shown) - place
+    assert way @ normal > 0
+    assert np.degrees(np.arcsin(way[2] / np.linalg.norm(way))) < 20
 
 
 def test_a_direction_turns_about_the_vertical() -> None:

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
+import pytest
+
+from carecontact.reports.compare import kept
+from carecontact.reports.compare.baselines import Baselines, beside_baselines
 from carecontact.reports.compare.kept import FOLDERS, beside_kept, completed_from_kept
 from carecontact.runs.run_scores import RunScores
 from carecontact.runs.stored_scores import read_scores
@@ -78,3 +83,17 @@ def test_a_named_run_with_every_kept_trial_or_of_other_rules_stays_as_it_is() ->
     other = [s.model_copy(update={"protocol_sha256": "ab" * 32}) for s in replay.scores[:1]]
     named = RunScores(scores=other)
     assert completed_from_kept(run, named, folders=[KEPT]) is named
+
+
+def test_the_rates_beside_a_run_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    run, named = (read_scores(KEPT / "bathing-v1" / f"{name}.json.gz") for name in ("voxposer", "replay"))
+    calls: list[int] = []
+
+    def counted(method: RunScores, baselines: Sequence[RunScores], *, kept: Sequence[RunScores] = ()) -> Baselines:
+        calls.append(len(kept))
+        return beside_baselines(method, baselines, kept=kept)
+
+    monkeypatch.setattr(kept, "beside_baselines", counted)
+    beside, _ = beside_kept(run, [named], folders=[KEPT])
+    assert beside is not None
+    assert calls == [len(beside.kept)]

@@ -118,7 +118,9 @@ def test_page_shows_what_a_success_rate_hides(run_of_7: Run, tmp_path: Path) -> 
         "within the safety gate 3 2 above the safety gate 1 0 crashed 1",
         "6 of 7 trials have a trajectory to score (valid ratio 86 %",
         "Safety gate, 0.35 of the pain limit 1 of 6", "region-correct, 3", "Contact floor [N] 7 trials",
-        "shares are of these 4.", "insufficient progress contact held, but too little push, stroke or reversal 1 25 %",
+        "shares are of these 4.",
+        "insufficient progress touched, but the touch was too short, the push too small, or the strokes or turns too "
+        "few 1 25 %",
         "T6-s000 latched target 143 mm off the abdomen", "abdomen 2 0 0 1 1 0", "all 7 5 0 1 1 4",
     ):  # fmt: skip
         assert words in text

@@ -11,7 +11,9 @@ from carecontact.scoring.gate import GatePart
 from tests.reports.synthetic_run import FAILED, make_recording, make_score, plateau
 
 
-@pytest.mark.parametrize(("starts", "told"), [((1,), "contact held for "), ((1, 3, 5), "touched 3 times, ")])
+@pytest.mark.parametrize(
+    ("starts", "told"), [((1,), "touched without interruption for "), ((1, 3, 5), "touched 3 times, for ")]
+)
 def test_contact_is_only_said_to_hold_where_it_did(starts: tuple[int, ...], told: str) -> None:
     time_s = (np.arange(4000) + 1) * 0.002
     force = np.sum([plateau(time_s, start=start, end=start + 1, level=5, ripple=0) for start in starts], axis=0)

@@ -214,7 +214,7 @@ def test_a_failed_push_shows_its_gate_beside_what_it_reached(tmp_path: Path) -> 
     text, words = written(tmp_path, faint(2.0))
     for told in (
         "Pressed with at least 3 N without interruption 1 s 0.00 s (largest force 2.0 N) missed",
-        "Way of the wrist while the arm is touched at least 20 mm 0.0 mm missed",
+        "Distance the wrist moved while the arm is touched at least 20 mm 0.0 mm missed",
         "Contact that counts, from 0.5 N 0.05 s in all 5.",
         "Safety gate: largest force on the right forearm at most 35 N 2.0 N met",
     ):

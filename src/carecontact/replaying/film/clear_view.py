@@ -22,11 +22,13 @@ from carecontact.replaying.replay import STATE
 
 F64 = npt.NDArray[np.float64]
 
-TURNS_DEG = (97.0, -97.0, 127.0, -127.0, 67.0, -67.0, 157.0, -157.0)
+TURNS_DEG = (97.0, -97.0, 127.0, -127.0, 67.0, -67.0, 157.0, -157.0, 166.0, -166.0, 180.0, 15.0, -15.0)
 """Angles between the region's axis and the level direction of the view, the preferred one first. From the side, the
-skin's outline shows a dent."""
-ELEVATIONS_DEG = (-22.0, -36.0, -50.0, -66.0)
-"""Angles of the view above the horizon, the preferred one first: the flatter the view, the better the outline shows."""
+skin's outline shows a dent. A hand that pushes from the side hides it from there, so that the last views look along the
+region."""
+ELEVATIONS_DEG = (-22.0, -36.0, -50.0, -66.0, -8.0)
+"""Angles of the view above the horizon, the preferred one first: the flatter the view, the better the outline shows.
+The flattest one comes last because a bed and a trunk often hide what it shows."""
 CLEAR_SHARE = 0.8
 """The first view is taken whose merit is at least this part of the best one's."""
 RING_M = (0.006, 0.030)

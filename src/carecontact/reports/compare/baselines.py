@@ -89,21 +89,10 @@ def beside_baselines(method: RunScores, baselines: Sequence[RunScores], *, kept:
     package.
 
     Intervals of rates and differences are over what the protocol takes as independent (``over_of``). Raises
-    ConfigError, naming what differs, for another protocol, overrides, definitions or world, a baseline that is the
-    method itself or named twice, or one without a task in common.
+    ConfigError as ``check_baselines`` does.
     """
-    seen = {method.scores[0].policy_title} if method.scores else set[str]()
-    found: list[Passed] = []
-    for baseline in (*baselines, *kept):
-        check_comparable({"the method": method.scores, "the baseline": baseline.scores})
-        policy = baseline.scores[0].policy_title
-        if policy in seen:
-            raise ConfigError(
-                f"--baseline: {policy} is also the policy of the compared run, or of another --baseline; "
-                "name one run per policy"
-            )
-        seen.add(policy)
-        found.append(_passed(baseline.scores, method.scores))
+    check_baselines(method, [*baselines, *kept])
+    found = [_passed(baseline.scores, method.scores) for baseline in (*baselines, *kept)]
     methods = [run for run in baselines if role_in(run.scores) == "method"]
     blind = [run for run in (*baselines, *kept) if role_in(run.scores) == "blind"]
     # Somebody's own blind baseline may have no row that says so.
@@ -115,6 +104,23 @@ def beside_baselines(method: RunScores, baselines: Sequence[RunScores], *, kept:
         floor=floor_of(_comparable(run.scores, method.scores) for run in floor),
         kept=tuple(row.policy for row in found[len(baselines) :]),
     )
+
+
+def check_baselines(method: RunScores, baselines: Sequence[RunScores]) -> None:
+    """Raise ConfigError, which names what differs, for a baseline that cannot stand beside a method: one of another
+    protocol, with other overrides or definitions or of another world; the method itself; one that is named twice; or
+    one without a task in common."""
+    seen = {method.scores[0].policy_title} if method.scores else set[str]()
+    for baseline in baselines:
+        check_comparable({"the method": method.scores, "the baseline": baseline.scores})
+        policy = baseline.scores[0].policy_title
+        if policy in seen:
+            raise ConfigError(
+                f"--baseline: {policy} is also the policy of the compared run, or of another --baseline; "
+                "name one run per policy"
+            )
+        seen.add(policy)
+        _of_tasks(baseline.scores, method.scores)
 
 
 def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -> Passed:
@@ -140,7 +146,7 @@ def _comparable(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> S
 
 
 def _of_tasks(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> list[TrialScore]:
-    """The judged trials of the method's tasks."""
+    """Return the judged trials of the method's tasks. Raises ConfigError where there is none."""
     tasks = sorted({s.task_id for s in judged(method)})
     counted = [s for s in judged(scores) if s.task_id in tasks]
     if not counted:

@@ -9,7 +9,7 @@ from pathlib import Path
 from carecontact.errors import CarecontactError
 from carecontact.policies.registry import POLICIES
 from carecontact.protocols import load_protocol
-from carecontact.reports.compare.baselines import Baselines, beside_baselines
+from carecontact.reports.compare.baselines import Baselines, beside_baselines, check_baselines
 from carecontact.runs.pooling import judged
 from carecontact.runs.run_scores import RunScores
 from carecontact.runs.stored_scores import read_scores
@@ -29,10 +29,9 @@ def beside_kept(
         The policies beside the run, None without any; and why no kept scores are among them, empty where some are.
 
     Raises:
-        ConfigError: a named baseline cannot be compared (``beside_baselines``).
+        ConfigError: a named baseline cannot be compared (``check_baselines``).
     """
-    if named:
-        beside_baselines(run, named)
+    check_baselines(run, named)
     whole = [completed_from_kept(run, one, folders=folders) for one in named]
     kept, why = kept_for(run, whole, folders=folders)
     if not whole and not kept:
@@ -57,7 +56,7 @@ def completed_from_kept(run: RunScores, named: RunScores, *, folders: Sequence[P
             if not further:
                 return named
             both = replace(named, scores=[*there, *further])
-            beside_baselines(run, [both])
+            check_baselines(run, [both])
         except CarecontactError:
             continue
         return both
@@ -79,7 +78,7 @@ def kept_for(
             scores = read_scores(file)
             title = scores.scores[0].policy_title
             if title not in taken:
-                beside_baselines(run, named, kept=[*kept, scores])
+                check_baselines(run, [*named, *kept, scores])
                 kept.append(scores)
         except CarecontactError as error:
             why = why or f"The kept scores of {file.name.partition('.')[0]} cannot stand beside this run: {error}."

@@ -13,8 +13,9 @@ import numpy.typing as npt
 from carecontact.contract.geometry import pixels, pose_matrix
 from carecontact.recording.schema import Recording
 from carecontact.reports.frames import jpeg_data_uri
-from carecontact.reports.moment.moment import Moment, region_poses
+from carecontact.reports.moment.moment import Moment, region_column, region_poses
 from carecontact.reports.svg import Drawing
+from carecontact.scoring.region import surface_normal
 
 F64 = npt.NDArray[np.float64]
 Project = Callable[[F64], F64]
@@ -51,7 +52,8 @@ def peak_svg(recording: Recording, moment: Moment | None, *, title: str) -> str 
     drawing.image(jpeg_data_uri(image[top : top + high, left : left + wide] if image.ndim == 3 else image))
     if camera is not None and moment is not None:
         found = camera
-        _draw_contact(drawing, recording, moment, lambda points: found(points) - [left, top])
+        eye = recording["report/peak_pose_camera_in_world"][:3].astype(np.float64)
+        draw_contact(drawing, recording, moment, lambda points: found(points) - [left, top], eye=eye)
     return drawing.svg()
 
 
@@ -66,8 +68,13 @@ def _camera(recording: Recording, width: int, height: int) -> Project | None:
     return lambda points: pixels(points, intrinsics, placed)
 
 
-def _draw_contact(drawing: Drawing, recording: Recording, moment: Moment, project: Project) -> None:
-    outline = region_outline(recording, moment.index, project)
+def draw_contact(drawing: Drawing, recording: Recording, moment: Moment, project: Project, *, eye: F64) -> None:
+    """Draw the outline of the region's cells, the force and the indentation of a moment where a view shows them.
+
+    Args:
+        eye: (3,) place of the viewer in the world [m].
+    """
+    outline = region_outline(recording, moment.index, project, eye)
     if len(outline) > 2:
         drawing.polygon("outline halo", outline)
         drawing.polygon("outline", outline)
@@ -84,8 +91,11 @@ def _draw_contact(drawing: Drawing, recording: Recording, moment: Moment, projec
         _draw_depth(drawing, project(tip), project(tip + moment.depth_m * moment.outward_in_world), moment.depth_m)
 
 
-def region_outline(recording: Recording, step: int, project: Project) -> list[tuple[float, float]]:
-    """The outline of the region's declared cells as they lay at a physics step; empty for a region without cells."""
+def region_outline(recording: Recording, step: int, project: Project, eye: F64) -> list[tuple[float, float]]:
+    """Return the outline, in pixels, of those of the region's declared cells that face the viewer, as they lay at a
+    physics step; empty where there are fewer than three. Cells go round a limb, and an outline with those of its far
+    side would enclose places that are not on the region.
+    """
     import cv2
 
     cells = recording.arrays.get("scorer/cell_in_region")
@@ -93,7 +103,13 @@ def region_outline(recording: Recording, step: int, project: Project) -> list[tu
         return []
     pose = region_poses(recording)[step]
     placed = pose_matrix(pose[:3], pose[3:])
-    seen = project(cells.astype(np.float64) @ placed[:3, :3].T + placed[:3, 3])
+    places = cells.astype(np.float64) @ placed[:3, :3].T + placed[:3, 3]
+    size = recording["scorer/region_size_m"][region_column(recording)]
+    outward = surface_normal(cells.astype(np.float64), size) @ placed[:3, :3].T
+    facing = places[(outward * (eye - places)).sum(axis=1) > 0]
+    if len(facing) < 3:
+        return []
+    seen = project(facing)
     hull = cv2.convexHull(seen.astype(np.float32)).reshape(-1, 2)
     return [(float(x), float(y)) for x, y in hull]
 
@@ -108,9 +124,10 @@ def _draw_arrow(drawing: Drawing, start: F64, tip: F64, text: str) -> None:
     drawing.polygon("head halo", [(float(x), float(y)) for x, y in head])
     drawing.path("arrow", shaft)
     drawing.polygon("head", [(float(x), float(y)) for x, y in head])
-    # Behind an arrow that stands, above one that lies: the words on the depth are to the left of the contact.
-    lies = abs(along[0]) > SIDEWAYS
-    x, y = ((start + tip) / 2 - [0, 12] if lies else start - 8 * along).tolist()
+    # The words on the depth are to the upper left of the contact: those on the force stand behind an arrow that stands,
+    # and above one that lies, or below it where it comes from the left.
+    lies, aside = abs(along[0]) > SIDEWAYS, [0, 20 if along[0] > 0 else -12]
+    x, y = ((start + tip) / 2 + aside if lies else start - 8 * along).tolist()
     drawing.text("note", float(np.clip(x, 60, drawing.width - 60)), max(y, 16), text, anchor="middle")
 
 

@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from dataclasses import dataclass
+from math import ceil
 
 LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
@@ -19,6 +20,8 @@ MATH = re.compile(
 """A number with a power of ten, a number below zero, and the name of a method."""
 PAGE_COLUMN = 60
 """Characters that a column of a page holds in LaTeX's footnote size."""
+PAGE_LINES = 45
+"""Lines that a table in one column of a page has at most."""
 GAP = 2
 """Characters that the space between two columns of a table takes."""
 ABSENT = "-"
@@ -55,11 +58,15 @@ class Table:
 
     @property
     def is_wide(self) -> bool:
-        """Whether it needs more than one column of a page: for the longest cell of its first column, which LaTeX does
-        not break, and the longest words of the others."""
+        """Whether it needs more than one column of a page: LaTeX does not break the cells of its first column, gives
+        the others equal widths, and breaks no table across pages."""
         first, *others = zip(self.head, *self.rows, strict=True)
-        words = [max(len(word) for cell in column for word in cell.split() or [""]) for column in others]
-        return max(map(len, first)) + sum(GAP + length for length in words) > PAGE_COLUMN
+        if not others:
+            return False
+        share = (PAGE_COLUMN - max(map(len, first))) / len(others) - GAP
+        longest = max(len(word) for column in others for cell in column for word in cell.split() or [""])
+        lines = sum(max(ceil(len(cell) / max(share, 1)) for cell in row[1:]) for row in (self.head, *self.rows))
+        return longest > share or lines > PAGE_LINES
 
     def latex(self) -> str:
         """A table environment; it needs the packages booktabs and tabularx."""

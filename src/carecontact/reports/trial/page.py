@@ -14,10 +14,12 @@ from carecontact.reports.frames import jpeg_data_uri
 from carecontact.reports.moment.miss import miss_svg, nearest_miss
 from carecontact.reports.moment.moment import peak_moment
 from carecontact.reports.moment.picture import peak_svg
+from carecontact.reports.moment.without_hand import drawn_svg, is_hidden
 from carecontact.reports.page.force_trace import force_trace
 from carecontact.reports.page.trial_words import result_word
 from carecontact.reports.page_links import link_neighbours, link_page, neighbour_links, page_path, report_link
-from carecontact.reports.text import NA, number, rounded, shown
+from carecontact.reports.text import NA, number, shown
+from carecontact.reports.trial.card_rows import card_rows, not_shown_text
 from carecontact.reports.trial.events import events
 from carecontact.reports.trial.gates import BROKEN, gate_parts
 from carecontact.reports.trial.looks import action_table, latency_text, looks_of
@@ -26,6 +28,7 @@ from carecontact.reports.trial.paths import noted_targets, paths
 from carecontact.reports.trial.skin_view import skin_views
 from carecontact.reports.trial.timeline import OUT_M, Panel, letter, panels_of, timeline_svg
 from carecontact.reports.trial.words import facts, how_hard, outcome
+from carecontact.reports.units import shown_unit
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.limits import footnote
 from carecontact.scoring.metrics.c3_success import judge
@@ -105,6 +108,9 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
     # Before the first step a picture shows only the room as it was set up.
     began = len(contact.time_s) > 0
     picture = drawn or (peak_svg(recording, moment, title=f"The contact at peak force. {hard}") if began else None)
+    without_hand = None
+    if moment is not None and picture is not None and is_hidden(recording, moment):
+        without_hand = drawn_svg(recording, moment, title=f"The contact without the robot's hand. {hard}")
     snapshot = recording.arrays.get("report/snapshot_rgb") if began else None
     gates = gate_parts(contact, measures, score)
     return {
@@ -114,6 +120,7 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
         "broken": score.ended in BROKEN,
         "moment": moment,
         "picture": picture,
+        "without_hand": without_hand,
         "miss": miss if drawn else None,
         "touched": moment is not None,
         "snapshot": None if snapshot is None else jpeg_data_uri(snapshot),
@@ -130,7 +137,8 @@ def _policy(recording: Recording) -> dict[str, Any]:
     looks, left_out = looks_of(recording, read_notes(recording))
     return {
         "looks": looks,
-        "left_out": left_out,
+        "not_shown": not_shown_text(recording, left_out),
+        "card": card_rows(recording.header),
         "latency": latency_text(recording),
         "actions": action_table(recording),
     }
@@ -169,12 +177,11 @@ def _metrics(score: TrialScore, *, concerned: bool) -> list[tuple[str, str, str]
 
 
 def _with_unit(metric: Metric, value: float) -> tuple[str, str]:
-    """A value and its unit: a yes or a no in words, and metres and joules in thousandths, of which a trial has few."""
+    """A value in words or figures, and its unit."""
     if not metric.median and value in (0.0, 1.0):
         return ("yes" if value else "no"), ""
-    if metric.unit in ("m", "J") and metric.digits is None:
-        return rounded(1000 * value), f"m{metric.unit}"
-    return shown(value, digits=metric.digits, unit=metric.unit), "" if metric.unit == "1" else metric.unit
+    factor, unit = shown_unit(metric)
+    return shown(factor * value, digits=metric.digits, unit=unit), unit
 
 
 def _printed(recording: Recording) -> str:

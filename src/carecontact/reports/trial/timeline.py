@@ -62,6 +62,10 @@ class Panel:
     lines: tuple[Line, ...] = ()
     is_cut: bool = False
     """Whether a curve goes on beyond the panel."""
+    above: str = ""
+    """What lies above the panel, in words at its upper right."""
+    peak: tuple[float, float] | None = None
+    """Time [s] and value [N] of a point that is marked with its value."""
 
 
 def timeline_svg(panels: Sequence[Panel], trace: ForceTrace, events: Sequence[Event], looks: Sequence[float]) -> str:
@@ -106,7 +110,7 @@ def _axes(drawing: Drawing, above: float, panel: Panel, end: float) -> Axes:
 def _draw_panel(axes: Axes, panel: Panel) -> None:
     drawing = axes.drawing
     drawing.text("name", axes.left, axes.top - 7, panel.title)
-    axes.y_ticks((value, f"{value:g}") for value in _ticks(panel.low, panel.high))
+    axes.y_ticks((value, f"{value:g}") for value in ticks(panel.low, panel.high))
     if panel.low <= 0:
         axes.across("axis", 0.0)
     for line in panel.lines:
@@ -127,6 +131,14 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         x, anchor = (axes.left + 3, "start") if line.left else (axes.left + axes.width - 3, "end")
         words = f"{line.name} {line.value:g} N"
         drawing.text(f"label {line.style} over", x, axes.py(line.value) - 3, words, anchor=anchor)
+    if panel.above:
+        drawing.text("label gate", axes.left + axes.width, axes.top - 7, panel.above, anchor="end")
+    if panel.peak is not None:
+        x, y = axes.point(*panel.peak)
+        far = x > axes.left + 0.85 * axes.width
+        drawing.circle("peak", x, y, 2.6)
+        words = f"{panel.peak[1]:.1f} N"
+        drawing.text("label value", x + (-5 if far else 5), y - 4, words, anchor="end" if far else "start")
 
 
 def _draw_inside(axes: Axes, style: str, points: F64) -> None:
@@ -141,10 +153,15 @@ def _draw_inside(axes: Axes, style: str, points: F64) -> None:
                 axes.drawing.path("cut", f"M{axes.left + x - 4:.1f} {axes.floor - 6:.1f}h8l-4 6z")
 
 
-def _ticks(low: float, high: float) -> list[float]:
-    """Multiples of a round number from ``low`` to ``high``, three or so."""
-    step = nice_ticks(high - low, count=3)[1]
-    return [round(k * step, 10) for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
+def ticks(low: float, high: float) -> list[float]:
+    """Return multiples of a round number from ``low`` to ``high``: two or more, and three or so."""
+    found: list[float] = []
+    for count in (3, 6):
+        step = nice_ticks(high - low, count=count)[1]
+        found = [round(k * step, 10) for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
+        if len(found) > 1:
+            break
+    return found
 
 
 def _draw_events(drawing: Drawing, rows: Sequence[Axes], events: Sequence[Event]) -> None:
@@ -195,8 +212,11 @@ def _force_panel(trace: ForceTrace) -> Panel:
         *([Curve(style="other", time_s=trace.time_s, values=trace.other_n)] if trace.other_n.any() else []),
         Curve(style="target", time_s=trace.time_s, values=trace.target_n),
     )
-    top = 1.12 * max([largest, *(line.value for line in lines)])
-    return Panel(title="Force [N]", curves=curves, low=0.0, high=top, lines=lines)
+    gate = next((limit for limit in trace.limits if limit.style == "gate"), None)
+    above = "" if gate is None or gate in seen else f"↑ safety gate of the {gate.segment} {gate.value_n:g} N"
+    peak = None if trace.peak_s is None or trace.peak_n is None else (trace.peak_s, trace.peak_n)
+    top = 1.25 * max([largest, *(line.value for line in lines)])
+    return Panel(title="Force [N]", curves=curves, low=0.0, high=top, lines=lines, above=above, peak=peak)
 
 
 def _positive(title: str, least: float, curve: Curve) -> Panel:

@@ -71,7 +71,8 @@ def _held(contact: Contact) -> str:
     """How often and how long the person was touched by contact that counts."""
     on = any_column(contact.on, contact.touched)
     times, held_s = len(runs(on)), int(on.sum()) * contact.dt_s
-    return f"contact held for {held_s:.2f} s" if times == 1 else f"touched {times} times, {held_s:.2f} s in all"
+    told = "touched without interruption for" if times == 1 else f"touched {times} times, for"
+    return f"{told} {held_s:.2f} s{'' if times == 1 else ' in all'}"
 
 
 def facts(

@@ -8,7 +8,7 @@ from carecontact.scoring.contact import Contact
 from carecontact.scoring.metrics.metric import metric
 
 
-@metric("force_rate_p95@1", title="Force rate, p95", unit="N/s", better="lower", order=20)
+@metric("force_rate_p95@1", title="Force rate, 95th percentile", unit="N/s", better="lower", order=20)
 def force_rate_p95(contact: Contact) -> float | None:
     """95th percentile of |dF/dt| of the reported region's force norm [N/s].
 

@@ -1,4 +1,4 @@
-"""Triangles between rows of points, rays onto a surface, and normals and areas of a triangulated surface."""
+"""Triangles between rows of points, and normals and areas of a triangulated surface."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-
-from carecontact.errors import SceneError
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -157,37 +155,3 @@ def _reduced(ufunc: np.ufunc, image: Array, added: dict[tuple[int, int], float])
     for view in views:
         ufunc(out, view, out=out)
     return out
-
-
-class Triangles:
-    """Triangles with corners (m, 3, 3), prepared for many rays (Moeller and Trumbore 1997)."""
-
-    def __init__(self, corners: Array) -> None:
-        a = corners[:, 0]
-        self._e1, self._e2 = corners[:, 1] - a, corners[:, 2] - a
-        self._normal = np.cross(self._e1, self._e2)
-        self._e1_a, self._e2_a = np.cross(self._e1, a), np.cross(self._e2, a)
-        self._offset = np.einsum("ij,ij->i", a, self._normal)
-
-    def first_hits(self, origins: Array, directions: Array) -> Array:
-        """Return the distance (n,) to the first hit along each ray.
-
-        Args:
-            origins, directions: (n, 3); a single origin is used for all rays.
-
-        Raises SceneError when a ray misses.
-        """
-        o = np.broadcast_to(origins, directions.shape)
-        # The triple products of the method, for all rays and triangles at once, as matrix products.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = -1 / (directions @ self._normal.T)
-            turned = np.cross(o, directions)
-            u = (turned @ self._e2.T - directions @ self._e2_a.T) * inverse
-            v = (directions @ self._e1_a.T - turned @ self._e1.T) * inverse
-            distance = (o @ self._normal.T - self._offset) * inverse
-            hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & (distance > 0)
-        first = np.where(hit, distance, np.inf).min(1)
-        if np.isinf(first).any():
-            place = np.round(o[np.isinf(first)][0], 3).tolist()
-            raise SceneError(f"a ray from {place} misses the body's surface: the region does not fit this body")
-        return first

@@ -50,7 +50,10 @@ def test_paths_are_drawn_region_by_region_with_an_outline_and_names() -> None:
     assert [title for title in shown if "tool path" in title] == ["Forearm: tool path [mm]", "Abdomen: tool path [mm]"]
     forearm = shown["Forearm: tool path [mm]"]
     lines = {str(line.get_label()): line for line in forearm.lines}
-    assert {"synthetic, T1", "synthetic, T2", "region"} <= set(lines)
+    assert {"T1", "T2", "region"} <= set(lines)
+    legend = forearm.get_legend()
+    assert legend is not None
+    assert legend.get_window_extent().y1 < forearm.get_window_extent().y0, "the legend covers no path"
     size_m = recordings[0]["scorer/region_size_m"][recordings[0].header.regions.index("forearm")]
     x, y = lines["region"].get_data()
     assert (max(x) - min(x), max(y) - min(y)) == pytest.approx((1000 * size_m[0], 2000 * size_m[1]))  # type: ignore[arg-type]
@@ -59,7 +62,7 @@ def test_paths_are_drawn_region_by_region_with_an_outline_and_names() -> None:
 def test_a_force_has_its_spread_within_the_trial() -> None:
     run = score_run(GOLDEN)
     shown = panels(methods_of([run], read_paper()), [[]])
-    push = shown["Push: force, mean and\nSD in a trial [N]"]
+    push = shown["Push: force,\nmean and SD [N]"]
     (score,) = [s for s in run.scores if s.action == "push"]
     (bar,) = push.collections[0].get_segments()  # pyright: ignore[reportAttributeAccessIssue]
     assert score.c5_force_sd_n is not None

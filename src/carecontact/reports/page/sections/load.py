@@ -8,11 +8,12 @@ from carecontact.reports.failures import only_crashes
 from carecontact.reports.load import load
 from carecontact.reports.nursing import nursing_rows
 from carecontact.reports.page.section import Page, section
+from carecontact.scoring.limits import footnote
 
 TEMPLATE = """\
 <section id="load">
 <h2>How hard, how long</h2>
-<p class="note">Medians over the trials with valid contact; n is given where a median is over another number of trials. NA: no trial had a value; –: says nothing about this action. "Time above" is the time in a trial during which the force on any segment exceeds the level; a relative peak force of 1 equals the limit.</p>
+<p class="note">Medians over the trials with valid contact; n is given where a median is over another number of trials. NA: no trial had a value; –: the metric says nothing about this action. "Time above" is the time in a trial during which the force or the pressure on any segment is above the level. A value relative to a limit is 1 at that limit. A row without a unit is a share or another plain number.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of force, exposure and work by task">
 <table>
 <thead>
@@ -29,6 +30,9 @@ TEMPLATE = """\
 </tbody>
 </table>
 </div>
+{% if note %}
+<p class="note after">{{ note }}.</p>
+{% endif %}
 </section>
 """
 
@@ -39,4 +43,7 @@ def load_section(page: Page) -> dict[str, Any] | None:
     if only_crashes(page.judged):
         return None
     found = load(page.judged)
-    return {"load": found, "nursing": nursing_rows(page.judged, page.protocol)} if found.rows else None
+    if not found.rows:
+        return None
+    note = footnote(row.metric.title for row in found.rows)
+    return {"load": found, "nursing": nursing_rows(page.judged, page.protocol), "note": note}

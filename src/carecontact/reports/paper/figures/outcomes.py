@@ -62,13 +62,13 @@ class Panel:
 
 
 PANELS = (
-    Panel(title="Touch: force, mean and\nSD in a trial [N]", action="touch", value=mean_force, spread=within_run_sd),
-    Panel(title="Scrub: force, mean and\nSD in a trial [N]", action="scrub", value=mean_force, spread=within_run_sd),
+    Panel(title="Touch: force,\nmean and SD [N]", action="touch", value=mean_force, spread=within_run_sd),
+    Panel(title="Scrub: force,\nmean and SD [N]", action="scrub", value=mean_force, spread=within_run_sd),
     Panel(title="Scrub: stroke [mm]", action="scrub", value=lambda s: 1000 * s.stroke_m),
     Panel(title="Push: wrist\nmoved [mm]", action="push", value=lambda s: 1000 * s.wrist_displacement_m),
     Panel(title="Push: joint-limit\nmargin, C2 [mrad]", action="push",
           value=lambda s: None if s.c2_joint_margin_rad is None else 1000 * s.c2_joint_margin_rad),
-    Panel(title="Push: force, mean and\nSD in a trial [N]", action="push", value=mean_force, spread=within_run_sd),
+    Panel(title="Push: force,\nmean and SD [N]", action="push", value=mean_force, spread=within_run_sd),
     Panel(title="Motion activity, C4", value=lambda s: s.c4_motion_activity),
 )  # fmt: skip
 
@@ -76,8 +76,8 @@ PANELS = (
 def draw(figure: Figure, methods: Sequence[Method], paths: Sequence[Sequence[Recording]]) -> None:
     """``paths``: for each method, the recordings whose tool paths are drawn; none where there are no recordings."""
     by_region = _by_region(paths)
-    figure.set_size_inches(7.2, 7.4 if by_region else 5.8)
-    thirds: Any = figure.subfigures(3 if by_region else 2, 1, height_ratios=(2, 1, 1.1) if by_region else (2, 1.1))
+    figure.set_size_inches(7.2, 7.9 if by_region else 5.8)
+    thirds: Any = figure.subfigures(3 if by_region else 2, 1, height_ratios=(2, 1.25, 1.1) if by_region else (2, 1.1))
     upper: Any = thirds[0].subplots(2, 4).flat
     for index, (panel, what) in enumerate(zip(upper, PANELS, strict=False)):
         letter(panel, index, what.title)
@@ -91,6 +91,7 @@ def draw(figure: Figure, methods: Sequence[Method], paths: Sequence[Sequence[Rec
         ):
             letter(panel, last + 1 + index, f"{region.replace('_', ' ').capitalize()}: tool path [mm]")
             _paths(panel, methods, shown)
+        _name_methods(thirds[1], methods, sorted({place for shown in by_region.values() for place, _ in shown}))
     failures = thirds[-1].subplots()
     letter(failures, last + 1 + len(by_region), "Why trials failed")
     _failures(failures, methods)
@@ -152,24 +153,44 @@ def _by_region(paths: Sequence[Sequence[Recording]]) -> dict[str, list[tuple[int
 
 
 def _paths(panel: Any, methods: Sequence[Method], shown: Sequence[tuple[int, Recording]]) -> None:
-    """The tool point above the region at rest, along it and across it, and the region's outline from above."""
+    """The tool point above the region at rest, along it and across it, and the region's outline from above: a line
+    style for each task, named below the panel."""
+    tasks = sorted({recording.header.spec.task_id for _, recording in shown})
+    far: list[str] = []
     for place, recording in shown:
         task = recording.header.spec.task_id
         along, across = _over_region(recording)
         near = np.maximum(np.abs(along), np.abs(across)) <= NEAR_MM
         along, across = np.where(near, along, np.nan), np.where(near, across, np.nan)
-        label = f"{_short(methods[place].title)}, {task}" + ("" if near.any() else " (not near)")
-        style = LINES[sum(p == place for p, r in shown[: shown.index((place, recording))]) % len(LINES)]
-        panel.plot(along, across, color=COLOURS[place % len(COLOURS)], lw=0.8, alpha=0.85, ls=style, label=label)
+        far += [] if near.any() else [f"{_short(methods[place].title)}, {task}"]
+        panel.plot(along, across, color=COLOURS[place % len(COLOURS)], lw=0.8, alpha=0.85, ls=_style(tasks, task))
     half_length, half_width = _half_size_mm(shown[0][1])
     x, y = np.array([-1, 1, 1, -1, -1]) * half_length, np.array([-1, -1, 1, 1, -1]) * half_width
     panel.plot(x, y, color="black", lw=0.9, label="region")
     panel.plot([0], [0], "k+", ms=6)
-    # Above the outline there is room for the legend.
-    panel.plot([0], [half_width * (1.4 + 0.3 * len(shown))], alpha=0)
+    for task in tasks:
+        panel.plot([], [], color=GREY, lw=0.8, ls=_style(tasks, task), label=task)
+    if far:
+        panel.text(0.02, 0.98, "not near: " + "; ".join(far), va="top", transform=panel.transAxes, fontsize=5.5)
     panel.set(xlabel="along the region", ylabel="across it")
     panel.set_aspect("equal", adjustable="datalim")
-    panel.legend(loc="upper left", fontsize=5.5, handlelength=1.6, borderaxespad=0.1, labelspacing=0.25)
+    panel.legend(
+        loc="upper center", bbox_to_anchor=(0.5, -0.32), ncols=len(tasks) + 1, fontsize=6.5, handlelength=1.6,
+        columnspacing=1, borderaxespad=0,
+    )  # fmt: skip
+
+
+def _style(tasks: Sequence[str], task: str) -> str:
+    return LINES[tasks.index(task) % len(LINES)]
+
+
+def _name_methods(part: Any, methods: Sequence[Method], places: Sequence[int]) -> None:
+    """The colours of the methods, in one row below the panels of a part of the figure."""
+    from matplotlib.lines import Line2D
+
+    lines = [Line2D([], [], color=COLOURS[place % len(COLOURS)], lw=1.6) for place in places]
+    names = [_short(methods[place].title) for place in places]
+    part.legend(lines, names, loc="outside lower center", ncols=min(len(places), 7), fontsize=7)
 
 
 def _half_size_mm(recording: Recording) -> tuple[float, float]:

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from carecontact.contract.protocol import Tissue
+from carecontact.contract.rays import Triangles
 from carecontact.regions import Tube
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell.shell import ROW_RATIO, SMOOTHING_M, Shell, finish, spacing
-from carecontact.world.human.surface_mesh import Triangles, distance_outside, graded, graded_from_middle, smooth_field
+from carecontact.world.human.surface_mesh import distance_outside, graded, graded_from_middle, smooth_field
 
 SHELL_HALF_DEG = 150.0
 FINE_HALF_LENGTH_M, FINE_HALF_ROUND_DEG = 0.085, 60.0

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from carecontact.contract.protocol import Tissue
+from carecontact.contract.rays import Triangles
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell.shell import ROW_RATIO, SMOOTHING_M, Shell, finish, spacing
 from carecontact.world.human.surface_mesh import (
-    Triangles,
     bridged,
     distance_outside,
     graded,
