@@ -13,6 +13,7 @@ from carecontact.sim.simulation import Simulation
 from carecontact.validation import knocks
 from carecontact.validation.knocks import Blow, Site, sites, strike_all
 from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
+from carecontact.world.human.versions import Build
 from carecontact.world.scene import Scene, build_scene
 
 PROTOCOL = load_protocol()
@@ -42,7 +43,7 @@ def test_the_prediction_is_the_force_at_which_the_spring_holds_the_energy() -> N
 
 def test_a_blow_of_5_kg_meets_the_springs_and_not_the_trunks_mass() -> None:
     blows = {blow.site: blow for blow in strike_all(Subject(PROTOCOL), **BLOW)}
-    assert set(blows) == {site.name for site in sites()}
+    assert set(blows) == {site.name for site in sites(Build())}
     for blow in blows.values():
         assert blow.momentum < knocks.MOMENTUM, blow.name
         if blow.on_one_spring and np.isfinite(blow.predicted_n):
@@ -64,7 +65,7 @@ class GivesWay(Simulation):
 
 def struck(kind: type[Simulation], mass_kg: float, speed_m_s: float) -> Blow:
     """A blow of the ball onto the belly in a simulation of this kind."""
-    belly = next(site for site in sites() if site.name == "belly")
+    belly = next(site for site in sites(Build()) if site.name == "belly")
     simulation = kind(knocks.with_striker(Subject(PROTOCOL).scene("forearm"), mass_kg, belly.ball_m))
     simulation.settle(COMFORT_ARM_DEG)
     simulation.restore(simulation.integration_state(), comfort_arm_deg=COMFORT_ARM_DEG)

@@ -19,6 +19,7 @@ from carecontact.world.human.build import tissue_of
 from carecontact.world.human.plates import plate_body, plates
 from carecontact.world.human.pose import FIXED_SEGMENTS
 from carecontact.world.human.skeleton import body_name
+from carecontact.world.human.versions import Build
 from carecontact.world.scene import Scene, build_scene
 from carecontact.world.sensors import CONTACT_SLOTS, PLATE_SLOTS, plate_sensor
 
@@ -127,7 +128,7 @@ def test_every_contact_would_be_sensed(model: mujoco.MjModel) -> None:
     """One net force and one normal sum for each segment of the recording; what a shell feels the plugin says."""
     sensors = {model.sensor(i).name: i for i in range(model.nsensor)}
     surfaces = {s: (body_name(s), CONTACT_SLOTS) for s in SEGMENTS}
-    surfaces |= {plate_sensor(p.name): (plate_body(p.name), PLATE_SLOTS) for p in plates()}
+    surfaces |= {plate_sensor(p.name): (plate_body(p.name), PLATE_SLOTS) for p in plates(Build())}
     expected = {f"{kind}_{name}" for kind in ("net", "normal") for name in surfaces}
     of_contact = {n for n, i in sensors.items() if model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT}
     assert of_contact == expected

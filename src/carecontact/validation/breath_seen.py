@@ -23,6 +23,7 @@ from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
 from carecontact.world.human.breathing import breath_body
 from carecontact.world.human.plates import plate_body, plates
 from carecontact.world.human.surface_mesh import Triangles
+from carecontact.world.human.versions import BUILDS
 
 Indices = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
@@ -132,7 +133,8 @@ def _over_plates(simulation: Simulation) -> tuple[Indices, Flags]:
     one."""
     model, data = simulation.model, simulation.data
     front = simulation.data.joint(breath_body("chest")).xaxis
-    bodies = [model.body(plate_body(plate.name)).id for plate in plates() if plate.breathes]
+    build = BUILDS[simulation.protocol.person.version]
+    bodies = [model.body(plate_body(plate.name)).id for plate in plates(build) if plate.breathes]
     hulls = np.concatenate([_world_vertices(model, data, g) for g in range(model.ngeom)
                             if model.geom_bodyid[g] in bodies])  # fmt: skip
     skin = skin_in_world(model, data)

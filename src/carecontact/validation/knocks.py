@@ -30,6 +30,7 @@ from carecontact.validation.reference import ABDOMEN
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
 from carecontact.world.human.plates import REACHED_FROM_THE_SIDE, Plate, plate_body, plates
+from carecontact.world.human.versions import BUILDS, Build
 from carecontact.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ class Blow:
         return 100 * (self.peak_n / self.predicted_n - 1)
 
 
-def sites() -> list[Site]:
+def sites(build: Build) -> list[Site]:
     """Return the plates of the side on which the robot stands, the thigh also for a blow from the side, and the
     belly.
     """
@@ -143,7 +144,7 @@ def sites() -> list[Site]:
         return Site(name=name, plate=plate.name, towards=towards, ball_m=BALL_M, depth_m=depth,
                     force_n=plate.give.force_n(depth))  # fmt: skip
 
-    rows = {plate.name: plate for plate in plates()}
+    rows = {plate.name: plate for plate in plates(build)}
     struck = ("chest", "shoulder_cap", "hip", "thigh", "shank")
     found = [of(rows[f"{REACHED_FROM_THE_SIDE}_{part}"], DOWNWARD, part.replace("_", " ")) for part in struck]
     # The person's right is the world's +y.
@@ -157,6 +158,7 @@ def sites() -> list[Site]:
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     masses, speeds = (QUICK_MASSES_KG, QUICK_SPEEDS_M_S) if quick else (MASSES_KG, SPEEDS_M_S)
     blows = list(strike_all(subject, masses, speeds))
+    build = BUILDS[subject.protocol.person.version]
     measures = list(_counts(blows))
     for blow in blows:
         measures += _measures(blow, robot_brings_j(subject.protocol))
@@ -173,7 +175,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         site.name: np.array(
             [[b.mass_kg, b.speed_m_s, b.peak_n, b.predicted_n, b.on_one_spring] for b in blows if b.site == site.name]
         )
-        for site in sites()
+        for site in sites(build)
     }
     return CheckResult(check="knocks", title=TITLE, measures=tuple(measures), curves=curves)
 
@@ -219,14 +221,15 @@ def _measures(blow: Blow, robot_j: float) -> Iterator[Measure]:
 def strike_all(subject: Subject, masses: tuple[float, ...], speeds: tuple[float, ...]) -> Iterator[Blow]:
     """Yield every blow, each on the person at rest."""
     scene = subject.scene("forearm")
+    struck = sites(BUILDS[subject.protocol.person.version])
     state: Array | None = None
     for mass in masses:
-        for ball in sorted({site.ball_m for site in sites()}):
+        for ball in sorted({site.ball_m for site in struck}):
             simulation = Simulation(with_striker(scene, mass, ball))
             if state is None:
                 simulation.settle(COMFORT_ARM_DEG)
                 state = simulation.integration_state()
-            for site in (site for site in sites() if site.ball_m == ball):
+            for site in (site for site in struck if site.ball_m == ball):
                 for speed in speeds:
                     simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
                     yield strike(simulation, site, mass, speed)
@@ -236,7 +239,7 @@ def scan(subject: Subject) -> Iterator[Measure]:
     """Yield what blows beside the middle of a part measured, of which nothing is claimed: where plates overlap, between
     the thighs, and toward the border of the belly."""
     scene, impedance = subject.scene("forearm"), subject.protocol.impedance
-    rows = {site.name: site for site in sites()}
+    rows = {site.name: site for site in sites(BUILDS[subject.protocol.person.version])}
     for name, mass, speed, places in (
         ("chest", 5.0, 0.2, CHEST_ASIDE_M), ("thigh", 10.0, 0.5, THIGH_ASIDE_M),
         ("belly", impedance.effective_mass_kg, subject.protocol.physics.max_tcp_speed_m_s, BELLY_ASIDE_M),

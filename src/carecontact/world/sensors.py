@@ -11,6 +11,7 @@ from carecontact.recording.schema import SEGMENTS
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.plates import plate_body, plates
 from carecontact.world.human.skeleton import body_name
+from carecontact.world.human.versions import BUILDS
 
 CONTACT_SLOTS = 12
 """Number of contacts for each segment that the sum of normal forces can hold; a recording says so if a segment ever had
@@ -50,7 +51,7 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) ->
 
     for segment in SEGMENTS:
         surface(segment, body_name(segment), CONTACT_SLOTS)
-    for plate in plates():
+    for plate in plates(BUILDS[protocol.person.version]):
         surface(plate_sensor(plate.name), plate_body(plate.name), PLATE_SLOTS)
     for hinge in hinges:
         spec.add_sensor(name=f"q_{hinge.name}", type=kind.mjSENS_JOINTPOS, objtype=obj.mjOBJ_JOINT,
