@@ -17,6 +17,7 @@ from carecontact.world.human.versions import Build
 from carecontact.world.scene import Scene, build_scene
 
 PROTOCOL = load_protocol()
+CLAIMS = knocks.Claims.of(PROTOCOL)
 BLOW = {"masses": (5.0,), "speeds": (0.2,)}
 
 
@@ -74,7 +75,7 @@ def struck(kind: type[Simulation], mass_kg: float, speed_m_s: float) -> Blow:
 
 def missed(blow: Blow) -> dict[str, bool]:
     """The lines that the blow misses, by the end of their names, and whether they decide."""
-    found = [measure for measure in knocks._measures(blow, knocks.robot_brings_j(PROTOCOL)) if measure.met is False]
+    found = [measure for measure in knocks._measures(blow, CLAIMS) if measure.met is False]
     return {measure.name.removeprefix(f"{blow.name}: "): measure.decides for measure in found}
 
 
@@ -93,10 +94,7 @@ def test_a_blow_that_nobody_predicts_and_no_robot_makes_tells_where_it_goes_thro
     lost = struck(GivesWay, 3.0, 0.5)
     assert lost.energy_j > knocks.robot_brings_j(PROTOCOL)
     assert missed(lost) == {"impulse over momentum before it goes through": False}
-    told = {
-        measure.name.rpartition(": ")[2]: measure.value
-        for measure in knocks._measures(lost, knocks.robot_brings_j(PROTOCOL))
-    }
+    told = {measure.name.rpartition(": ")[2]: measure.value for measure in knocks._measures(lost, CLAIMS)}
     # The skin holds nothing from 50 ms on: less than 25 mm at 0.5 m/s, and more than half of that.
     assert 12 < told["deepest before it goes through"] < 25
     assert 0 < told["energy taken before it goes through"] == lost.taken_j < lost.energy_j
@@ -106,7 +104,7 @@ def test_the_robots_tool_is_held_with_all_that_the_robot_brings() -> None:
     blow = knocks.strike_with_tool(Subject(PROTOCOL))
     assert blow.energy_j == pytest.approx(knocks.robot_brings_j(PROTOCOL))
     assert missed(blow) == {}
-    decides = {measure.name.rpartition(": ")[2] for measure in knocks._measures(blow, blow.energy_j) if measure.decides}
+    decides = {measure.name.rpartition(": ")[2] for measure in knocks._measures(blow, CLAIMS) if measure.decides}
     assert "impulse over momentum before it goes through" in decides
 
 
