@@ -72,16 +72,19 @@ def measures(living: Subject, doings: Doings) -> Iterator[Measure]:
     """Yield what is seen of a breath against its declared size.
 
     Over the rim of the chest's plates, where the movement fades, no size is declared: there the limit does not decide.
-    Shipped bodies are known to miss the limit over the rim of the belly, and heavy ones over the middle of the chest.
+    Of person-v1, shipped bodies are known to miss the limit over the rim of the belly, and heavy ones over the middle
+    of the chest.
     """
     found = breathe(living, doings)
+    fades = BUILDS[living.protocol.person.version].breath_margin_m is None
     for part, size in zip(PARTS, doings.breath_m, strict=True):
         name = f"{part}, {doings.breath_hz:g} Hz, {1000 * size:g} mm"
         off, inner, depth = abs(found.skin_m[part] - size), found.inner[part], abs(found.depth_off_m[part])
         yield Measure(name=f"{name}: visible skin of the inner area against the declared size", unit="mm",
-                      value=1000 * float(off[inner].max()), limit=SIZE_LIMIT_MM, known=part == "chest")  # fmt: skip
+                      value=1000 * float(off[inner].max()), limit=SIZE_LIMIT_MM,
+                      known=fades and part == "chest")  # fmt: skip
         yield Measure(name=f"{name}: visible skin of the whole area against the declared size", unit="mm",
-                      value=1000 * float(off.max()), limit=SIZE_LIMIT_MM, known=True,
+                      value=1000 * float(off.max()), limit=SIZE_LIMIT_MM, known=fades,
                       decides=part == REGION)  # fmt: skip
         yield Measure(name=f"{name}: share of the area within {SIZE_LIMIT_MM:g} mm", unit="%",
                       value=100 * float((1000 * off <= SIZE_LIMIT_MM).mean()))  # fmt: skip
