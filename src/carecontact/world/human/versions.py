@@ -23,8 +23,8 @@ class Build:
     """Whether the hulls of neighbouring plates meet in planes (``parting``). False: they overlap, and both plates carry
     what lies there."""
     inner_sides: bool = False
-    """Whether flank, thigh and shank of the side away from the robot give way sideways too. False: their inner side,
-    which a tool can reach over the belly and between the legs, is rigid to a push from the robot's side."""
+    """Whether flank and thigh of the side away from the robot give way sideways too. False: their inner side, which a
+    tool can reach over the belly and between the legs, is rigid to a push from the robot's side."""
     belly_floor: bool = False
     """Whether the bone under the belly's soft region gives way on a plate. False: it is rigid."""
     breath_margin_m: float | None = None
