@@ -365,7 +365,8 @@ def strike(simulation: Simulation, site: Site, mass_kg: float, speed_m_s: float)
         if simulation.time_s > LONGEST_S:
             if silent_s >= AFTER_S or (site.evades and touched):
                 break
-            raise SceneError(f"{site.name}: after {LONGEST_S} s, the ball of {mass_kg:g} kg has not left the person")
+            fate = "has not left the person" if touched else "has touched nothing"
+            raise SceneError(f"{site.name}: after {LONGEST_S} s, the ball of {mass_kg:g} kg {fate}")
     if warnings := simulation.solver_warnings():
         raise SceneError(f"MuJoCo warned while the {site.name} was struck: {', '.join(warnings)}")
     momentum = mass_kg * speed_m_s
