@@ -6,6 +6,7 @@ import pytest
 
 from carecontact.contract.protocol import Protocol
 from carecontact.kernel.life import JOINTS
+from carecontact.protocols import load_protocol, overridden
 from carecontact.validation import breath_seen
 from carecontact.validation.alive import BREATHES, alive, arm
 from carecontact.validation.result import Measure
@@ -66,3 +67,14 @@ def test_the_rim_of_the_belly_moves_less_than_declared_and_is_a_known_miss(subje
 def test_an_arm_that_does_not_arrive_is_found(subject: Subject) -> None:
     measures = arm(alive(Subject(subject.protocol, make_scene=weak)))
     assert len(missed(measures)) == len(measures) == 2
+
+
+@pytest.mark.parametrize("body", ["man-adult", "man-old-heavy"])
+def test_the_newest_persons_skin_moves_as_declared_wherever_a_tool_feels_it(body: str) -> None:
+    protocol = overridden(load_protocol("bathing-v3-draft"), {"person.body": body})
+    measures = list(breath_seen.measures(alive(Subject(protocol)), BREATHES))
+    sizes = [m for m in measures if m.limit is not None and m.decides]
+    assert len(sizes) == 7
+    assert all(m.met for m in sizes), missed(sizes)
+    assert not any(m.known for m in measures)
+    assert max(m.value for m in sizes if "visible skin" in m.name) < 0.5

@@ -7,15 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from carecontact.contract.protocol import Protocol
 from carecontact.errors import SceneError
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Simulation
 from carecontact.validation import knocks
 from carecontact.validation.knocks import Blow, Site, sites, strike_all
+from carecontact.validation.result import Measure
 from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
+from carecontact.world.human.versions import Build
 from carecontact.world.scene import Scene, build_scene
 
 PROTOCOL = load_protocol()
+NEWEST = load_protocol("bathing-v3-draft")
+CLAIMS = knocks.Claims.of(PROTOCOL)
 BLOW = {"masses": (5.0,), "speeds": (0.2,)}
 
 
@@ -42,7 +47,7 @@ def test_the_prediction_is_the_force_at_which_the_spring_holds_the_energy() -> N
 
 def test_a_blow_of_5_kg_meets_the_springs_and_not_the_trunks_mass() -> None:
     blows = {blow.site: blow for blow in strike_all(Subject(PROTOCOL), **BLOW)}
-    assert set(blows) == {site.name for site in sites()}
+    assert set(blows) == {site.name for site in sites(Build())}
     for blow in blows.values():
         assert blow.momentum < knocks.MOMENTUM, blow.name
         if blow.on_one_spring and np.isfinite(blow.predicted_n):
@@ -64,7 +69,7 @@ class GivesWay(Simulation):
 
 def struck(kind: type[Simulation], mass_kg: float, speed_m_s: float) -> Blow:
     """A blow of the ball onto the belly in a simulation of this kind."""
-    belly = next(site for site in sites() if site.name == "belly")
+    belly = next(site for site in sites(Build()) if site.name == "belly")
     simulation = kind(knocks.with_striker(Subject(PROTOCOL).scene("forearm"), mass_kg, belly.ball_m))
     simulation.settle(COMFORT_ARM_DEG)
     simulation.restore(simulation.integration_state(), comfort_arm_deg=COMFORT_ARM_DEG)
@@ -73,7 +78,7 @@ def struck(kind: type[Simulation], mass_kg: float, speed_m_s: float) -> Blow:
 
 def missed(blow: Blow) -> dict[str, bool]:
     """The lines that the blow misses, by the end of their names, and whether they decide."""
-    found = [measure for measure in knocks._measures(blow, knocks.robot_brings_j(PROTOCOL)) if measure.met is False]
+    found = [measure for measure in knocks._measures(blow, CLAIMS) if measure.met is False]
     return {measure.name.removeprefix(f"{blow.name}: "): measure.decides for measure in found}
 
 
@@ -92,10 +97,7 @@ def test_a_blow_that_nobody_predicts_and_no_robot_makes_tells_where_it_goes_thro
     lost = struck(GivesWay, 3.0, 0.5)
     assert lost.energy_j > knocks.robot_brings_j(PROTOCOL)
     assert missed(lost) == {"impulse over momentum before it goes through": False}
-    told = {
-        measure.name.rpartition(": ")[2]: measure.value
-        for measure in knocks._measures(lost, knocks.robot_brings_j(PROTOCOL))
-    }
+    told = {measure.name.rpartition(": ")[2]: measure.value for measure in knocks._measures(lost, CLAIMS)}
     # The skin holds nothing from 50 ms on: less than 25 mm at 0.5 m/s, and more than half of that.
     assert 12 < told["deepest before it goes through"] < 25
     assert 0 < told["energy taken before it goes through"] == lost.taken_j < lost.energy_j
@@ -105,7 +107,7 @@ def test_the_robots_tool_is_held_with_all_that_the_robot_brings() -> None:
     blow = knocks.strike_with_tool(Subject(PROTOCOL))
     assert blow.energy_j == pytest.approx(knocks.robot_brings_j(PROTOCOL))
     assert missed(blow) == {}
-    decides = {measure.name.rpartition(": ")[2] for measure in knocks._measures(blow, blow.energy_j) if measure.decides}
+    decides = {measure.name.rpartition(": ")[2] for measure in knocks._measures(blow, CLAIMS) if measure.decides}
     assert "impulse over momentum before it goes through" in decides
 
 
@@ -143,3 +145,76 @@ def test_the_scan_finds_where_a_knock_beside_the_middle_is_harder_and_decides_no
     assert told[f"{chest}: largest force on something else"].value > 50
     belly = "belly, -80 mm headward, 60 mm to the right, 10 kg at 0.25 m/s"
     assert told[f"{belly}: impulse over momentum before it goes through"].met is False
+
+
+def beside(
+    monkeypatch: pytest.MonkeyPatch, protocol: Protocol, *, chest: tuple[float, float], thigh: tuple[float, float]
+) -> dict[str, Measure]:
+    """What the scan measured at one place of the chest and one of the thigh."""
+    monkeypatch.setattr(knocks, "CHEST_ASIDE_M", (chest,))
+    monkeypatch.setattr(knocks, "THIGH_ASIDE_M", (thigh,))
+    monkeypatch.setattr(knocks, "BELLY_ASIDE_M", ())
+    return {m.name.removeprefix("beside the middle: "): m for m in knocks.scan(Subject(protocol))}
+
+
+def test_outward_of_the_chests_middle_and_between_the_thighs_the_newest_person_is_as_hard_as_published(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Person-v1 answers the first blow with 81 N and, where its own scan strikes, the second with 827 N."""
+    found = beside(monkeypatch, NEWEST, chest=(0.0, 0.03), thigh=(0.066, -0.08))
+    chest = "chest, 0 mm headward, 30 mm to the right, 5 kg at 0.2 m/s"
+    assert found[f"{chest}: off the prediction of 35.6 N"].decides
+    assert found[f"{chest}: off the prediction of 35.6 N"].met
+    assert f"{chest}: largest force on something else" not in found
+    thigh = "thigh, 66 mm headward, -80 mm to the right, 10 kg at 0.5 m/s"
+    assert found[f"{thigh}: harder than the prediction of 353.6 N"].met
+    assert found[f"{thigh}: harder than the prediction of 353.6 N"].decides
+    assert not found[f"{thigh}: off the prediction of 353.6 N"].decides
+
+
+def test_a_hard_blow_on_the_newest_persons_belly_ends_on_a_spring_and_not_on_rigid_bone() -> None:
+    belly = next(site for site in sites(Build()) if site.name == "belly")
+    peaks = []
+    for protocol in (PROTOCOL, NEWEST):
+        simulation = Simulation(knocks.with_striker(Subject(protocol).scene("forearm"), 10.0, belly.ball_m))
+        simulation.settle(COMFORT_ARM_DEG)
+        simulation.restore(simulation.integration_state(), comfort_arm_deg=COMFORT_ARM_DEG)
+        peaks.append(knocks.strike(simulation, belly, 10.0, 0.5).peak_n)
+    assert belly.most_n(1.25) == pytest.approx(np.sqrt(2 * 10_000 * 1.25))
+    assert peaks[0] > 4 * belly.most_n(1.25)
+    assert peaks[1] < belly.most_n(1.25)
+
+
+def a_blow(**changes: object) -> Blow:
+    plain = Blow(
+        site="thigh", mass_kg=10.0, speed_m_s=0.5, peak_n=300.0, predicted_n=350.0, most_n=np.nan, evades=False,
+        momentum=1.4, held=1.4, stray_n=0.0, depth_m=0.01, taken_j=None,
+    )  # fmt: skip
+    return replace(plain, **changes)
+
+
+def test_more_is_claimed_of_the_newest_person() -> None:
+    old, new = CLAIMS, knocks.Claims.of(NEWEST)
+    on_two = a_blow(stray_n=100.0)
+    assert old.predicts(a_blow())
+    assert new.predicts(a_blow())
+    assert not old.predicts(on_two)
+    assert new.predicts(on_two)
+    unpredicted = {"site": "belly", "predicted_n": np.nan, "most_n": 50.0}
+    robot, harder, hardest = (a_blow(mass_kg=mass, **unpredicted) for mass in (2.4, 3.0, 10.0))
+    assert [(old.holds(blow), new.holds(blow)) for blow in (robot, harder, hardest)] == [
+        (True, True), (False, True), (False, False),
+    ]  # fmt: skip
+
+
+def test_a_site_that_evades_must_not_be_harder_than_predicted_and_may_be_softer() -> None:
+    new = knocks.Claims.of(NEWEST)
+
+    def decided(blow: Blow) -> dict[str, bool | None]:
+        return {m.name.partition(": ")[2]: m.met for m in knocks._measures(blow, new) if m.limit and m.decides}
+
+    soft, hard = (decided(a_blow(evades=True, held=0.5, peak_n=peak)) for peak in (100.0, 500.0))
+    assert soft == {"harder than the prediction of 350.0 N": True, "impulse over momentum": True}
+    assert hard == {"harder than the prediction of 350.0 N": False, "impulse over momentum": True}
+    belly = decided(a_blow(site="belly", predicted_n=np.nan, most_n=100.0, peak_n=140.0))
+    assert belly["harder than the spring of the belly, 100.0 N"] is False

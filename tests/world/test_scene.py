@@ -19,6 +19,7 @@ from carecontact.world.human.build import tissue_of
 from carecontact.world.human.plates import plate_body, plates
 from carecontact.world.human.pose import FIXED_SEGMENTS
 from carecontact.world.human.skeleton import body_name
+from carecontact.world.human.versions import BUILDS, Build
 from carecontact.world.scene import Scene, build_scene
 from carecontact.world.sensors import CONTACT_SLOTS, PLATE_SLOTS, plate_sensor
 
@@ -124,10 +125,19 @@ def test_proxies_meet_only_the_bed(model: mujoco.MjModel) -> None:
 
 
 def test_every_contact_would_be_sensed(model: mujoco.MjModel) -> None:
+    all_sensed(model, Build(), PLATE_SLOTS)
+
+
+def test_every_contact_with_the_newest_person_would_be_sensed() -> None:
+    model = build_scene(load_protocol("bathing-v3-draft"), target="abdomen", skin=False).model
+    all_sensed(model, BUILDS["person-v2"], CONTACT_SLOTS)
+
+
+def all_sensed(model: mujoco.MjModel, build: Build, plate_slots: int) -> None:
     """One net force and one normal sum for each segment of the recording; what a shell feels the plugin says."""
     sensors = {model.sensor(i).name: i for i in range(model.nsensor)}
     surfaces = {s: (body_name(s), CONTACT_SLOTS) for s in SEGMENTS}
-    surfaces |= {plate_sensor(p.name): (plate_body(p.name), PLATE_SLOTS) for p in plates()}
+    surfaces |= {plate_sensor(p.name): (plate_body(p.name), plate_slots) for p in plates(build)}
     expected = {f"{kind}_{name}" for kind in ("net", "normal") for name in surfaces}
     of_contact = {n for n, i in sensors.items() if model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT}
     assert of_contact == expected

@@ -28,8 +28,8 @@ def sha256() -> str:
 
 
 FROZEN = binary.FOLDER / "frozen.json"
-"""Version of the person -> hashes of the sources and binaries of the kernel with which its protocols were frozen, and of
-the later sources that answer alike."""
+"""Version of the person -> hashes of the sources and binaries of the kernel with which its protocols were frozen, and
+of the later sources that answer alike."""
 
 
 def identity(version: str) -> str:

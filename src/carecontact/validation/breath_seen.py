@@ -23,6 +23,7 @@ from carecontact.validation.result import Array, Measure
 from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
 from carecontact.world.human.breathing import breath_body
 from carecontact.world.human.plates import plate_body, plates
+from carecontact.world.human.versions import BUILDS
 
 Indices = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
@@ -71,16 +72,19 @@ def measures(living: Subject, doings: Doings) -> Iterator[Measure]:
     """Yield what is seen of a breath against its declared size.
 
     Over the rim of the chest's plates, where the movement fades, no size is declared: there the limit does not decide.
-    Shipped bodies are known to miss the limit over the rim of the belly, and heavy ones over the middle of the chest.
+    Of person-v1, shipped bodies are known to miss the limit over the rim of the belly, and heavy ones over the middle
+    of the chest.
     """
     found = breathe(living, doings)
+    fades = BUILDS[living.protocol.person.version].breath_margin_m is None
     for part, size in zip(PARTS, doings.breath_m, strict=True):
         name = f"{part}, {doings.breath_hz:g} Hz, {1000 * size:g} mm"
         off, inner, depth = abs(found.skin_m[part] - size), found.inner[part], abs(found.depth_off_m[part])
         yield Measure(name=f"{name}: visible skin of the inner area against the declared size", unit="mm",
-                      value=1000 * float(off[inner].max()), limit=SIZE_LIMIT_MM, known=part == "chest")  # fmt: skip
+                      value=1000 * float(off[inner].max()), limit=SIZE_LIMIT_MM,
+                      known=fades and part == "chest")  # fmt: skip
         yield Measure(name=f"{name}: visible skin of the whole area against the declared size", unit="mm",
-                      value=1000 * float(off.max()), limit=SIZE_LIMIT_MM, known=True,
+                      value=1000 * float(off.max()), limit=SIZE_LIMIT_MM, known=fades,
                       decides=part == REGION)  # fmt: skip
         yield Measure(name=f"{name}: share of the area within {SIZE_LIMIT_MM:g} mm", unit="%",
                       value=100 * float((1000 * off <= SIZE_LIMIT_MM).mean()))  # fmt: skip
@@ -132,7 +136,8 @@ def _over_plates(simulation: Simulation) -> tuple[Indices, Flags]:
     one."""
     model, data = simulation.model, simulation.data
     front = simulation.data.joint(breath_body("chest")).xaxis
-    bodies = [model.body(plate_body(plate.name)).id for plate in plates() if plate.breathes]
+    build = BUILDS[simulation.protocol.person.version]
+    bodies = [model.body(plate_body(plate.name)).id for plate in plates(build) if plate.breathes]
     hulls = np.concatenate([_world_vertices(model, data, g) for g in range(model.ngeom)
                             if model.geom_bodyid[g] in bodies])  # fmt: skip
     skin = skin_in_world(model, data)

@@ -5,10 +5,9 @@ A ball flies straight at a part of the settled person and is free to come back. 
 that at which the spring of the part holds the energy of the blow. On trunk and legs the spring is that of a plate
 (``world.human.plates``), on the belly the published curve under the ball of the same size that it was measured with.
 
-That the belly holds a blow decides up to what the published curve stores, and up to what the robot brings at its speed
-limit. A harder blow of the ball is reported: no publication says what a belly does, and the tissue would have to be
-pressed onto the spine. The robot's own tool strikes the belly with all that the robot brings, and is driven into it
-(``driven_deep``), and both decide.
+Person-v1 is held to that only where a blow meets a single plate, and only to blows on the belly that its published
+curve stores or the robot can bring; later versions are held to more (``Claims``). The robot's own tool strikes the
+belly with all that the robot brings, and is driven into it (``driven_deep``), and both decide.
 """
 
 from __future__ import annotations
@@ -29,7 +28,8 @@ from carecontact.validation.moves import surface_point
 from carecontact.validation.reference import ABDOMEN
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
-from carecontact.world.human.plates import REACHED_FROM_THE_SIDE, Plate, plate_body, plates
+from carecontact.world.human.plates import CAP, FLOOR_GIVE, REACHED_FROM_THE_SIDE, Plate, plate_body, plates
+from carecontact.world.human.versions import BUILDS, Build
 from carecontact.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -56,14 +56,20 @@ THROUGH_STEPS = 2
 """A ball that touches nothing for so many physics steps, and still moves inward, has gone through what it met: pressed
 skin or a pressed plate pushes back until the ball stands. A single step without force is no gap, because the contact of
 a plate swings in."""
+BELLY_HOLDS_J = 0.47
+"""Energy that the 47.5 mm of tissue of the slim bodies store if the belly's published curve goes on as its last 10 mm
+do, in proportion to depth^1.5 (our reading). With more, no publication says whether soft tissue is left between."""
 STRAY = 0.05
-"""Share of the largest force that other parts may bear: a blow so deep that they bear more does not decide."""
-CHEST_ASIDE_M = ((0.0, -0.06), (0.0, -0.03), (0.0, 0.03), (0.0, 0.04), (0.0, 0.06))
-THIGH_ASIDE_M = ((0.0, -0.06), (0.0, -0.08), (0.0, -0.1), (0.0, -0.12), (0.05, -0.08))
+"""Share of the largest force that other parts may bear where hulls overlap: a blow so deep that they bear more does not
+decide."""
+CHEST_ASIDE_M = ((0.0, -0.085), (0.0, -0.06), (0.0, -0.03), (0.0, 0.03), (0.0, 0.04), (0.0, 0.06))
+THIGH_ASIDE_M = ((0.0, -0.06), (0.0, -0.08), (0.0, -0.1), (0.0, -0.12), (0.05, -0.08), (0.1, -0.08), (0.1, -0.1))
 BELLY_ASIDE_M = ((0.08, 0.0), (-0.08, 0.0), (0.0, 0.08), (0.0, -0.08), (0.08, 0.06), (-0.08, 0.06), (0.08, -0.06),
                  (-0.08, -0.06))  # fmt: skip
-"""Where the scan strikes the right side of the chest, the right thigh (some of it between the thighs) and the belly, as
-``Site.beside_m``."""
+"""Where the scan strikes the right side of the chest (the first place is on the breastbone), the right thigh (some of
+it between the thighs) and the belly, as ``Site.beside_m``."""
+OUTWARD_M = 0.04
+"""Farther outward on the chest, the ball meets the shoulder of one body and slips off another one."""
 STRIKER = "striker"
 DOWNWARD = (0.0, 0.0, -1.0)
 
@@ -83,11 +89,21 @@ class Site:
     """(n,) published force at ``depth_m``"""
     beside_m: tuple[float, float] = (0.0, 0.0)
     """How far beside its middle the site is struck: toward the head, and toward the person's right."""
+    evades: bool = False
+    """Whether the site may move away from the ball as a whole, or the ball slip off it: then a blow is softer than
+    predicted, and may end elsewhere or stay wedged."""
 
     def predicted_n(self, energy_j: float) -> float:
         """Return the force at which the published spring stores an energy; NaN if the curve ends before."""
         stored = np.r_[0.0, np.cumsum(np.diff(self.depth_m) * (self.force_n[1:] + self.force_n[:-1]) / 2)]
         return float(np.interp(energy_j, stored, self.force_n, right=np.nan))
+
+    def most_n(self, energy_j: float) -> float:
+        """Return the force at which the standard's spring of the belly alone would hold an energy that the published
+        curve does not reach; NaN on other sites and up to there. Tissue over the bone can only take from it.
+        """
+        beyond = self.plate is None and np.isnan(self.predicted_n(energy_j))
+        return float(np.sqrt(2 * FLOOR_GIVE.a_n_m * energy_j)) if beyond else np.nan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,6 +114,10 @@ class Blow:
     peak_n: float
     """Largest force on the whole person."""
     predicted_n: float
+    most_n: float
+    """``Site.most_n`` of its energy."""
+    evades: bool
+    """``Site.evades``"""
     momentum: float
     """Impulse over the momentum of the blow."""
     held: float
@@ -119,21 +139,45 @@ class Blow:
         return f"{self.site}, {self.mass_kg:g} kg at {self.speed_m_s:g} m/s"
 
     @property
-    def gives_way(self) -> bool:
-        """Whether the site moves away from the ball as a whole: the shoulder cap does, with the arm."""
-        return self.site == "shoulder cap"
-
-    @property
     def on_one_spring(self) -> bool:
-        """Whether the prediction applies to this blow: it assumes one spring on a part that cannot move away."""
-        return not self.gives_way and self.stray_n <= STRAY * self.peak_n
+        """Whether nothing but the site bears the blow."""
+        return self.stray_n <= STRAY * self.peak_n
 
     @property
     def off_percent(self) -> float:
         return 100 * (self.peak_n / self.predicted_n - 1)
 
 
-def sites() -> list[Site]:
+@dataclass(frozen=True, kw_only=True)
+class Claims:
+    """What blows on one version of the person are held to.
+
+    Hulls that overlap bear a blow with two springs, so that the prediction, which is of one, decides only where nothing
+    else bears the blow. Where the hulls meet in planes, it always decides; if the site evades, only that the blow is
+    not harder. Rigid bone under the belly answers hard blows as no person does; there, only what the published curve
+    stores and what the robot can bring has to be held. Where the bone rests on a plate, BELLY_HOLDS_J has to be held,
+    and no blow may be harder than the standard's spring of the belly predicts.
+    """
+
+    build: Build
+    robot_j: float
+    """Energy that the robot can bring."""
+
+    @classmethod
+    def of(cls, protocol: Protocol) -> Claims:
+        return cls(build=BUILDS[protocol.person.version], robot_j=robot_brings_j(protocol))
+
+    def predicts(self, blow: Blow) -> bool:
+        """Whether a finite prediction decides from both sides."""
+        return not blow.evades and (self.build.parted or blow.on_one_spring)
+
+    def holds(self, blow: Blow) -> bool:
+        """Whether it decides that the ball is stopped by what it met first."""
+        most_j = max(self.robot_j, BELLY_HOLDS_J if self.build.belly_floor else 0.0)
+        return not blow.evades and (bool(np.isfinite(blow.predicted_n)) or blow.energy_j <= most_j)
+
+
+def sites(build: Build) -> list[Site]:
     """Return the plates of the side on which the robot stands, the thigh also for a blow from the side, and the
     belly.
     """
@@ -143,9 +187,11 @@ def sites() -> list[Site]:
         return Site(name=name, plate=plate.name, towards=towards, ball_m=BALL_M, depth_m=depth,
                     force_n=plate.give.force_n(depth))  # fmt: skip
 
-    rows = {plate.name: plate for plate in plates()}
-    struck = ("chest", "shoulder_cap", "hip", "thigh", "shank")
+    rows = {plate.name: plate for plate in plates(build)}
+    struck = ("chest", CAP, "hip", "thigh", "shank")
     found = [of(rows[f"{REACHED_FROM_THE_SIDE}_{part}"], DOWNWARD, part.replace("_", " ")) for part in struck]
+    # With the arm.
+    found[struck.index(CAP)] = replace(found[struck.index(CAP)], evades=True)
     # The person's right is the world's +y.
     found.append(of(rows[f"{REACHED_FROM_THE_SIDE}_thigh"], (0.0, -1.0, 0.0), "thigh from the side"))
     assert ABDOMEN.indenter.size_m is not None
@@ -157,33 +203,30 @@ def sites() -> list[Site]:
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     masses, speeds = (QUICK_MASSES_KG, QUICK_SPEEDS_M_S) if quick else (MASSES_KG, SPEEDS_M_S)
     blows = list(strike_all(subject, masses, speeds))
-    measures = list(_counts(blows))
+    claims = Claims.of(subject.protocol)
+    measures = list(_counts(blows, claims))
     for blow in blows:
-        measures += _measures(blow, robot_brings_j(subject.protocol))
+        measures += _measures(blow, claims)
     if not quick:
         measures += scan(subject)
-    measures += _measures(strike_with_tool(subject), robot_brings_j(subject.protocol))
+    measures += _measures(strike_with_tool(subject), claims)
     try:
         measures += drive(subject).measures()
     except SceneError as error:
         # Without this measure, the others are still useful.
         name = f"belly, {subject.protocol.scene.tool} driven in by the robot, not measured: {error}"
         measures.append(Measure(name=name, value=float("nan"), unit="%", limit=MIDDLE_PERCENT))
-    curves = {
-        site.name: np.array(
-            [[b.mass_kg, b.speed_m_s, b.peak_n, b.predicted_n, b.on_one_spring] for b in blows if b.site == site.name]
-        )
-        for site in sites()
-    }
+    rows = [(b.site, [b.mass_kg, b.speed_m_s, b.peak_n, b.predicted_n, claims.predicts(b)]) for b in blows]
+    curves = {site.name: np.array([row for name, row in rows if name == site.name]) for site in sites(claims.build)}
     return CheckResult(check="knocks", title=TITLE, measures=tuple(measures), curves=curves)
 
 
-def _counts(blows: list[Blow]) -> Iterator[Measure]:
+def _counts(blows: list[Blow], claims: Claims) -> Iterator[Measure]:
     """How many blows the predictions judge: no limit of its own."""
     predicted = [blow for blow in blows if np.isfinite(blow.predicted_n)]
     for name, found in {
-        "predictions that decide": [blow for blow in predicted if blow.on_one_spring],
-        "predictions that do not decide": [blow for blow in predicted if not blow.on_one_spring],
+        "predictions that decide": [blow for blow in predicted if claims.predicts(blow)],
+        "predictions that do not decide": [blow for blow in predicted if not claims.predicts(blow)],
     }.items():
         yield Measure(name=name, value=len(found))
         off = sum(abs(blow.off_percent) > TOLERANCE_PERCENT for blow in found)
@@ -196,19 +239,22 @@ def robot_brings_j(protocol: Protocol) -> float:
     return protocol.impedance.effective_mass_kg * protocol.physics.max_tcp_speed_m_s**2 / 2
 
 
-def _measures(blow: Blow, robot_j: float) -> Iterator[Measure]:
-    """Yield what a blow measured. That it is held decides where a published curve reaches so far, and up to the energy
-    that the robot brings (``robot_j``).
-    """
-    claimed = bool(np.isfinite(blow.predicted_n)) or blow.energy_j <= robot_j
+def _measures(blow: Blow, claims: Claims) -> Iterator[Measure]:
+    """Yield what a blow measured."""
     yield Measure(name=f"{blow.name}: largest force", value=blow.peak_n, unit="N")
     if np.isfinite(blow.predicted_n):
         yield Measure(name=f"{blow.name}: off the prediction of {blow.predicted_n:.1f} N", value=abs(blow.off_percent),
-                      unit="%", limit=TOLERANCE_PERCENT, decides=blow.on_one_spring)  # fmt: skip
+                      unit="%", limit=TOLERANCE_PERCENT, decides=claims.predicts(blow))  # fmt: skip
+        if claims.build.parted and blow.evades:
+            yield Measure(name=f"{blow.name}: harder than the prediction of {blow.predicted_n:.1f} N", unit="%",
+                          value=blow.off_percent, limit=TOLERANCE_PERCENT)  # fmt: skip
+    elif np.isfinite(blow.most_n) and claims.build.belly_floor:
+        yield Measure(name=f"{blow.name}: harder than the spring of the belly, {blow.most_n:.1f} N", unit="%",
+                      value=100 * (blow.peak_n / blow.most_n - 1), limit=TOLERANCE_PERCENT)  # fmt: skip
     yield Measure(name=f"{blow.name}: impulse over momentum", value=blow.momentum, limit=MOMENTUM)
     yield Measure(name=f"{blow.name}: impulse over momentum before it goes through", value=blow.held, limit=STOPPED,
-                  side="at least", decides=claimed and not blow.gives_way)  # fmt: skip
-    if not claimed or blow.taken_j is not None:
+                  side="at least", decides=claims.holds(blow))  # fmt: skip
+    if np.isnan(blow.predicted_n) or blow.taken_j is not None:
         yield Measure(name=f"{blow.name}: deepest before it goes through", value=1000 * blow.depth_m, unit="mm")
     if blow.taken_j is not None:
         yield Measure(name=f"{blow.name}: energy taken before it goes through", value=blow.taken_j, unit="J")
@@ -219,24 +265,26 @@ def _measures(blow: Blow, robot_j: float) -> Iterator[Measure]:
 def strike_all(subject: Subject, masses: tuple[float, ...], speeds: tuple[float, ...]) -> Iterator[Blow]:
     """Yield every blow, each on the person at rest."""
     scene = subject.scene("forearm")
+    struck = sites(BUILDS[subject.protocol.person.version])
     state: Array | None = None
     for mass in masses:
-        for ball in sorted({site.ball_m for site in sites()}):
+        for ball in sorted({site.ball_m for site in struck}):
             simulation = Simulation(with_striker(scene, mass, ball))
             if state is None:
                 simulation.settle(COMFORT_ARM_DEG)
                 state = simulation.integration_state()
-            for site in (site for site in sites() if site.ball_m == ball):
+            for site in (site for site in struck if site.ball_m == ball):
                 for speed in speeds:
                     simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
                     yield strike(simulation, site, mass, speed)
 
 
 def scan(subject: Subject) -> Iterator[Measure]:
-    """Yield what blows beside the middle of a part measured, of which nothing is claimed: where plates overlap, between
-    the thighs, and toward the border of the belly."""
-    scene, impedance = subject.scene("forearm"), subject.protocol.impedance
-    rows = {site.name: site for site in sites()}
+    """Yield what blows beside the middle of a part measured: on breastbone and ribs, between the thighs, and toward the
+    border of the belly. Of person-v1 they are reported: its plates overlap, and its left thigh is rigid from the side.
+    """
+    scene, impedance, claims = subject.scene("forearm"), subject.protocol.impedance, Claims.of(subject.protocol)
+    rows = {site.name: site for site in sites(BUILDS[subject.protocol.person.version])}
     for name, mass, speed, places in (
         ("chest", 5.0, 0.2, CHEST_ASIDE_M), ("thigh", 10.0, 0.5, THIGH_ASIDE_M),
         ("belly", impedance.effective_mass_kg, subject.protocol.physics.max_tcp_speed_m_s, BELLY_ASIDE_M),
@@ -247,13 +295,14 @@ def scan(subject: Subject) -> Iterator[Measure]:
         for headward, right in places:
             simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
             where = f"beside the middle: {name}, {1000 * headward:.0f} mm headward, {1000 * right:.0f} mm to the right"
-            site = replace(rows[name], name=where, beside_m=(headward, right))
+            site = replace(rows[name], name=where, beside_m=(headward, right), evades=name == "thigh")
             try:
                 blow = strike(simulation, site, mass, speed)
             except SceneError as error:
                 yield Measure(name=str(error), value=float("nan"))
                 continue
-            yield from (replace(m, decides=False) for m in _measures(blow, robot_brings_j(subject.protocol)))
+            decides = claims.build.parted and not (name == "chest" and right > OUTWARD_M)
+            yield from (replace(m, decides=m.decides and decides) for m in _measures(blow, claims))
 
 
 def strike_with_tool(subject: Subject) -> Blow:
@@ -294,8 +343,9 @@ def with_striker(scene: Scene, mass_kg: float, shape: float | Tip) -> Scene:
 
 def strike(simulation: Simulation, site: Site, mass_kg: float, speed_m_s: float) -> Blow:
     """Simulate one blow on the person at rest, until the ball has left it. A ball that touches nothing but still moves
-    inward has not left; after LONGEST_S, such a blow ends as well. Raises SceneError if the ball is still in contact
-    then, or if MuJoCo warned.
+    inward has not left; after LONGEST_S, such a blow ends as well, and so does one that an evading site has wedged.
+    Raises SceneError if the ball is still in contact then with any other site or has touched nothing, or if MuJoCo
+    warned.
     """
     towards = np.array(site.towards)
     _aim(simulation, site, speed_m_s * towards)
@@ -313,16 +363,18 @@ def strike(simulation: Simulation, site: Site, mass_kg: float, speed_m_s: float)
         if held is None and silent_s > (THROUGH_STEPS - 0.5) * step_s and _speed_m_s(simulation, towards) > 0:
             held, taken = impulse, mass_kg * (speed_m_s**2 - _speed_m_s(simulation, towards) ** 2) / 2
         if simulation.time_s > LONGEST_S:
-            if silent_s >= AFTER_S:
+            if silent_s >= AFTER_S or (site.evades and touched):
                 break
-            raise SceneError(f"{site.name}: after {LONGEST_S} s, the ball of {mass_kg:g} kg has not left the person")
+            fate = "has not left the person" if touched else "has touched nothing"
+            raise SceneError(f"{site.name}: after {LONGEST_S} s, the ball of {mass_kg:g} kg {fate}")
     if warnings := simulation.solver_warnings():
         raise SceneError(f"MuJoCo warned while the {site.name} was struck: {', '.join(warnings)}")
     momentum = mass_kg * speed_m_s
     return Blow(
         site=site.name, mass_kg=mass_kg, speed_m_s=speed_m_s, peak_n=peak, momentum=impulse / momentum,
         held=(impulse if held is None else held) / momentum,
-        predicted_n=site.predicted_n(mass_kg * speed_m_s**2 / 2), stray_n=stray, depth_m=depth, taken_j=taken,
+        predicted_n=site.predicted_n(mass_kg * speed_m_s**2 / 2), most_n=site.most_n(mass_kg * speed_m_s**2 / 2),
+        evades=site.evades, stray_n=stray, depth_m=depth, taken_j=taken,
     )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from carecontact.world.human.clearance import free_middle
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.library import load_body
 from carecontact.world.human.muscles import add_muscles
+from carecontact.world.human.plates import BELLY_FLOOR, plate_body
 from carecontact.world.human.pose import NOT_TURNED, ArmTurn, root_position, trunk_rotation
 from carecontact.world.human.refine import refined
 from carecontact.world.human.region_frame import RegionFrame, rigid_frame, soft_frame, upward_in_bind
@@ -103,7 +104,7 @@ def build_spec(
     if skin:
         add_skin(spec, body if target is None else refined(body, REGIONS[target].segment, times=2))
         if breathes:
-            move_skin(spec, body)
+            move_skin(spec, body, BUILDS[protocol.person.version])
     head_x = root[0] + body.joint_centre["head"][2] - body.joint_centre["pelvis"][2] + 0.04
     add_furniture(spec, protocol.scene, head_x=head_x, head_y=float(root[1]))
     add_light(spec)
@@ -120,11 +121,11 @@ def _add_person(
     """Add skeleton and shells, with the pelvis at ``root`` (3,) [m]."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, trunk_rotation(body).ravel())
-    alive = protocol.person.alive
+    alive, build = protocol.person.alive, BUILDS[protocol.person.version]
     breathes = alive.breathing is not None
     hinges = add_skeleton(
         spec, body, root_position=root, root_quat=quat, soft_regions=protocol.soft_regions,
-        front=add_slide if breathes else None,
+        build=build, front=add_slide if breathes else None,
     )  # fmt: skip
     if breathes:
         add_servos(spec)
@@ -135,7 +136,8 @@ def _add_person(
         tissue, turn = tissue_of(body, region, protocol.person.tissue[region]), arm_turn(protocol)
         shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue, turn), turn=turn)
         on = carrier(REGIONS[region].segment, breathes=breathes)
-        regions[region] = add_tissue(spec, body, region, shell, tissue, on=on, build=BUILDS[protocol.person.version])
+        floor = plate_body(BELLY_FLOOR) if build.belly_floor and region == "abdomen" else None
+        regions[region] = add_tissue(spec, body, region, shell, tissue, on=on, floor=floor, build=build)
     return hinges, regions
 
 

@@ -11,6 +11,7 @@ from carecontact.recording.schema import SEGMENTS
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.plates import plate_body, plates
 from carecontact.world.human.skeleton import body_name
+from carecontact.world.human.versions import BUILDS
 
 CONTACT_SLOTS = 12
 """Number of contacts for each segment that the sum of normal forces can hold; a recording says so if a segment ever had
@@ -20,7 +21,7 @@ more at once."""
 FOUND_BIT, FORCE_BIT, POS_BIT = 1 << 0, 1 << 1, 1 << 4
 NETFORCE, MAXFORCE = 3, 2
 PLATE_SLOTS = 6
-"""The same number for a plate, which has only one hull."""
+"""The same number for plates that have only one hull each."""
 
 
 def plate_sensor(plate: str) -> str:
@@ -50,8 +51,11 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) ->
 
     for segment in SEGMENTS:
         surface(segment, body_name(segment), CONTACT_SLOTS)
-    for plate in plates():
-        surface(plate_sensor(plate.name), plate_body(plate.name), PLATE_SLOTS)
+    build = BUILDS[protocol.person.version]
+    # The belly's floor has as many hulls as the bone of a segment, and all plates have equally many slots.
+    slots = CONTACT_SLOTS if build.belly_floor else PLATE_SLOTS
+    for plate in plates(build):
+        surface(plate_sensor(plate.name), plate_body(plate.name), slots)
     for hinge in hinges:
         spec.add_sensor(name=f"q_{hinge.name}", type=kind.mjSENS_JOINTPOS, objtype=obj.mjOBJ_JOINT,
                         objname=f"human_{hinge.name}", nsample=samples)  # fmt: skip

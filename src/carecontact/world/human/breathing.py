@@ -13,8 +13,11 @@ import numpy.typing as npt
 
 from carecontact.kernel.life import PARTS
 from carecontact.world.human.body import Array, Body
+from carecontact.world.human.parting import girdle
+from carecontact.world.human.plates import SIDEWAYS
 from carecontact.world.human.shell import belly_half_width, belly_span
 from carecontact.world.human.skeleton import body_name
+from carecontact.world.human.versions import Build
 
 SEGMENT = {"abdomen": "abdomen", "chest": "thorax"}
 """Part -> the segment that carries its slide."""
@@ -27,8 +30,17 @@ INERTIA_KG = 2.0
 """Inertia of the moving wall (assumed). It is an armature of the joint, so that the segments keep their masses."""
 MASS_KG = 1e-3
 """Mass of a slide's body, because MuJoCo requires one."""
+STILL = ("neck", "head", *(f"{side}_{part}" for side in SIDEWAYS for part in ("upper_arm", "forearm", "hand")))
+"""Segments beside the chest whose skin does not breathe."""
+WHOLE_FROM = 2 / 3
+"""Weight of the other segments from which on skin makes the whole of a movement. The chest's plates are made of skin
+with more than half, so that theirs is at most 0.8 mm short of 5 mm; with 1/2, the armpit's fold is half as steep
+again."""
 TAPER_M = 0.06
 """Width of the rim in which the skin's movement fades, both along the trunk and across it."""
+SEAM_M = 0.03
+"""Width of the strip over the lower border of the chest in which the skin goes over from the belly's movement to the
+chest's, if the whole of both has its full movement."""
 SIDE_M = 0.03
 """Width of the zone in which it fades from the plane of the spine forward."""
 
@@ -67,7 +79,7 @@ def carrier(segment: str, *, breathes: bool) -> str:
     return breath_body(part) if breathes and part is not None else body_name(segment)
 
 
-def move_skin(spec: mujoco.MjSpec, body: Body) -> None:
+def move_skin(spec: mujoco.MjSpec, body: Body, build: Build) -> None:
     """Let the slides move the visible skin. Call it after the skin, with the body that the skin was made from.
 
     Whatever weight a vertex gets from a slide is subtracted from its weight on the segment under the slide, also below
@@ -77,7 +89,9 @@ def move_skin(spec: mujoco.MjSpec, body: Body) -> None:
     points = np.asarray(skin.vert, np.float64).reshape(-1, 3)
     names, ids, weights = list(skin.bodyname), list(skin.vertid), list(skin.vertweight)
     bindpos, bindquat = list(skin.bindpos), list(skin.bindquat)
-    for part, share in shares(body, points).items():
+    of_trunk = np.ones(len(points)) if build.breath_margin_m is None else 1 - _weight(skin, STILL)
+    for part, share in shares(body, points, build).items():
+        share = share * _rise(of_trunk / WHOLE_FROM)
         rows, under = np.flatnonzero(share), names.index(body_name(SEGMENT[part]))
         lessened = np.zeros(len(points))
         lessened[np.asarray(ids[under])] = weights[under]
@@ -93,8 +107,19 @@ def move_skin(spec: mujoco.MjSpec, body: Body) -> None:
     skin.bindpos, skin.bindquat = np.array(bindpos, np.float32), np.array(bindquat, np.float32)
 
 
-def shares(body: Body, points: npt.ArrayLike) -> dict[str, Array]:
+def _weight(skin: mujoco.MjsSkin, segments: tuple[str, ...]) -> Array:
+    """Return the weight (n,) with which the vertices of a skin move with some segments."""
+    weight = np.zeros(len(skin.vert) // 3)
+    for name, rows, shares in zip(skin.bodyname, skin.vertid, skin.vertweight, strict=True):
+        if name in map(body_name, segments):
+            weight[np.asarray(rows)] += shares
+    return weight
+
+
+def shares(body: Body, points: npt.ArrayLike, build: Build) -> dict[str, Array]:
     """Return, for each part, the share (n,) of its movement that points (n, 3) of the skin make, in the mesh frame."""
+    if build.breath_margin_m is not None:
+        return _full_shares(body, np.asarray(points, np.float64), build.breath_margin_m)
     x, y, z = np.asarray(points, np.float64).T
     low, high = belly_span(body)
     shoulder = body.joint_centre["left_upper_arm"]
@@ -103,6 +128,22 @@ def shares(body: Body, points: npt.ArrayLike) -> dict[str, Array]:
     belly = (1 - above) * _rise((z - low) / TAPER_M + 1) * _rise(1 - (np.abs(x) - belly_half_width(body)) / TAPER_M)
     below_neck = _rise((shoulder[2] - z) / TAPER_M + 0.5)
     chest = above * below_neck * _rise(1 - (np.abs(x) - 0.6 * shoulder[0]) / TAPER_M)
+    return {"abdomen": ahead * belly, "chest": ahead * chest}
+
+
+def _full_shares(body: Body, points: Array, margin_m: float) -> dict[str, Array]:
+    """Return the same shares, which are whole as far as a margin beyond the belly's soft region, and beyond what the
+    plates of the chest carry of the front. Between the two, the skin goes over from one movement to the other on the
+    lowest strip of the chest.
+    """
+    low, high = belly_span(body)
+    ahead = _rise((body.joint_centre["thorax"][1] - points[:, 1]) / SIDE_M)
+    above = _rise((points[:, 2] - high - margin_m) / SEAM_M)
+    beside = np.abs(points[:, 0]) - belly_half_width(body) - margin_m
+    under = low - margin_m - points[:, 2]
+    belly = (1 - above) * _rise(1 - beside / TAPER_M) * _rise(1 - under / TAPER_M)
+    over_girdle = np.max([girdle(body, side).height_m(points) for side in SIDEWAYS], axis=0) - margin_m
+    chest = above * _rise(1 - over_girdle / TAPER_M)
     return {"abdomen": ahead * belly, "chest": ahead * chest}
 
 

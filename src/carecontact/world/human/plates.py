@@ -16,6 +16,7 @@ import numpy as np
 
 from carecontact.world.human.anthropometry import SegmentInertia
 from carecontact.world.human.body import Array, Body
+from carecontact.world.human.versions import Build
 
 FREQUENCY_RAD_S, SHANK_RAD_S = 500.0, 600.0
 """Natural frequency of a plate on its spring; our choice. A blow of 1 kg loses little to the plate's own mass, and the
@@ -74,6 +75,10 @@ GIVES: dict[str, Give] = {
     "thigh": Give(a_n_m=50_000.0, source=ISO.format("thighs")),
     "shank": Give(a_n_m=60_000.0, frequency_rad_s=SHANK_RAD_S, source=ISO.format("lower legs")),
 }
+BELLY_FLOOR = "belly_floor"
+"""Plate that carries the bone under the belly's soft region."""
+FLOOR_GIVE = Give(a_n_m=10_000.0, source=ISO.format("belly"))
+"""The standard's spring is of the whole belly. The soft tissue over the plate, and what it yields, come on top."""
 SEGMENT_OF = {"chest": "thorax", "shoulder": "thorax", "flank": "abdomen", "hip": "pelvis"}
 """Part -> segment, for parts that are not named after a segment."""
 CAP = "shoulder_cap"
@@ -82,6 +87,9 @@ FRONT = np.array([0.0, -1.0, 0.0])
 SIDEWAYS = {"left": np.array([1.0, 0.0, 0.0]), "right": np.array([-1.0, 0.0, 0.0])}
 REACHED_FROM_THE_SIDE = "right"
 """Side on which the robot stands; plates on this side also give way sideways."""
+INNER_SIDES = ("flank", "thigh")
+"""Parts of the other side of which a tool can reach the inner side: across the belly, or between the legs. The shank's
+stays rigid, because each degree of freedom makes a step at rest dearer by some 0.7 %."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,21 +107,23 @@ class Plate:
         return self.name.endswith("_chest")
 
 
-def plates() -> list[Plate]:
+def plates(build: Build) -> list[Plate]:
     rows: list[Plate] = []
     for part, give in GIVES.items():
         for side, sideways in SIDEWAYS.items():
             reached = side == REACHED_FROM_THE_SIDE
             if part == CAP and not reached:
                 continue
-            outward = [FRONT, sideways] if reached else [FRONT]
+            aside = [sideways] if reached else [-sideways] if build.inner_sides and part in INNER_SIDES else []
             segment = f"{side}_upper_arm" if part == CAP else SEGMENT_OF.get(part, f"{side}_{part}")
-            rows.append(Plate(name=f"{side}_{part}", segment=segment, give=give, outward=np.array(outward)))
+            rows.append(Plate(name=f"{side}_{part}", segment=segment, give=give, outward=np.array([FRONT, *aside])))
+    if build.belly_floor:
+        rows.append(Plate(name=BELLY_FLOOR, segment="abdomen", give=FLOOR_GIVE, outward=np.array([FRONT])))
     return rows
 
 
-def plates_of(segment: str) -> list[Plate]:
-    return [plate for plate in plates() if plate.segment == segment]
+def plates_of(segment: str, build: Build) -> list[Plate]:
+    return [plate for plate in plates(build) if plate.segment == segment]
 
 
 def plate_body(plate: str) -> str:

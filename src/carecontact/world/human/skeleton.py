@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -15,9 +15,20 @@ from carecontact.world.human.bed_contact import bed_proxies
 from carecontact.world.human.body import PARENT, Array, Body
 from carecontact.world.human.end_stops import add_end_stop
 from carecontact.world.human.joints import Hinge, hinges
-from carecontact.world.human.plates import SIDEWAYS, SOLIMP, SOLREF, add_plate, plates_of, trunk_sides, without_plates
+from carecontact.world.human.parting import parted
+from carecontact.world.human.plates import (
+    BELLY_FLOOR,
+    SIDEWAYS,
+    SOLIMP,
+    SOLREF,
+    add_plate,
+    plates_of,
+    trunk_sides,
+    without_plates,
+)
 from carecontact.world.human.pose import FIXED_SEGMENTS, lying_pose_deg, rotation_from_bind
 from carecontact.world.human.shell import belly_half_width, belly_span
+from carecontact.world.human.versions import Build
 
 # Collision bits. The robot has contype 1; bed and arm board have conaffinity 3 and so meet both robot and proxies.
 ROBOT_ONLY = {"contype": 0, "conaffinity": 1}
@@ -39,6 +50,7 @@ def add_skeleton(
     root_position: Array,
     root_quat: Array,
     soft_regions: Iterable[str],
+    build: Build,
     front: Callable[[str, mujoco.MjsBody], mujoco.MjsBody] | None = None,
 ) -> list[Hinge]:
     """Add every segment under a free root, and return the hinges in the order of their joints.
@@ -53,7 +65,10 @@ def add_skeleton(
     soft = {REGIONS[region].segment: region for region in soft_regions}
     inertias = segment_inertias(body)
     rows, pose = hinges(body), lying_pose_deg(body, 0.0)
-    surface = list(_hulls(body, soft))
+    surface = list(_hulls(body, soft, build))
+    if build.parted:
+        apart = parted(body)
+        surface = [replace(hull, points=apart.get(hull.name, hull.points)) for hull in surface]
     bodies: dict[str, mujoco.MjsBody] = {}
     carriers: dict[str, mujoco.MjsBody] = {}
     for segment in body.segments:
@@ -65,7 +80,10 @@ def add_skeleton(
         else:
             made = bodies[parent].add_body(name=body_name(segment), pos=at - body.joint_centre[parent])
         bodies[segment], ahead = made, made if front is None else front(segment, made)
-        places = [(plate, _middle(surface, plate.name)) for plate in plates_of(segment)]
+        places = [
+            (plate, _belly_middle(body) if plate.name == BELLY_FLOOR else _middle(surface, plate.name))
+            for plate in plates_of(segment, build)
+        ]
         made.mass, centre, tensor = without_plates(inertias[segment], places)
         made.explicitinertial, made.ipos = True, centre - at
         made.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
@@ -122,6 +140,12 @@ def _middle(surface: list[_Hull], plate: str) -> Array:
     return (points.min(0) + points.max(0)) / 2
 
 
+def _belly_middle(body: Body) -> Array:
+    """Return the middle (3,) of the belly's core in the mesh frame, on its axis: the core's hulls are made later."""
+    low, high = belly_span(body)
+    return np.array([0.0, body.joint_centre["thorax"][1], (low + high) / 2])
+
+
 def _add_hull(spec: mujoco.MjSpec, body: Body, hull: _Hull, to: mujoco.MjsBody) -> None:
     """Add a hull to a body. A robot's contact with it is recorded too, as contact off the target."""
     points, name = hull.points, f"human_hull_{hull.name}"
@@ -141,7 +165,8 @@ def rigid_points(body: Body, segment: str) -> Array:
 
     Raises SceneError for a segment without a surface of its own.
     """
-    found = [hull.points for hull in _hulls(body, {}) if hull.segment == segment]
+    # No version of the person changes the surface, only which plate carries it.
+    found = [hull.points for hull in _hulls(body, {}, Build()) if hull.segment == segment]
     if not found:
         raise SceneError(f"segment {segment!r} has no surface of its own that a robot could touch")
     return np.concatenate(found)
@@ -153,7 +178,7 @@ GIRDLE_SHARE = 0.45
 """Share of the way from the breastbone to the shoulder's joint at which the girdle begins."""
 
 
-def _hulls(body: Body, soft: dict[str, str]) -> Iterator[_Hull]:
+def _hulls(body: Body, soft: dict[str, str], build: Build) -> Iterator[_Hull]:
     """Yield every hull: together they cover all that no shell covers, so that the surface has no hole.
 
     ``soft``: segment -> its soft region.
@@ -182,14 +207,15 @@ def _hulls(body: Body, soft: dict[str, str]) -> Iterator[_Hull]:
             back = trunk[trunk[:, 1] > body.joint_centre["thorax"][1]]
             yield _Hull(name="lower_back", segment=segment, points=back)
         elif segment in soft and isinstance(tube := REGIONS[soft[segment]].shape, Tube):
-            yield from _limb_ends(body, segment, tube)
+            yield from _limb_ends(body, segment, tube, plate=_own_plate(segment, build))
         else:
-            yield _Hull(name=segment, segment=segment, points=body.vertices_of(segment), plate=_own_plate(segment))
+            plate = _own_plate(segment, build)
+            yield _Hull(name=segment, segment=segment, points=body.vertices_of(segment), plate=plate)
 
 
-def _own_plate(segment: str) -> str | None:
+def _own_plate(segment: str, build: Build) -> str | None:
     """Return the name of the only plate of a limb's segment; None if it has none."""
-    return next((plate.name for plate in plates_of(segment)), None)
+    return next((plate.name for plate in plates_of(segment, build)), None)
 
 
 def _rib_cage(body: Body, points: Array) -> Iterator[_Hull]:
@@ -207,8 +233,11 @@ def _rib_cage(body: Body, points: Array) -> Iterator[_Hull]:
             yield _Hull(name=f"{side}_{part}", segment="thorax", points=mine[chosen], plate=f"{side}_{part}")
 
 
-def _limb_ends(body: Body, segment: str, tube: Tube) -> Iterator[_Hull]:
-    """Yield the rigid ends of a soft limb beside its shell, for example shoulder cap and elbow, or elbow and wrist."""
+def _limb_ends(body: Body, segment: str, tube: Tube, *, plate: str | None) -> Iterator[_Hull]:
+    """Yield the rigid ends of a soft limb beside its shell, for example shoulder cap and elbow, or elbow and wrist.
+
+    ``plate``: name of the plate that carries the near end.
+    """
     side = segment.partition("_")[0]
     start, along = tube.span
     points = body.vertices_of(segment, *(f"{side}_{kind}" for kind in tube.closed_by))
@@ -217,6 +246,6 @@ def _limb_ends(body: Body, segment: str, tube: Tube) -> Iterator[_Hull]:
     off = points - body.joint_centre[segment] - share[:, None] * axis
     near = np.linalg.norm(off, axis=1) < LIMB_REACH_M
     near_end = points[near & (share > tube.near_end_from) & (share < start + 0.02)]
-    yield _Hull(name=f"{segment}_near_end", segment=segment, points=near_end, plate=_own_plate(segment))
+    yield _Hull(name=f"{segment}_near_end", segment=segment, points=near_end, plate=plate)
     far_end = points[near & (share > along - 0.02) & (share < 1.03)]
     yield _Hull(name=f"{segment}_far_end", segment=segment, points=far_end)

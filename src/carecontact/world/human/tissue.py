@@ -19,6 +19,7 @@ from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Tissue
 from carecontact.kernel.region import Mesh, add_region
 from carecontact.regions import REGIONS, Tube
+from carecontact.world.human import plates
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import HIDDEN_GROUP, ROBOT_ONLY, body_name
@@ -32,7 +33,7 @@ tip that passes over part of a cell wipes more of it than it touches at any mome
 loses a tenth of its strip on cells of 15 mm, and a thirtieth on these."""
 SOLREF = (0.01, 1.0)
 SOLIMP = (0.94, 0.985, 0.003, 0.5, 2.0)
-"""MuJoCo's contact impedance of the core, which is soft at first touch."""
+"""MuJoCo's contact impedance of a core on rigid bone, which is soft at first touch. One on a plate has the plates'."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +76,7 @@ class DeclaredCells:
 
 def add_tissue(
     spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissue: Tissue, *, tools: str = PANDA.base_body,
-    ledger: bool = False, on: str | None = None, build: Build = BUILDS["person-v1"],
+    ledger: bool = False, on: str | None = None, floor: str | None = None, build: Build = BUILDS["person-v1"],
 ) -> SoftRegion:  # fmt: skip
     """Add shell and bone core of one region. Call it after the skeleton.
 
@@ -83,7 +84,8 @@ def add_tissue(
         tools: name of the body whose geoms, and those of the bodies under it, touch the shell.
         ledger: whether the energy of every step is kept.
         on: name of the body that carries the shell, whose origin is that of the segment's body; by default the
-            segment's body. The core is always on the segment.
+            segment's body.
+        floor: name of the plate that carries the core, at the same place; by default the segment's body carries it.
         build: how tools touch the shell.
     """
     origin = body.joint_centre[REGIONS[region].segment]
@@ -98,7 +100,7 @@ def add_tissue(
         spec, name=region, bone=bone, mesh=mesh, tissue=tissue, tools=tools, ledger=ledger, layer_m=build.layer_m,
         entry_m=build.entry_m,
     )  # fmt: skip
-    _add_core(spec, region, shell, tissue, origin)
+    _add_core(spec, region, shell, tissue, origin, floor=floor)
     return SoftRegion(name=region, shell=shell, tissue=tissue, cells=cells)
 
 
@@ -110,7 +112,9 @@ def inner_surface(shell: Shell, thickness_m: float) -> Array:
     return shell.vertices - np.clip(thickness_m, 0.0, np.maximum(room, 0.0))[:, None] * shell.normals
 
 
-def _add_core(spec: mujoco.MjSpec, region: str, shell: Shell, tissue: Tissue, origin: Array) -> None:
+def _add_core(
+    spec: mujoco.MjSpec, region: str, shell: Shell, tissue: Tissue, origin: Array, *, floor: str | None
+) -> None:
     """Add the rigid core that the tool meets under fully compressed tissue: convex wedges under the inner surface.
 
     One hull over the whole region would fill its hollows and be far too near to the skin. A wedge covers only
@@ -122,7 +126,8 @@ def _add_core(spec: mujoco.MjSpec, region: str, shell: Shell, tissue: Tissue, or
     middle = shell.grid[shell.triangles].mean(1)
     width = CORE_SECTOR_RAD if limb else CORE_PIECE_M
     key = np.floor(middle / [CORE_PIECE_M, width] + [0.0, 0.5]).astype(np.int64)
-    bone = spec.body(body_name(REGIONS[region].segment))
+    bone = spec.body(floor or body_name(REGIONS[region].segment))
+    solref, solimp = (SOLREF, SOLIMP) if floor is None else (plates.SOLREF, plates.SOLIMP)
     for number, piece in enumerate(np.unique(key, axis=0)):
         corners = np.unique(shell.triangles[(key == piece).all(1)])
         points = np.concatenate([inner[corners], axis[corners]])
@@ -130,6 +135,6 @@ def _add_core(spec: mujoco.MjSpec, region: str, shell: Shell, tissue: Tissue, or
         spec.add_mesh(name=name, uservert=points.ravel(), maxhullvert=40)
         bone.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, mass=0, group=HIDDEN_GROUP, condim=3,
-            friction=[tissue.friction, 0.005, 0.0001], solref=list(SOLREF), solimp=list(SOLIMP), priority=1,
+            friction=[tissue.friction, 0.005, 0.0001], solref=list(solref), solimp=list(solimp), priority=1,
             **ROBOT_ONLY,
         )  # fmt: skip

@@ -19,10 +19,23 @@ class Build:
     """Depth in the contact layer at which its pressure is twice that of a linear layer, [m]. 0: the layer is linear."""
     entry_m: float = 0.0
     """Depth over which skin that a tool meets from the side comes to bear, [m]. 0: such skin bears nothing."""
+    parted: bool = False
+    """Whether the hulls of neighbouring plates meet in planes (``parting``). False: they overlap, and both plates carry
+    what lies there."""
+    inner_sides: bool = False
+    """Whether flank and thigh of the side away from the robot give way sideways too. False: their inner side, which a
+    tool can reach over the belly and between the legs, is rigid to a push from the robot's side."""
+    belly_floor: bool = False
+    """Whether the bone under the belly's soft region gives way on a plate. False: it is rigid."""
+    breath_margin_m: float | None = None
+    """How far the visible skin makes all of a breath's movement beyond the belly's soft region and beyond what the
+    chest's plates carry, [m]. None: its movement fades by shares of the body's breadth, also over parts of both."""
 
 
 BUILDS: dict[PersonVersion, Build] = {
     "person-v1": Build(),
-    "person-v2": Build(layer_m=0.0015, entry_m=0.004),
+    "person-v2": Build(
+        layer_m=0.0015, entry_m=0.004, parted=True, inner_sides=True, belly_floor=True, breath_margin_m=0.015
+    ),
 }
 """Version -> its choices."""
