@@ -1,10 +1,10 @@
-"""Finds and checks the binary that this machine would load, and says which kernel it is. Neither the binary nor MuJoCo
-is loaded.
+"""Finds and checks the binary that this machine would load, and says which kernel it is. It loads neither the binary
+nor MuJoCo.
 
-A frozen protocol names a version of the person, whose contacts every later kernel must answer as the kernel did with
-which the protocol was frozen. ``frozen.json`` holds the hashes of that kernel and, as ``equal_sources``, the hash of the
-later sources that were shown to answer alike (``kernel.behaviour``; ``tools/frozen_kernel.py`` writes it). To a protocol
-of this version, both are one kernel.
+A frozen protocol names a version of the person. Every later kernel must answer this version's contacts as the kernel
+did with which the protocol was frozen. ``frozen.json`` holds the hashes of that kernel and, as ``equal_sources``, the
+hash of the later sources that were shown to answer alike (``kernel.behaviour``; ``tools/frozen_kernel.py`` writes it).
+To a protocol of this version, both are one kernel.
 """
 
 from __future__ import annotations
