@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from carecontact.validation.result import CheckResult, Measure
     from carecontact.validation.run import Validation
 
+NEWEST = "bathing-v3-draft"
+"""Protocol that is checked unless another is named: the one with the newest version of the person."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Validate:
@@ -31,7 +34,7 @@ class Validate:
     """Run the short form of every check. The full form takes many minutes per body."""
     checks: str = "all"
     """Names of checks separated by commas, such as force-balance,energy, or all."""
-    rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=ChangedProtocolGroup)
+    rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=lambda: ChangedProtocolGroup(protocol=NEWEST))
     fem: Switch = False
     """Run no check. Press the tissue beside finite elements of layers with skin, and print both; needs scikit-fem."""
     out: Path = Path("runs/validation")
@@ -103,7 +106,7 @@ class Validate:
         from carecontact.validation.run import CHECKS, validate, write
 
         console = Console(highlight=False, width=None if Console().is_terminal else 140)
-        title = f"{rules.title}, tissue {rules.person.tissue_set}"
+        title = f"{rules.title} ({rules.person.version}), tissue {rules.person.tissue_set}"
         console.print(f"{body}, {title}{', quick' if self.quick else ''}", style="bold")
 
         def keep(so_far: Validation) -> None:
