@@ -21,7 +21,8 @@ def consumed_text(score: TrialScore) -> str:
 
 
 def joint_counts(scores: Sequence[TrialScore]) -> str:
-    """In how many trials, failed ones too, a joint went beyond its range, and in how many one is flagged."""
+    """Return in how many trials, failed ones included, a joint went beyond its range, and in how many a joint is
+    flagged."""
     gated = [score for score in scores if score.joints_beyond is not None]
     if not gated:
         return ""

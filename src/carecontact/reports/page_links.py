@@ -13,11 +13,11 @@ from urllib.parse import quote
 from carecontact.recording.writer import replace_file
 
 REPORT = "report.html"
-"""In the folder of a run."""
+"""Name of the report in the folder of a run."""
 FOLDER = "trial"
 HIDDEN, SHOWN = '<span hidden> · <a href="{}">', '<span> · <a href="{}">'
 WAITING, LINKED = '<a data-page="{}">', '<a href="{}">'
-"""Of the report: a trial whose page is not there, and one whose page is."""
+"""Parts of the report that name a trial: one whose page is not there, and one whose page is."""
 
 
 def page_path(run_folder: Path, trial_id: str) -> Path:
@@ -26,12 +26,12 @@ def page_path(run_folder: Path, trial_id: str) -> Path:
 
 
 def page_address(trial_id: str) -> str:
-    """Of a trial's page, from the report."""
+    """Return the address of a trial's page, relative to the report."""
     return quote(f"{FOLDER}/{trial_id}.html")
 
 
 def report_address(trial_id: str) -> str:
-    """Of the row of a trial in the report, from the page of the trial."""
+    """Return the address of a trial's row in the report, relative to the page of the trial."""
     return f"../{REPORT}#{quote(trial_id)}"
 
 

@@ -85,7 +85,7 @@ class Axes:
 
     @property
     def floor(self) -> float:
-        """Of the lower edge [px]."""
+        """Return the place of the lower edge [px]."""
         return self.top + self.height
 
     def px(self, value: float) -> float:
@@ -130,12 +130,12 @@ def with_unit(ticks: Sequence[float], unit: str) -> list[tuple[float, str]]:
 
 
 def _px(value: float) -> str:
-    """To 0.1 pixel, without a trailing zero."""
+    """Return the number to 0.1 pixel, without a trailing zero."""
     return f"{value:.1f}".removesuffix(".0")
 
 
 def _points(points: Points) -> str:
-    """To 0.1 pixel; the inside of a level stretch is left out."""
+    """Return the points to 0.1 pixel, without the inside of level stretches."""
     pairs = [(_px(x), _px(y)) for x, y in points]
     last = len(pairs) - 1
     kept = [pair for i, pair in enumerate(pairs) if i in (0, last) or not pairs[i - 1][1] == pair[1] == pairs[i + 1][1]]

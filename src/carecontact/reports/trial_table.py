@@ -114,7 +114,8 @@ def _bitmap(flags: Sequence[Any]) -> bytes:
 
 
 def _scalar(annotation: Any) -> type[str] | type[float] | type[int] | type[bool] | None:
-    """Of ``float``, ``float | None`` or a Literal of strings; None for what is not a single value."""
+    """Return the column's type for ``float``, ``float | None`` or a Literal of strings; None for what is not a single
+    value."""
     if get_origin(annotation) in (Union, types.UnionType):
         kinds = {_scalar(part) for part in get_args(annotation) if part is not type(None)}
         return kinds.pop() if len(kinds) == 1 else None

@@ -12,7 +12,7 @@ from carecontact.scoring.result import TrialScore
 from carecontact.stats import Proportion
 
 ALL = "all"
-"""In place of a task: all of them, pooled."""
+"""Stands for all tasks together in place of the name of one."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,10 +18,10 @@ class Outcome:
     id: str
     title: str
     unit: str
-    """Of values and differences as they are printed."""
+    """Unit of values and differences as they are printed."""
     better: Literal["higher", "lower"]
     field: str
-    """Of a trial's score; for a metric without a field of its own the metric's id, under ``additional``."""
+    """Field of a trial's score, or the id under ``additional`` of a metric without a field of its own."""
     matters: float
     """A comparison that could have missed a difference of this size is underpowered; reasons in docs/statistics.md."""
     actions: tuple[str, ...] | None = None
@@ -61,7 +61,7 @@ def score_outcomes() -> list[Outcome]:
 
 
 def plain_text(outcome: Outcome, value: float | None) -> str:
-    """As many digits as the tables give the outcome, without the unit; rates in percent."""
+    """Return a value with as many digits as the tables give the outcome, and without the unit; rates are in percent."""
     if outcome.is_rate:
         return number(None if value is None else 100 * value, 1)
     return shown(value, digits=outcome.digits, unit=outcome.unit)

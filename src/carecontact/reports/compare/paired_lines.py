@@ -64,9 +64,9 @@ class RateLine(_Concluded):
     clustered: BootstrapDifference
     """The same difference with an interval that keeps a seed's tasks together, and its standard error."""
     test: McNemar | SignFlip
-    """Over trials McNemar's; over seeds, the signs of whole seeds are flipped."""
+    """The paired test: over trials McNemar's; over seeds, one that flips the signs of whole seeds."""
     unpaired_a: Proportion
-    """Over every trial of the tasks that both runs have, paired or not."""
+    """The rate over every trial of the tasks that both runs have, paired or not."""
     unpaired_b: Proportion
     unpaired: FisherExact
 
@@ -85,7 +85,7 @@ class ScoreLine(_Concluded):
     """Differences are A minus B, in the outcome's unit."""
 
     a: Median
-    """Over the paired trials in which the score exists."""
+    """The median over the paired trials in which the score exists."""
     b: Median
     n_only_a: int
     """Pairs in which A alone has the score."""
@@ -95,7 +95,7 @@ class ScoreLine(_Concluded):
     """Median of the differences, over pairs in which both have the score."""
     test: SignedRank
     worst_rank: WorstRank
-    """Over all pairs; no score is the worst score."""
+    """The test over all pairs, where having no score is worse than any score."""
     unpaired_a: Median
     unpaired_b: Median
     unpaired: MannWhitney | None
@@ -104,7 +104,7 @@ class ScoreLine(_Concluded):
 
     @property
     def n_seeds(self) -> int:
-        """Of the pairs in which both have the score."""
+        """Number of different seeds of the pairs in which both trials have the score."""
         return self.difference.n_clusters
 
     @property

@@ -17,7 +17,7 @@ F64 = npt.NDArray[np.float64]
 @dataclass(frozen=True, kw_only=True)
 class Moment:
     index: int
-    """Of the physics step."""
+    """Number of the physics step."""
     time_s: float
     segment: str
     force_in_world: F64
@@ -39,7 +39,7 @@ class Moment:
 
 
 def region_column(recording: Recording) -> int:
-    """Of the trial's region in arrays of all regions."""
+    """Return the column of the trial's region in arrays of all regions."""
     spec = recording.header.spec
     return recording.header.regions.index(spec.protocol.task(spec.task_id).region)
 

@@ -20,7 +20,7 @@ from carecontact.scoring.result import TrialScore
 from carecontact.stats import wilson_interval
 
 RADIUS = (6.0, 4.2, 2.4)
-"""Of the funnel's steps: a step is part of the one before, so equal counts show as rings."""
+"""Radii of the dots of the funnel's steps: a step is part of the one before, so that equal counts show as rings."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""In which trials the policies beside a run were scored, in words."""
+"""Words on the trials in which the policies beside a run were scored."""
 
 from __future__ import annotations
 

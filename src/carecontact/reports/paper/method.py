@@ -17,9 +17,9 @@ class Method:
     title: str
     """The paper's name of the method, or else the policy with its arguments."""
     scores: list[TrialScore]
-    """Those that say something about the policy."""
+    """Scores of the trials that say something about the policy."""
     published: PaperMethod | None
-    """None for a method that is not in the paper."""
+    """The paper's values; None for a method that is not in the paper."""
 
 
 def methods_of(runs: Sequence[RunScores], paper: Paper) -> list[Method]:

@@ -31,7 +31,7 @@ ABSENT = "-"
 @dataclass(frozen=True, kw_only=True)
 class Table:
     name: str
-    """Of its files, without an ending."""
+    """Name of its files, without an ending."""
     caption: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]

@@ -22,7 +22,7 @@ DEPTHS = {
 }  # fmt: skip
 """What an option's depth is."""
 MIN_CROP_PX = 170
-"""Of a frame: a narrower part would be enlarged beyond what it shows."""
+"""Least size of the part of a frame that is shown: a narrower one would be enlarged beyond what it shows."""
 WIDTH_IN, HEIGHT_IN = 15.5, 8.6
 
 
@@ -45,7 +45,7 @@ class Place:
 
 
 def places(options: list[dict[str, Any]]) -> list[Place]:
-    """In the order in which they were offered."""
+    """Return the places of the options in the order in which they were offered."""
     found: dict[tuple[str, str, float], list[int]] = {}
     for k, option in enumerate(options):
         found.setdefault((option["primitive"], option["approach"], option["key_point"]), []).append(k)

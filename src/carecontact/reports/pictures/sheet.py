@@ -221,8 +221,8 @@ def splat(
 
 
 def _merged(views: dict[str, CameraView]) -> tuple[F64, U8, int]:
-    """Of all cameras' clouds what is near the person, or near the middle where no mask shows where that is; and how
-    many points there are in all."""
+    """Return those points of all cameras' clouds that are near the person, or near the middle where no mask shows the
+    person; and the number of all points."""
     points = [v.points for v in views.values() if v.points is not None and v.point_colors is not None]
     if not points:
         return np.zeros((0, 3)), np.zeros((0, 3), np.uint8), 0

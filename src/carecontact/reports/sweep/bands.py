@@ -23,7 +23,7 @@ LOW, HIGH = 5.0, 95.0
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """Of one metric over the trials for which it is defined."""
+    """The spread of one metric over the trials for which it is defined."""
 
     n: int
     low: float

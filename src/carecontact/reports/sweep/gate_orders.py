@@ -26,7 +26,7 @@ class GateOrder:
     least: float | None
     """Smallest Kendall's tau-b with the order under the protocol's own gates; None where one of them orders nothing."""
     setting: str
-    """Where that is: the gate and its value."""
+    """The gate and its value at which that is so."""
 
 
 def gate_orders(cells: Sequence[CellScores], policies: Sequence[str]) -> tuple[GateOrder, ...]:

@@ -51,7 +51,7 @@ class Trials:
         )
 
     def minus(self, other: Trials) -> PersonDifference:
-        """Over the trials that both have."""
+        """Return the difference over the trials that both have."""
         keys = sorted(self.scores.keys() & other.scores.keys(), key=str)
         return person_difference(
             list(map(self.passed, keys)),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 HEADS = ("what", "value")
 DIGITS = 12
-"""Of a hash, as tables show it."""
+"""Number of digits of a hash that tables show."""
 WORLD = ("kernel", "robot", "mujoco")
 """Parts of the simulated world that every trial of a sweep shares."""
 

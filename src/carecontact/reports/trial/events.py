@@ -52,7 +52,7 @@ def events(contact: Contact) -> list[Event]:
 
 
 def _faint(contact: Contact) -> list[Event]:
-    """Where a press began that was too light to count as contact, and its largest force."""
+    """Return when a press began that was too light to count as contact, and its largest force."""
     felt = (contact.force_norm > 0).any(axis=1)
     if not felt.any():
         return []

@@ -16,8 +16,8 @@ BROKEN: tuple[EndReason, ...] = ("process_failure", "harness_error")
 
 
 def gate_parts(contact: Contact, gate: Gate, score: TrialScore) -> list[GatePart]:
-    """In the order of the funnel; empty where the trial ended before its first physics step, or where the trial broke
-    off and nobody was touched."""
+    """Return the gates in the order of the funnel; none where the trial ended before its first physics step, or broke
+    off before anybody was touched."""
     if not len(contact.time_s) or (score.ended in BROKEN and not contact.force_norm.any()):
         return []
     of_action: list[GatePart] = ask(contact, "parts", contact, contact.protocol.gates.of(contact.task.action), gate)

@@ -29,7 +29,7 @@ class Beside:
     """(task, seed) -> its trial"""
     role: str
     folder: Path | None = None
-    """Of its recordings; None for scores that are kept with the package."""
+    """Folder of the run's recordings; None for scores that are kept with the package."""
 
     @classmethod
     def of(cls, run: RunScores, folder: Path | None = None) -> Beside:
@@ -53,7 +53,7 @@ class OtherRow:
     mode: str
     """Failure mode; empty if none."""
     address: str
-    """Of the page of its trial; empty where there is none."""
+    """Address of the page of its trial; empty where there is none."""
 
 
 def other_rows(score: TrialScore, beside: Sequence[Beside], run_folder: Path) -> list[OtherRow]:

@@ -26,7 +26,7 @@ WIDTH, LEFT, RIGHT, HEAD = 640, 52, 12, 32
 PANEL, TITLE, FOOT = 74, 22, 22
 """Heights of a panel, of the line above it that says what it shows, and of the labels of time below all of them."""
 NO_EVENTS_HEAD = 4
-"""In place of HEAD, which has room for the letters of events."""
+"""Takes the place of HEAD, which has room for the letters of events, where there is no event."""
 OUT_M = 0.25
 """Places farther from the region's middle than this are cut off: far away, what matters at the skin would be flat."""
 EDGE_PX = 0.5

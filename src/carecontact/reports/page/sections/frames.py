@@ -1,4 +1,4 @@
-"""For each task, the contact at the peak of its hardest trial, with force, indentation and region drawn in."""
+"""The contact at the peak of the hardest trial of each task, with force, indentation and region drawn in."""
 
 from __future__ import annotations
 

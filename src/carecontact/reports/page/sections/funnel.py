@@ -42,7 +42,7 @@ class Step:
     name: str
     meaning: str
     style: str
-    """Of the bar."""
+    """Style of the bar."""
     k: int
     n: int
     low: float

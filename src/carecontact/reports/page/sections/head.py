@@ -113,7 +113,7 @@ def beside_blind(baselines: Baselines | None) -> str:
 
 
 def _rates(method: Passed, blind: Passed, who: str) -> str:
-    """Over the trials that both have; where there is none, over those of each."""
+    """Return how much each passed of the trials that both have, or of its own trials where there is no such trial."""
     passed = blind.rates["safety_gated"].k
     if not blind.n_pairs:
         own = method.rates["safety_gated"]

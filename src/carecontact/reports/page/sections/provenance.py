@@ -1,4 +1,4 @@
-"""Where the numbers come from."""
+"""The table of what the numbers come from: versions, hashes and settings."""
 
 from __future__ import annotations
 
