@@ -40,7 +40,7 @@ class TrialSpec(BaseModel):
     """Secret of a run whose persons nobody may know beforehand: every draw of the trial depends on it. A recording
     never holds it, only its hash (``sealed``); empty for a run on published seeds."""
     salt_sha256: str = ""
-    """Of the salt of a recorded trial, in base 16."""
+    """Hash of the salt of a recorded trial, in base 16."""
 
     @model_serializer(mode="wrap")
     def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:

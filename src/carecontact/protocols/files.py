@@ -1,4 +1,4 @@
-"""Where protocol files are."""
+"""Finds protocol files."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ SUFFIX = ".lock.json"
 class Lock(Section):
     id: str
     protocol_sha256: str
-    """Of the fields, tissue laws included: see ``Protocol.sha256``."""
+    """Hash of the fields, tissue laws included: see ``Protocol.sha256``."""
     fields: dict[str, Any]
     """All of them as they were, defaults included, so that one that changed can be named."""
     embodiment: str

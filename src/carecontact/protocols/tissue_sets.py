@@ -26,7 +26,7 @@ class TissueSet(Section):
 
     @property
     def sha256(self) -> str:
-        """Of the rows as canonical JSON: spelling, comments and name do not count."""
+        """Hash of the rows as canonical JSON: spelling, comments and name do not count."""
         rows = {region: row.model_dump(mode="json") for region, row in self.tissue.items()}
         return hashlib.sha256(json.dumps(rows, sort_keys=True).encode()).hexdigest()
 

@@ -26,8 +26,8 @@ WORLD_FIELDS = (
     "jnt_stiffness", "jnt_stiffnesspoly", "dof_damping", "dof_frictionloss", "numeric_data",
     "mesh_vert", "skin_vert", "actuator_gainprm", "actuator_biasprm", "cam_pos", "cam_fovy", "light_dir",
 )  # fmt: skip
-"""Of the compiled model; ``numeric_data`` has the shells and laws of the tissue. Each gives a sum of magnitudes and one
-weighted by place, so that a swap is seen too."""
+"""Fields of the compiled model; ``numeric_data`` has the shells and laws of the tissue. Each gives a sum of magnitudes
+and one weighted by place, so that a swap is seen too."""
 SAME = 1e-6
 """Relative difference of sums that counts as rounding."""
 
@@ -44,8 +44,8 @@ def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
 
 
 def asset_hashes(protocol: Protocol) -> dict[str, str]:
-    """Of the protocol's bodies, their skin, the robot and the C sources of the tissue; files that are not there have no
-    entry. Sources and not the binary, which differs between platforms."""
+    """Return the hashes of the protocol's bodies, their skin, the robot and the C sources of the tissue; files that are
+    not there have no entry. The binary of the tissue has none, because it differs between platforms."""
     folder = resources.files("carecontact") / "assets"
     bodies = protocol.variation.bodies or (protocol.person.body,)
     places = [("bodies", f"{body}.{kind}") for body in bodies for kind in ("npz", "skin.png")]

@@ -1,4 +1,4 @@
-"""From ``--tasks`` and ``--seeds`` to trial specs."""
+"""Makes trial specs of ``--tasks`` and ``--seeds``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, did_you_mean
 
 SALT_DIGITS = 32
-"""Of the salt of a run's sensor noise, in base 16."""
+"""Number of digits, in base 16, of the salt of a run's sensor noise."""
 
 
 def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:

@@ -8,7 +8,7 @@ from carecontact.errors import ConfigError
 from carecontact.scoring.result import DRAWN, TrialScore
 
 UNSALTED = "none"
-"""In place of the salt's hash, in a run on published seeds: other persons than those of a salted one."""
+"""Stands for the salt's hash in a run on published seeds, whose persons are others than those of a salted one."""
 
 
 def judged(scores: Iterable[TrialScore]) -> list[TrialScore]:

@@ -12,7 +12,7 @@ from carecontact.scoring.result import TrialScore
 @dataclass(frozen=True, kw_only=True)
 class RunScores:
     scores: list[TrialScore]
-    """In the order of the file names."""
+    """The scores in the order of the file names."""
     skipped: dict[str, str] = field(default_factory=dict[str, str])
     """File name -> why it was not scored."""
     versions: dict[str, list[str]] = field(default_factory=dict[str, list[str]])

@@ -16,7 +16,7 @@ from carecontact.errors import ConfigError
 from carecontact.runs.manifest import MANIFEST, Manifest, read_manifest, store_manifest
 
 DIGITS = 64
-"""Of a salt, in base 16: as many as its hash has."""
+"""Number of digits of a salt, in base 16: as many as its hash has."""
 
 
 def make_salt(path: Path) -> str:

@@ -33,14 +33,14 @@ class Sweep:
     name: str
     """Key in ``TrialScore.gate_sweep``; it begins with the action, as in ``push_force_n``."""
     field: str
-    """Of the gate's schema."""
+    """Name of the field in the gate's schema."""
     values: tuple[float, ...]
     title: str
-    """Of its figure in the report."""
+    """Title of the figure in the report."""
     unit: str
-    """In which the figure shows the values."""
+    """Unit in which the figure shows the values."""
     factor: float = 1.0
-    """From the field's unit to the shown one."""
+    """Factor from the field's unit to the shown one."""
 
 
 class ForceBand(Section):

@@ -61,7 +61,7 @@ class TouchedCells:
 
     @property
     def mean_pressure_pa(self) -> float:
-        """Over all area and time in contact; there has to be some."""
+        """Mean pressure over all area and time in contact [Pa]; there has to be some."""
         return float(self.press_ns.sum() / self.touch_m2s.sum())
 
     def time_above(self, pressure_pa: float) -> float:

@@ -28,7 +28,7 @@ class Verdict:
     over_limit: dict[str, float]
     """Segment -> peak over gamma' F_pain, where above 1."""
     failure_mode: FailureMode | None
-    """None for a region-correct trial that moved no joint too far, and for no other."""
+    """How the trial failed; None only for a region-correct trial that moved no joint too far."""
 
 
 def reach_verdict(contact: Contact, gate: Gate, *, own: Verdict | None = None) -> Verdict:

@@ -84,7 +84,7 @@ class Gates(Section):
 
     @model_serializer(mode="wrap")
     def _share_last(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """In the order that a protocol has always been written in."""
+        """Return the fields in the order in which protocols have always been written."""
         content = handler(self)
         last = {name: content.pop(name) for name in ("region_share", "joint_beyond_rad", "joint_consumed")}
         return {**content, **{name: value for name, value in last.items() if value is not None}}

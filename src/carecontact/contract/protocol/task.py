@@ -26,9 +26,9 @@ def _registered(registry: Registry[Any]) -> Callable[[str], str]:
 
 
 ActionName = Annotated[str, AfterValidator(_registered(BEHAVIOURS))]
-"""Of a row of BEHAVIOURS."""
+"""Name of a row of BEHAVIOURS."""
 RegionName = Annotated[str, AfterValidator(_registered(REGIONS))]
-"""Of a row of ``carecontact.regions.REGIONS``."""
+"""Name of a row of ``carecontact.regions.REGIONS``."""
 
 
 class Task(Section):

@@ -44,7 +44,7 @@ class Place:
 @dataclass(frozen=True, kw_only=True)
 class Cell:
     policy: int
-    """Its number in the plan."""
+    """The policy's number in the plan."""
     label: str
     """The policy's name in tables."""
     place: Place
@@ -52,7 +52,7 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Of its folder: readable, and the same in every plan that has this cell."""
+        """Name of the cell's folder: readable, and the same in every plan that has this cell."""
         first = self.specs[0]
         whole = [first.policy, first.policy_arguments, first.policy_environment, first.protocol.sha256, self.label]
         digest = hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:DIGEST_CHARACTERS]

@@ -11,7 +11,7 @@ from carecontact.errors import ConfigError
 from carecontact.protocols import overridden
 
 AXIS = "factor"
-"""As tables name it."""
+"""Name of the axis in tables."""
 NONE, ALL = "none", "all"
 """The easy level, and the hard one."""
 Fields = Mapping[str, object]

@@ -190,7 +190,7 @@ def metrics_in_order() -> list[Metric]:
 
 
 def newest(ids: Iterable[str]) -> list[str]:
-    """Of several versions of one metric the highest, in the order of their names. An id without a version stays."""
+    """Return the highest version of each metric, in the order of their names. An id without a version stays."""
     found: dict[str, str] = {}
     for id_ in sorted(ids, key=_version):
         found[id_.partition("@")[0]] = id_
