@@ -14,7 +14,7 @@ LATER = ("policy_arguments", "policy_environment", "noise_salt", "salt", "salt_s
 
 
 def commitment(salt: str) -> str:
-    """The sha256 of a salt's characters, in base 16: what may be published before the salt."""
+    """Return the sha256 of a salt's characters, in base 16: what may be published before the salt."""
     return hashlib.sha256(salt.encode()).hexdigest()
 
 

@@ -34,13 +34,14 @@ class Lock(Section):
 
 
 def lock_path(name_or_path: str, *, level: str = "") -> Path:
-    """Beside the protocol's file, one for each of its levels. Raises what ``protocol_file`` raises."""
+    """Return the path of the lock: beside the protocol's file, one for each of its levels. Raises what
+    ``protocol_file`` raises."""
     path = protocol_file(name_or_path)
     return path.with_name(path.name.removesuffix(".toml") + (f".{level}" if level else "") + SUFFIX)
 
 
 def read_lock(name_or_path: str, *, level: str = "") -> Lock | None:
-    """None where the protocol has none. Raises ConfigError for a lock that cannot be read."""
+    """Return the lock of a protocol; None where it has none. Raises ConfigError for a lock that cannot be read."""
     path = lock_path(name_or_path, level=level)
     try:
         return Lock.model_validate_json(path.read_bytes())

@@ -37,7 +37,7 @@ def shipped_tissue_sets() -> list[str]:
 
 
 def load_tissue_set(name_or_path: str) -> TissueSet:
-    """A shipped set by id, or a TOML file by path; regions that it leaves out come from its base.
+    """Return a shipped set by id, or a TOML file by path; regions that it leaves out come from its base.
 
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """

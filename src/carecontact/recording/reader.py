@@ -70,7 +70,7 @@ def read_header(path: Path | str) -> Header:
 
 
 def stored_sha256(path: Path | str) -> str:
-    """The canonical hash (hex) that a trial file says it has; nothing but ``read_verified`` computes it again.
+    """Return the canonical hash (hex) that a trial file says it has; nothing but ``read_verified`` computes it again.
 
     Verifies the file's length and the stored hash itself. Raises RecordingError where that cannot be read.
     """

@@ -196,7 +196,7 @@ class Recording:
 
 
 def empty_arrays(joint_count: int, *, regions: int = len(STANDARD_REGIONS)) -> dict[str, npt.NDArray[Any]]:
-    """All required arrays at zero length, for trials that ended before t = 0.
+    """Return all required arrays at zero length, for trials that ended before t = 0.
 
     ``joint_count``, ``regions``: how many scored joints and regions the header lists.
     """

@@ -57,7 +57,8 @@ def opened(path: Path) -> Generator[Any]:
 
 
 def root_datasets(path: Path, file: Any) -> dict[str, Any]:
-    """The header and the stored checksum, of the kind and size that they may have, without a look at the arrays."""
+    """Return the header and the stored checksum, of the kind and size that they may have, without a look at the
+    arrays."""
     h5py: Any = import_module("h5py")
     found: dict[str, Any] = {}
     for name in (HEADER, CHECKSUM):

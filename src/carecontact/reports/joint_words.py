@@ -9,12 +9,12 @@ from carecontact.scoring.result import TrialScore
 
 
 def beyond_text(score: TrialScore) -> str:
-    """Joints that went farther beyond their range than the protocol allows."""
+    """Return joints that went farther beyond their range than the protocol allows."""
     return ", ".join(f"{_name(joint)} by {rad:.3f} rad" for joint, rad in sorted((score.joints_beyond or {}).items()))
 
 
 def consumed_text(score: TrialScore) -> str:
-    """Joints that used up more of their settled margin than the protocol flags."""
+    """Return joints that used up more of their settled margin than the protocol flags."""
     return ", ".join(
         f"{_name(joint)} {percent(share)}" for joint, share in sorted((score.joints_consumed or {}).items())
     )

@@ -32,7 +32,8 @@ class LoadRow:
         return f"{self.metric.name} [{self.unit}]" if self.unit else self.metric.name
 
     def cells(self, contacts: Sequence[int]) -> list[str]:
-        """One string per median; where it is over another number of trials than ``contacts`` says, that number too."""
+        """Return one string per median; where it is over another number of trials than ``contacts`` says, that number
+        too."""
         return [self._cell(found, n) for found, n in zip(self.medians, contacts, strict=True)]
 
     def _cell(self, found: Median, n: int) -> str:

@@ -21,7 +21,7 @@ WAITING, LINKED = '<a data-page="{}">', '<a href="{}">'
 
 
 def page_path(run_folder: Path, trial_id: str) -> Path:
-    """The place of a trial's page, whether the page exists or not."""
+    """Return the place of a trial's page, whether the page exists or not."""
     return run_folder / FOLDER / f"{trial_id}.html"
 
 
@@ -36,12 +36,13 @@ def report_address(trial_id: str) -> str:
 
 
 def report_link(run_folder: Path, trial_id: str) -> str:
-    """The beginning of the link to the report on the page of a trial: hidden while there is no report."""
+    """Return the beginning of the link to the report on the page of a trial: hidden while there is no report."""
     return (SHOWN if (run_folder / REPORT).is_file() else HIDDEN).format(report_address(trial_id))
 
 
 def link_to_page(trial_id: str, *, is_there: bool) -> str:
-    """The beginning of the link to the page of a trial in the report; without an address while there is no page."""
+    """Return the beginning of the link to the page of a trial in the report; without an address while there is no
+    page."""
     return (LINKED if is_there else WAITING).format(page_address(trial_id))
 
 
@@ -59,8 +60,8 @@ def link_report(run_folder: Path, trial_ids: Iterable[str]) -> None:
 
 
 def neighbour_links(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:
-    """Words and beginning of the links from the page of a trial to those of the trials before and after it, in the
-    order of the recordings' names; a link is hidden while that page is not there."""
+    """Return words and beginning of the links from the page of a trial to those of the trials before and after it, in
+    the order of the recordings' names; a link is hidden while that page is not there."""
     return [
         (words, (SHOWN if page_path(run_folder, name).is_file() else HIDDEN).format(quote(f"{name}.html")))
         for words, name in _neighbours(run_folder, trial_id)

@@ -117,7 +117,8 @@ class Axes:
 
 
 def nice_ticks(top: float, *, count: int) -> list[float]:
-    """Multiples of 1, 2 or 5 times a power of ten from 0 up to ``top``: 2 to ``count`` + 1 of them, for count >= 3."""
+    """Return multiples of 1, 2 or 5 times a power of ten from 0 up to ``top``: 2 to ``count`` + 1 of them, for count >=
+    3."""
     raw = top / count
     power = 10.0 ** math.floor(math.log10(raw))
     step = power * next(m for m in (1, 2, 5, 10) if m * power >= raw * (1 - 1e-9))
@@ -125,7 +126,7 @@ def nice_ticks(top: float, *, count: int) -> list[float]:
 
 
 def with_unit(ticks: Sequence[float], unit: str) -> list[tuple[float, str]]:
-    """Each tick with its text; the last one names the unit."""
+    """Return each tick with its text; the last one names the unit."""
     return [(tick, f"{tick:g} {unit}" if tick == ticks[-1] else f"{tick:g}") for tick in ticks]
 
 

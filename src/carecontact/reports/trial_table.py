@@ -37,7 +37,8 @@ class Column:
 
 
 def columns(scores: Sequence[TrialScore]) -> list[Column]:
-    """Every field of a score that is one value, what distinguishes worlds, and further metrics that any trial has."""
+    """Return every field of a score that is one value, what distinguishes worlds, and further metrics that any trial
+    has."""
     found = [
         Column(name=name, kind=kind, value=lambda s, name=name: getattr(s, name))
         for name, field in TrialScore.model_fields.items()
@@ -75,7 +76,7 @@ def write_trial_table(folder: Path | str, scores: Sequence[TrialScore]) -> Path:
 
 
 def trial_table(scores: Sequence[TrialScore]) -> Any:
-    """The table that ``results.parquet`` holds, as a ``pyarrow.Table``: rows by task and seed, NA as null.
+    """Return the table that ``results.parquet`` holds, as a ``pyarrow.Table``: rows by task and seed, NA as null.
 
     Raises DependencyError, saying what installs it, without pyarrow.
     """

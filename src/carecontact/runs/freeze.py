@@ -83,7 +83,8 @@ def world_sums(protocol: Protocol, region: str) -> dict[str, float]:
 
 
 def drift(lock: Lock, now: Lock) -> list[str]:
-    """The differences from the lock, one line each, most informative first; worlds only where ``now`` has them."""
+    """Return the differences from the lock, one line each, most informative first; worlds only where ``now`` has
+    them."""
     said: list[str] = []
     for what, before, after in (
         ("id", lock.id, now.id), ("embodiment", lock.embodiment, now.embodiment),
@@ -130,7 +131,8 @@ def _short(value: object) -> str:
 
 
 def lock_of(name_or_path: str, protocol: Protocol) -> Lock | None:
-    """The lock that holds for a protocol: its own, or the shipped one where a file has the id of a shipped protocol."""
+    """Return the lock that holds for a protocol: its own, or the shipped one where a file has the id of a shipped
+    protocol."""
     return read_lock(protocol.id if is_borrowed(name_or_path, protocol) else name_or_path, level=protocol.level)
 
 
@@ -140,7 +142,7 @@ def is_borrowed(name_or_path: str, protocol: Protocol) -> bool:
 
 
 def check_frozen(name_or_path: str, protocol: Protocol, *, unfrozen: bool) -> Protocol:
-    """The protocol, if it is a draft or equals its lock; quick, so the compiled worlds are left out.
+    """Return the protocol, if it is a draft or equals its lock; quick, so the compiled worlds are left out.
 
     Args:
         unfrozen: go on where it differs; then the protocol's overrides, and so every output, name the differences.

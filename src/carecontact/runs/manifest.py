@@ -161,9 +161,9 @@ def store_manifest(manifest: Manifest, *, out: Path) -> None:
 
 
 def salted(specs: Sequence[TrialSpec], *, out: Path) -> list[TrialSpec]:
-    """The trials with the noise salt of the run in ``out``, a fresh one for a new run; as they are where the protocol
-    names no sensor noise or they have a salt already. Raises ConfigError as ``read_manifest``, and for another noise
-    salt than that of the run."""
+    """Return the trials with the noise salt of the run in ``out``, a fresh one for a new run; as they are where the
+    protocol names no sensor noise or they have a salt already. Raises ConfigError as ``read_manifest``, and for another
+    noise salt than that of the run."""
     if specs[0].salt or not specs[0].protocol.variation.sensor_noise:
         return list(specs)
     earlier, given = read_manifest(out), specs[0].noise_salt

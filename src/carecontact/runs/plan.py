@@ -85,7 +85,7 @@ def plan_trials(
 
 
 def with_noise_salt(specs: list[TrialSpec], salt: str | None, *, one_of_several: bool) -> list[TrialSpec]:
-    """The trials with the salt of their sensor noise, where their protocol has any and a salt is given.
+    """Return the trials with the salt of their sensor noise, where their protocol has any and a salt is given.
 
     Args:
         one_of_several: whether the trials are a part of a run, whose other parts need the same salt.

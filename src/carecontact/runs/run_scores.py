@@ -23,7 +23,7 @@ class RunScores:
 
 
 def joined(a: RunScores, b: RunScores) -> RunScores:
-    """One run whose trials were scored in two parts, on two machines for example; in the order of their ids.
+    """Return one run whose trials were scored in two parts, on two machines for example; in the order of their ids.
 
     Raises ConfigError for parts that have a trial in common, or are of different protocols, policies, language
     backends, definitions or worlds.

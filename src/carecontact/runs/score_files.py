@@ -24,7 +24,7 @@ class ScoredFile:
 
 
 def score_file(path: Path) -> ScoredFile | str:
-    """The score of a file, or in one line why it has none."""
+    """Return the score of a file, or in one line why it has none."""
     try:
         verified = read_verified(path)
         header = verified.recording.header

@@ -28,7 +28,7 @@ class Shard:
         return cls(index=int(index), count=int(count))
 
     def of(self, specs: Sequence[TrialSpec]) -> list[TrialSpec]:
-        """The trials of this part, neighbours in the order of the plan; parts differ by one trial at most.
+        """Return the trials of this part, neighbours in the order of the plan; parts differ by one trial at most.
 
         Raises ConfigError where there are more parts than trials.
         """

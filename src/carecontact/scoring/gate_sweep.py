@@ -45,7 +45,7 @@ def sweeps_of(actions: Iterable[str], version: str) -> dict[str, tuple[str | Non
 
 
 def own_value(protocol: Protocol, action: str | None, sweep: Sweep) -> float:
-    """The protocol's own value of a swept field."""
+    """Return the protocol's own value of a swept field."""
     return float(getattr(protocol.contact if action is None else protocol.gates.of(action), sweep.field))
 
 

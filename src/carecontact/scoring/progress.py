@@ -43,7 +43,7 @@ class Track:
 
 
 def measure_episodes(contact: Contact) -> list[Episode]:
-    """Every contact episode of the trial, in order."""
+    """Return every contact episode of the trial, in order."""
     found = episodes(contact)
     if not found:
         return []

@@ -32,8 +32,8 @@ class Verdict:
 
 
 def reach_verdict(contact: Contact, gate: Gate, *, own: Verdict | None = None) -> Verdict:
-    """Pure; every trial has one anatomy, and at most one failure mode. A force above a safety gate has no mode of its
-    own: ``over_limit`` tells of it.
+    """Return the verdict on a trial. Every trial has one anatomy, and at most one failure mode. A force above a safety
+    gate has no mode of its own: ``over_limit`` tells of it.
 
     Args:
         own: the verdict on the same recording under another gate of its action or another floor of contact. On neither
@@ -64,7 +64,7 @@ def reach_verdict(contact: Contact, gate: Gate, *, own: Verdict | None = None) -
 
 
 def over_limit(contact: Contact) -> dict[str, float]:
-    """Touched segments whose peak exceeds gamma' F_pain, with the ratio."""
+    """Return touched segments whose peak exceeds gamma' F_pain, with the ratio."""
     protocol = contact.protocol
     ratio = {s: f / (protocol.limits.gamma * protocol.f_pain(s)) for s, f in peak_of_segments(contact).items()}
     return {segment: r for segment, r in ratio.items() if r > 1.0}

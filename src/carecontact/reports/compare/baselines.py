@@ -142,7 +142,7 @@ def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -
 
 
 def _comparable(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Sequence[TrialScore]:
-    """The trials that the rates of a baseline are over."""
+    """Return the trials that the rates of a baseline are over."""
     return _shared(_of_tasks(scores, method), method)
 
 
@@ -158,7 +158,7 @@ def _of_tasks(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> lis
 
 
 def _shared(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Sequence[TrialScore]:
-    """The trials that the method has as well; all of them where there is none."""
+    """Return the trials that the method has as well; all of them where there is none."""
     keys = trials_by_key(method)
     return [s for s in scores if (s.task_id, s.seed) in keys] or scores
 

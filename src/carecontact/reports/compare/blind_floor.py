@@ -26,7 +26,8 @@ class FloorRate:
 
 
 def role_in(scores: Sequence[TrialScore]) -> Role:
-    """The role of a run's policy; a recording that says ``privileged`` is believed whatever the policy is called."""
+    """Return the role of a run's policy; a recording that says ``privileged`` is believed whatever the policy is
+    called."""
     if any(score.privileged for score in scores):
         return "privileged"
     return role_of(scores[0].policy) if scores else "method"

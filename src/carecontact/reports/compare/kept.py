@@ -86,8 +86,8 @@ def kept_for(
 
 
 def _files(protocol_id: str, folders: Sequence[Path]) -> list[Path]:
-    """One for each registered policy under the protocol's own settings: other settings have a longer name. The folder
-    of a level is PROTOCOL-LEVEL."""
+    """Return one file for each registered policy under the protocol's own settings: other settings have a longer name.
+    The folder of a level is PROTOCOL-LEVEL."""
     for folder in folders:
         found = [
             path

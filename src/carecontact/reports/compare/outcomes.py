@@ -33,7 +33,7 @@ class Outcome:
         return self.unit == "%"
 
     def of(self, score: TrialScore) -> float | None:
-        """The score's value; None for NA."""
+        """Return the score's value; None for NA."""
         return getattr(score, self.field) if self.field in TrialScore.model_fields else score.additional.get(self.field)
 
     def counts(self, score: TrialScore) -> bool:
@@ -56,7 +56,7 @@ RATES = tuple(
 
 
 def score_outcomes() -> list[Outcome]:
-    """One for each registered metric that says which difference matters."""
+    """Return one outcome for each registered metric that says which difference matters."""
     return [_outcome(row, row.matters) for row in metrics_in_order() if row.matters is not None]
 
 

@@ -105,7 +105,7 @@ def _check_methods(runs: Mapping[str, RunScores]) -> None:
 
 
 def overview_json(overview: Overview | None, baselines: Mapping[str, Baselines]) -> dict[str, Any]:
-    """The content of ``overview.json``. Rates and their differences are fractions; infinity and NaN are null.
+    """Return the content of ``overview.json``. Rates and their differences are fractions; infinity and NaN are null.
 
     Args:
         overview: None where one run alone was given.

@@ -117,7 +117,7 @@ Line = RateLine | ScoreLine
 
 
 def paired_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Sequence[TrialScore]) -> list[Line]:
-    """A line for each outcome over these pairs, without verdicts.
+    """Return a line for each outcome over these pairs, without verdicts.
 
     An outcome has none where no pair is of its actions or where a run was scored without it.
     """
@@ -131,7 +131,7 @@ def paired_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: 
 
 
 def rate_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Sequence[TrialScore]) -> list[RateLine]:
-    """The lines of success, region-correct and safety-gated alone, without verdicts."""
+    """Return the lines of success, region-correct and safety-gated alone, without verdicts."""
     return [_rate_line(outcome, pairs, every_a, every_b) for outcome in RATES]
 
 

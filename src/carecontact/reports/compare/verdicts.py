@@ -126,7 +126,7 @@ def _notes(line: Line) -> list[str]:
 
 
 def few_seeds(line: Line) -> bool:
-    """So few that neither an interval nor a standard error of theirs can be trusted."""
+    """Whether there are so few seeds that neither an interval nor a standard error of theirs can be trusted."""
     return _interval(line).n_clusters < FEW_SEEDS
 
 

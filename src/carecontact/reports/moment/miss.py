@@ -67,7 +67,7 @@ def nearest_miss(recording: Recording) -> Miss | None:
 
 
 def miss_svg(recording: Recording, miss: Miss, *, title: str) -> str | None:
-    """The picture; None where the recording has no skin or no cells of the region.
+    """Return the picture; None where the recording has no skin or no cells of the region.
 
     Args:
         title: text alternative.

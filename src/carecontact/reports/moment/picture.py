@@ -33,7 +33,7 @@ FORESHORTENED_PX = 20
 
 
 def peak_svg(recording: Recording, moment: Moment | None, *, title: str) -> str | None:
-    """The picture; None if the trial stored none. Raises RecordingError for an image of another shape.
+    """Return the picture; None if the trial stored none. Raises RecordingError for an image of another shape.
 
     Args:
         moment: what is drawn in; None: nothing.

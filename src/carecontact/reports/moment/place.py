@@ -36,8 +36,8 @@ def place_text(recording: Recording, moment: Moment) -> str:
 
 
 def place_notes(recording: Recording, moment: Moment) -> list[str]:
-    """Sentences on a contact that is not what a reader expects: away from the tool's tip, or hardly on the region's
-    cells. Empty for an ordinary one."""
+    """Return sentences on a contact that is not what a reader expects: away from the tool's tip, or hardly on the
+    region's cells. Empty for an ordinary one."""
     notes: list[str] = []
     away_m = _away_from_tip(recording, moment)
     if away_m is not None:

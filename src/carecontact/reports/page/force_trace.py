@@ -68,7 +68,8 @@ class ForceTrace:
 
 
 def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
-    """The trace of a trial against the limits of the segments that it shows, with the scorer's own contact window."""
+    """Return the trace of a trial against the limits of the segments that it shows, with the scorer's own contact
+    window."""
     contact = find_contact(recording)
     protocol, segment = contact.protocol, contact.segments[contact.target]
     peak_s = None
@@ -123,7 +124,7 @@ def decimate(x: Floats, y: Floats, *, buckets: int) -> tuple[Floats, Floats]:
 
 
 def trace_svg(trace: ForceTrace, *, title: str) -> str:
-    """One panel of at least one sample; ``title`` is the text alternative."""
+    """Return one panel of at least one sample; ``title`` is the text alternative."""
     largest = max(float(trace.target_n.max(initial=0.0)), float(trace.other_n.max(initial=0.0)))
     in_view = [limit for limit in trace.limits if limit.in_view]
     y_top, x_top = 1.18 * max([largest, 1.0, *(limit.value_n for limit in in_view)]), float(trace.time_s[-1])

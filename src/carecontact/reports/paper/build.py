@@ -31,7 +31,7 @@ Read = Callable[[str], Recording]
 
 
 def tables_of(runs: Sequence[RunScores], protocol: Protocol | None) -> list[Table]:
-    """The tables of runs of one protocol.
+    """Return the tables of runs of one protocol.
 
     Args:
         runs: each of one policy.

@@ -23,7 +23,7 @@ class Method:
 
 
 def methods_of(runs: Sequence[RunScores], paper: Paper) -> list[Method]:
-    """One for each run, in their order; two of one title get a number."""
+    """Return one method for each run, in their order; two of one title get a number."""
     found: list[Method] = []
     for run in runs:
         first = run.scores[0]

@@ -61,7 +61,8 @@ def save_sheet(observation: Observation, path: Path, *, title: str, dpi: int = D
 
 
 def draw_sheet(observation: Observation, *, title: str) -> Figure:
-    """A row for each camera, a column for each image modality, then the cloud from two sides and the encoders."""
+    """Return a picture with a row for each camera, a column for each image modality, then the cloud from two sides and
+    the encoders."""
     from matplotlib.figure import Figure
 
     views = {name: view for name, view in observation.cameras.items() if _shape(view) is not None}

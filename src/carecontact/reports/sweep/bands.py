@@ -62,7 +62,8 @@ class Bands:
 
 
 def bands(cells: Sequence[CellScores], outcome: str, *, ranked: Sequence[str]) -> Bands | None:
-    """None where no policy has two trials of a task. A *draw* is one combination of the axes' values and one seed.
+    """Return the spread of each metric over draws; None where no policy has two trials of a task. A *draw* is one
+    combination of the axes' values and one seed.
 
     Args:
         outcome: field of a score that says whether a trial passed.

@@ -44,7 +44,7 @@ class Factors:
 
 
 def factors(cells: Sequence[CellScores], outcome: str) -> Factors | None:
-    """None where the plan switches no factors, or where nothing has run.
+    """Return what each factor costs and gives back; None where the plan switches no factors, or where nothing has run.
 
     Args:
         outcome: field of a score that says whether a trial passed.

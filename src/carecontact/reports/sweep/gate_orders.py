@@ -30,7 +30,8 @@ class GateOrder:
 
 
 def gate_orders(cells: Sequence[CellScores], policies: Sequence[str]) -> tuple[GateOrder, ...]:
-    """Empty with fewer than two policies. A trial counts where every policy has it."""
+    """Return how each swept gate orders the policies; none with fewer than two policies. A trial counts where every
+    policy has it."""
     if len(policies) < 2:
         return ()
     values = levels_of(cells)

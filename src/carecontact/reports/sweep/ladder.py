@@ -69,7 +69,7 @@ class Ladder:
 
 
 def ladder(cells: Sequence[CellScores], outcome: str) -> Ladder | None:
-    """None where the plan has one protocol, or where nothing has run.
+    """Return the rates from level to level; None where the plan has one protocol, or where nothing has run.
 
     Args:
         outcome: field of a score that says whether a trial passed.

@@ -79,7 +79,7 @@ class Stability:
 
 
 def stability(groups: Sequence[Group], policies: Sequence[str], *, outcome: str) -> Stability | None:
-    """None where no combination has a trial of every policy.
+    """Return how stable the order of the policies is; None where no combination has a trial of every policy.
 
     Args:
         policies: at least two.

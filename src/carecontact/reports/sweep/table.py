@@ -105,7 +105,7 @@ def sweep_table(title: str, cells: Sequence[CellScores], *, rank_by: str) -> Swe
 
 
 def ranked_policies(cells: Sequence[CellScores]) -> list[str]:
-    """The methods; where the plan has not two of them, all policies."""
+    """Return the methods; where the plan has not two of them, all policies."""
     methods = of_role(cells, "method")
     return methods if len(methods) > 1 else list(dict.fromkeys(cell.label for cell in cells))
 

@@ -50,7 +50,7 @@ def _region(contact: Contact) -> GatePart:
 
 
 def _force(contact: Contact) -> list[GatePart]:
-    """The segment that came nearest to its safety gate; nothing where none was touched."""
+    """Return the segment that came nearest to its safety gate; nothing where none was touched."""
     protocol = contact.protocol
     gates = {name: protocol.limits.gamma * protocol.f_pain(name) for name in contact.segments}
     peaks = peak_of_segments(contact)

@@ -220,7 +220,7 @@ def _force_panel(trace: ForceTrace) -> Panel:
 
 
 def _positive(title: str, least: float, curve: Curve) -> Panel:
-    """A panel from 0 to the largest value of the curve, or to ``least`` if that is larger."""
+    """Return a panel from 0 to the largest value of the curve, or to ``least`` if that is larger."""
     return Panel(title=title, curves=(curve,), low=0.0, high=1.08 * max(least, float(curve.values.max(initial=0.0))))
 
 

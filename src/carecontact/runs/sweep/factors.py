@@ -19,12 +19,12 @@ Fields = Mapping[str, object]
 
 
 def alone(factor: str) -> str:
-    """The value of AXIS for the easy level with this factor alone."""
+    """Return the value of AXIS for the easy level with this factor alone."""
     return f"only {factor}"
 
 
 def without(factor: str) -> str:
-    """The value of AXIS for the hard level without this factor."""
+    """Return the value of AXIS for the hard level without this factor."""
     return f"all but {factor}"
 
 

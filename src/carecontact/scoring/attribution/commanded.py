@@ -64,7 +64,7 @@ class CommandedContact:
 
 
 def commanded_path(contact: Contact) -> CommandedPath | None:
-    """The path of the tool's targets; None if no target was ever given."""
+    """Return the path of the tool's targets; None if no target was ever given."""
     recording = contact.recording
     pose = target_poses(recording)
     given = np.isfinite(pose).all(axis=1)

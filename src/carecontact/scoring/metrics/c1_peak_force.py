@@ -42,7 +42,7 @@ def peak_force(contact: Contact) -> PeakForce | None:
 
 
 def peak_of_segments(contact: Contact) -> dict[str, float]:
-    """Touched segment -> largest force norm of the whole trial [N].
+    """Return touched segment -> largest force norm of the whole trial [N].
 
     The safety gate reads this one and not the contact window, which the causal filter opens some steps late.
     """

@@ -67,7 +67,8 @@ MISSED = 'class="skin miss"'
 
 
 def peak_frame(score: TrialScore, recording: Recording) -> PeakFrame | None:
-    """The picture stored at peak force; None if the trial stored none. Raises RecordingError for a damaged one."""
+    """Return the picture stored at peak force; None if the trial stored none. Raises RecordingError for a damaged
+    one."""
     if "report/peak_rgb" not in recording.arrays:
         return None
     moment = peak_moment(recording)
