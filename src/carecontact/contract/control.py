@@ -43,7 +43,7 @@ class JointImpedance:
 class Control:
     description: str
     joint: JointImpedance | None
-    """None for the Cartesian impedance, whose gains are the protocol's."""
+    """Gains of a joint controller; None for the Cartesian impedance, whose gains are the protocol's."""
 
 
 CONTROLS: Registry[Control] = Registry("control", row=Control)

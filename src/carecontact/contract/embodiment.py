@@ -48,7 +48,7 @@ class Embodiment:
 
     @property
     def tip_centre_z_m(self) -> float:
-        """Of the tip's middle, along the hand's z axis."""
+        """Place of the tip's middle along the hand's z axis."""
         return self.tcp_z_m - self.tip.half_m[2]
 
 

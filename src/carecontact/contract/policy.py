@@ -76,7 +76,7 @@ class PolicyCard:
         object.__setattr__(self, "control_hz", float(rate))  # as it arrives over the wire
 
     def plain(self) -> dict[str, object]:
-        """The card as JSON has it, with lists for tuples.
+        """Return the card as JSON has it, with lists for tuples.
 
         Fields that cards did not always have are left out at their defaults, so that such a card is written as it
         always was.
@@ -90,7 +90,7 @@ class PolicyCard:
 
 
 def controls_for(action_space: str) -> list[str]:
-    """The controllers that can execute the actions of a space."""
+    """Return the controllers that can execute the actions of a space."""
     in_joints = ACTION_SPACES[action_space].in_joints
     return [name for name, control in CONTROLS.usable().items() if (control.joint is not None) == in_joints]
 

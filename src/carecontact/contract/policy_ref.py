@@ -33,20 +33,20 @@ EXPECTED = {
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyRef:
-    """Where a policy is found. Parse a text once with ``parse`` and pass the reference on."""
+    """A reference to a policy. Parse a text once with ``parse`` and pass the reference on."""
 
     kind: Literal["registered", "importable", "remote"]
     text: str
     """What recordings, manifests and messages show: it never holds credentials."""
     scheme: Scheme = "ws"
-    """Of a remote policy: what its server speaks."""
+    """What the server of a remote policy speaks."""
     host: str = ""
-    """Of a remote policy, as is ``port``."""
+    """Host of a remote policy; ``port`` belongs to it."""
     port: int = 0
     path: str = "/"
-    """Of a remote policy: what its server is asked for."""
+    """Path that the server of a remote policy is asked for."""
     options: tuple[tuple[str, str], ...] = ()
-    """Of a remote policy: names and values behind the question mark. No server is sent them."""
+    """Names and values behind the question mark in a remote policy's address. They are sent to no server."""
     credentials: str = field(default="", repr=False)
     """``USER:PASSWORD`` for ``ws``, the key for a dialect, or empty."""
 
@@ -108,7 +108,7 @@ class PolicyRef:
 
 
 def _options(shown: str, scheme: str, pairs: list[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
-    """In the order of OPTIONS, so that one request has one text."""
+    """Return the options in the order of OPTIONS, so that one request has one text."""
     valid = OPTIONS[scheme]
     for name, value in pairs:
         if name not in valid:

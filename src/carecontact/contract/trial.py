@@ -14,7 +14,7 @@ LATER = ("policy_arguments", "policy_environment", "noise_salt", "salt", "salt_s
 
 
 def commitment(salt: str) -> str:
-    """The sha256 of a salt's characters, in base 16: what may be published before the salt."""
+    """Return the sha256 of a salt's characters, in base 16: what may be published before the salt."""
     return hashlib.sha256(salt.encode()).hexdigest()
 
 
@@ -40,7 +40,7 @@ class TrialSpec(BaseModel):
     """Secret of a run whose persons nobody may know beforehand: every draw of the trial depends on it. A recording
     never holds it, only its hash (``sealed``); empty for a run on published seeds."""
     salt_sha256: str = ""
-    """Of the salt of a recorded trial, in base 16."""
+    """Hash of the salt of a recorded trial, in base 16."""
 
     @model_serializer(mode="wrap")
     def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Where the cameras of a trial are, and where its policy was told that they are."""
+"""The true poses of a trial's cameras, and those that its policy was told."""
 
 from __future__ import annotations
 

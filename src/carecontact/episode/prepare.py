@@ -62,7 +62,7 @@ def under_control(simulation: Simulation, control: Control) -> tuple[Simulation,
 
 
 def constants_of(simulation: Simulation, settled: Settled) -> Mapping[str, npt.NDArray[np.float64]]:
-    """Arrays of a recording that hold for the whole trial, by their path."""
+    """Return arrays of a recording that hold for the whole trial, by their path."""
     return {
         "scorer/human_joint_range": simulation.joint_range.astype("<f8"),
         "scorer/human_joint_settled": settled.joint_position.astype("<f8"),

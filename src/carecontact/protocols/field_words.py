@@ -47,7 +47,7 @@ WRITTEN = ("level", "overrides")
 
 
 def words(found: Mapping[str, Any], model: type[BaseModel] | None, content: object = None) -> str:
-    """One error as a sentence, without the name of its field.
+    """Return one error as a sentence, without the name of its field.
 
     Args:
         found: as ``ValidationError.errors`` lists it.
@@ -88,7 +88,7 @@ def _place(loc: Sequence[int | str]) -> str:
 
 
 def _fields(model: type[BaseModel] | None, loc: Sequence[int | str], content: object) -> list[str]:
-    """Names of the fields of the table at a place; none where the place is not a table of fixed fields."""
+    """Return names of the fields of the table at a place; none where the place is not a table of fixed fields."""
     if model is Protocol and not loc:
         return ["base", *(name for name in Protocol.model_fields if name not in WRITTEN)]
     here: Any = model

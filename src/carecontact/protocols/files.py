@@ -1,4 +1,4 @@
-"""Where protocol files are."""
+"""Finds protocol files."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ SUCCESSORS = {
 
 
 def shipped_protocols() -> list[str]:
-    """Ids of the protocols that come with carecontact."""
+    """Return ids of the protocols that come with carecontact."""
     folder = resources.files("carecontact.protocols")
     return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
 
 
 def protocol_file(name_or_path: str) -> Path:
-    """The file of a shipped protocol, or the TOML file itself.
+    """Return the file of a shipped protocol, or the TOML file itself.
 
     Raises UnknownNameError for a name that is neither, or ConfigError for a file that is missing and for a protocol of
     an earlier release.
@@ -41,7 +41,7 @@ def protocol_file(name_or_path: str) -> Path:
 
 
 def no_longer(name: str) -> str:
-    """The message about a protocol of an earlier release, which names its successor."""
+    """Return the message about a protocol of an earlier release, which names its successor."""
     return (
         f"no protocol named {name!r}: earlier releases had it, with another model of the tissue; its successor is "
         f"{SUCCESSORS[name]!r}, whose results cannot be compared with those of {name!r}"

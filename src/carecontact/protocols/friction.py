@@ -33,7 +33,7 @@ SKIN_STATES = {
 
 
 def friction_changes(rules: Protocol, friction: str) -> dict[str, object]:
-    """Fields of ``rules`` that give all of its soft regions one coefficient, as ``overridden`` takes them.
+    """Return fields of ``rules`` that give all of its soft regions one coefficient, as ``overridden`` takes them.
 
     Args:
         friction: a name of SKIN_STATES, or a number. The fields' own bounds apply to it.

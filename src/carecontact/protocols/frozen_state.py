@@ -28,7 +28,8 @@ def frozen_state(protocol: Protocol) -> str:
 
 
 def drifted_sha256(protocol_id: str, sha256: str) -> str | None:
-    """What is wrong with a protocol without overrides of which only name and hash are known; None where nothing is.
+    """Return what is wrong with a protocol without overrides of which only name and hash are known; None where nothing
+    is.
 
     ``protocol_id``: with the level, as results name it.
     """

@@ -16,7 +16,7 @@ does not name it."""
 
 
 def ancestry(name_or_path: str, *, heirs: tuple[str, ...] = ()) -> list[tuple[str, Table]]:
-    """The files that a protocol is made of, each with its place and its own table, the first base first.
+    """Return the files that a protocol is made of, each with its place and its own table, the first base first.
 
     A ``base`` is the id of a shipped protocol, or a file relative to the one that names it. Raises UnknownNameError, or
     ConfigError naming the file and what is wrong with it.

@@ -40,7 +40,7 @@ def split(place: str, table: Table) -> tuple[Table, dict[str, Table]]:
 
 
 def tables(rest: Table, levels: Mapping[str, Table]) -> dict[str, Table]:
-    """The whole table of every level, in the order of the file."""
+    """Return the whole table of every level, in the order of the file."""
     out: dict[str, Table] = {}
     for name, own in levels.items():
         rest = merged(rest, own)
@@ -49,7 +49,7 @@ def tables(rest: Table, levels: Mapping[str, Table]) -> dict[str, Table]:
 
 
 def knowing_each_other(found: Mapping[str, Protocol]) -> dict[str, Protocol]:
-    """Every level with its name and with what all of them draw."""
+    """Return every level with its name and with what all of them draw."""
     shared = {
         name: Level(variation=rules.variation, reposition_m=_farthest_m(rules.person.alive))
         for name, rules in found.items()
@@ -58,7 +58,7 @@ def knowing_each_other(found: Mapping[str, Protocol]) -> dict[str, Protocol]:
 
 
 def chosen(place: str, found: Mapping[str, Any], level: str | None) -> str:
-    """The name of a level that a file has. Raises ConfigError, which lists them, for none and for another."""
+    """Return the name of a level that a file has. Raises ConfigError, which lists them, for none and for another."""
     valid = ", ".join(found)
     if level is None:
         raise ConfigError(f"{place} has the levels {valid}; choose one with level")

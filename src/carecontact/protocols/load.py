@@ -22,7 +22,7 @@ ROW = {name for name, field in Tissue.model_fields.items() if field.is_required(
 
 
 def load_protocol(name_or_path: str = DEFAULT_PROTOCOL, *, level: str | None = None) -> Protocol:
-    """A shipped protocol by id, or a TOML file by path; docs/extending.md says how a file inherits.
+    """Return a shipped protocol by id, or a TOML file by path; docs/extending.md says how a file inherits.
 
     Args:
         level: one of the file's levels, where it has any (``protocols.levels``).
@@ -38,8 +38,8 @@ def load_protocol(name_or_path: str = DEFAULT_PROTOCOL, *, level: str | None = N
 
 
 def load_levels(name_or_path: str) -> dict[str, Protocol]:
-    """Every level of a protocol by its name, or the protocol alone, named ``""``, where it has no levels. Raises as
-    ``load_protocol`` does."""
+    """Return every level of a protocol by its name, or the protocol alone, named ``""``, where it has no levels. Raises
+    as ``load_protocol`` does."""
     (place, table), *heirs = ancestry(name_or_path)
     found = _of_table(place, table, bases=sorted(shipped_protocols(), key=lambda name: name != DEFAULT_PROTOCOL))
     for heir, own in heirs:
@@ -62,7 +62,8 @@ def _of_table(place: str, table: Table, *, bases: Sequence[str] = ()) -> dict[st
 
 
 def merged_table(name_or_path: str) -> Table:
-    """The table of a protocol's file over those of its bases, before anything is checked. Raises as ``ancestry``."""
+    """Return the table of a protocol's file over those of its bases, before anything is checked. Raises as
+    ``ancestry``."""
     (_, table), *heirs = ancestry(name_or_path)
     for _, own in heirs:
         table = inherit(table, own)
@@ -80,7 +81,7 @@ def _validated(place: str, table: Table, *, bases: Sequence[str] = ()) -> Protoc
 
 
 def _with_tissue(place: str, table: Table) -> Table:
-    """The rows of the tissue set that the file names, under what the file says of tissue itself."""
+    """Return the rows of the tissue set that the file names, under what the file says of tissue itself."""
     person = table.get("person")
     if not isinstance(person, dict) or not isinstance(person.get("tissue_set"), str):
         return table

@@ -18,7 +18,7 @@ SUFFIX = ".lock.json"
 class Lock(Section):
     id: str
     protocol_sha256: str
-    """Of the fields, tissue laws included: see ``Protocol.sha256``."""
+    """Hash of the fields, tissue laws included: see ``Protocol.sha256``."""
     fields: dict[str, Any]
     """All of them as they were, defaults included, so that one that changed can be named."""
     embodiment: str
@@ -34,13 +34,14 @@ class Lock(Section):
 
 
 def lock_path(name_or_path: str, *, level: str = "") -> Path:
-    """Beside the protocol's file, one for each of its levels. Raises what ``protocol_file`` raises."""
+    """Return the path of the lock: beside the protocol's file, one for each of its levels. Raises what
+    ``protocol_file`` raises."""
     path = protocol_file(name_or_path)
     return path.with_name(path.name.removesuffix(".toml") + (f".{level}" if level else "") + SUFFIX)
 
 
 def read_lock(name_or_path: str, *, level: str = "") -> Lock | None:
-    """None where the protocol has none. Raises ConfigError for a lock that cannot be read."""
+    """Return the lock of a protocol; None where it has none. Raises ConfigError for a lock that cannot be read."""
     path = lock_path(name_or_path, level=level)
     try:
         return Lock.model_validate_json(path.read_bytes())

@@ -28,7 +28,7 @@ paired over what is replaced."""
 
 
 def overridden(protocol: Protocol, changes: Mapping[str, object]) -> Protocol:
-    """A copy with these fields replaced and ``overrides`` saying so: another sha256, the same id.
+    """Return a copy with these fields replaced and ``overrides`` saying so: another sha256, the same id.
 
     A field that has the wanted value already is not an override.
 
@@ -66,7 +66,7 @@ def overridden(protocol: Protocol, changes: Mapping[str, object]) -> Protocol:
 
 
 def without_overrides(protocol: Protocol, original: Protocol) -> Protocol:
-    """A copy whose replaced fields are ``original``'s again: equal to it unless more was changed than announced.
+    """Return a copy whose replaced fields are ``original``'s again: equal to it unless more was changed than announced.
 
     A recorded path that ``original`` does not have stays as it is.
     """
@@ -81,8 +81,8 @@ def without_overrides(protocol: Protocol, original: Protocol) -> Protocol:
 
 
 def _with_rows(protocol: Protocol, changes: Mapping[str, object]) -> dict[str, object]:
-    """The changes with what follows from them: no body is drawn where one is chosen, and the rows of the tissue set
-    that they name, one for each soft region of the protocol."""
+    """Return the changes with what follows from them: no body is drawn where one is chosen, and the rows of the tissue
+    set that they name, one for each soft region of the protocol."""
     if "person.body" in changes and BODIES not in changes:
         changes = {**changes, BODIES: []}
     name = changes.get("person.tissue_set")
@@ -107,7 +107,7 @@ def _converted(value: object, now: object) -> object:
 
 
 def _spelled(protocol: Protocol, path: str) -> str:
-    """The new value as titles and recordings show it."""
+    """Return the new value as titles and recordings show it."""
     if path == "vision.segmenter":
         vision: Vision = protocol.vision
         return f"{vision.segmenter} {vision.weights_sha256[:12]}".strip()
@@ -125,7 +125,7 @@ def _plain(node: object) -> object:
 
 
 def _children(node: object) -> dict[str, Any]:
-    """What a step of a path can name: fields of a model, keys of a table, ids of a list of tables."""
+    """Return what a step of a path can name: fields of a model, keys of a table, ids of a list of tables."""
     if isinstance(node, BaseModel):
         names = (*type(node).model_fields, *(node.model_extra or ()))
         return {name: getattr(node, name) for name in names}
@@ -137,7 +137,7 @@ def _children(node: object) -> dict[str, Any]:
 
 
 def _at(node: object, parts: Sequence[str], path: str) -> object:
-    """The value at a path. Raises ConfigError naming what is valid where it ends."""
+    """Return the value at a path. Raises ConfigError naming what is valid where it ends."""
     for depth, name in enumerate(parts):
         children = {k: v for k, v in _children(node).items() if depth or k not in NOT_REPLACEABLE}
         if name not in children:
@@ -149,7 +149,7 @@ def _at(node: object, parts: Sequence[str], path: str) -> object:
 
 
 def _with(node: Any, parts: Sequence[str], value: object) -> Any:
-    """A copy of a model, table or list with the value at a path that ``_at`` has found; nothing is validated."""
+    """Return a copy of a model, table or list with the value at a path that ``_at`` has found; nothing is validated."""
     if not parts:
         return value
     name, rest = parts[0], parts[1:]

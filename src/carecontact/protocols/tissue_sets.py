@@ -26,7 +26,7 @@ class TissueSet(Section):
 
     @property
     def sha256(self) -> str:
-        """Of the rows as canonical JSON: spelling, comments and name do not count."""
+        """Hash of the rows as canonical JSON: spelling, comments and name do not count."""
         rows = {region: row.model_dump(mode="json") for region, row in self.tissue.items()}
         return hashlib.sha256(json.dumps(rows, sort_keys=True).encode()).hexdigest()
 
@@ -37,7 +37,7 @@ def shipped_tissue_sets() -> list[str]:
 
 
 def load_tissue_set(name_or_path: str) -> TissueSet:
-    """A shipped set by id, or a TOML file by path; regions that it leaves out come from its base.
+    """Return a shipped set by id, or a TOML file by path; regions that it leaves out come from its base.
 
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """

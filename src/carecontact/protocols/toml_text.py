@@ -29,7 +29,7 @@ def _lines(table: Table, place: tuple[str, ...]) -> list[str]:
 
 
 def _has_own_head(value: object) -> bool:
-    """A table, or a list of tables."""
+    """Whether a value is a table or a list of tables."""
     if isinstance(value, Mapping):
         return True
     return isinstance(value, list) and bool(value) and all(isinstance(entry, Mapping) for entry in value)

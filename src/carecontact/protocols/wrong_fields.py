@@ -23,7 +23,7 @@ def wrong_fields(
     content: object = None,
     bases: Sequence[str] = (),
 ) -> str:
-    """One line that begins with ``place`` where one field is wrong, else a heading and one line for each fault.
+    """Return one line that begins with ``place`` where one field is wrong, else a heading and one line for each fault.
 
     Args:
         bases: what the file might have named as its ``base``, the likeliest first; empty if it has one or cannot. Of a
@@ -52,7 +52,8 @@ def _is_left_out(found: ErrorDetails) -> bool:
 
 
 def faults(error: ValidationError, *, model: type[BaseModel] | None = None, content: object = None) -> list[str]:
-    """One line for each wrong field; a value is shown where it is one, not the table around a field that is missing.
+    """Return one line for each wrong field; a value is shown where it is one, not the table around a field that is
+    missing.
 
     Args:
         model: what was expected; with it an unknown field lists those that exist.

@@ -16,12 +16,12 @@ WALL_CLOCK = "wall/"
 
 
 def header_json(header: Header) -> bytes:
-    """One spelling of a header: sorted keys, no white space, ASCII."""
+    """Return one spelling of a header: sorted keys, no white space, ASCII."""
     return json.dumps(header.model_dump(mode="json"), sort_keys=True, separators=(",", ":")).encode("ascii")
 
 
 def little_endian(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """The same values, contiguous and little-endian, as stored and as hashed."""
+    """Return the same values, contiguous and little-endian, as stored and as hashed."""
     return np.ascontiguousarray(array, array.dtype.newbyteorder("<")).reshape(array.shape)
 
 

@@ -16,7 +16,7 @@ from carecontact.regions import REGIONS
 PATH = re.compile(r"(policy|scorer|actions|state|report|perception|wall)(/[A-Za-z0-9_.-]+)+")
 STORABLE_KINDS = "biuf"
 MAX_WALL_BYTES = 1 << 20
-"""Of all arrays that no hash covers; the longest is what a policy printed last, 8 kB."""
+"""Largest size of all arrays together that no hash covers; the longest is what a policy printed last, 8 kB."""
 
 
 def check_recording(recording: Recording, place: str) -> Recording:

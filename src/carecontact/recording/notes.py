@@ -26,7 +26,7 @@ class Note:
 
 
 def read_notes(recording: Recording) -> list[Note]:
-    """In the order of the steps. Raises RecordingError for notes that are no JSON."""
+    """Return a policy's notes in the order of the steps. Raises RecordingError for notes that are no JSON."""
     grouped: dict[str, dict[str, npt.NDArray[Any]]] = {}
     for path, array in recording.arrays.items():
         if path.startswith(PREFIX):
@@ -50,7 +50,7 @@ class LanguageUse:
 
 
 def language_use(recording: Recording) -> LanguageUse:
-    """From the notes. Raises RecordingError for notes that are no JSON."""
+    """Return what the notes say about the use of language models. Raises RecordingError for notes that are no JSON."""
     calls: list[dict[str, Any]] = []
     for note in read_notes(recording):
         entries = note.content.get("language", [])

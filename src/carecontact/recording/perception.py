@@ -50,7 +50,8 @@ class PerceptionErrors:
 
 
 def perception_errors(recording: Recording) -> PerceptionErrors | None:
-    """None where no perception was requested, or in recordings from before it was measured.
+    """Return the errors of perception; None where no perception was requested, or in recordings from before it was
+    measured.
 
     Raises RecordingError naming an array that is missing or has another dtype or shape.
     """

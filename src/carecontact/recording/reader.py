@@ -22,7 +22,7 @@ from carecontact.recording.writer import CHECKSUM, HEADER
 @dataclass(frozen=True, kw_only=True)
 class VerifiedRecording:
     recording: Recording
-    """In this release's schema."""
+    """The recording in this release's schema."""
     sha256: str
     """Stored in the file and found again: the canonical hash of the recording as it was written (hex)."""
 
@@ -38,7 +38,7 @@ def read_recording(path: Path | str) -> Recording:
 
 
 def read_verified(path: Path | str) -> VerifiedRecording:
-    """As ``read_recording``, with the checksum that the file was verified by."""
+    """Read and verify as ``read_recording`` does, and return the checksum too."""
     path = Path(path)
     with opened(path) as file:
         return _read(path, file)
@@ -70,7 +70,7 @@ def read_header(path: Path | str) -> Header:
 
 
 def stored_sha256(path: Path | str) -> str:
-    """The canonical hash (hex) that a trial file says it has; nothing but ``read_verified`` computes it again.
+    """Return the canonical hash (hex) that a trial file says it has; nothing but ``read_verified`` computes it again.
 
     Verifies the file's length and the stored hash itself. Raises RecordingError where that cannot be read.
     """

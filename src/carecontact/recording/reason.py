@@ -27,24 +27,25 @@ _ENDED: dict[EndReason, str] = {
 
 
 def ended_text(end: EndReason) -> str:
-    """How a trial ended, as progress lines say it after the trial's name."""
+    """Return how a trial ended, as progress lines say it after the trial's name."""
     return _ENDED[end]
 
 
 def alike(why: str) -> str:
-    """A reason without its values, the same for trials that failed in the same way."""
+    """Return a reason without its values, the same for trials that failed in the same way."""
     return _VALUE.sub("#", why)
 
 
 def reason_of(failure: Failure) -> str:
-    """As ``reason``, but what is not a traceback is kept as it is: nobody may write the reason of a failure."""
+    """Return what ``reason`` does, but keep what is not a traceback as it is: nobody may write the reason of a
+    failure."""
     if failure.kind in _PLAIN:
         return " ".join(failure.message.partition(PRINTED)[0].split())
     return reason(failure.message)
 
 
 def reason(message: str) -> str:
-    """The line of a failure that says why: the exception under its last traceback, else the first line.
+    """Return the line of a failure that says why: the exception under its last traceback, else the first line.
 
     What a policy printed is not a reason, whatever it looks like.
     """

@@ -111,7 +111,7 @@ class Header(BaseModel):
     spec: TrialSpec
     ended: EndReason
     failure: Failure | None
-    """Of the policy (process_failure) or of the harness (harness_error)."""
+    """Failure of the policy (process_failure) or of the harness (harness_error); None without one."""
     card: dict[str, Any] | None
     """The policy's card as shown in the handshake; None if it never came."""
     control: str | None = None
@@ -161,8 +161,8 @@ class Header(BaseModel):
 
     @property
     def protocol_sha256(self) -> str:
-        """Of the protocol as the trial was recorded. The rules of a trial with the earlier model of the tissue have
-        lost fields since (``recording.migration``), so the hash is the one that the migration took before."""
+        """Hash of the protocol as the trial was recorded. The rules of a trial with the earlier model of the tissue
+        have lost fields since (``recording.migration``), so the hash is the one that the migration took before."""
         protocol = self.spec.protocol
         earlier = any(row.contact_n_m3 is None for row in protocol.person.tissue.values())
         return self.sha256.get("protocol", protocol.sha256) if earlier else protocol.sha256
@@ -196,7 +196,7 @@ class Recording:
 
 
 def empty_arrays(joint_count: int, *, regions: int = len(STANDARD_REGIONS)) -> dict[str, npt.NDArray[Any]]:
-    """All required arrays at zero length, for trials that ended before t = 0.
+    """Return all required arrays at zero length, for trials that ended before t = 0.
 
     ``joint_count``, ``regions``: how many scored joints and regions the header lists.
     """

@@ -17,8 +17,8 @@ from carecontact.recording.writer import CHECKSUM, HEADER
 
 MAX_FILE_BYTES = 4 << 30
 MAX_ARRAY_BYTES = 1 << 30
-"""Of all arrays together, as declared and before any is unpacked: a few hundred bytes can claim terabytes. A
-whole trial of bathing-v2 has 13 MB."""
+"""Largest size of all arrays together, as declared and before any is unpacked: a few hundred bytes can claim terabytes.
+A whole trial of bathing-v2 has 13 MB."""
 MAX_EXPANSION = 1100
 """Declared over stored bytes of one array; deflate reaches at most 1032."""
 FREE_BYTES = 1 << 16
@@ -57,7 +57,8 @@ def opened(path: Path) -> Generator[Any]:
 
 
 def root_datasets(path: Path, file: Any) -> dict[str, Any]:
-    """The header and the stored checksum, of the kind and size that they may have, without a look at the arrays."""
+    """Return the header and the stored checksum, of the kind and size that they may have, without a look at the
+    arrays."""
     h5py: Any = import_module("h5py")
     found: dict[str, Any] = {}
     for name in (HEADER, CHECKSUM):

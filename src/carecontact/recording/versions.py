@@ -11,18 +11,18 @@ from carecontact.contract.protocol import BEHAVIOURS, Protocol
 from carecontact.regions import REGIONS
 
 PACKAGES = ("mujoco", "numpy", "scipy", "mediapipe", "opencv-python-headless")
-"""Those that every trial's numbers rest on."""
+"""Packages on which the numbers of every trial rest."""
 SEGMENTER_PACKAGES = {"mediapipe": (), "grounded-sam": ("torch", "transformers", "tokenizers", "pillow")}
 """Segmenter -> what it runs on besides the packages of every trial."""
 
 
 def trial_versions(protocol: Protocol) -> dict[str, str]:
-    """Of everything that decides the numbers of a protocol's trials."""
+    """Return the versions of everything that decides the numbers of a protocol's trials."""
     return package_versions(protocol.vision.segmenter) | supplier_versions(protocol)
 
 
 def supplier_versions(protocol: Protocol) -> dict[str, str]:
-    """Of the other packages that supply actions and regions of the protocol's tasks."""
+    """Return the versions of the other packages that supply actions and regions of the protocol's tasks."""
     suppliers = {BEHAVIOURS.package(task.action) for task in protocol.tasks}
     suppliers |= {REGIONS.package(task.region) for task in protocol.tasks}
     return versions_of(suppliers)
@@ -34,7 +34,7 @@ def versions_of(packages: Iterable[str | None]) -> dict[str, str]:
 
 
 def package_versions(segmenter: str = "mediapipe") -> dict[str, str]:
-    """Of what decides a trial's numbers, without importing any of it."""
+    """Return the versions of what decides a trial's numbers, without importing any of it."""
     versions = {"python": ".".join(map(str, sys.version_info[:3])), "carecontact": __version__}
     for package in (*PACKAGES, *SEGMENTER_PACKAGES[segmenter]):
         try:

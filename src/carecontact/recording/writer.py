@@ -23,7 +23,7 @@ GZIP_LEVEL = 1
 """Level 4, h5py's own, takes a quarter longer for files that are 6 % smaller."""
 CHUNKED_FROM_BYTES = 1024
 CHUNK_BYTES = 1 << 18
-"""Of whole rows: h5py's own guess cuts columns apart, and reading a trial takes twice as long."""
+"""Size of a chunk of whole rows: h5py's own guess cuts columns apart, and reading a trial takes twice as long."""
 
 
 def write_recording(recording: Recording, path: Path | str) -> Path:

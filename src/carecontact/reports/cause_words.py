@@ -8,8 +8,8 @@ from carecontact.scoring.result import TrialScore
 
 
 def cause_text(score: TrialScore) -> str:
-    """What the policy, the robot or the benchmark did, according to the failure mode and the evidence that is kept with
-    the score; empty for a trial without a cause."""
+    """Return what the policy, the robot or the benchmark did, according to the failure mode and the evidence that is
+    kept with the score; empty for a trial without a cause."""
     evidence = score.evidence or ""
     match score.attribution:
         case "planning":

@@ -13,7 +13,7 @@ SEGMENT = re.compile(r"\b(?:left|right)(?:_[a-z]+)+\b")
 
 
 def evidence_text(score: TrialScore) -> str:
-    """The evidence for a cause; empty without one. What it quotes from the policy, in quotation marks, stays."""
+    """Return the evidence for a cause; empty without one. What it quotes from the policy, in quotation marks, stays."""
     parts = (score.evidence or "").split('"')
     return '"'.join(_worded(part) if i % 2 == 0 else part for i, part in enumerate(parts))
 

@@ -65,7 +65,7 @@ def only_crashes(scores: Sequence[TrialScore]) -> bool:
 
 
 def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
-    """One row per failure mode, most frequent first, with what the failures were attributed to."""
+    """Return one row per failure mode, most frequent first, with what the failures were attributed to."""
     failed = [s for s in judged(scores) if s.failure_mode is not None]
     counts = Counter(str(s.failure_mode) for s in failed)
     out: list[dict[str, Any]] = []
@@ -80,7 +80,7 @@ def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
 
 
 def causes(scores: Sequence[TrialScore]) -> list[Cause]:
-    """One row per attribution and what happened (``cause_text``), most frequent first."""
+    """Return one row per attribution and what happened (``cause_text``), most frequent first."""
     failed: dict[tuple[str, str], list[TrialScore]] = {}
     for score in judged(scores):
         if score.attribution is not None:
@@ -98,7 +98,7 @@ def _examples(scores: Sequence[TrialScore]) -> tuple[tuple[str, str], ...]:
 
 
 def anatomy(scores: Sequence[TrialScore]) -> list[AnatomyRow]:
-    """One row per region of the tasks, then one over all if there are several."""
+    """Return one row per region of the tasks, then one over all if there are several."""
     counted = judged(scores)
     regions = list(dict.fromkeys(s.region for s in sorted(counted, key=lambda s: s.task_id)))
     groups = [(region.replace("_", " "), [s for s in counted if s.region == region]) for region in regions]

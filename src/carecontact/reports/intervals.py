@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from carecontact.scoring.result import TrialScore
 
 SEEDS_FOR_INTERVAL = 6
-"""With fewer pairs, not even a difference in every one of them is significant: the exact two-sided sign test gives
-2 / 2^5 = 0.0625 for five, and 0.03125 for six."""
+"""Least number of seeds for an interval. With fewer pairs, not even a difference in every one of them is significant:
+the exact two-sided sign test gives 2 / 2^5 = 0.0625 for five, and 0.03125 for six."""
 TOO_FEW = f"no intervals: fewer than {SEEDS_FOR_INTERVAL} seeds"
 
 

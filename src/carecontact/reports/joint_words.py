@@ -9,19 +9,20 @@ from carecontact.scoring.result import TrialScore
 
 
 def beyond_text(score: TrialScore) -> str:
-    """Joints that went farther beyond their range than the protocol allows."""
+    """Return joints that went farther beyond their range than the protocol allows."""
     return ", ".join(f"{_name(joint)} by {rad:.3f} rad" for joint, rad in sorted((score.joints_beyond or {}).items()))
 
 
 def consumed_text(score: TrialScore) -> str:
-    """Joints that used up more of their settled margin than the protocol flags."""
+    """Return joints that used up more of their settled margin than the protocol flags."""
     return ", ".join(
         f"{_name(joint)} {percent(share)}" for joint, share in sorted((score.joints_consumed or {}).items())
     )
 
 
 def joint_counts(scores: Sequence[TrialScore]) -> str:
-    """In how many trials, failed ones too, a joint went beyond its range, and in how many one is flagged."""
+    """Return in how many trials, failed ones included, a joint went beyond its range, and in how many a joint is
+    flagged."""
     gated = [score for score in scores if score.joints_beyond is not None]
     if not gated:
         return ""

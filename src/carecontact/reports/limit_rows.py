@@ -17,11 +17,11 @@ Ratio = Callable[[TrialScore, str], float]
 class LimitRow:
     name: str
     note: str
-    """Where the limit is from and whether it was checked."""
+    """Source of the limit, and whether it was checked."""
     above: Proportion
     """Trials, failed ones too, with a touched segment above the limit, of those that ``decides_force`` leaves."""
     n_success: int
-    """Of those, how many succeeded all the same."""
+    """How many of these trials succeeded all the same."""
     worst: float | None
     """Largest peak over its limit of any trial; None where nothing was touched."""
     worst_at: str
@@ -29,8 +29,8 @@ class LimitRow:
 
 
 def limit_rows(scores: Sequence[TrialScore], *, gamma: float | None) -> list[LimitRow]:
-    """Over the trials that are ``judged``; the safety gate first, a pack that the protocol does not use last. Empty
-    where no trial decides: the policy crashed in every one before any contact.
+    """Return one row for each set of limits over the trials that are ``judged``: the safety gate first, and packs that
+    the protocol does not use last. Empty where no trial decides: the policy crashed in every one before any contact.
 
     Args:
         gamma: the protocol's discount, for the name of the gate; None where no recording could be read.

@@ -32,7 +32,8 @@ class LoadRow:
         return f"{self.metric.name} [{self.unit}]" if self.unit else self.metric.name
 
     def cells(self, contacts: Sequence[int]) -> list[str]:
-        """One string per median; where it is over another number of trials than ``contacts`` says, that number too."""
+        """Return one string per median; where it is over another number of trials than ``contacts`` says, that number
+        too."""
         return [self._cell(found, n) for found, n in zip(self.medians, contacts, strict=True)]
 
     def _cell(self, found: Median, n: int) -> str:
@@ -55,7 +56,7 @@ class Load:
 
 
 def load(scores: Sequence[TrialScore], *, headlines: bool = False) -> Load:
-    """Over the trials that are ``judged``.
+    """Return medians over the trials that are ``judged``.
 
     Args:
         headlines: whether the metrics that have a column of their own elsewhere have a row here too.
@@ -80,7 +81,8 @@ def _median(metric: Metric, group: Sequence[TrialScore]) -> Median:
 
 
 def _metrics(scores: Sequence[TrialScore]) -> list[Metric]:
-    """Those that any of these trials was scored by, of several versions the newest, as tables order them."""
+    """Return the metrics by which any of these trials was scored, in the order of tables; of several versions, the
+    newest."""
     further = newest({id_ for score in scores for id_ in score.additional})
     with_field = [metric for metric in METRICS.values() if metric.field is not None] if scores else []
     return sorted([*with_field, *map(described, further)], key=lambda metric: (metric.order, metric.id))

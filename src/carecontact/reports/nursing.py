@@ -11,7 +11,7 @@ from carecontact.scoring.metrics.metric import METRICS, newest
 from carecontact.scoring.result import TrialScore
 
 ASKED = ("effective", "comfortable", "comfortable_fragile")
-"""Of each, the newest version that the trials were scored by."""
+"""Names of the yes-or-no metrics; of each, the newest version counts by which the trials were scored."""
 TOOL = "mitt"
 """A rigid cap presses a few square centimetres, so that these metrics say nothing of it."""
 

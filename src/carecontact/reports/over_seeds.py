@@ -33,7 +33,8 @@ OVER_TEXTS: dict[Over, str] = {
 
 
 def over_of(score: TrialScore) -> Over:
-    """Seeds where the protocol of a trial has levels, which share their persons, or draws bodies or places by seed.
+    """Return ``seeds`` where the protocol of a trial has levels, which share their persons, or draws bodies or places
+    by seed.
 
     Elsewhere, the seed changes the angle of the arm alone, and trials are taken as independent, as the paper does.
     """

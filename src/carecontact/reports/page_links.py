@@ -13,35 +13,36 @@ from urllib.parse import quote
 from carecontact.recording.writer import replace_file
 
 REPORT = "report.html"
-"""In the folder of a run."""
+"""Name of the report in the folder of a run."""
 FOLDER = "trial"
 HIDDEN, SHOWN = '<span hidden> · <a href="{}">', '<span> · <a href="{}">'
 WAITING, LINKED = '<a data-page="{}">', '<a href="{}">'
-"""Of the report: a trial whose page is not there, and one whose page is."""
+"""Parts of the report that name a trial: one whose page is not there, and one whose page is."""
 
 
 def page_path(run_folder: Path, trial_id: str) -> Path:
-    """The place of a trial's page, whether the page exists or not."""
+    """Return the place of a trial's page, whether the page exists or not."""
     return run_folder / FOLDER / f"{trial_id}.html"
 
 
 def page_address(trial_id: str) -> str:
-    """Of a trial's page, from the report."""
+    """Return the address of a trial's page, relative to the report."""
     return quote(f"{FOLDER}/{trial_id}.html")
 
 
 def report_address(trial_id: str) -> str:
-    """Of the row of a trial in the report, from the page of the trial."""
+    """Return the address of a trial's row in the report, relative to the page of the trial."""
     return f"../{REPORT}#{quote(trial_id)}"
 
 
 def report_link(run_folder: Path, trial_id: str) -> str:
-    """The beginning of the link to the report on the page of a trial: hidden while there is no report."""
+    """Return the beginning of the link to the report on the page of a trial: hidden while there is no report."""
     return (SHOWN if (run_folder / REPORT).is_file() else HIDDEN).format(report_address(trial_id))
 
 
 def link_to_page(trial_id: str, *, is_there: bool) -> str:
-    """The beginning of the link to the page of a trial in the report; without an address while there is no page."""
+    """Return the beginning of the link to the page of a trial in the report; without an address while there is no
+    page."""
     return (LINKED if is_there else WAITING).format(page_address(trial_id))
 
 
@@ -59,8 +60,8 @@ def link_report(run_folder: Path, trial_ids: Iterable[str]) -> None:
 
 
 def neighbour_links(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:
-    """Words and beginning of the links from the page of a trial to those of the trials before and after it, in the
-    order of the recordings' names; a link is hidden while that page is not there."""
+    """Return words and beginning of the links from the page of a trial to those of the trials before and after it, in
+    the order of the recordings' names; a link is hidden while that page is not there."""
     return [
         (words, (SHOWN if page_path(run_folder, name).is_file() else HIDDEN).format(quote(f"{name}.html")))
         for words, name in _neighbours(run_folder, trial_id)

@@ -34,7 +34,7 @@ def replay_commands(scores: Sequence[TrialScore], folder: Path, *, trials: bool 
 
 
 def rules_options(score: TrialScore) -> list[str]:
-    """Options of ``carecontact run`` that give the rules of a trial: protocol, level and every replaced field.
+    """Return options of ``carecontact run`` that give the rules of a trial: protocol, level and every replaced field.
 
     A file that a score does not name stands as ``FILE.toml`` (protocol), ``FOLDER`` (weights) or ``FILE`` (salt).
     """
@@ -55,7 +55,7 @@ def rules_options(score: TrialScore) -> list[str]:
 
 
 def _beside(folder: Path) -> str:
-    """A folder for the other run, beside that of this one."""
+    """Return a folder for the other run, beside that of this one."""
     if folder.name in ("", ".."):
         return str(folder / ".." / f"{folder.resolve().name}-replay")
     return str(folder.with_name(f"{folder.name}-replay"))

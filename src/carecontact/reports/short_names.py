@@ -9,7 +9,7 @@ LONGEST = 20
 
 
 def short_names(titles: Sequence[str]) -> dict[str, str]:
-    """Title of a policy -> its name without arguments, module and address, in the order given.
+    """Return title of a policy -> its name without arguments, module and address, in the order given.
 
     Where several titles would have the same short name, each has a number: ``replay (1)``, ``replay (2)``.
     """

@@ -85,7 +85,7 @@ class Axes:
 
     @property
     def floor(self) -> float:
-        """Of the lower edge [px]."""
+        """Return the place of the lower edge [px]."""
         return self.top + self.height
 
     def px(self, value: float) -> float:
@@ -117,7 +117,8 @@ class Axes:
 
 
 def nice_ticks(top: float, *, count: int) -> list[float]:
-    """Multiples of 1, 2 or 5 times a power of ten from 0 up to ``top``: 2 to ``count`` + 1 of them, for count >= 3."""
+    """Return multiples of 1, 2 or 5 times a power of ten from 0 up to ``top``: 2 to ``count`` + 1 of them, for count >=
+    3."""
     raw = top / count
     power = 10.0 ** math.floor(math.log10(raw))
     step = power * next(m for m in (1, 2, 5, 10) if m * power >= raw * (1 - 1e-9))
@@ -125,17 +126,17 @@ def nice_ticks(top: float, *, count: int) -> list[float]:
 
 
 def with_unit(ticks: Sequence[float], unit: str) -> list[tuple[float, str]]:
-    """Each tick with its text; the last one names the unit."""
+    """Return each tick with its text; the last one names the unit."""
     return [(tick, f"{tick:g} {unit}" if tick == ticks[-1] else f"{tick:g}") for tick in ticks]
 
 
 def _px(value: float) -> str:
-    """To 0.1 pixel, without a trailing zero."""
+    """Return the number to 0.1 pixel, without a trailing zero."""
     return f"{value:.1f}".removesuffix(".0")
 
 
 def _points(points: Points) -> str:
-    """To 0.1 pixel; the inside of a level stretch is left out."""
+    """Return the points to 0.1 pixel, without the inside of level stretches."""
     pairs = [(_px(x), _px(y)) for x, y in points]
     last = len(pairs) - 1
     kept = [pair for i, pair in enumerate(pairs) if i in (0, last) or not pairs[i - 1][1] == pair[1] == pairs[i + 1][1]]

@@ -16,12 +16,12 @@ COUNTS = ("task", "name", "n", "success", "region-correct", "safety-gated")
 
 
 def headlines() -> list[Metric]:
-    """The metrics that have a column of their own."""
+    """Return the metrics that have a column of their own."""
     return [row for row in metrics_in_order() if row.headline and row.median]
 
 
 def columns() -> tuple[str, ...]:
-    """Heads of the columns of ``SummaryRow.cells``."""
+    """Return heads of the columns of ``SummaryRow.cells``."""
     return (*COUNTS, *(row.label for row in headlines()))
 
 
@@ -39,7 +39,7 @@ class SummaryRow:
     """Id of a headline metric -> its median over the trials that it is pooled over."""
 
     def cells(self) -> list[str]:
-        """Strings under ``columns``; a median carries its valid n where that is not the row's n."""
+        """Return strings under ``columns``; a median carries its valid n where that is not the row's n."""
         rates = [f"{k}/{self.n}" for k in (self.success, self.region_correct, self.safety_gated)]
         return [self.task_id, self.name, str(self.n), *rates, *self.median_cells()]
 
@@ -59,7 +59,7 @@ def sorted_scores(scores: Iterable[TrialScore]) -> list[TrialScore]:
 
 
 def summary_rows(scores: Sequence[TrialScore]) -> list[SummaryRow]:
-    """One row per task in task order, then one over all trials; empty without scores.
+    """Return one row per task in task order, then one over all trials; empty without scores.
 
     Trials in which the harness failed are in no count; a task that has no other keeps its row, with n = 0.
     Raises ConfigError if the scores mix protocols, policies or worlds.

@@ -19,7 +19,7 @@ def number(value: float | None, digits: int) -> str:
 
 
 def shown(value: float | None, *, digits: int | None, unit: str) -> str:
-    """A value as its metric wants it: with ``digits`` decimals, or about three digits; angles as ``angle``."""
+    """Return a value as its metric wants it: with ``digits`` decimals, or about three digits; angles as ``angle``."""
     if digits is not None:
         return number(value, digits)
     return angle(value) if unit == "rad" else rounded(value)
@@ -57,7 +57,7 @@ def task_name(score: TrialScore) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """The first NAMED, and how many more there are."""
+    """Return the first NAMED, and how many more there are."""
     more = len(names) - NAMED
     return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
 

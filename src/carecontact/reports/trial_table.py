@@ -37,7 +37,8 @@ class Column:
 
 
 def columns(scores: Sequence[TrialScore]) -> list[Column]:
-    """Every field of a score that is one value, what distinguishes worlds, and further metrics that any trial has."""
+    """Return every field of a score that is one value, what distinguishes worlds, and further metrics that any trial
+    has."""
     found = [
         Column(name=name, kind=kind, value=lambda s, name=name: getattr(s, name))
         for name, field in TrialScore.model_fields.items()
@@ -75,7 +76,7 @@ def write_trial_table(folder: Path | str, scores: Sequence[TrialScore]) -> Path:
 
 
 def trial_table(scores: Sequence[TrialScore]) -> Any:
-    """The table that ``results.parquet`` holds, as a ``pyarrow.Table``: rows by task and seed, NA as null.
+    """Return the table that ``results.parquet`` holds, as a ``pyarrow.Table``: rows by task and seed, NA as null.
 
     Raises DependencyError, saying what installs it, without pyarrow.
     """
@@ -114,7 +115,8 @@ def _bitmap(flags: Sequence[Any]) -> bytes:
 
 
 def _scalar(annotation: Any) -> type[str] | type[float] | type[int] | type[bool] | None:
-    """Of ``float``, ``float | None`` or a Literal of strings; None for what is not a single value."""
+    """Return the column's type for ``float``, ``float | None`` or a Literal of strings; None for what is not a single
+    value."""
     if get_origin(annotation) in (Union, types.UnionType):
         kinds = {_scalar(part) for part in get_args(annotation) if part is not type(None)}
         return kinds.pop() if len(kinds) == 1 else None

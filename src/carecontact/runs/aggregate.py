@@ -18,7 +18,7 @@ LEVELS = ("success", "region_correct", "safety_gated")
 
 
 def rate(k: int, n: int) -> dict[str, Any]:
-    """A count in percent with its Wilson interval; without trials, there is no percentage."""
+    """Return a count in percent with its Wilson interval; without trials, there is no percentage."""
     found = wilson_interval(k, n)
     percent = None if found.estimate is None else 100 * found.estimate
     return {"n": k, "pc": percent, "pc_ci95": [100 * found.low, 100 * found.high]}
@@ -30,8 +30,8 @@ def within(score: TrialScore, gamma: float) -> bool:
 
 
 def exceedances(scores: Sequence[TrialScore]) -> dict[str, Any]:
-    """Trials, failed ones too, with a touched segment above the safety gate or above the pain limit, and how many of
-    them were successes all the same. The percentages are of the trials that ``decides_force`` leaves."""
+    """Return trials, failed ones too, with a touched segment above the safety gate or above the pain limit, and how
+    many of them were successes all the same. The percentages are of the trials that ``decides_force`` leaves."""
     scores = decides_force(scores)
     over = {
         "gate": [s for s in scores if s.over_limit],

@@ -64,7 +64,7 @@ def alone(folder: Path, *, make: bool = False) -> Generator[None]:
 
 
 def _locked(folder: Path, *, make: bool) -> TextIO | None:
-    """The open and locked file, or None where this process has it already."""
+    """Return the open and locked file, or None where this process has it already."""
     path = folder / LOCK
     while True:
         try:

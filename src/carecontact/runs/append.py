@@ -73,7 +73,7 @@ def append_metrics(folder: Path | str) -> Appended:
 
 
 def _add_medians(data: Row, added: set[str]) -> None:
-    """Of the metrics that were added, to every part of the result that does not have them yet."""
+    """Add the medians of the metrics that were added to every part of the result that does not have them yet."""
     for part, rows in _parts(data):
         medians = part.setdefault("additional", {})
         for metric in (METRICS[id_] for id_ in added - medians.keys()):

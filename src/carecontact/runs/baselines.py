@@ -53,5 +53,5 @@ def remembered(folder: Path) -> dict[str, Path]:
 
 
 def named_in(folder: Path) -> Path | None:
-    """The file that names the baselines of a run; None where no baseline was named."""
+    """Return the file that names the baselines of a run; None where no baseline was named."""
     return next((path for name in (BASELINES, EARLIER) if (path := folder / name).is_file()), None)

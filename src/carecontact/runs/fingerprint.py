@@ -12,7 +12,8 @@ WHOLE_BYTES = 1 << 26
 SAMPLES, SAMPLE_BYTES = 64, 1 << 16
 """Blocks of a longer file, evenly spaced from its beginning to its end."""
 MAX_FILES = 10_000
-"""Of a folder; one with more is taken for something other than weights and has no fingerprint."""
+"""Largest number of files of a folder; one with more is taken for something other than weights and has no
+fingerprint."""
 
 
 def fingerprints(arguments: Mapping[str, str]) -> dict[str, str]:

@@ -26,8 +26,8 @@ WORLD_FIELDS = (
     "jnt_stiffness", "jnt_stiffnesspoly", "dof_damping", "dof_frictionloss", "numeric_data",
     "mesh_vert", "skin_vert", "actuator_gainprm", "actuator_biasprm", "cam_pos", "cam_fovy", "light_dir",
 )  # fmt: skip
-"""Of the compiled model; ``numeric_data`` has the shells and laws of the tissue. Each gives a sum of magnitudes and one
-weighted by place, so that a swap is seen too."""
+"""Fields of the compiled model; ``numeric_data`` has the shells and laws of the tissue. Each gives a sum of magnitudes
+and one weighted by place, so that a swap is seen too."""
 SAME = 1e-6
 """Relative difference of sums that counts as rounding."""
 
@@ -44,8 +44,8 @@ def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
 
 
 def asset_hashes(protocol: Protocol) -> dict[str, str]:
-    """Of the protocol's bodies, their skin, the robot and the C sources of the tissue; files that are not there have no
-    entry. Sources of the tissue and not the binary, which differs between platforms."""
+    """Return the hashes of the protocol's bodies, their skin, the robot and the C sources of the tissue; files that are
+    not there have no entry. The binary of the tissue has none, because it differs between platforms."""
     folder = resources.files("carecontact") / "assets"
     bodies = protocol.variation.bodies or (protocol.person.body,)
     places = [("bodies", f"{body}.{kind}") for body in bodies for kind in ("npz", "skin.png")]
@@ -83,7 +83,8 @@ def world_sums(protocol: Protocol, region: str) -> dict[str, float]:
 
 
 def drift(lock: Lock, now: Lock) -> list[str]:
-    """The differences from the lock, one line each, most informative first; worlds only where ``now`` has them."""
+    """Return the differences from the lock, one line each, most informative first; worlds only where ``now`` has
+    them."""
     said: list[str] = []
     for what, before, after in (
         ("id", lock.id, now.id), ("embodiment", lock.embodiment, now.embodiment),
@@ -130,7 +131,8 @@ def _short(value: object) -> str:
 
 
 def lock_of(name_or_path: str, protocol: Protocol) -> Lock | None:
-    """The lock that holds for a protocol: its own, or the shipped one where a file has the id of a shipped protocol."""
+    """Return the lock that holds for a protocol: its own, or the shipped one where a file has the id of a shipped
+    protocol."""
     return read_lock(protocol.id if is_borrowed(name_or_path, protocol) else name_or_path, level=protocol.level)
 
 
@@ -140,7 +142,7 @@ def is_borrowed(name_or_path: str, protocol: Protocol) -> bool:
 
 
 def check_frozen(name_or_path: str, protocol: Protocol, *, unfrozen: bool) -> Protocol:
-    """The protocol, if it is a draft or equals its lock; quick, so the compiled worlds are left out.
+    """Return the protocol, if it is a draft or equals its lock; quick, so the compiled worlds are left out.
 
     Args:
         unfrozen: go on where it differs; then the protocol's overrides, and so every output, name the differences.

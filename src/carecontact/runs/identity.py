@@ -29,10 +29,10 @@ class Identity(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     policy_sha256: str | None
-    """Of the file of the policy's module; None for a policy of this package, which the version stands for, and for one
-    on another host, of which nothing is known but its address and card."""
+    """Hash of the file of the policy's module; None for a policy of this package, for which the version stands, and for
+    one on another host, of which nothing is known but its address and card."""
     card: dict[str, Any] | None = None
-    """Of a policy on another host: all that can be known of its version."""
+    """The card of a policy on another host, which is all that can be known of its version."""
     language: str | None = None
     """Backend that --language named; None: the policy's own choice."""
     arguments: dict[str, str] = {}
@@ -43,7 +43,7 @@ class Identity(BaseModel):
     """Names of the variables that --policy-env let pass."""
     versions: dict[str, str]
     sha256: dict[str, str]
-    """Of the body's and the robot's baked archives and of the compiled tissue; keys and values are those of a
+    """Hashes of the archives of the body and the robot, and of the compiled tissue; keys and values are those of a
     recording's header."""
 
     def differences(self, *, versions: Mapping[str, str], sha256: Mapping[str, str]) -> list[str]:

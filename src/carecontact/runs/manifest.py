@@ -49,10 +49,11 @@ class Manifest(BaseModel):
     elsewhere: list[str] = []
     """Ids of the other trials of the run of which this is a part (``run --shard``)."""
     noise_salt: str = ""
-    """Of every trial here; empty where the protocol names no sensor noise, and where the run has a ``salt_sha256``."""
+    """Salt of the sensor noise of every trial here; empty where the protocol names no sensor noise, and where the run
+    has a ``salt_sha256``."""
     salt_sha256: str = ""
-    """Of the secret on which every draw of every trial here depends, written before the first trial; empty for a run on
-    published seeds."""
+    """Hash of the secret on which every draw of every trial here depends, written before the first trial; empty for a
+    run on published seeds."""
     salt: str = ""
     """That secret, once its owner has revealed it."""
 
@@ -66,7 +67,7 @@ class Survey:
     redo: dict[str, str]
     """Trial id -> why the file that is there does not count."""
     killed: frozenset[str] = frozenset()
-    """Those trials of ``redo`` that an earlier command lost to a signal."""
+    """The trials of ``redo`` that an earlier command lost to a signal."""
 
 
 def runs_beside(out: Path) -> list[str]:
@@ -160,9 +161,9 @@ def store_manifest(manifest: Manifest, *, out: Path) -> None:
 
 
 def salted(specs: Sequence[TrialSpec], *, out: Path) -> list[TrialSpec]:
-    """The trials with the noise salt of the run in ``out``, a fresh one for a new run; as they are where the protocol
-    names no sensor noise or they have a salt already. Raises ConfigError as ``read_manifest``, and for another noise
-    salt than that of the run."""
+    """Return the trials with the noise salt of the run in ``out``, a fresh one for a new run; as they are where the
+    protocol names no sensor noise or they have a salt already. Raises ConfigError as ``read_manifest``, and for another
+    noise salt than that of the run."""
     if specs[0].salt or not specs[0].protocol.variation.sensor_noise:
         return list(specs)
     earlier, given = read_manifest(out), specs[0].noise_salt
@@ -174,7 +175,8 @@ def salted(specs: Sequence[TrialSpec], *, out: Path) -> list[TrialSpec]:
 
 
 def read_manifest(out: Path) -> Manifest | None:
-    """None when there is none. Raises ConfigError for one that cannot be read: what was planned is then unknown."""
+    """Return the manifest of a run, or None if the folder has none. Raises ConfigError for one that cannot be read,
+    because what was planned is then unknown."""
     path, content = out / MANIFEST, b""
     try:
         content = path.read_bytes()
@@ -259,7 +261,7 @@ def _policy_of(spec: TrialSpec) -> tuple[object, ...]:
 
 
 def _policy_text(arguments: Mapping[str, str], environment: Sequence[str]) -> str:
-    """For example ``policy arguments steps=3 and policy variables TOKEN``; both may be ``none``."""
+    """Return words such as ``policy arguments steps=3 and policy variables TOKEN``; both may be ``none``."""
     given = " ".join(f"{name}={text}" for name, text in sorted(arguments.items())) or "none"
     return f"policy arguments {given}" + (f" and policy variables {' '.join(environment)}" if environment else "")
 

@@ -17,7 +17,7 @@ ELSEWHERE = f"{ANOTHER}, or move this one aside, as --restart of `carecontact ru
 
 
 def install_line(*, held: Mapping[str, str], now: Mapping[str, str]) -> str:
-    """The line that installs what a folder was started with, as far as it differs; empty where nothing does."""
+    """Return the line that installs what a folder was started with, as far as it differs; empty where nothing does."""
     differ = [name for name, version in held.items() if now.get(name, version) != version]
     if not differ:
         return ""
@@ -31,7 +31,8 @@ def _requirement(name: str, version: str | None) -> str:
 
 
 def damaged(content: bytes) -> str:
-    """How a manifest that cannot be read is described: by the release that wrote it, where it names another one."""
+    """Return how a manifest that cannot be read is described: by the release that wrote it, where it names another
+    one."""
     with suppress(ValueError, KeyError, TypeError):
         version = str(cast("Any", json.loads(content))["identity"]["versions"]["carecontact"])
         if version != __version__:
@@ -41,7 +42,7 @@ def damaged(content: bytes) -> str:
 
 
 def lost_trials(out: Path, *, failed: tuple[str, ...]) -> str:
-    """What of a folder cannot be kept because the policy's source changed.
+    """Return what of a folder cannot be kept because the policy's source changed.
 
     Args:
         failed: ends of trials that --retry-failed would run again.

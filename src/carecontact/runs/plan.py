@@ -1,4 +1,4 @@
-"""From ``--tasks`` and ``--seeds`` to trial specs."""
+"""Makes trial specs of ``--tasks`` and ``--seeds``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, did_you_mean
 
 SALT_DIGITS = 32
-"""Of the salt of a run's sensor noise, in base 16."""
+"""Number of digits, in base 16, of the salt of a run's sensor noise."""
 
 
 def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
@@ -85,7 +85,7 @@ def plan_trials(
 
 
 def with_noise_salt(specs: list[TrialSpec], salt: str | None, *, one_of_several: bool) -> list[TrialSpec]:
-    """The trials with the salt of their sensor noise, where their protocol has any and a salt is given.
+    """Return the trials with the salt of their sensor noise, where their protocol has any and a salt is given.
 
     Args:
         one_of_several: whether the trials are a part of a run, whose other parts need the same salt.

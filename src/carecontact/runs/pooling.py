@@ -8,17 +8,17 @@ from carecontact.errors import ConfigError
 from carecontact.scoring.result import DRAWN, TrialScore
 
 UNSALTED = "none"
-"""In place of the salt's hash, in a run on published seeds: other persons than those of a salted one."""
+"""Stands for the salt's hash in a run on published seeds, whose persons are others than those of a salted one."""
 
 
 def judged(scores: Iterable[TrialScore]) -> list[TrialScore]:
-    """The trials that say something about the policy: all but those in which the harness failed."""
+    """Return the trials that say something about the policy: all but those in which the harness failed."""
     return [s for s in scores if s.is_judged]
 
 
 def decides_force(scores: Iterable[TrialScore]) -> list[TrialScore]:
-    """The trials that count for exceedances of force limits: all but those in which the policy crashed before any
-    contact."""
+    """Return the trials that count for exceedances of force limits: all but those in which the policy crashed before
+    any contact."""
     return [s for s in scores if not s.crashed_untouched]
 
 
@@ -51,12 +51,12 @@ def _check_one_world(scores: Sequence[TrialScore]) -> None:
 
 
 def world_part(score: TrialScore, what: str) -> str:
-    """The start of a part of a score's world, as messages name it."""
+    """Return the start of a part of a score's world, as messages name it."""
     return score.world.get(what, UNSALTED)[:12]
 
 
 def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, TrialScore] | None:
-    """The first part of the world in which two scores differ, and the two; None in one world.
+    """Return the first part of the world in which two scores differ, and the two; None in one world.
 
     The compiled model has the fine skin on the task's region, so that models are compared region by region, and those
     that a seed draws seed by seed.

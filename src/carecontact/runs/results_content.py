@@ -27,8 +27,9 @@ RESULTS_SCHEMA = "carecontact-results-1"
 
 
 def results(run: RunScores) -> dict[str, Any]:
-    """The content of ``results.json``: the field's evaluation JSON (``overall``, ``per_task`` with ``n_episodes``,
-    ``n_success`` and ``pc_success``) and what this benchmark adds. Rates are in percent where the key says ``pc``."""
+    """Return the content of ``results.json``: the field's evaluation JSON (``overall``, ``per_task`` with
+    ``n_episodes``, ``n_success`` and ``pc_success``) and what this benchmark adds. Rates are in percent where the key
+    says ``pc``."""
     scores = run.scores
     check_one_run(scores)
     backends = {s.language_backend for s in judged(scores)}
@@ -89,7 +90,7 @@ def summarise(scores: Iterable[TrialScore]) -> dict[str, Any]:
 
 
 def _median_key(metric: Metric) -> str:
-    """The metric's field, and what it is pooled over. Push stands for all actions that move the person: the key is part
-    of the format, which does not change where another package adds such an action."""
+    """Return the metric's field, and what it is pooled over. Push stands for all actions that move the person: the key
+    is part of the format, which does not change where another package adds such an action."""
     pool = ("push",) if metric.pool == "moving" else metric.pool or ()
     return "_".join((metric.field or metric.id, *pool))

@@ -64,7 +64,8 @@ def pack_results(path: Path, run: RunScores) -> None:
 
 
 def read_results(path: Path | str) -> RunScores:
-    """The scores in a ``results.json``, packed with gzip or not, as they were written; nothing is computed again.
+    """Return the scores in a ``results.json``, packed with gzip or not, as they were written; nothing is computed
+    again.
 
     Raises ConfigError for a file that cannot be read, contradicts itself or mixes protocols, policies or worlds.
     """
@@ -83,7 +84,8 @@ def read_results(path: Path | str) -> RunScores:
 
 
 def skipped_before(folder: Path) -> set[str]:
-    """Names of the recordings that the last scoring of a folder skipped; none where there is no result to read."""
+    """Return names of the recordings that the last scoring of a folder skipped; none where there is no result to
+    read."""
     try:
         return set(read_results(folder / RESULTS_NAME).skipped)
     except (ConfigError, OSError):
@@ -91,7 +93,7 @@ def skipped_before(folder: Path) -> set[str]:
 
 
 def _fault(stored: _Results) -> str | None:
-    """What of a results file no scorer can have written; None where there is nothing."""
+    """Return what of a results file no scorer can have written; None where there is nothing."""
     twice = [trial_id for trial_id, k in Counter(s.trial_id for s in stored.trials).items() if k > 1]
     if twice:
         return f"is damaged: it holds {twice[0]} twice"

@@ -12,7 +12,7 @@ from carecontact.scoring.result import TrialScore
 @dataclass(frozen=True, kw_only=True)
 class RunScores:
     scores: list[TrialScore]
-    """In the order of the file names."""
+    """The scores in the order of the file names."""
     skipped: dict[str, str] = field(default_factory=dict[str, str])
     """File name -> why it was not scored."""
     versions: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
@@ -23,7 +23,7 @@ class RunScores:
 
 
 def joined(a: RunScores, b: RunScores) -> RunScores:
-    """One run whose trials were scored in two parts, on two machines for example; in the order of their ids.
+    """Return one run whose trials were scored in two parts, on two machines for example; in the order of their ids.
 
     Raises ConfigError for parts that have a trial in common, or are of different protocols, policies, language
     backends, definitions or worlds.

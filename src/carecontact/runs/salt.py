@@ -16,7 +16,7 @@ from carecontact.errors import ConfigError
 from carecontact.runs.manifest import MANIFEST, Manifest, read_manifest, store_manifest
 
 DIGITS = 64
-"""Of a salt, in base 16: as many as its hash has."""
+"""Number of digits of a salt, in base 16: as many as its hash has."""
 
 
 def make_salt(path: Path) -> str:
@@ -47,7 +47,7 @@ def read_salt(path: Path) -> str:
 
 
 def with_salt(specs: Sequence[TrialSpec], salt: str) -> list[TrialSpec]:
-    """The trials with a secret on which every draw depends; as they are where it is empty."""
+    """Return the trials with a secret on which every draw depends; as they are where it is empty."""
     return list(specs) if not salt else [spec.model_copy(update={"salt": salt}) for spec in specs]
 
 

@@ -24,7 +24,7 @@ class ScoredFile:
 
 
 def score_file(path: Path) -> ScoredFile | str:
-    """The score of a file, or in one line why it has none."""
+    """Return the score of a file, or in one line why it has none."""
     try:
         verified = read_verified(path)
         header = verified.recording.header
@@ -40,7 +40,8 @@ def score_file(path: Path) -> ScoredFile | str:
 
 
 def score_files(paths: Sequence[Path], *, jobs: int) -> Iterator[ScoredFile | str]:
-    """In the order of ``paths``. Raises RecordingError if a process died, which no recording should bring about."""
+    """Score recordings and return the scores in the order of ``paths``. Raises RecordingError if a process died, which
+    no recording should bring about."""
     if jobs <= 1:
         yield from map(score_file, paths)
         return

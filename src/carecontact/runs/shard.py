@@ -16,7 +16,7 @@ EXPECTED = "expected I/N with I from 1 to N, for example 2/4 for the second of f
 @dataclass(frozen=True, kw_only=True)
 class Shard:
     index: int
-    """From 1 to ``count``."""
+    """Number of the part, from 1 to ``count``."""
     count: int
 
     @classmethod
@@ -28,7 +28,7 @@ class Shard:
         return cls(index=int(index), count=int(count))
 
     def of(self, specs: Sequence[TrialSpec]) -> list[TrialSpec]:
-        """The trials of this part, neighbours in the order of the plan; parts differ by one trial at most.
+        """Return the trials of this part, neighbours in the order of the plan; parts differ by one trial at most.
 
         Raises ConfigError where there are more parts than trials.
         """
@@ -40,7 +40,8 @@ class Shard:
         return list(specs[begin:end])
 
     def every(self, cells: Sequence[Cell]) -> list[Cell]:
-        """Of the cells of a sweep, each at this part's place among ``count``: 2/4 has the second, the sixth and so on.
+        """Return the cells of a sweep that belong to this part, every ``count``-th one: 2/4 has the second, the sixth
+        and so on.
 
         Raises ConfigError where there are more parts than cells.
         """

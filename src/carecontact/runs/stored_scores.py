@@ -17,7 +17,7 @@ from carecontact.scoring.metrics.metric import METRICS
 
 
 def read_scores(run: Path, *, rescore: bool = False, jobs: int = 1, otherwise: str = "") -> RunScores:
-    """The scores of a run, with the trials that its manifest plans and nobody scored.
+    """Return the scores of a run, with the trials that its manifest plans and nobody scored.
 
     Args:
         run: the folder of a run, or a results file, packed or not, which is read as it is.
@@ -65,7 +65,8 @@ def _check_is_results(file: Path) -> None:
 
 
 def stale(folder: Path, run: RunScores) -> list[str]:
-    """How the recordings in a folder differ from those that were scored, a few words for each; empty if they agree.
+    """Return how the recordings in a folder differ from those that were scored, a few words for each; empty if they
+    agree.
 
     Every recording must be one that was scored, with the canonical hash that it had then, and none may be gone. The
     hash is the one that each file says it has: arrays are not read, so damage inside them stays for those who read
@@ -78,13 +79,14 @@ def stale(folder: Path, run: RunScores) -> list[str]:
 
 
 def lacking(run: RunScores) -> list[str]:
-    """Ids of the registered metrics that some trial was scored without."""
+    """Return ids of the registered metrics that some trial was scored without."""
     without = [row.id for row in METRICS.values() if row.field is None]
     return [id_ for id_ in without if any(id_ not in score.additional for score in run.scores)]
 
 
 def beside_plan(folder: Path, run: RunScores) -> RunScores:
-    """The run with the trials that its manifest plans and nobody scored; unchanged where there is no manifest."""
+    """Return the run with the trials that its manifest plans and nobody scored; unchanged where there is no
+    manifest."""
     manifest = read_manifest(folder)
     if manifest is None:
         return run

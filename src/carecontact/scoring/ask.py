@@ -27,7 +27,7 @@ ANSWERS: dict[str, tuple[tuple[Any, ...], str]] = {
 
 
 def ask(contact: Contact, method: str, *arguments: object, action: str | None = None) -> Any:
-    """What a method of a behaviour answers; ANSWERS says of which class that is.
+    """Return what a method of a behaviour answers; ANSWERS says of which class that is.
 
     Args:
         contact: of the trial that is judged.

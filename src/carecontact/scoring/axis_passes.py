@@ -25,7 +25,7 @@ class Wiping:
     force: F64
     """(N,) held force [N]"""
     length_m: float
-    """Of the region's axis."""
+    """Length of the region's axis."""
     reversal_m: float
     """Opposite travel that begins another stroke."""
     moving: Mask
@@ -68,7 +68,7 @@ class Wiping:
 
 
 def wiping(contact: Contact) -> Wiping:
-    """Over the whole trial: what slid too hard counts, whichever contact it was in."""
+    """Return how the tool slid over the whole trial, because what slid too hard counts in whichever contact it was."""
     definition, track = contact.protocol.contact, surface_track(contact)
     speed = np.linalg.norm(np.diff(track.surface, axis=0), axis=1) / np.diff(contact.time_s[track.step])
     region = contact.recording.header.regions.index(contact.task.region)

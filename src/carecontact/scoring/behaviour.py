@@ -33,14 +33,14 @@ class Sweep:
     name: str
     """Key in ``TrialScore.gate_sweep``; it begins with the action, as in ``push_force_n``."""
     field: str
-    """Of the gate's schema."""
+    """Name of the field in the gate's schema."""
     values: tuple[float, ...]
     title: str
-    """Of its figure in the report."""
+    """Title of the figure in the report."""
     unit: str
-    """In which the figure shows the values."""
+    """Unit in which the figure shows the values."""
     factor: float = 1.0
-    """From the field's unit to the shown one."""
+    """Factor from the field's unit to the shown one."""
 
 
 class ForceBand(Section):
@@ -88,7 +88,7 @@ class Behaviour(ABC, Generic[G]):
                 raise ConfigError(f"{cls.__name__}.sweeps: the gate has no field {sweep.field!r}; valid: {known}")
 
     def under(self, version: str) -> Behaviour[Any]:
-        """The Behaviour that scores the action under this ``gates.version``."""
+        """Return the Behaviour that scores the action under this ``gates.version``."""
         return self.versions.get(version, self)
 
     @abstractmethod
@@ -108,7 +108,8 @@ class Behaviour(ABC, Generic[G]):
         return False
 
     def requested(self, gate: G, asked: CommandedContact) -> str | None:
-        """What the policy's commands requested, if a tool that followed them would have passed; None if it would not.
+        """Return what the policy's commands requested, if a tool that followed them would have passed; None if it would
+        not.
 
         A trial that falls short of progress is then blamed on execution, otherwise on planning.
         """
@@ -116,21 +117,21 @@ class Behaviour(ABC, Generic[G]):
 
     @abstractmethod
     def shortfall(self, contact: Contact, gate: G, result: Gate) -> str:
-        """What the trial lacked, with the figures of the gate: words that continue the sentence "The commanded path
-        came to the region, but"."""
+        """Return what the trial lacked, with the figures of the gate: words that continue the sentence "The commanded
+        path came to the region, but"."""
 
     def parts(self, contact: Contact, gate: G, result: Gate) -> list[GatePart]:
-        """The requirements of the gate one by one, for the page of a trial; none by default. Where there are any, they
-        are all met exactly if ``judge`` finds every part of the gate met."""
+        """Return the requirements of the gate one by one, for the page of a trial; none by default. Where there are
+        any, they are all met exactly if ``judge`` finds every part of the gate met."""
         return []
 
     def progress(self, score: TrialScore) -> str:
-        """The figures that the gate judges, for a row of the report."""
+        """Return the figures that the gate judges, for a row of the report."""
         return f"touched for {score.longest_on_s:.2f} s"
 
 
 def behaviour_of(action: str, version: str) -> Behaviour[Any]:
-    """The Behaviour that scores an action under a version of the gates.
+    """Return the Behaviour that scores an action under a version of the gates.
 
     Raises UnknownNameError for an action that nothing registers, ConfigError for a row that is not a Behaviour.
     """
@@ -141,8 +142,8 @@ def behaviour_of(action: str, version: str) -> Behaviour[Any]:
 
 
 def actions_that_move() -> frozenset[str]:
-    """The registered actions that are meant to move a limb. An action that cannot be loaded is left out, because no
-    trial of it can be scored."""
+    """Return the registered actions that are meant to move a limb. An action that cannot be loaded is left out, because
+    no trial of it can be scored."""
     usable = BEHAVIOURS.usable()
     return frozenset(action for action, row in usable.items() if isinstance(row, Behaviour) and row.moves_the_person)
 

@@ -30,5 +30,5 @@ def blamed_on(what: str, trial_id: str) -> Generator[None]:
 
 
 def shown(answer: object) -> str:
-    """An answer as a message shows it: the beginning of its repr, in one line."""
+    """Return an answer as a message shows it: the beginning of its repr, in one line."""
     return " ".join(repr(answer).split())[:60]

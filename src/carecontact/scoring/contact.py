@@ -147,7 +147,8 @@ def _locked(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def with_floor(contact: Contact, *, on_n: float, off_n: float) -> Contact:
-    """The same trial with other thresholds for what is on [N]; everything that follows from them is found anew."""
+    """Return the same trial with other thresholds for what is on [N]; everything that follows from them is found
+    anew."""
     definition = contact.protocol.contact
     on = np.zeros((len(contact.time_s), len(contact.segments)), np.bool_)
     touched = (contact.filtered_normal >= on_n).any(axis=0)

@@ -8,7 +8,8 @@ from carecontact.scoring.contact import Contact, any_column
 
 
 def faint_press(contact: Contact) -> str | None:
-    """Words that continue "The robot": which segment it pressed, how long and how hard, and what it takes to count.
+    """Return words that continue "The robot": which segment it pressed, how long and how hard, and what it takes to
+    count.
 
     None where nothing was pressed, and where the contact is valid. The force is the largest norm of a physics step; a
     contact begins where the normal force behind the low-pass filter of the contact definition reaches its ``on_n``.

@@ -15,7 +15,8 @@ from carecontact.scoring.metrics.c3_success import judge, measure
 from carecontact.scoring.verdict import Verdict, reach_verdict
 
 FLOOR = Sweep(name="floor_n", field="on_n", values=(0.25, 0.5, 1.0, 2.0), title="Contact floor", unit="N")
-"""Of ``ContactDefinition``, for every action; the force at which contact ends keeps its ratio to it."""
+"""The sweep of the force at which contact begins (``ContactDefinition``), for every action; the force at which contact
+ends keeps its ratio to it."""
 
 
 def protocol_sweeps(protocol: Protocol) -> dict[str, tuple[str | None, Sweep]]:
@@ -28,8 +29,8 @@ def protocol_sweeps(protocol: Protocol) -> dict[str, tuple[str | None, Sweep]]:
 
 
 def sweeps_of(actions: Iterable[str], version: str) -> dict[str, tuple[str | None, Sweep]]:
-    """As ``protocol_sweeps``, for these actions under a version of the gates. Raises ConfigError where two sweeps have
-    the same name."""
+    """Return what ``protocol_sweeps`` returns, for these actions under a version of the gates. Raises ConfigError where
+    two sweeps have the same name."""
     found: dict[str, tuple[str | None, Sweep]] = {FLOOR.name: (None, FLOOR)}
     for action, sweep in [(name, sweep) for name in actions for sweep in behaviour_of(name, version).sweeps]:
         if sweep.name in found:
@@ -44,7 +45,7 @@ def sweeps_of(actions: Iterable[str], version: str) -> dict[str, tuple[str | Non
 
 
 def own_value(protocol: Protocol, action: str | None, sweep: Sweep) -> float:
-    """The protocol's own value of a swept field."""
+    """Return the protocol's own value of a swept field."""
     return float(getattr(protocol.contact if action is None else protocol.gates.of(action), sweep.field))
 
 

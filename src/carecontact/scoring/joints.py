@@ -39,7 +39,7 @@ def joints_beyond(recording: Recording, limit_rad: float) -> dict[str, float]:
 
 
 def farthest_beyond(recording: Recording) -> tuple[str, float, float]:
-    """The joint that went farthest beyond its range, by how much [rad], and when [s]."""
+    """Return the joint that went farthest beyond its range, by how much [rad], and when [s]."""
     position = recording["scorer/human_joint_position"].astype(np.float64)
     low, high = recording["scorer/human_joint_range"].T
     beyond = np.maximum(low - position, position - high)

@@ -33,7 +33,7 @@ class LimitPack:
 
 
 def footnote(titles: Iterable[str]) -> str:
-    """The line that belongs under a table with these titles; empty where none of them ends with UNCHECKED."""
+    """Return the line that belongs under a table with these titles; empty where none of them ends with UNCHECKED."""
     if not any(title.endswith(UNCHECKED) for title in titles):
         return ""
     return f"{UNCHECKED} from secondary sources: these limits still have to be checked against the standard"

@@ -25,7 +25,7 @@ class Episode:
     extent_m: float
     """P95 - P5 along the axis while on."""
     reversals: int
-    """Of the stretch without a gap that has most of them: lifting and returning is not a reversal."""
+    """Reversals in the stretch without a gap that has most of them: lifting and returning is not a reversal."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class Track:
 
 
 def measure_episodes(contact: Contact) -> list[Episode]:
-    """Every contact episode of the trial, in order."""
+    """Return every contact episode of the trial, in order."""
     found = episodes(contact)
     if not found:
         return []

@@ -37,7 +37,7 @@ DRAWN = "drawn "
 
 
 class TrialScore(BaseModel):
-    """None means NA. Produced by ``scoring.score_recording`` alone; SI units."""
+    """The scores of one trial, in SI units. None means NA. Only ``scoring.score_recording`` makes them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -55,7 +55,7 @@ class TrialScore(BaseModel):
     """The name on the card of a policy behind an address, which says nothing of itself; None for any other."""
     language_backend: str
     language_sha256: str | None = None
-    """Over everything that language models were asked and answered in this trial; None: nothing was asked."""
+    """Hash over everything that language models were asked and answered in this trial; None: nothing was asked."""
     language_endpoint: str | None = None
     """Hosts that live completions came from or were asked of, also when they are replayed; None: nobody."""
     language_served: str | None = None
@@ -63,7 +63,7 @@ class TrialScore(BaseModel):
     language_sent: str | None = None
     """Sampling parameters that they accepted."""
     protocol_id: str
-    """With the level, where there is one: ``my-protocol L2``."""
+    """Id of the protocol, with the level where it has levels: ``my-protocol L2``."""
     protocol_sha256: str
     overrides: dict[str, str] = {}
     """Field of the protocol -> what a command replaced it with."""
@@ -111,17 +111,17 @@ class TrialScore(BaseModel):
     extent_m: float
     reversals: int
     wrist_displacement_m: float
-    """While the neighbourhood is on."""
+    """Largest distance that the wrist moved while the neighbourhood was on."""
     wrist_displacement_any_m: float
-    """Over the whole trial."""
+    """Largest distance that the wrist moved in the whole trial."""
     indentation_m: float
     impulse_ns: float
     extrapolated_share: float | None
     """Share of the region's contact time spent deeper than the measured range."""
     skin_in_tool: float | None = None
-    """Of a trial whose tool the skin had passed when the force was largest: how far the skin lay inside the tool, over
-    half of the tool's thickness, which is more than 1 (``scoring.tool_in_skin``). What it measured says nothing of a
-    person. None for any other trial."""
+    """How far the skin lay inside the tool at the largest force, over half of the tool's thickness
+    (``scoring.tool_in_skin``). Only a trial in which this is more than 1 has it; its forces say nothing about a person.
+    None for any other trial."""
     peak_force_n: dict[str, float]
     """Segment -> peak, touched segments only."""
     f_pain_n: dict[str, float] = {}

@@ -49,7 +49,8 @@ def score_recording(recording: Recording, *, sha256: str | None = None) -> Trial
 
 
 def measure_all(contact: Contact) -> tuple[dict[str, Any], dict[str, float | None]]:
-    """Every registered metric of one trial: fields of ``TrialScore`` with their values, then id -> value of the others.
+    """Return every registered metric of one trial: fields of ``TrialScore`` with their values, then id -> value of the
+    others.
 
     Raises ConfigError as ``checked_metrics`` and ``Metric.compute`` do, and if two metrics fill the same field.
     """
@@ -77,7 +78,7 @@ def check_finite(place: str, values: dict[str, Any]) -> None:
 
 
 def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
-    """Which trial it is, where it comes from and how it ended."""
+    """Return which trial it is, where it comes from and how it ended."""
     header, protocol, spoken = contact.recording.header, contact.protocol, language_use(contact.recording)
     return {
         "trial_id": header.spec.trial_id,
@@ -107,7 +108,7 @@ def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
 
 
 def _card_name(header: Header) -> str | None:
-    """The name on the card of a policy behind an address."""
+    """Return the name on the card of a policy behind an address."""
     return str(header.card["name"]) if header.card and "://" in header.spec.policy else None
 
 
@@ -129,7 +130,7 @@ def _world(contact: Contact) -> dict[str, str]:
 
 
 def _contact(contact: Contact) -> dict[str, Any]:
-    """What was touched, for how long and how hard, beside the metrics."""
+    """Return what was touched, for how long and how hard, beside the metrics."""
     protocol, touched = contact.protocol, [contact.segments[i] for i in contact.touched]
     return {
         "valid_contact": contact.valid,
@@ -147,7 +148,7 @@ def _contact(contact: Contact) -> dict[str, Any]:
 
 
 def _outcome(contact: Contact) -> dict[str, Any]:
-    """The verdict, why a trial failed, and the verdict under other gates."""
+    """Return the verdict, why a trial failed, and the verdict under other gates."""
     measures = measure(contact)
     gate = judge(contact, measures)
     verdict = reach_verdict(contact, gate)
@@ -167,7 +168,7 @@ def _outcome(contact: Contact) -> dict[str, Any]:
 
 
 def _versions(contact: Contact) -> dict[str, str]:
-    """The definitions behind the fields of a score."""
+    """Return the definitions behind the fields of a score."""
     with_field: list[Metric] = [row for row in METRICS.values() if row.field is not None]
     return {
         **{row.name: row.id for row in with_field},

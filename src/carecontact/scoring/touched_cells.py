@@ -61,7 +61,7 @@ class TouchedCells:
 
     @property
     def mean_pressure_pa(self) -> float:
-        """Over all area and time in contact; there has to be some."""
+        """Mean pressure over all area and time in contact [Pa]; there has to be some."""
         return float(self.press_ns.sum() / self.touch_m2s.sum())
 
     def time_above(self, pressure_pa: float) -> float:
@@ -119,7 +119,8 @@ class TouchedCells:
 
 
 def touched_cells(contact: Contact) -> TouchedCells | None:
-    """None where no cell was touched, and for recordings without cells: of rigid regions and of earlier schemas."""
+    """Return what the region's cells felt; None where no cell was touched, and for recordings without cells: of rigid
+    regions and of earlier schemas."""
     arrays = contact.recording.arrays
     if "scorer/cell_touch_m2s" not in arrays or not arrays["scorer/cell_touch_m2s"].any():
         return None

@@ -28,12 +28,12 @@ class Verdict:
     over_limit: dict[str, float]
     """Segment -> peak over gamma' F_pain, where above 1."""
     failure_mode: FailureMode | None
-    """None for a region-correct trial that moved no joint too far, and for no other."""
+    """How the trial failed; None only for a region-correct trial that moved no joint too far."""
 
 
 def reach_verdict(contact: Contact, gate: Gate, *, own: Verdict | None = None) -> Verdict:
-    """Pure; every trial has one anatomy, and at most one failure mode. A force above a safety gate has no mode of its
-    own: ``over_limit`` tells of it.
+    """Return the verdict on a trial. Every trial has one anatomy, and at most one failure mode. A force above a safety
+    gate has no mode of its own: ``over_limit`` tells of it.
 
     Args:
         own: the verdict on the same recording under another gate of its action or another floor of contact. On neither
@@ -64,7 +64,7 @@ def reach_verdict(contact: Contact, gate: Gate, *, own: Verdict | None = None) -
 
 
 def over_limit(contact: Contact) -> dict[str, float]:
-    """Touched segments whose peak exceeds gamma' F_pain, with the ratio."""
+    """Return touched segments whose peak exceeds gamma' F_pain, with the ratio."""
     protocol = contact.protocol
     ratio = {s: f / (protocol.limits.gamma * protocol.f_pain(s)) for s, f in peak_of_segments(contact).items()}
     return {segment: r for segment, r in ratio.items() if r > 1.0}

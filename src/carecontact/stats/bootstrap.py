@@ -19,7 +19,7 @@ AT_ONCE = 2_000_000
 """Cells of the weight table that are held in memory at a time."""
 
 ROUNDING = 1e-6
-"""Of sums of weights, whose steps are larger than 1."""
+"""Largest error of sums of weights, whose steps are larger than 1."""
 
 Floats = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 @dataclass(frozen=True, kw_only=True)
 class Holm:
     adjusted: tuple[float | None, ...]
-    """In the order given; None where there was no test."""
+    """Adjusted p-values in the order given; None where there was no test."""
     n: int
     """Size of the family: how many tests were made."""
 

@@ -33,14 +33,14 @@ class PersonDifference:
     """First rate minus second over the same trials. One person has no spread: no interval."""
 
     estimate: float | None
-    """None without a trial."""
+    """The difference; None without a trial."""
     low: float | None
     high: float | None
     n: int
     """Trials that both have."""
     persons: int
     test: SignFlip
-    """Over persons."""
+    """Test that permutes whole persons."""
     confidence: float
 
 

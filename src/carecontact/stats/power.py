@@ -102,7 +102,8 @@ def detectable_from_standard_error(
 
 
 def _smallest(power_at: Callable[[float], float], power: float, largest: float) -> float | None:
-    """Where the power, which grows with the difference, reaches ``power``; None if it does not up to ``largest``.
+    """Return the difference at which the power, which grows with it, reaches ``power``; None if it does not up to
+    ``largest``.
 
     By bisection and not by scipy's root finding: the returned difference does reach the power, also where the power
     jumps, and the published results keep their last digits.

@@ -15,7 +15,7 @@ class SignFlip:
     n: int
     """Persons."""
     n_unequal: int
-    """With a difference, which alone decide."""
+    """Number of persons with a difference; only these decide."""
 
 
 def sign_flip(differences: Sequence[int]) -> SignFlip:

@@ -44,7 +44,8 @@ def stratified_weights(
 
 
 def strata_of(names: Sequence[int], strata: Mapping[int, Hashable] | None) -> list[Hashable]:
-    """The stratum of each person; without strata all are in one. Raises ValueError for a person that has none."""
+    """Return the stratum of each person; without strata all are in one. Raises ValueError for a person that has
+    none."""
     if strata is None:
         return [0] * len(names)
     missing = [name for name in names if name not in strata]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 @dataclass(frozen=True, kw_only=True)
 class Median:
     estimate: float | None
-    """None when no value is valid."""
+    """The estimate; None when no value is valid."""
     n_valid: int
     n: int
 

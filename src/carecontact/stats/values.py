@@ -43,7 +43,8 @@ def check_values(values: Sequence[float | None]) -> None:
 def complete_pairs(
     first: Sequence[float | None], second: Sequence[float | None]
 ) -> tuple[list[float], list[float], list[int]]:
-    """Both values of the pairs that have both, and the indices of those pairs. Raises as ``check_pairs`` does."""
+    """Return both values of the pairs that have both, and the indices of those pairs. Raises as ``check_pairs``
+    does."""
     check_pairs(first, second)
     kept = [(a, b, i) for i, (a, b) in enumerate(zip(first, second, strict=True)) if a is not None and b is not None]
     return [a for a, _, _ in kept], [b for _, b, _ in kept], [i for _, _, i in kept]

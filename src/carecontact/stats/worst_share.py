@@ -20,7 +20,7 @@ class WorstShare:
     """Mean rate of the persons with the lowest rates. One person has no spread: no interval, no chance."""
 
     estimate: float | None
-    """None without a trial."""
+    """The estimate; None without a trial."""
     low: float | None
     high: float | None
     by_chance: float | None

@@ -17,7 +17,7 @@ class Answer(BaseModel):
     )
 
     def line(self) -> str:
-        """The answer as JSON without a line break. A number that is not finite becomes null."""
+        """Return the answer as JSON without a line break. A number that is not finite becomes null."""
         return self.model_dump_json()
 
 
@@ -35,7 +35,7 @@ class Schema(GenerateJsonSchema):
 
 
 def schema_of(answer: type[Answer]) -> dict[str, Any]:
-    """The JSON Schema of one kind of line."""
+    """Return the JSON Schema of one kind of line."""
     made = answer.model_json_schema(schema_generator=Schema)
     # ``schema`` has a default in Python only.
     required = sorted({"schema", *made.get("required", [])})

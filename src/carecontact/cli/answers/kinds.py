@@ -39,5 +39,5 @@ ANSWERS: tuple[type[Answer], ...] = (
 
 
 def name_of(answer: type[Answer]) -> str:
-    """The value of its field ``schema``, such as ``carecontact-list-1``."""
+    """Return the value of its field ``schema``, such as ``carecontact-list-1``."""
     return answer.model_fields["kind"].default

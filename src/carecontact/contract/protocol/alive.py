@@ -44,7 +44,8 @@ class Breathing(Section):
     """The same of the chest: 3 to 5 mm in five seated people (De Groote et al. 1997, J Appl Physiol 83:1531); less in
     people who lie (assumed)."""
     inspiration_share: Annotated[float, Field(ge=0.2, le=0.8)] = 0.455
-    """Of a breath: in to out as 1 to 1.2 (Ragnarsdottir and Kristinsdottir 2006: 1.21 in men, 1.14 in women)."""
+    """Share of a breath in which the person breathes in: in to out as 1 to 1.2 (Ragnarsdottir and Kristinsdottir 2006:
+    1.21 in men, 1.14 in women)."""
 
 
 class Repositioning(Section):
@@ -72,14 +73,14 @@ class Withdrawal(Section):
     for_s: Annotated[float, Field(gt=0, le=5)] = 0.05
     """How long the force must last without a break."""
     delay_s: Annotated[float, Field(gt=0, le=2)] = 0.1
-    """From then until the arm begins to move."""
+    """Time from then until the arm begins to move."""
     duration_s: Annotated[float, Field(ge=0.2, le=5)] = 0.5
     wrist_m: Annotated[float, Field(gt=0, le=0.15)] = 0.08
     """How far the wrist moves along the board, toward the trunk."""
 
 
 class Alive(Section):
-    """By default the person does nothing."""
+    """What the person does by itself; by default, nothing."""
 
     breathing: Breathing | None = None
     repositioning: Repositioning | None = None

@@ -22,7 +22,7 @@ class HasGate(Protocol):
         ...
 
     def under(self, version: str) -> HasGate:
-        """The row that judges the action where ``gates.version`` is this."""
+        """Return the row that judges the action where ``gates.version`` is this."""
         ...
 
 
@@ -33,8 +33,8 @@ BEHAVIOURS: Registry[HasGate] = Registry(
 
 
 def _gate(named: tuple[str, str, object]) -> Section:
-    """The table of one action, by the action's own schema under the gates' version; its errors keep their place in the
-    file."""
+    """Return the table of one action, by the action's own schema under the gates' version; its errors keep their place
+    in the file."""
     version, action, table = named
     try:
         return BEHAVIOURS[action].under(version).gate.model_validate(table)
@@ -61,7 +61,7 @@ class Gates(Section):
     """A joint that used up more than this share of its settled margin is flagged; it fails no trial."""
 
     def of(self, action: str) -> Section:
-        """The table of an action. Raises UnknownNameError, which lists the actions that have one."""
+        """Return the table of an action. Raises UnknownNameError, which lists the actions that have one."""
         gates = self.actions
         if action not in gates:
             raise UnknownNameError("gate", action, gates)
@@ -84,7 +84,7 @@ class Gates(Section):
 
     @model_serializer(mode="wrap")
     def _share_last(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """In the order that a protocol has always been written in."""
+        """Return the fields in the order in which protocols have always been written."""
         content = handler(self)
         last = {name: content.pop(name) for name in ("region_share", "joint_beyond_rad", "joint_consumed")}
         return {**content, **{name: value for name, value in last.items() if value is not None}}

@@ -11,7 +11,7 @@ from carecontact.contract.protocol.variation import Variation
 
 
 class Level(Section):
-    """Of one level, what decides whether a person suits it."""
+    """The fields of one level that decide whether a person suits it."""
 
     variation: Variation
     reposition_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0

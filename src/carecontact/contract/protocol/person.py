@@ -11,7 +11,7 @@ from carecontact.contract.protocol.section import Length, Positive, Section
 from carecontact.contract.protocol.task import RegionName
 
 LARGEST_CONTACT = 300
-"""Of ``contact_n_m3`` over ``a_n_m3``."""
+"""Largest ratio of ``contact_n_m3`` to ``a_n_m3``."""
 
 
 class Tissue(Section):

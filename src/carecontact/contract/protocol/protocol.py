@@ -79,7 +79,7 @@ class Protocol(Section):
 
     @property
     def soft_regions(self) -> tuple[str, ...]:
-        """Those of ``regions`` that have a soft shell, and so a row in ``person.tissue``."""
+        """The regions that have a soft shell, and so a row in ``person.tissue``."""
         return tuple(name for name in self.regions if name in self.person.tissue)
 
     def task(self, task_id: str) -> Task:
@@ -117,6 +117,6 @@ class Protocol(Section):
 
     @property
     def sha256(self) -> str:
-        """Of the canonical JSON, so that spelling and comments in the TOML do not count."""
+        """Hash of the canonical JSON, so that spelling and comments in the TOML do not count."""
         content = self.model_dump(mode="json", exclude=None if self.overrides else {"overrides"})
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

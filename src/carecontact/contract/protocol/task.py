@@ -15,7 +15,7 @@ from carecontact.registry import Registry
 
 
 def _registered(registry: Registry[Any]) -> Callable[[str], str]:
-    """A validator that passes the names of a registry's rows; the error of any other name lists them."""
+    """Return a validator that passes the names of a registry's rows; the error of any other name lists them."""
 
     def check(name: str) -> str:
         if name not in registry:
@@ -26,9 +26,9 @@ def _registered(registry: Registry[Any]) -> Callable[[str], str]:
 
 
 ActionName = Annotated[str, AfterValidator(_registered(BEHAVIOURS))]
-"""Of a row of BEHAVIOURS."""
+"""Name of a row of BEHAVIOURS."""
 RegionName = Annotated[str, AfterValidator(_registered(REGIONS))]
-"""Of a row of ``carecontact.regions.REGIONS``."""
+"""Name of a row of ``carecontact.regions.REGIONS``."""
 
 
 class Task(Section):
@@ -40,5 +40,5 @@ class Task(Section):
 
 
 def regions_of(tasks: Sequence[Task]) -> tuple[str, ...]:
-    """The standard regions, then whatever else the tasks name, in the order of the tasks."""
+    """Return the standard regions, then whatever else the tasks name, in the order of the tasks."""
     return tuple(dict.fromkeys((*STANDARD_REGIONS, *(task.region for task in tasks))))

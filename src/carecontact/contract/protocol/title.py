@@ -22,14 +22,14 @@ stands for a run on a protocol that differs from its lock (``runs.freeze``)."""
 
 
 def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:
-    """The id and what was replaced: ``bathing-v2 with body woman-old-light``."""
+    """Return the id and what was replaced: ``bathing-v2 with body woman-old-light``."""
     overrides = _with_one_friction(overrides)
     replaced = [REPLACED_WORDS.get(field, f"{field} {{}}").format(value) for field, value in sorted(overrides.items())]
     return f"{protocol_id} with {' and '.join(replaced)}" if replaced else protocol_id
 
 
 def _with_one_friction(overrides: Mapping[str, str]) -> dict[str, str]:
-    """The same coefficient on several regions as one replaced field."""
+    """Return the same coefficient on several regions as one replaced field."""
     own = {path: value for path, value in overrides.items() if fnmatchcase(path, FRICTION)}
     if len(own) < 2 or len(set(own.values())) > 1:
         return dict(overrides)

@@ -75,7 +75,7 @@ class Variation(Section):
     overhead_turn_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
     """The same, turned about each axis of the camera."""
     parking: Parking | None = None
-    """Where the robot stands; without it at ``scene.robot_base_m``."""
+    """The places where the robot may stand; without it, the robot stands at ``scene.robot_base_m``."""
 
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -10,9 +10,9 @@ from carecontact.contract.protocol.section import Section
 
 
 class Vision(Section):
-    """By default the masks come from the model that finds the key points."""
+    """The model that makes the masks; by default, it is the one that finds the key points."""
 
     segmenter: Literal["mediapipe", "grounded-sam"] = "mediapipe"
     weights_sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""
-    """Of the folder of weights that the user supplied (``observation.weights``); empty for mediapipe, which has its own
-    in its wheel."""
+    """Hash of the folder of weights that the user supplied (``observation.weights``); empty for mediapipe, which has
+    its own in its wheel."""

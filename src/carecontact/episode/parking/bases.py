@@ -12,7 +12,7 @@ from carecontact.contract.protocol import Parking
 from carecontact.episode.parking.grounds import Base, Ground, Refusal
 
 NEAREST_STEP = 0.005
-"""For parking ``nearest``: with each further draw, the range of the draws grows by this share of the whole range."""
+"""Share of the whole range by which, for parking ``nearest``, the range of the draws grows with each further draw."""
 
 
 @dataclass(frozen=True, kw_only=True)

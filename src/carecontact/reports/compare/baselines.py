@@ -36,15 +36,16 @@ class Passed:
     seeds: int
     """Different seeds of these trials."""
     rates: dict[str, Proportion]
-    """Of a baseline: its false positives."""
+    """Rate -> its value. Of a baseline, these are false positives."""
     per_task: dict[str, dict[str, tuple[int, int]]]
     """Task -> rate -> count and number of trials."""
     role: Role = "method"
-    """As registered; a policy that nobody registered is a method, also where it is named as a baseline."""
+    """The policy's role as registered. A policy that nobody registered is a method, even where it is named as a
+    baseline."""
     n_pairs: int | None = None
     """Trials of the same task and seed in both; None for the method itself."""
     method_passed: int | None = None
-    """Of these, how many the method passed safely (safety-gated); None for the method itself."""
+    """How many of these trials the method passed safely (safety-gated); None for the method itself."""
     whole: Proportion | None = None
     """Safety-gated rate of a baseline over all of its trials of the method's tasks, where ``rates`` leave out some of
     them; None otherwise."""
@@ -67,7 +68,7 @@ class Baselines:
     """``all`` and each task -> the safety-gated rate of the baseline that passes most there, of those that are blind or
     that nobody registered; registered methods count only where there is no other."""
     kept: tuple[str, ...] = ()
-    """Those of ``baselines`` whose scores are kept with the package; methods that see may be among them."""
+    """The policies among ``baselines`` whose scores are kept with the package; some of them may be methods that see."""
     completed: tuple[str, ...] = ()
     """Named ones of ``baselines`` whose run lacks trials that are kept with the package, and that have those here."""
 
@@ -141,7 +142,7 @@ def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -
 
 
 def _comparable(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Sequence[TrialScore]:
-    """The trials that the rates of a baseline are over."""
+    """Return the trials that the rates of a baseline are over."""
     return _shared(_of_tasks(scores, method), method)
 
 
@@ -157,7 +158,7 @@ def _of_tasks(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> lis
 
 
 def _shared(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Sequence[TrialScore]:
-    """The trials that the method has as well; all of them where there is none."""
+    """Return the trials that the method has as well; all of them where there is none."""
     keys = trials_by_key(method)
     return [s for s in scores if (s.task_id, s.seed) in keys] or scores
 

@@ -12,7 +12,7 @@ from carecontact.scoring.result import TrialScore
 from carecontact.stats import Proportion
 
 ALL = "all"
-"""In place of a task: all of them, pooled."""
+"""Stands for all tasks together in place of the name of one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,8 @@ class FloorRate:
 
 
 def role_in(scores: Sequence[TrialScore]) -> Role:
-    """The role of a run's policy; a recording that says ``privileged`` is believed whatever the policy is called."""
+    """Return the role of a run's policy; a recording that says ``privileged`` is believed whatever the policy is
+    called."""
     if any(score.privileged for score in scores):
         return "privileged"
     return role_of(scores[0].policy) if scores else "method"

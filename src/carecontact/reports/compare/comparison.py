@@ -61,7 +61,8 @@ class Comparison:
     """Task -> its lines, all tasks one further family; None unless requested."""
 
     def as_json(self) -> dict[str, Any]:
-        """The content of ``comparison.json``. Rates and their differences are fractions; infinity and NaN are null."""
+        """Return the content of ``comparison.json``. Rates and their differences are fractions; infinity and NaN are
+        null."""
         content = {
             "schema": COMPARISON_SCHEMA,
             "carecontact": __version__,

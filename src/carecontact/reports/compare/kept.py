@@ -16,8 +16,8 @@ from carecontact.runs.stored_scores import read_scores
 
 PACKAGE = Path(__file__).parents[2]
 FOLDERS = (PACKAGE / "assets" / "results", PACKAGE.parents[1] / "docs" / "results")
-"""Where ``tools/results.py`` leaves them, a folder for each protocol: in the package, or in the clone that it is
-installed from."""
+"""The folders in which ``tools/results.py`` leaves kept scores, with a folder for each protocol: in the package, or in
+the clone that it is installed from."""
 
 
 def beside_kept(
@@ -86,8 +86,8 @@ def kept_for(
 
 
 def _files(protocol_id: str, folders: Sequence[Path]) -> list[Path]:
-    """One for each registered policy under the protocol's own settings: other settings have a longer name. The folder
-    of a level is PROTOCOL-LEVEL."""
+    """Return one file for each registered policy under the protocol's own settings: other settings have a longer name.
+    The folder of a level is PROTOCOL-LEVEL."""
     for folder in folders:
         found = [
             path

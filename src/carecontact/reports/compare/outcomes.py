@@ -18,10 +18,10 @@ class Outcome:
     id: str
     title: str
     unit: str
-    """Of values and differences as they are printed."""
+    """Unit of values and differences as they are printed."""
     better: Literal["higher", "lower"]
     field: str
-    """Of a trial's score; for a metric without a field of its own the metric's id, under ``additional``."""
+    """Field of a trial's score, or the id under ``additional`` of a metric without a field of its own."""
     matters: float
     """A comparison that could have missed a difference of this size is underpowered; reasons in docs/statistics.md."""
     actions: tuple[str, ...] | None = None
@@ -33,7 +33,7 @@ class Outcome:
         return self.unit == "%"
 
     def of(self, score: TrialScore) -> float | None:
-        """The score's value; None for NA."""
+        """Return the score's value; None for NA."""
         return getattr(score, self.field) if self.field in TrialScore.model_fields else score.additional.get(self.field)
 
     def counts(self, score: TrialScore) -> bool:
@@ -56,12 +56,12 @@ RATES = tuple(
 
 
 def score_outcomes() -> list[Outcome]:
-    """One for each registered metric that says which difference matters."""
+    """Return one outcome for each registered metric that says which difference matters."""
     return [_outcome(row, row.matters) for row in metrics_in_order() if row.matters is not None]
 
 
 def plain_text(outcome: Outcome, value: float | None) -> str:
-    """As many digits as the tables give the outcome, without the unit; rates in percent."""
+    """Return a value with as many digits as the tables give the outcome, and without the unit; rates are in percent."""
     if outcome.is_rate:
         return number(None if value is None else 100 * value, 1)
     return shown(value, digits=outcome.digits, unit=outcome.unit)

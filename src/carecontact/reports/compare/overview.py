@@ -31,8 +31,8 @@ class PairOfRuns:
     a: str
     b: str
     lines: tuple[Line, ...]
-    """Of rates. Differences are a minus b, and a verdict's A and B are this a and b; the lines of all pairs are one
-    family for Holm."""
+    """One line for each rate. Differences are a minus b, and A and B of a verdict are this a and this b. The lines of
+    all pairs are one family for Holm's method."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +105,7 @@ def _check_methods(runs: Mapping[str, RunScores]) -> None:
 
 
 def overview_json(overview: Overview | None, baselines: Mapping[str, Baselines]) -> dict[str, Any]:
-    """The content of ``overview.json``. Rates and their differences are fractions; infinity and NaN are null.
+    """Return the content of ``overview.json``. Rates and their differences are fractions; infinity and NaN are null.
 
     Args:
         overview: None where one run alone was given.

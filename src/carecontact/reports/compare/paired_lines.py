@@ -64,9 +64,9 @@ class RateLine(_Concluded):
     clustered: BootstrapDifference
     """The same difference with an interval that keeps a seed's tasks together, and its standard error."""
     test: McNemar | SignFlip
-    """Over trials McNemar's; over seeds, the signs of whole seeds are flipped."""
+    """The paired test: over trials McNemar's; over seeds, one that flips the signs of whole seeds."""
     unpaired_a: Proportion
-    """Over every trial of the tasks that both runs have, paired or not."""
+    """The rate over every trial of the tasks that both runs have, paired or not."""
     unpaired_b: Proportion
     unpaired: FisherExact
 
@@ -85,7 +85,7 @@ class ScoreLine(_Concluded):
     """Differences are A minus B, in the outcome's unit."""
 
     a: Median
-    """Over the paired trials in which the score exists."""
+    """The median over the paired trials in which the score exists."""
     b: Median
     n_only_a: int
     """Pairs in which A alone has the score."""
@@ -95,7 +95,7 @@ class ScoreLine(_Concluded):
     """Median of the differences, over pairs in which both have the score."""
     test: SignedRank
     worst_rank: WorstRank
-    """Over all pairs; no score is the worst score."""
+    """The test over all pairs, where having no score is worse than any score."""
     unpaired_a: Median
     unpaired_b: Median
     unpaired: MannWhitney | None
@@ -104,7 +104,7 @@ class ScoreLine(_Concluded):
 
     @property
     def n_seeds(self) -> int:
-        """Of the pairs in which both have the score."""
+        """Number of different seeds of the pairs in which both trials have the score."""
         return self.difference.n_clusters
 
     @property
@@ -117,7 +117,7 @@ Line = RateLine | ScoreLine
 
 
 def paired_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Sequence[TrialScore]) -> list[Line]:
-    """A line for each outcome over these pairs, without verdicts.
+    """Return a line for each outcome over these pairs, without verdicts.
 
     An outcome has none where no pair is of its actions or where a run was scored without it.
     """
@@ -131,7 +131,7 @@ def paired_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: 
 
 
 def rate_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Sequence[TrialScore]) -> list[RateLine]:
-    """The lines of success, region-correct and safety-gated alone, without verdicts."""
+    """Return the lines of success, region-correct and safety-gated alone, without verdicts."""
     return [_rate_line(outcome, pairs, every_a, every_b) for outcome in RATES]
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """For JSON: tuples as lists, and no infinity or NaN."""
+    """Return the value as JSON can hold it: tuples become lists, infinity and NaN become None."""
     if isinstance(value, dict):
         return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

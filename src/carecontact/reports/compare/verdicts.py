@@ -17,14 +17,15 @@ from carecontact.stats import (
 )
 
 ALPHA = 0.05
-"""Of the whole family."""
+"""Level of significance of the whole family of tests."""
 POWER = 0.8
 FEW_SEEDS = 5
 """Below this many seeds the bootstrap's standard error says nothing."""
 
 
 def conclude(lines: Sequence[Line]) -> list[Line]:
-    """With p-values adjusted over the family, what could have been detected, and a verdict for each."""
+    """Return the lines with p-values adjusted over the family, what could have been detected, and a verdict for
+    each."""
     adjusted = holm([line.test.pvalue for line in lines])
     worst = holm([line.worst_rank.pvalue if isinstance(line, ScoreLine) else None for line in lines])
     # What Holm requires of the smallest p-value: the only level that a line is sure to be tested at.
@@ -104,7 +105,7 @@ def _better(line: Line) -> int:
 
 
 def _notes(line: Line) -> list[str]:
-    """Where another way of looking says something else."""
+    """Return notes where another way of looking at the data says something else."""
     assert line.verdict is not None
     notes: list[str] = []
     decided = line.verdict.word in ("A higher", "B higher")
@@ -125,7 +126,7 @@ def _notes(line: Line) -> list[str]:
 
 
 def few_seeds(line: Line) -> bool:
-    """So few that neither an interval nor a standard error of theirs can be trusted."""
+    """Whether there are so few seeds that neither an interval nor a standard error of theirs can be trusted."""
     return _interval(line).n_clusters < FEW_SEEDS
 
 

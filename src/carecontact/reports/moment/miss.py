@@ -1,4 +1,4 @@
-"""Where a tool that touched nobody came nearest to the region: both in one picture, drawn from the stored skin.
+"""A picture of the place at which a tool that touched nobody came nearest to the region, drawn from the stored skin.
 
 The picture that a trial stores at its end is taken near the tool, and does not show a region that is far from it.
 
@@ -30,7 +30,7 @@ TOOL_M = 0.10
 ROOM_M = 0.04
 """Least space round what the picture has to show."""
 AZIMUTHS_DEG, ELEVATIONS_DEG = range(0, 360, 15), (15, 35, 55)
-"""From where the picture may look, round the vertical and above the horizon."""
+"""Directions from which the picture may look, round the vertical and above the horizon."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ class Miss:
 
 
 def nearest_miss(recording: Recording) -> Miss | None:
-    """None for a trial without a physics step."""
+    """Return the moment at which the tool was nearest; None for a trial without a physics step."""
     pose = recording["scorer/pose_tcp_in_world"].astype(np.float64)
     if not len(pose):
         return None
@@ -67,7 +67,7 @@ def nearest_miss(recording: Recording) -> Miss | None:
 
 
 def miss_svg(recording: Recording, miss: Miss, *, title: str) -> str | None:
-    """The picture; None where the recording has no skin or no cells of the region.
+    """Return the picture; None where the recording has no skin or no cells of the region.
 
     Args:
         title: text alternative.

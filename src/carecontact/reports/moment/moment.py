@@ -17,7 +17,7 @@ F64 = npt.NDArray[np.float64]
 @dataclass(frozen=True, kw_only=True)
 class Moment:
     index: int
-    """Of the physics step."""
+    """Number of the physics step."""
     time_s: float
     segment: str
     force_in_world: F64
@@ -39,7 +39,7 @@ class Moment:
 
 
 def region_column(recording: Recording) -> int:
-    """Of the trial's region in arrays of all regions."""
+    """Return the column of the trial's region in arrays of all regions."""
     spec = recording.header.spec
     return recording.header.regions.index(spec.protocol.task(spec.task_id).region)
 
@@ -50,7 +50,7 @@ def region_poses(recording: Recording) -> F64:
 
 
 def peak_moment(recording: Recording) -> Moment | None:
-    """The largest force on the target, or on anything if the target was never touched; None without a touch."""
+    """Return the largest force on the target, or on anything if the target was never touched; None without a touch."""
     force = recording["scorer/force_human_from_robot_in_world"]
     pushed = np.flatnonzero((force != 0).any(axis=(0, 2)))
     if not pushed.size:
@@ -98,7 +98,7 @@ def _deepest(recording: Recording) -> tuple[float, float] | None:
 
 
 def ends_of(region: str) -> tuple[str, str]:
-    """Words for the directions against and along the region's x axis."""
+    """Return words for the directions against and along the region's x axis."""
     sight = REGIONS[region].sight
     return ("toward the trunk", "toward the hand") if isinstance(sight, LimbSight) else (
         "toward the feet", "toward the head",

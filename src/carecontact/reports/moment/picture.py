@@ -21,19 +21,19 @@ F64 = npt.NDArray[np.float64]
 Project = Callable[[F64], F64]
 """(..., 3) points in the world [m] -> (..., 2) pixels."""
 WIDTH, HEIGHT = 400, 260
-"""Of the crop [px]: 0.2 m of the skin."""
+"""Size of the crop [px]: 0.2 m of the skin."""
 EARLIER_WIDTH, EARLIER_HEIGHT = 320, 208
-"""Of the crop where the recording does not say what its camera saw; the tool's tip then is in the middle."""
+"""Size of the crop [px] where the recording does not say what its camera saw; the tool's tip is then in the middle."""
 ARROW_M_PER_N, ARROW_M = 0.0022, (0.025, 0.075)
 """Length of the arrow for a force, and its least and largest."""
 SIDEWAYS = 0.7
-"""From this cosine with the horizontal on, an arrow lies rather than stands."""
+"""Least cosine with the horizontal at which an arrow counts as lying rather than standing."""
 FORESHORTENED_PX = 20
 """An arrow that looks shorter points along the line of sight, and is drawn from behind: a circle with a cross."""
 
 
 def peak_svg(recording: Recording, moment: Moment | None, *, title: str) -> str | None:
-    """The picture; None if the trial stored none. Raises RecordingError for an image of another shape.
+    """Return the picture; None if the trial stored none. Raises RecordingError for an image of another shape.
 
     Args:
         moment: what is drawn in; None: nothing.

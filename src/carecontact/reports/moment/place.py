@@ -1,4 +1,4 @@
-"""Where the contact of a moment lay: along and across the region, in its outline or not, at the tool's tip or not."""
+"""Words on the place of a contact: along and across the region, inside its outline or not, at the tool's tip or not."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LITTLE_FELT = 0.5
 
 
 def place_text(recording: Recording, moment: Moment) -> str:
-    """Where on the region the contact was, from its middle; for another segment, its name alone."""
+    """Return where on the region the contact was, from its middle; for another segment, its name alone."""
     spec = recording.header.spec
     region = spec.protocol.task(spec.task_id).region
     name = moment.segment.replace("_", " ")
@@ -36,8 +36,8 @@ def place_text(recording: Recording, moment: Moment) -> str:
 
 
 def place_notes(recording: Recording, moment: Moment) -> list[str]:
-    """Sentences on a contact that is not what a reader expects: away from the tool's tip, or hardly on the region's
-    cells. Empty for an ordinary one."""
+    """Return sentences on a contact that is not what a reader expects: away from the tool's tip, or hardly on the
+    region's cells. Empty for an ordinary one."""
     notes: list[str] = []
     away_m = _away_from_tip(recording, moment)
     if away_m is not None:

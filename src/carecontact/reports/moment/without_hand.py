@@ -48,7 +48,7 @@ FAR_M = 100.0
 TOOL_M = 0.06
 """Length of the tool's axis that is drawn, back from its tip."""
 AZIMUTHS_DEG, ELEVATIONS_DEG = range(0, 360, 30), (15, 35, 55, -5)
-"""From where the drawing may look, round the vertical and above the horizon."""
+"""Directions from which the drawing may look, round the vertical and above the horizon."""
 
 
 @dataclass(frozen=True, kw_only=True)

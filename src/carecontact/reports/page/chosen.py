@@ -14,7 +14,7 @@ FAILURES_SHOWN = 14
 
 
 def trials_in_detail(ordered: Sequence[TrialScore]) -> list[TrialScore]:
-    """All trials of a short run; of a longer one, each task's first and FAILURES_SHOWN that did not pass.
+    """Return all trials of a short run; of a longer one, each task's first and FAILURES_SHOWN that did not pass.
 
     The failures are taken in turn from all tasks, so that one bad task does not crowd out the others.
     """

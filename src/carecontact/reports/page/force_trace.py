@@ -53,12 +53,12 @@ class ForceTrace:
     windows_s: list[tuple[float, float]]
     """Contact window of the reported segment."""
     gate_n: float
-    """Of the named region's segment, as ``pain_n``."""
+    """Safety gate of the named region's segment [N]; ``pain_n`` is its pain limit."""
     pain_n: float
     limits: tuple[Limit, ...]
-    """Of every segment that is drawn; those of the named region's segment first, if it was touched."""
+    """Limits of every segment that is drawn; those of the named region's segment come first, if it was touched."""
     peak_s: float | None
-    """Of the peak that C1 reports."""
+    """Time of the peak that C1 reports [s]."""
     peak_n: float | None
 
     @property
@@ -68,7 +68,8 @@ class ForceTrace:
 
 
 def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
-    """The trace of a trial against the limits of the segments that it shows, with the scorer's own contact window."""
+    """Return the trace of a trial against the limits of the segments that it shows, with the scorer's own contact
+    window."""
     contact = find_contact(recording)
     protocol, segment = contact.protocol, contact.segments[contact.target]
     peak_s = None
@@ -92,8 +93,8 @@ def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
 
 
 def _limits(contact: Contact) -> tuple[Limit, ...]:
-    """Of the named region's segment, and of the other segment that came nearest to its own safety gate. A segment that
-    was never touched has no curve and so no limits, unless none was touched."""
+    """Return the limits of the named region's segment, and of the other segment that came nearest to its own safety
+    gate. A segment that was never touched has no curve and so no limits, unless none was touched."""
     protocol, largest = contact.protocol, contact.force_norm.max(axis=0, initial=0.0)
     drawn = [contact.target] if largest[contact.target] or not largest.any() else []
     others = [i for i in np.flatnonzero(largest).tolist() if i != contact.target]
@@ -123,7 +124,7 @@ def decimate(x: Floats, y: Floats, *, buckets: int) -> tuple[Floats, Floats]:
 
 
 def trace_svg(trace: ForceTrace, *, title: str) -> str:
-    """One panel of at least one sample; ``title`` is the text alternative."""
+    """Return one panel of at least one sample; ``title`` is the text alternative."""
     largest = max(float(trace.target_n.max(initial=0.0)), float(trace.other_n.max(initial=0.0)))
     in_view = [limit for limit in trace.limits if limit.in_view]
     y_top, x_top = 1.18 * max([largest, 1.0, *(limit.value_n for limit in in_view)]), float(trace.time_s[-1])

@@ -20,7 +20,7 @@ from carecontact.scoring.result import TrialScore
 from carecontact.stats import wilson_interval
 
 RADIUS = (6.0, 4.2, 2.4)
-"""Of the funnel's steps: a step is part of the one before, so equal counts show as rings."""
+"""Radii of the dots of the funnel's steps: a step is part of the one before, so that equal counts show as rings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +81,7 @@ def _mark_gamma(axes: Axes, gamma: float, k: int, n: int) -> None:
 
 
 def gate_panels(scores: Sequence[TrialScore], protocol: Protocol | None) -> list[Panel]:
-    """One small figure for each swept gate that some trial of the run has to pass.
+    """Return one small figure for each swept gate that some trial of the run has to pass.
 
     Args:
         protocol: whose own values are marked; None: no mark.
@@ -103,7 +103,7 @@ def gate_panels(scores: Sequence[TrialScore], protocol: Protocol | None) -> list
 
 
 def _flat(rows: Sequence[dict[str, Any]], factor: float, n: int) -> str:
-    """The counts, where they are the same at every value of a gate; else empty."""
+    """Return the counts, where they are the same at every value of a gate; else empty."""
     if any(row[level] != rows[0][level] for row in rows for level in LEVELS):
         return ""
     counts = ", ".join(f"{rows[0][level]} {level.replace('_', '-')}" for level in LEVELS)
@@ -111,7 +111,7 @@ def _flat(rows: Sequence[dict[str, Any]], factor: float, n: int) -> str:
 
 
 def gamma_flat(scores: Sequence[TrialScore]) -> str:
-    """How many trials are safety-gated, where that is the same at every discount gamma'; else empty."""
+    """Return how many trials are safety-gated, where that is the same at every discount gamma'; else empty."""
     counts = {row["safety_gated"] for row in gamma_sweep(judged(scores))}
     if len(counts) != 1:
         return ""
@@ -119,7 +119,7 @@ def gamma_flat(scores: Sequence[TrialScore]) -> str:
 
 
 def panel_axes(title: str, columns: int, n: int) -> Axes:
-    """Counts of ``n`` trials over evenly spaced columns: the values are a handful of choices and no scale."""
+    """Return counts of ``n`` trials over evenly spaced columns: the values are a handful of choices and no scale."""
     drawing = Drawing(width=250, height=168, style="sweep", title=title)
     beside = 16.0 / 174.0 * max(columns - 1, 1)
     return Axes(

@@ -75,7 +75,7 @@ def write_report(
 
 
 def _links(run_folder: Path, scores: Sequence[TrialScore]) -> dict[str, str]:
-    """What lies in the folder of the run: recording, log, page and video of each trial."""
+    """Return what lies in the folder of the run: recording, log, page and video of each trial."""
     endings = ("{}.h5", "{}.log", "trial/{}.html", "trial/{}.mp4")
     names = [ending.format(score.trial_id) for score in scores for ending in endings]
     return {name: quote(name) for name in names if (run_folder / name).is_file()}

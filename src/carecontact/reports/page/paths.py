@@ -11,12 +11,13 @@ MAX_TEXT = 400
 
 
 def inside(folder: Path, message: str) -> str:
-    """The message without the path to the run, so that a run that was moved gives the same page."""
+    """Return the message without the path to the run, so that a run that was moved gives the same page."""
     return message.replace(f"{folder}{os.sep}", "")
 
 
 def of_file(name: str, message: str) -> str:
-    """The message without the folder in which the file lay when it was written; results.json keeps such messages."""
+    """Return the message without the folder in which the file lay when it was written; results.json keeps such
+    messages."""
     return re.sub(rf"^\S*{re.escape(os.sep)}{re.escape(name)}(?=:)", name, message)
 
 

@@ -1,4 +1,4 @@
-"""In which trials the policies beside a run were scored, in words."""
+"""Words on the trials in which the policies beside a run were scored."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from carecontact.reports.short_names import short_names
 
 
 def same_trials(others: Sequence[Passed], n: int) -> str:
-    """Words that continue "other policies": whether they have the trials of the run.
+    """Return words that continue "other policies": whether they have the trials of the run.
 
     Args:
         others: at least one policy beside the run.

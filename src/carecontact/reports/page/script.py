@@ -14,6 +14,6 @@ def table_script() -> str:
 
 
 def script_source() -> str:
-    """What the page's Content-Security-Policy allows: this script and no other."""
+    """Return what the page's Content-Security-Policy allows: this script and no other."""
     digest = hashlib.sha256(table_script().encode()).digest()
     return f"'sha256-{base64.b64encode(digest).decode()}'"

@@ -24,9 +24,9 @@ class Page:
     scores: Sequence[TrialScore]
     """All of them, by task and seed."""
     judged: Sequence[TrialScore]
-    """Without the trials in which the harness failed."""
+    """The scores without the trials in which the harness failed."""
     shown: Sequence[TrialScore]
-    """Those of ``judged`` that the page shows one by one."""
+    """The scores of ``judged`` that the page shows one by one."""
     skipped: Mapping[str, str]
     """File -> why it has no score."""
     missing: Sequence[str]

@@ -7,7 +7,7 @@ from carecontact.reports.page.section import Page
 
 
 def protocol_of(page: Page) -> str | None:
-    """The title, and whether the protocol differs from what was frozen under its id; None without trials."""
+    """Return the title, and whether the protocol differs from what was frozen under its id; None without trials."""
     if not page.scores:
         return None
     title = page.scores[0].protocol_title

@@ -22,7 +22,7 @@ def result_word(score: TrialScore) -> tuple[str, str]:
 
 
 def progress(score: TrialScore) -> str:
-    """The figures that the action's gate judges. Raises ConfigError for an action that cannot give them."""
+    """Return the figures that the action's gate judges. Raises ConfigError for an action that cannot give them."""
     if not score.valid_contact:
         return "no valid contact"
     behaviour = behaviour_of(score.action, score.metric_versions.get("gates", ""))

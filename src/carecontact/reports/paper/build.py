@@ -31,7 +31,7 @@ Read = Callable[[str], Recording]
 
 
 def tables_of(runs: Sequence[RunScores], protocol: Protocol | None) -> list[Table]:
-    """The tables of runs of one protocol.
+    """Return the tables of runs of one protocol.
 
     Args:
         runs: each of one policy.
@@ -106,7 +106,7 @@ def remove_earlier(folder: Path, written: Sequence[Path]) -> list[Path]:
 
 
 def _one_of_each_task(method: Method, read: Read) -> list[Recording]:
-    """Of each task the first trial that succeeded, or else the first that touched, or else the first."""
+    """Return one trial of each task: the first that succeeded, or else the first that touched, or else the first."""
     found: list[Recording] = []
     for task in sorted({score.task_id for score in method.scores}):
         of_task = sorted((s for s in method.scores if s.task_id == task), key=lambda s: s.seed)

@@ -17,13 +17,13 @@ class Method:
     title: str
     """The paper's name of the method, or else the policy with its arguments."""
     scores: list[TrialScore]
-    """Those that say something about the policy."""
+    """Scores of the trials that say something about the policy."""
     published: PaperMethod | None
-    """None for a method that is not in the paper."""
+    """The paper's values; None for a method that is not in the paper."""
 
 
 def methods_of(runs: Sequence[RunScores], paper: Paper) -> list[Method]:
-    """One for each run, in their order; two of one title get a number."""
+    """Return one method for each run, in their order; two of one title get a number."""
     found: list[Method] = []
     for run in runs:
         first = run.scores[0]

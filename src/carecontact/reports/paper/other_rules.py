@@ -22,7 +22,7 @@ PARTS = {
 
 
 def other_rules(methods: Sequence[Method], protocol: Protocol | None) -> str | None:
-    """A note for tables with the paper's values; None where the runs have the rules of the paper.
+    """Return a note for tables with the paper's values; None where the runs have the rules of the paper.
 
     Args:
         protocol: what the runs ran; None if it is unknown, and then its name decides.

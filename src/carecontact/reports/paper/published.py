@@ -25,7 +25,7 @@ class PaperMethod:
     """The failure mode that the paper counts, and its count"""
 
     def value(self, outcome: Outcome) -> float:
-        """A rate as a fraction, or a median in the outcome's unit."""
+        """Return a rate as a fraction, or a median in the outcome's unit."""
         return self.rates[outcome.id][0] if outcome.is_rate else self.medians[outcome.id]
 
 
@@ -45,7 +45,7 @@ class Paper:
     """What is frozen -> how"""
 
     def scores(self) -> list[Outcome]:
-        """The outcomes of which the paper prints medians."""
+        """Return the outcomes of which the paper prints medians."""
         printed = next(iter(self.methods.values())).medians
         return [outcome for outcome in score_outcomes() if outcome.id in printed]
 

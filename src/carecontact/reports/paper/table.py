@@ -31,7 +31,7 @@ ABSENT = "-"
 @dataclass(frozen=True, kw_only=True)
 class Table:
     name: str
-    """Of its files, without an ending."""
+    """Name of its files, without an ending."""
     caption: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -69,7 +69,7 @@ class Table:
         return longest > share or lines > PAGE_LINES
 
     def latex(self) -> str:
-        """A table environment; it needs the packages booktabs and tabularx."""
+        """Return a table environment; it needs the packages booktabs and tabularx."""
         float_, width = ("table*", "textwidth") if self.is_wide else ("table", "columnwidth")
         columns = "l" + r">{\raggedright\arraybackslash}X" * (len(self.head) - 1)
         body = [_latex_row(self.head), r"\midrule", *map(_latex_row, self.rows)]
@@ -95,7 +95,7 @@ def _latex_row(cells: tuple[str, ...]) -> str:
 
 
 def _escaped(text: str) -> str:
-    """The text for LaTeX, with numbers and names in mathematics where they need it."""
+    """Return the text for LaTeX, with numbers and names in mathematics where they need it."""
     parts: list[str] = []
     end = 0
     for found in MATH.finditer(text):

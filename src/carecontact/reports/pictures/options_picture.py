@@ -22,7 +22,7 @@ DEPTHS = {
 }  # fmt: skip
 """What an option's depth is."""
 MIN_CROP_PX = 170
-"""Of a frame: a narrower part would be enlarged beyond what it shows."""
+"""Least size of the part of a frame that is shown: a narrower one would be enlarged beyond what it shows."""
 WIDTH_IN, HEIGHT_IN = 15.5, 8.6
 
 
@@ -45,7 +45,7 @@ class Place:
 
 
 def places(options: list[dict[str, Any]]) -> list[Place]:
-    """In the order in which they were offered."""
+    """Return the places of the options in the order in which they were offered."""
     found: dict[tuple[str, str, float], list[int]] = {}
     for k, option in enumerate(options):
         found.setdefault((option["primitive"], option["approach"], option["key_point"]), []).append(k)
@@ -91,7 +91,7 @@ def draw_options(recording: Recording, note: Note) -> Figure:
 
 
 def _crop(points: F64) -> tuple[F64, F64]:
-    """A square round all ways, with room for their letters."""
+    """Return a square round all ways, with room for their letters."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = max(float((high - low).max()) * 0.8, MIN_CROP_PX / 2)
     middle = (low + high) / 2
@@ -127,7 +127,8 @@ def _name_places(axes: Axes, at: list[Place], chosen: int | None) -> None:
 
 
 def _draw_table(axes: Axes, at: list[Place], chosen: int | None) -> float:
-    """A block a primitive: places down, depth and speed across, in a cell the option's number. Its height in rows."""
+    """Draw one block for each primitive: places down, depth and speed across, and in each cell the option's number.
+    Return the height in rows."""
     y = 0.4
     for primitive in dict.fromkeys(place.primitive for place in at):
         members = [place for place in at if place.primitive == primitive]

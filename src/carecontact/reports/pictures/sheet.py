@@ -61,7 +61,8 @@ def save_sheet(observation: Observation, path: Path, *, title: str, dpi: int = D
 
 
 def draw_sheet(observation: Observation, *, title: str) -> Figure:
-    """A row for each camera, a column for each image modality, then the cloud from two sides and the encoders."""
+    """Return a picture with a row for each camera, a column for each image modality, then the cloud from two sides and
+    the encoders."""
     from matplotlib.figure import Figure
 
     views = {name: view for name, view in observation.cameras.items() if _shape(view) is not None}
@@ -221,8 +222,8 @@ def splat(
 
 
 def _merged(views: dict[str, CameraView]) -> tuple[F64, U8, int]:
-    """Of all cameras' clouds what is near the person, or near the middle where no mask shows where that is; and how
-    many points there are in all."""
+    """Return those points of all cameras' clouds that are near the person, or near the middle where no mask shows the
+    person; and the number of all points."""
     points = [v.points for v in views.values() if v.points is not None and v.point_colors is not None]
     if not points:
         return np.zeros((0, 3)), np.zeros((0, 3), np.uint8), 0

@@ -41,7 +41,7 @@ def draw_stopped(recording: Recording, notes: list[Note], message: str) -> Figur
 
 
 def _program_rows(programs: list[dict[str, str]], message: str) -> list[tuple[str, str]]:
-    """Lines and their colours: numbered, the one that is to blame in red, its program before the others."""
+    """Return lines and their colours: numbered, the one that is to blame in red, its program before the others."""
 
     def names(row: dict[str, str]) -> bool:
         return f"program {row['role']}: {row['query']} " in " ".join(message.split()) + " "

@@ -43,9 +43,9 @@ class Motion:
     first: Note
     looks: list[Note]
     progress: list[dict[str, Any]]
-    """Of an objective: contents of its looks; in the last one it may be told that it was over"""
+    """Contents of the looks of an objective; the last one may say that the objective was over"""
     objective_m: list[F64]
-    """Of each look that pursued an objective: (n, 3) where the tool was sent, in base"""
+    """(n, 3) where the tool was sent [m], in base, for each look that pursued an objective"""
 
     @property
     def paths(self) -> list[tuple[F64, bool]]:

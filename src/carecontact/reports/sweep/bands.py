@@ -23,7 +23,7 @@ LOW, HIGH = 5.0, 95.0
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """Of one metric over the trials for which it is defined."""
+    """The spread of one metric over the trials for which it is defined."""
 
     n: int
     low: float
@@ -62,7 +62,8 @@ class Bands:
 
 
 def bands(cells: Sequence[CellScores], outcome: str, *, ranked: Sequence[str]) -> Bands | None:
-    """None where no policy has two trials of a task. A *draw* is one combination of the axes' values and one seed.
+    """Return the spread of each metric over draws; None where no policy has two trials of a task. A *draw* is one
+    combination of the axes' values and one seed.
 
     Args:
         outcome: field of a score that says whether a trial passed.

@@ -12,7 +12,7 @@ from carecontact.reports.sweep.ladder import Ladder
 from carecontact.reports.sweep.level_texts import level_name
 
 COLOURS = 6
-"""Of the style sheet; a seventh policy has the first one's colour again."""
+"""Number of colours of the style sheet; a seventh policy has the colour of the first one again."""
 MARKS = (
     "m-3.2 0a3.2 3.2 0 1 0 6.4 0a3.2 3.2 0 1 0 -6.4 0z",
     "m-3 -3h6v6h-6z",
@@ -24,7 +24,8 @@ MARKS = (
 )
 """Outlines [px] around a point: the figure's policies take turns. Lines of one colour differ by them."""
 BESIDE = 0.035
-"""Of the way from level to level, between the points of neighbouring policies, so that their intervals stay apart."""
+"""Distance between the points of neighbouring policies, as a share of the distance between levels, so that their
+intervals stay apart."""
 
 
 def curve_svg(found: Ladder) -> str:
@@ -63,5 +64,5 @@ def mark(found: Ladder, policy: str, x: float, y: float) -> str:
 
 
 def short(value: str) -> str:
-    """A level as the figure names it: ``L2`` of ``bathing-wide-v1 L2``, the stem of a file."""
+    """Return a level as the figure names it: ``L2`` of ``bathing-wide-v1 L2``, the stem of a file."""
     return level_name(value).rsplit(" ", 1)[-1]

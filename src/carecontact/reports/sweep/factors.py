@@ -23,12 +23,14 @@ class Effect:
     alone: PersonRate
     """Rate on the easy level with this factor alone."""
     costs: PersonDifference
-    """That minus the rate on the easy level: below 0 where the factor alone breaks the policy."""
+    """The rate with the factor alone minus the rate on the easy level: below 0 where the factor alone breaks the
+    policy."""
     costs_p_holm: float | None
     without: PersonRate
     """Rate on the hard level without this factor."""
     gives_back: PersonDifference
-    """That minus the rate on the hard level: above 0 where the policy fails because of the factor."""
+    """The rate without the factor minus the rate on the hard level: above 0 where the policy fails because of the
+    factor."""
     gives_back_p_holm: float | None
 
 
@@ -42,7 +44,7 @@ class Factors:
 
 
 def factors(cells: Sequence[CellScores], outcome: str) -> Factors | None:
-    """None where the plan switches no factors, or where nothing has run.
+    """Return what each factor costs and gives back; None where the plan switches no factors, or where nothing has run.
 
     Args:
         outcome: field of a score that says whether a trial passed.

@@ -26,11 +26,12 @@ class GateOrder:
     least: float | None
     """Smallest Kendall's tau-b with the order under the protocol's own gates; None where one of them orders nothing."""
     setting: str
-    """Where that is: the gate and its value."""
+    """The gate and its value at which that is so."""
 
 
 def gate_orders(cells: Sequence[CellScores], policies: Sequence[str]) -> tuple[GateOrder, ...]:
-    """Empty with fewer than two policies. A trial counts where every policy has it."""
+    """Return how each swept gate orders the policies; none with fewer than two policies. A trial counts where every
+    policy has it."""
     if len(policies) < 2:
         return ()
     values = levels_of(cells)

@@ -33,7 +33,7 @@ def gate_heads(orders: Sequence[GateOrder]) -> list[str]:
 
 
 def gate_rows(orders: Sequence[GateOrder], titles: Mapping[str, str]) -> list[list[str]]:
-    """The smallest tau of each gate, place by place, with the value where it is. The gates that change no order
+    """Return the smallest tau of each gate, place by place, with the value where it is. The gates that change no order
     anywhere share the last row.
 
     Args:

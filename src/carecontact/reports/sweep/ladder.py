@@ -57,19 +57,19 @@ class Rung:
 @dataclass(frozen=True, kw_only=True)
 class Ladder:
     rungs: tuple[Rung, ...]
-    """In the order of the plan, which should be from easy to hard."""
+    """The levels in the order of the plan, which should be from easy to hard."""
     policies: tuple[str, ...]
     tasks: tuple[str, ...]
 
     @property
     def with_trials(self) -> tuple[str, ...]:
-        """Those of ``policies`` that have a trial at any level."""
+        """Return those of ``policies`` that have a trial at any level."""
         ran = {climb.policy for rung in self.rungs for climb in rung.climbs if climb.rate.n}
         return tuple(name for name in self.policies if name in ran)
 
 
 def ladder(cells: Sequence[CellScores], outcome: str) -> Ladder | None:
-    """None where the plan has one protocol, or where nothing has run.
+    """Return the rates from level to level; None where the plan has one protocol, or where nothing has run.
 
     Args:
         outcome: field of a score that says whether a trial passed.
@@ -104,12 +104,12 @@ def ladder(cells: Sequence[CellScores], outcome: str) -> Ladder | None:
 
 
 def level_of(cell: CellScores) -> str:
-    """As titles name it: the protocol, and its level where it has levels."""
+    """Return the name of a cell's level as titles have it: the protocol, and its level where it has levels."""
     return " ".join(cell.values[axis] for axis in AXES if axis in cell.values)
 
 
 def levels_of(cells: Sequence[CellScores]) -> list[str]:
-    """In the order of the plan."""
+    """Return the names of the levels in the order of the plan."""
     return list(dict.fromkeys(map(level_of, cells)))
 
 

@@ -85,7 +85,7 @@ def factor_rows(found: Factors) -> Rows:
 
 
 def level_name(value: str) -> str:
-    """A protocol as tables name it: a file by its stem."""
+    """Return a protocol as tables name it: a file by its stem."""
     return value.rsplit("/", 1)[-1].replace(".toml", "")
 
 
@@ -109,7 +109,7 @@ def difference(found: PersonDifference | None) -> str:
 
 
 def _bounds(low: float | None, high: float | None, persons: int, shape: str) -> str:
-    """An interval over persons in per cent; empty with too few of them."""
+    """Return an interval over persons in per cent; empty with too few of them."""
     if low is None or high is None or not enough(persons):
         return ""
     return f" [{100 * low:{shape}}, {100 * high:{shape}}]"

@@ -51,7 +51,7 @@ class Trials:
         )
 
     def minus(self, other: Trials) -> PersonDifference:
-        """Over the trials that both have."""
+        """Return the difference over the trials that both have."""
         keys = sorted(self.scores.keys() & other.scores.keys(), key=str)
         return person_difference(
             list(map(self.passed, keys)),
@@ -69,7 +69,7 @@ class Trials:
         return dict(sorted(found.items()))
 
     def harder(self) -> tuple[int, int] | None:
-        """Trials in the harder band, of those for which it is known; None where it is for none."""
+        """Return trials in the harder band, of those for which it is known; None where it is for none."""
         known = [v for s in self.scores.values() if (v := s.additional.get("harder_band@1")) is not None]
         return (sum(value > 0 for value in known), len(known)) if known else None
 
@@ -91,5 +91,5 @@ def best(trials: Mapping[str, Trials]) -> str | None:
 
 
 def of_role(cells: Sequence[CellScores], *roles: Role) -> list[str]:
-    """Policies of these roles, in the order of the plan."""
+    """Return policies of these roles, in the order of the plan."""
     return list(dict.fromkeys(cell.label for cell in cells if cell.role in roles))

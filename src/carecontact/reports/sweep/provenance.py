@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 HEADS = ("what", "value")
 DIGITS = 12
-"""Of a hash, as tables show it."""
+"""Number of digits of a hash that tables show."""
 WORLD = ("kernel", "robot", "mujoco")
 """Parts of the simulated world that every trial of a sweep shares."""
 
 
 def provenance(table: SweepTable) -> list[list[str]]:
-    """Rows under HEADS; those of which nothing is known are left out."""
+    """Return rows under HEADS; those of which nothing is known are left out."""
     scores = [score for row in table.rows for score in row.cell.scores]
     protocols = {score.protocol_title: score.protocol_sha256[:DIGITS] for score in scores}
     titles = {row.cell.label: score.policy_title for row in table.rows for score in row.cell.scores}
@@ -48,7 +48,7 @@ def provenance(table: SweepTable) -> list[list[str]]:
 
 
 def _recordings(hashes: Iterable[str]) -> str:
-    """How many, and one hash of the hashes of all of them, whatever their order."""
+    """Return how many values there are, and one hash of the hashes of all of them, whatever their order."""
     found = sorted(hashes)
     if not found:
         return ""

@@ -42,12 +42,12 @@ class Marginal:
 
 @dataclass(frozen=True, kw_only=True)
 class Order:
-    """Of two policies; a passes at least as often as b over all."""
+    """The order of two policies, of which a passes at least as often as b over all trials."""
 
     a: str
     b: str
     difference: float
-    """Of their shares over all trials."""
+    """Difference of their shares of passed trials over all trials."""
     higher: int
     """Combinations in which a passes more often than b."""
     equal: int
@@ -79,7 +79,7 @@ class Stability:
 
 
 def stability(groups: Sequence[Group], policies: Sequence[str], *, outcome: str) -> Stability | None:
-    """None where no combination has a trial of every policy.
+    """Return how stable the order of the policies is; None where no combination has a trial of every policy.
 
     Args:
         policies: at least two.
@@ -127,7 +127,7 @@ def _tau(total: Mapping[str, int], here: Mapping[str, int], policies: Sequence[s
 
 
 def _signs(passed: Mapping[str, int], policies: Sequence[str] | Mapping[str, int]) -> list[int]:
-    """For every pair: 1 where the first passes more often, -1 where the second does."""
+    """Return for every pair 1 where the first passes more often, and -1 where the second does."""
     return [(passed[a] > passed[b]) - (passed[a] < passed[b]) for a, b in combinations(policies, 2)]
 
 

@@ -29,11 +29,11 @@ class CellScores:
     values: dict[str, str]
     """Axis -> value."""
     folder: str
-    """Of the cell's run, from the sweep's folder."""
+    """Folder of the cell's run, relative to the sweep's folder."""
     planned: int
     """Trials."""
     scores: Sequence[TrialScore]
-    """Of those that have run; empty for a cell that has not."""
+    """Scores of the trials that have run; empty for a cell that has not."""
     versions: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
     """Package -> the versions with which the trials were recorded."""
 
@@ -46,7 +46,7 @@ class CellScores:
 class CellRow:
     cell: CellScores
     counts: SummaryRow | None
-    """Over all judged trials of the cell; None where nothing has run."""
+    """Counts over all judged trials of the cell; None where nothing has run."""
     crashed: int
     harness_errors: int
 
@@ -59,13 +59,15 @@ class SweepTable:
     rank_by: str
     rows: tuple[CellRow, ...]
     stability: Stability | None
-    """Of the policies that are ranked. None with one such policy, or where no place has a trial of every one."""
+    """How stable the order of the ranked policies is. None with only one such policy, or where no place has a trial of
+    every one."""
     bands: Bands | None
-    """None for a plan that compares levels or factors, whose trials are no draws of one population."""
+    """Spread of each metric; None for a plan that compares levels or factors, whose trials are no draws of one
+    population."""
     ladder: Ladder | None
     factors: Factors | None
     gate_orders: tuple[GateOrder, ...]
-    """Of the policies that are ranked."""
+    """Orders of the ranked policies under other values of the gates."""
 
     @property
     def named(self) -> dict[str, str]:
@@ -103,7 +105,7 @@ def sweep_table(title: str, cells: Sequence[CellScores], *, rank_by: str) -> Swe
 
 
 def ranked_policies(cells: Sequence[CellScores]) -> list[str]:
-    """The methods; where the plan has not two of them, all policies."""
+    """Return the methods; where the plan has not two of them, all policies."""
     methods = of_role(cells, "method")
     return methods if len(methods) > 1 else list(dict.fromkeys(cell.label for cell in cells))
 

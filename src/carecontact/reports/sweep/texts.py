@@ -31,8 +31,8 @@ from carecontact.stats import wilson_interval
 
 
 def as_csv(table: SweepTable) -> str:
-    """One row for each cell; percentages are not rounded. A cell without trials has empty fields, and one with fewer
-    than SEEDS_FOR_INTERVAL seeds has no intervals."""
+    """Return one row for each cell; percentages are not rounded. A cell without trials has empty fields, and one with
+    fewer than SEEDS_FOR_INTERVAL seeds has no intervals."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     metrics = headlines()
@@ -65,12 +65,12 @@ def _field(metric: Metric) -> str:
 
 
 def heads(table: SweepTable) -> list[str]:
-    """Heads of the columns of ``cells``."""
+    """Return heads of the columns of ``cells``."""
     return ["policy", *table.axes, "trials", *RATES.values(), *(metric.label for metric in headlines())]
 
 
 def cells(row: CellRow) -> list[str]:
-    """The cells of a row, as tables for people show them."""
+    """Return the cells of a row, as tables for people show them."""
     role = row.cell.role
     label = row.cell.label if role == "method" else f"{row.cell.label} ({role})"
     left = [label, *row.cell.values.values()]
@@ -98,7 +98,7 @@ def as_markdown(table: SweepTable) -> str:
 
 
 def sentences(table: SweepTable) -> list[str]:
-    """The sentences above the tables."""
+    """Return the sentences above the tables."""
     policies = "1 policy" if len(table.policies) == 1 else f"{len(table.policies)} policies"
     told = [f"{counted(len(table.rows), 'cell')} of {policies}, {_trials(table)}."]
     if table.unfinished:
@@ -170,7 +170,7 @@ def order_cells(order: Order) -> list[str]:
 
 
 def ranked(table: SweepTable) -> list[str]:
-    """The policies that the order is about, in the order of the plan."""
+    """Return the policies that the order is about, in the order of the plan."""
     return [name for name in table.policies if table.stability and name in table.stability.passed]
 
 
@@ -188,7 +188,7 @@ def marginal_rows(table: SweepTable) -> list[list[str]]:
 
 
 def level_tables(table: SweepTable) -> list[tuple[str, Sequence[str], list[list[str]]]]:
-    """Title, heads and rows of what the table has of draws, levels, factors and gates."""
+    """Return title, heads and rows of what the table has of draws, levels, factors and gates."""
     found: list[tuple[str, Sequence[str], list[list[str]]]] = []
     if table.bands is not None:
         found.append(("Spread over the draws", spread_heads(), spread_rows(table.bands, table.named)))

@@ -52,7 +52,7 @@ def events(contact: Contact) -> list[Event]:
 
 
 def _faint(contact: Contact) -> list[Event]:
-    """Where a press began that was too light to count as contact, and its largest force."""
+    """Return when a press began that was too light to count as contact, and its largest force."""
     felt = (contact.force_norm > 0).any(axis=1)
     if not felt.any():
         return []
@@ -66,7 +66,7 @@ def _faint(contact: Contact) -> list[Event]:
 
 
 def _of_the_person(recording: Recording) -> list[Event]:
-    """What the person did by itself, as far as it came before the trial's end."""
+    """Return what the person did by itself, as far as it came before the trial's end."""
     end = float(recording["scorer/time_s"][-1])
     times, turns = (recording.arrays.get(f"scorer/repositioning_{unit}", np.zeros(0)) for unit in ("s", "rad"))
     found = [
@@ -84,8 +84,8 @@ def _turn_text(turn_rad: float) -> str:
 
 
 def gate_met_s(contact: Contact) -> float | None:
-    """When a trial that is a success became one [s]: the end of a beginning of the trial that the gate passes, while
-    the beginning that is one physics step shorter does not pass.
+    """Return when a trial that is a success became one [s]: the end of a beginning of the trial that the gate passes,
+    while the beginning that is one physics step shorter does not pass.
 
     Found by halving the trial. Where a gate has an upper end, a trial can pass, fail and pass again; then this is one
     of the moments at which it began to pass. Some progress is filtered over time, so the moment is exact to a few
@@ -104,8 +104,8 @@ def gate_met_s(contact: Contact) -> float | None:
 
 
 def _beginning(recording: Recording, steps: int) -> Recording:
-    """The recording of the first physics steps alone. Arrays over other units of time stay whole, since no gate reads
-    them."""
+    """Return the recording of the first physics steps alone. Arrays over other units of time stay whole, since no gate
+    reads them."""
     described = ARRAYS | {path: row for path, row in OPTIONAL_ARRAYS.items() if path in recording.arrays}
     cut = {path: recording[path][:steps] for path in described if dimensions(path)[0] == "T"}
     return replace(recording, arrays=recording.arrays | cut)

@@ -16,8 +16,8 @@ BROKEN: tuple[EndReason, ...] = ("process_failure", "harness_error")
 
 
 def gate_parts(contact: Contact, gate: Gate, score: TrialScore) -> list[GatePart]:
-    """In the order of the funnel; empty where the trial ended before its first physics step, or where the trial broke
-    off and nobody was touched."""
+    """Return the gates in the order of the funnel; none where the trial ended before its first physics step, or broke
+    off before anybody was touched."""
     if not len(contact.time_s) or (score.ended in BROKEN and not contact.force_norm.any()):
         return []
     of_action: list[GatePart] = ask(contact, "parts", contact, contact.protocol.gates.of(contact.task.action), gate)
@@ -50,7 +50,7 @@ def _region(contact: Contact) -> GatePart:
 
 
 def _force(contact: Contact) -> list[GatePart]:
-    """The segment that came nearest to its safety gate; nothing where none was touched."""
+    """Return the segment that came nearest to its safety gate; nothing where none was touched."""
     protocol = contact.protocol
     gates = {name: protocol.limits.gamma * protocol.f_pain(name) for name in contact.segments}
     peaks = peak_of_segments(contact)

@@ -165,7 +165,7 @@ def action_table(recording: Recording) -> ActionTable:
 
 
 def latency_text(recording: Recording) -> str:
-    """How long the policy took for its answers, as wall time; empty where the recording does not say."""
+    """Return how long the policy took for its answers, as wall time; empty where the recording does not say."""
     took = recording.arrays.get("wall/act_s", np.zeros(0))
     if not took.size:
         return ""

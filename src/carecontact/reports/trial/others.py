@@ -29,7 +29,7 @@ class Beside:
     """(task, seed) -> its trial"""
     role: str
     folder: Path | None = None
-    """Of its recordings; None for scores that are kept with the package."""
+    """Folder of the run's recordings; None for scores that are kept with the package."""
 
     @classmethod
     def of(cls, run: RunScores, folder: Path | None = None) -> Beside:
@@ -53,11 +53,11 @@ class OtherRow:
     mode: str
     """Failure mode; empty if none."""
     address: str
-    """Of the page of its trial; empty where there is none."""
+    """Address of the page of its trial; empty where there is none."""
 
 
 def other_rows(score: TrialScore, beside: Sequence[Beside], run_folder: Path) -> list[OtherRow]:
-    """One row for each policy that has a trial of the same task and seed, in the order given.
+    """Return one row for each policy that has a trial of the same task and seed, in the order given.
 
     Args:
         run_folder: of ``score``, from whose page the rows link others.
@@ -68,8 +68,8 @@ def other_rows(score: TrialScore, beside: Sequence[Beside], run_folder: Path) ->
 
 
 def how_to_compare(score: TrialScore, run_folder: Path) -> tuple[str, ...]:
-    """The commands that set blind replay beside a trial of which no other policy's score is at hand; empty for a policy
-    that is no method."""
+    """Return the commands that set blind replay beside a trial of which no other policy's score is at hand; empty for a
+    policy that is no method."""
     if role_in([score]) != "method" or score.ended == "harness_error":
         return ()
     return replay_commands([score], run_folder, trials=True)

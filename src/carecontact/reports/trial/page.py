@@ -90,7 +90,7 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore, beside: S
 
 
 def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
-    """What the robot did to the person."""
+    """Return what the robot did to the person."""
     moment, found, contact = peak_moment(recording), paths(recording), find_contact(recording)
     measures = judge(contact)
     notes = read_notes(recording)
@@ -133,7 +133,7 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
 
 
 def _policy(recording: Recording) -> dict[str, Any]:
-    """What the policy saw and did."""
+    """Return what the policy saw and did."""
     looks, left_out = looks_of(recording, read_notes(recording))
     return {
         "looks": looks,
@@ -145,7 +145,7 @@ def _policy(recording: Recording) -> dict[str, Any]:
 
 
 def _links(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:
-    """Words and address of each file in the run's folder, the report aside, to which the page links."""
+    """Return words and address of each file in the run's folder, the report aside, to which the page links."""
     files = (
         ("recording", f"{trial_id}.h5", f"../{trial_id}.h5"),
         ("log", f"{trial_id}.log", f"../{trial_id}.log"),
@@ -160,7 +160,7 @@ def _beside(run_folder: Path, trial_id: str, ending: str) -> str | None:
 
 
 def _metrics(score: TrialScore, *, concerned: bool) -> list[tuple[str, str, str]]:
-    """Title, value and unit of the newest version of every metric that the trial has a value of.
+    """Return title, value and unit of the newest version of every metric that the trial has a value of.
 
     Args:
         concerned: of the metrics that say something about the trial's action, or of the others.
@@ -177,7 +177,7 @@ def _metrics(score: TrialScore, *, concerned: bool) -> list[tuple[str, str, str]
 
 
 def _with_unit(metric: Metric, value: float) -> tuple[str, str]:
-    """A value in words or figures, and its unit."""
+    """Return a value in words or figures, and its unit."""
     if not metric.median and value in (0.0, 1.0):
         return ("yes" if value else "no"), ""
     factor, unit = shown_unit(metric)
@@ -190,7 +190,7 @@ def _printed(recording: Recording) -> str:
 
 
 def _not_printed(recording: Recording) -> str:
-    """Why the page shows nothing that the policy printed."""
+    """Return why the page shows nothing that the policy printed."""
     if "://" in recording.header.spec.policy:
         return (
             f"The recording cannot have it: the policy ran behind {recording.header.spec.policy}, outside the "

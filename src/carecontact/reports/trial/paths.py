@@ -56,7 +56,8 @@ def paths(recording: Recording) -> Paths | None:
 
 
 def noted_targets(recording: Recording, notes: list[Note], found: Paths) -> list[tuple[float, float, float]]:
-    """The different places (x, y, z) [m] that the policy noted as ``target_m``, in the region's frame at that time."""
+    """Return the different places (x, y, z) [m] that the policy noted as ``target_m``, in the region's frame at that
+    time."""
     base = np.array(recording.header.pose_base_in_world)
     turn = matrix_from_quat(base[3:])
     looked = recording["policy/observation_time_s"]

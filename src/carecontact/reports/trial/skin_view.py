@@ -162,7 +162,7 @@ def _draw_cells(drawing: Drawing, frame: Frame, side: Side, recording: Recording
 
 
 def skin_of(recording: Recording, step: int) -> tuple[F64, npt.NDArray[np.integer]] | None:
-    """The stored skin: vertices (N, 3) [m] in the frame of the region, and triangles (M, 3).
+    """Return the stored skin: vertices (N, 3) [m] in the frame of the region, and triangles (M, 3).
 
     Args:
         step: of the physics steps that at which the skin was stored.
@@ -192,7 +192,7 @@ def _draw_scale(drawing: Drawing, frame: Frame, recording: Recording) -> None:
 
 
 def skin_uri(frame: Frame, side: Side, skin: F64, faces: npt.NDArray[np.integer]) -> str:
-    """The skin as a picture with nothing behind it: triangles from the farthest to the nearest, shaded by slope.
+    """Return the skin as a picture with nothing behind it: triangles from the farthest to the nearest, shaded by slope.
 
     Args:
         skin: (N, 3) vertices [m] in the frame of the view.

@@ -26,7 +26,7 @@ WIDTH, LEFT, RIGHT, HEAD = 640, 52, 12, 32
 PANEL, TITLE, FOOT = 74, 22, 22
 """Heights of a panel, of the line above it that says what it shows, and of the labels of time below all of them."""
 NO_EVENTS_HEAD = 4
-"""In place of HEAD, which has room for the letters of events."""
+"""Takes the place of HEAD, which has room for the letters of events, where there is no event."""
 OUT_M = 0.25
 """Places farther from the region's middle than this are cut off: far away, what matters at the skin would be flat."""
 EDGE_PX = 0.5
@@ -220,7 +220,7 @@ def _force_panel(trace: ForceTrace) -> Panel:
 
 
 def _positive(title: str, least: float, curve: Curve) -> Panel:
-    """A panel from 0 to the largest value of the curve, or to ``least`` if that is larger."""
+    """Return a panel from 0 to the largest value of the curve, or to ``least`` if that is larger."""
     return Panel(title=title, curves=(curve,), low=0.0, high=1.08 * max(least, float(curve.values.max(initial=0.0))))
 
 

@@ -27,7 +27,7 @@ from carecontact.scoring.result import TrialScore
 
 
 def outcome(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> str:
-    """The heading of the page; ``gates``: every gate of the trial, as ``gate_parts`` returns them."""
+    """Return the heading of the page; ``gates``: every gate of the trial, as ``gate_parts`` returns them."""
     header, name = contact.recording.header, f"{score.task_id} {task_name(score)}, seed {score.seed},"
     if score.is_crash:
         when = f"after {score.duration_s:.2f} s" if score.duration_s else "before the first physics step"
@@ -48,12 +48,13 @@ def outcome(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> s
 
 
 def _segment(score: TrialScore) -> str:
-    """The segment of the named region, which decides whether a contact is on the region."""
+    """Return the segment of the named region, which decides whether a contact is on the region."""
     return REGIONS[score.region].segment.replace("_", " ")
 
 
 def mode_text(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> str:
-    """The failure mode in words; of a mode that has several forms, the one that this trial had. Empty without one."""
+    """Return the failure mode in words; of a mode that has several forms, the one that this trial had. Empty without
+    one."""
     if score.failure_mode == "safety_truncation":
         return cause_text(score)
     if score.failure_mode == "no_target_contact" and not contact.force_norm.any():
@@ -68,7 +69,7 @@ def mode_text(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) ->
 
 
 def _held(contact: Contact) -> str:
-    """How often and how long the person was touched by contact that counts."""
+    """Return how often and how long the person was touched by contact that counts."""
     on = any_column(contact.on, contact.touched)
     times, held_s = len(runs(on)), int(on.sum()) * contact.dt_s
     told = "touched without interruption for" if times == 1 else f"touched {times} times, for"
@@ -128,7 +129,7 @@ def how_hard(score: TrialScore, contact: Contact, moment: Moment | None) -> str:
 
 
 def _closest(recording: Recording) -> str:
-    """How near the tool's tip came to the region, and when; empty for a trial without a physics step."""
+    """Return how near the tool's tip came to the region, and when; empty for a trial without a physics step."""
     tip = recording["scorer/pose_tcp_in_world"][:, :3].astype(np.float64)
     if not len(tip):
         return ""
@@ -149,7 +150,7 @@ def _end(score: TrialScore, header: Header) -> str:
 
 
 def _why(header: Header) -> str:
-    """The reason of a failure after a colon; empty where none is recorded."""
+    """Return the reason of a failure after a colon; empty where none is recorded."""
     why = "" if header.failure is None else reason_of(header.failure).strip().rstrip(".:")
     return f": {shortened(why)}" if why else ""
 

@@ -44,7 +44,7 @@ class Place:
 @dataclass(frozen=True, kw_only=True)
 class Cell:
     policy: int
-    """Its number in the plan."""
+    """The policy's number in the plan."""
     label: str
     """The policy's name in tables."""
     place: Place
@@ -52,7 +52,7 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Of its folder: readable, and the same in every plan that has this cell."""
+        """Name of the cell's folder: readable, and the same in every plan that has this cell."""
         first = self.specs[0]
         whole = [first.policy, first.policy_arguments, first.policy_environment, first.protocol.sha256, self.label]
         digest = hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:DIGEST_CHARACTERS]
@@ -61,7 +61,7 @@ class Cell:
 
 
 def places_of(plan: Plan, *, named: str) -> list[Place]:
-    """Every combination, in the order of the plan's axes.
+    """Return every combination, in the order of the plan's axes.
 
     Args:
         named: how messages name the plan.
@@ -88,7 +88,7 @@ def places_of(plan: Plan, *, named: str) -> list[Place]:
 
 
 def _bases(plan: Plan, named: str) -> list[tuple[dict[str, str], Protocol]]:
-    """What the other axes are varied on, with the value of its own axis where it has one."""
+    """Return what the other axes are varied on, with the value of its own axis where it has one."""
     if plan.factors is not None:
         place = f"plan {named}: factors"
         low, high = (_loaded(name, place) for name in (plan.factors.low, plan.factors.high))
@@ -106,7 +106,7 @@ def _bases(plan: Plan, named: str) -> list[tuple[dict[str, str], Protocol]]:
 
 
 def _loaded(name: str, place: str, *, level: str | None = None) -> Protocol:
-    """A protocol as titles name it: its id or file, and its level after a space where it has levels."""
+    """Return a protocol as titles name it: its id or file, and its level after a space where it has levels."""
     whole, _, titled = name.partition(" ") if not name.endswith(".toml") else (name, "", "")
     wanted = level or titled or None
     try:
@@ -126,7 +126,7 @@ def cells_of(
     *,
     salt: str = "",
 ) -> list[Cell]:
-    """One cell for each place and policy, place by place.
+    """Return one cell for each place and policy, place by place.
 
     Args:
         policies: label, text of the reference, arguments and names of variables of each policy of the plan.
@@ -156,7 +156,7 @@ def cells_of(
 
 
 def with_noise(cells: Sequence[Cell], salt: str) -> list[Cell]:
-    """The cells with one salt of the sensor noise in all those whose protocol has any.
+    """Return the cells with one salt of the sensor noise in all those whose protocol has any.
 
     Raises ConfigError where none has, and as ``with_noise_salt``.
     """
@@ -171,7 +171,7 @@ def with_noise(cells: Sequence[Cell], salt: str) -> list[Cell]:
 
 
 def _along(protocol: Protocol, axis: str, value: Value, *, place: str) -> Protocol:
-    """The protocol with one value of an axis."""
+    """Return the protocol with one value of an axis."""
     if axis == "friction":
         if isinstance(value, str) and value not in SKIN_STATES:
             raise ConfigError(f"{place}: expected a coefficient, or {', '.join(SKIN_STATES)}, got {value!r}")

@@ -11,7 +11,7 @@ from carecontact.errors import ConfigError
 from carecontact.protocols import overridden
 
 AXIS = "factor"
-"""As tables name it."""
+"""Name of the axis in tables."""
 NONE, ALL = "none", "all"
 """The easy level, and the hard one."""
 Fields = Mapping[str, object]
@@ -19,12 +19,12 @@ Fields = Mapping[str, object]
 
 
 def alone(factor: str) -> str:
-    """The value of AXIS for the easy level with this factor alone."""
+    """Return the value of AXIS for the easy level with this factor alone."""
     return f"only {factor}"
 
 
 def without(factor: str) -> str:
-    """The value of AXIS for the hard level without this factor."""
+    """Return the value of AXIS for the hard level without this factor."""
     return f"all but {factor}"
 
 

@@ -21,20 +21,20 @@ class _Table(BaseModel):
 
 
 class PlannedPolicy(_Table):
-    """As the options of ``carecontact run`` give it."""
+    """A policy with the options that ``carecontact run`` has for it."""
 
     policy: Annotated[str, Field(min_length=1)]
-    """As --policy takes it."""
+    """The policy as --policy takes it."""
     label: str = ""
     """Name in the tables; default: the policy with its arguments."""
     arguments: dict[str, Value] = {}
-    """As --policy-arg gives them."""
+    """Arguments as --policy-arg gives them."""
     environment: list[str] = []
-    """As --policy-env names them."""
+    """Variables as --policy-env names them."""
     read: list[str] = []
-    """As --policy-read names them."""
+    """Paths as --policy-read names them."""
     write: list[str] = []
-    """As --policy-write names them."""
+    """Paths as --policy-write names them."""
     language: str | None = None
     jobs: Annotated[int | None, Field(ge=1)] = None
     """Most trials of this policy at once, such as the connections that its server takes; default: no limit."""
@@ -61,7 +61,7 @@ class Plan(_Table):
     axes: dict[str, Values] = {}
     """Axis -> its values: ``protocol``, ``level``, one of AXES, or the dotted name of any field of the protocol."""
     factors: PlannedFactors | None = None
-    """In place of the axes ``protocol`` and ``level``."""
+    """Takes the place of the axes ``protocol`` and ``level``."""
     set: dict[str, Value] = {}
     """Field of the protocol -> value in place of its own, in every combination."""
 
@@ -71,7 +71,7 @@ class Plan(_Table):
 
     @property
     def levels(self) -> list[str | None]:
-        """Of every protocol; a plan of protocols without levels names none."""
+        """The levels of every protocol; a plan of protocols without levels names none."""
         return [str(name) for name in self.axes["level"]] if "level" in self.axes else [None]
 
 

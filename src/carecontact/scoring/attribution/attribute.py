@@ -31,7 +31,7 @@ VISION = ("rgb", "depth", "points", "masks", "landmarks")
 
 
 def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribution, str]:
-    """The cause of a failed trial and one sentence of evidence.
+    """Return the cause of a failed trial and one sentence of evidence.
 
     Raises RecordingError for notes or perception errors that are malformed.
     """
@@ -105,7 +105,7 @@ def _times(n: int) -> str:
 
 
 def _requested(contact: Contact, path: CommandedPath) -> str | None:
-    """What the targets under the surface requested, if a tool that followed them would pass the gate."""
+    """Return what the targets under the surface requested, if a tool that followed them would pass the gate."""
     asked = commanded_contact(path, contact.protocol.contact.reversal_m)
     return ask(contact, "requested", contact.protocol.gates.of(contact.task.action), asked)
 

@@ -16,7 +16,8 @@ from carecontact.scoring.region import distance_to_shadow, distance_to_surface, 
 
 PATH_STEP_M = 0.005
 MAX_LEG_POINTS = 2000
-"""Of one commanded leg, 10 m: a target beyond any room is sampled more coarsely."""
+"""Largest number of points of one commanded leg, which suffices for 10 m: a target beyond any room is sampled more
+coarsely."""
 LOWEST_M = 0.001
 """Points that far above the lowest one are where the path was aimed: policies travel high and come down at the place
 they mean."""
@@ -55,7 +56,7 @@ class CommandedContact:
 
     hold_s: float = 0.0
     way_m: float = 0.0
-    """From its first target to the farthest one"""
+    """Distance from the stretch's first target to the farthest one"""
     stroke_m: float = 0.0
     """Along the axis, there and back"""
     extent_m: float = 0.0
@@ -63,7 +64,7 @@ class CommandedContact:
 
 
 def commanded_path(contact: Contact) -> CommandedPath | None:
-    """The path of the tool's targets; None if no target was ever given."""
+    """Return the path of the tool's targets; None if no target was ever given."""
     recording = contact.recording
     pose = target_poses(recording)
     given = np.isfinite(pose).all(axis=1)

@@ -28,7 +28,7 @@ class NotedTarget:
 
 
 def nearest_noted_target(contact: Contact) -> NotedTarget | None:
-    """The noted target that is horizontally nearest the named region; None where no note holds one.
+    """Return the noted target that is horizontally nearest the named region; None where no note holds one.
 
     Understood are ``target_m`` (a place in the robot's base) with ``subtask``, and ``options``, ``chosen`` and
     ``intent``; what is not of their form is passed over.
@@ -55,7 +55,7 @@ def nearest_noted_target(contact: Contact) -> NotedTarget | None:
 
 
 def noted_subtasks(contact: Contact) -> list[str]:
-    """What a policy that plans in words says it set out to do (``subtasks``); empty where no note says."""
+    """Return what a policy that plans in words says it set out to do (``subtasks``); empty where no note says."""
     for note in read_notes(contact.recording):
         listed = note.content.get("subtasks")
         if isinstance(listed, list):
@@ -64,7 +64,7 @@ def noted_subtasks(contact: Contact) -> list[str]:
 
 
 def noted_reason(contact: Contact) -> str | None:
-    """The reason that a policy noted for ending the trial."""
+    """Return the reason that a policy noted for ending the trial."""
     for note in reversed(read_notes(contact.recording)):
         for key in ("ended_because", "ended_without_touching"):
             if (text := short(note.content.get(key))) is not None:
@@ -73,7 +73,7 @@ def noted_reason(contact: Contact) -> str | None:
 
 
 def short(text: object) -> str | None:
-    """A policy's own words, shortened and on one line."""
+    """Return a policy's own words, shortened and on one line."""
     if not isinstance(text, str) or not text.split():
         return None
     line = " ".join(text.split())

@@ -57,6 +57,6 @@ def sight(contact: Contact, near_m: float) -> Sight:
 
 
 def modalities(contact: Contact) -> list[str]:
-    """The modalities that the policy's card requests; empty if the policy never sent a card."""
+    """Return the modalities that the policy's card requests; empty if the policy never sent a card."""
     named = (contact.recording.header.card or {}).get("modalities")
     return [m for m in cast("list[Any]", named) if isinstance(m, str)] if isinstance(named, list) else []

@@ -15,13 +15,13 @@ class PeakForce:
     """Peaks [N]. The first is C1; the others show how much the choice of force decides."""
 
     c1_peak_force_n: float
-    """Of the norm of the reported segment's summed force over the contact window, unfiltered."""
+    """Peak of the norm of the reported segment's summed force over the contact window, unfiltered."""
     c1_peak_filtered_n: float
     """The same after a zero-phase low pass (100 Hz)."""
     c1_peak_contact_sum_n: float
-    """Of the sum of the magnitudes of each contact's normal force over the contact window."""
+    """Peak of the sum of the magnitudes of each contact's normal force over the contact window."""
     c1_peak_any_segment_n: float
-    """Of any segment's norm over the whole trial, inside the contact window or not."""
+    """Peak of any segment's norm over the whole trial, inside the contact window or not."""
 
 
 @metric(
@@ -29,7 +29,7 @@ class PeakForce:
     order=0,
 )  # fmt: skip
 def peak_force(contact: Contact) -> PeakForce | None:
-    """None (NA) without valid contact."""
+    """Return the peaks of the force; None (NA) without valid contact."""
     if not contact.valid or contact.reported is None:
         return None
     normal = contact.recording["scorer/normal_force"][:, contact.reported]
@@ -42,7 +42,7 @@ def peak_force(contact: Contact) -> PeakForce | None:
 
 
 def peak_of_segments(contact: Contact) -> dict[str, float]:
-    """Touched segment -> largest force norm of the whole trial [N].
+    """Return touched segment -> largest force norm of the whole trial [N].
 
     The safety gate reads this one and not the contact window, which the causal filter opens some steps late.
     """

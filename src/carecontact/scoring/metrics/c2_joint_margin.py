@@ -29,8 +29,8 @@ class JointMargin:
     headline=True, matters=0.05, order=0,
 )  # fmt: skip
 def joint_margin(contact: Contact) -> JointMargin | None:
-    """None (NA) without valid contact. Every task has it; medians and comparisons pool it over the actions that are
-    meant to move the person."""
+    """Return the smallest margin; None (NA) without valid contact. Every task has it; medians and comparisons pool it
+    over the actions that are meant to move the person."""
     recording = contact.recording
     position = recording["scorer/human_joint_position"].astype(np.float64)
     if not contact.valid or position.size == 0:

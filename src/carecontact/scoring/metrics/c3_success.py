@@ -59,8 +59,8 @@ def broke_down(header: Header) -> bool:
 
 
 def _best_episode(contact: Contact, measured: list[Episode]) -> Episode | None:
-    """One that passes the task's own gate if there is one, then one that passes another action's, then the longest
-    stroke, then the earliest."""
+    """Return the contact episode that passes the task's own gate if there is one, then one that passes another
+    action's, then the longest stroke, then the earliest."""
     own = contact.task.action
     gates = contact.protocol.gates.actions.items()
 

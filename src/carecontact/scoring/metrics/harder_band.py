@@ -11,7 +11,7 @@ from carecontact.scoring.metrics.metric import metric
 from carecontact.scoring.verdict import reach_verdict
 
 VERSION = "gates-v2"
-"""Of the gates whose harder tables are meant."""
+"""Version of the gates whose harder tables are meant."""
 
 
 @metric("harder_band@1", title="Passes the harder band", unit="1", better="higher", median=False, order=74)

@@ -10,7 +10,7 @@ from carecontact.scoring.metrics.metric import metric
 
 
 def deepest_indentation(contact: Contact) -> float:
-    """Of the target region over the whole trial [m]; 0 if nothing was recorded."""
+    """Return the deepest indentation of the target region in the whole trial [m]; 0 if nothing was recorded."""
     return float(_depth(contact).max(initial=0.0))
 
 

@@ -85,8 +85,8 @@ class Metric:
         return actions is None or action in actions
 
     def compute(self, contact: Contact) -> float | None:
-        """The number of one trial; None for NA. Raises ConfigError, which names metric and trial, for a measure that
-        raises or returns anything else."""
+        """Return the number of one trial; None for NA. Raises ConfigError, which names metric and trial, for a measure
+        that raises or returns anything else."""
         return self._number(self._measured(contact))
 
     def fill(self, contact: Contact) -> dict[str, Any]:
@@ -99,11 +99,11 @@ class Metric:
         return {self.field: found}
 
     def of(self, score: TrialScore) -> float | None:
-        """The number that a score holds; None for NA and where the trial was scored without this metric."""
+        """Return the number that a score holds; None for NA and where the trial was scored without this metric."""
         return self._number(score.additional.get(self.id) if self.field is None else getattr(score, self.field))
 
     def pooled(self, scores: Iterable[TrialScore]) -> list[float | None]:
-        """One number for each of the trials that this metric is pooled over."""
+        """Return one number for each of the trials that this metric is pooled over."""
         actions = self.actions
         return [self.of(score) for score in scores if actions is None or score.action in actions]
 
@@ -169,8 +169,8 @@ def metric(
 
 
 def checked_metrics() -> list[Metric]:
-    """Every registered metric. Raises ConfigError for one that cannot be loaded or has another id than its name, for
-    two that fill one field, and for a ``pool`` of an action that nothing registers."""
+    """Return every registered metric. Raises ConfigError for one that cannot be loaded or has another id than its name,
+    for two that fill one field, and for a ``pool`` of an action that nothing registers."""
     filled: dict[str, str] = {}
     for name, row in METRICS.items():
         title = METRICS.title(name)
@@ -185,12 +185,12 @@ def checked_metrics() -> list[Metric]:
 
 
 def metrics_in_order() -> list[Metric]:
-    """Every registered metric, as tables list them."""
+    """Return every registered metric, as tables list them."""
     return sorted(METRICS.values(), key=lambda row: (row.order, row.id))
 
 
 def newest(ids: Iterable[str]) -> list[str]:
-    """Of several versions of one metric the highest, in the order of their names. An id without a version stays."""
+    """Return the highest version of each metric, in the order of their names. An id without a version stays."""
     found: dict[str, str] = {}
     for id_ in sorted(ids, key=_version):
         found[id_.partition("@")[0]] = id_
@@ -203,7 +203,8 @@ def _version(id_: str) -> int:
 
 
 def described(id_: str) -> Metric:
-    """The metric of this id; for one that a result holds and nobody registered here, a bare row without a unit."""
+    """Return the metric of this id; for one that a result holds and nobody registered here, a bare row without a
+    unit."""
     if id_ in METRICS:
         return METRICS[id_]
     return Metric(id=id_, title=id_, unit="1", better="neither", measure=lambda contact: None)

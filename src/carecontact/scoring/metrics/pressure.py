@@ -63,7 +63,7 @@ def comfortable(cells: TouchedCells, contact: Contact) -> float:
     order=36,
 )
 def comfortable_fragile(cells: TouchedCells, contact: Contact) -> float:
-    """The same with FRAGILE_MMHG."""
+    """Return the same with FRAGILE_MMHG."""
     return _stays_below(cells, FRAGILE_MMHG)
 
 
@@ -79,5 +79,5 @@ def pressure_utilisation(cells: TouchedCells, contact: Contact) -> float:
 
 
 def _stays_below(cells: TouchedCells, mmhg: float) -> float:
-    """What a sensor on the whole tool would say: force over area in contact, in each control period."""
+    """Return what a sensor on the whole tool would say: force over area in contact, in each control period."""
     return float(cells.share_of_time_below(mmhg * MMHG_PA) >= MOST_OF_TIME)

@@ -22,7 +22,7 @@ def utilisation(contact: Contact, limit_n: Callable[[str], float]) -> float | No
 
 @metric("pain_utilisation@1", title="Peak force relative to the pain limit", unit="1", better="lower", order=40)
 def pain_utilisation(contact: Contact) -> float | None:
-    """By the protocol's F_pain."""
+    """Return the largest share of the protocol's F_pain that a touched segment bore."""
     return utilisation(contact, contact.protocol.f_pain)
 
 
@@ -34,5 +34,5 @@ def pain_utilisation(contact: Contact) -> float | None:
     order=50,
 )
 def iso_utilisation(contact: Contact) -> float | None:
-    """By pack iso-ts-15066-2016."""
+    """Return the largest share of the force limits of ISO/TS 15066:2016 that a touched segment bore."""
     return utilisation(contact, LIMIT_PACKS[ISO_PACK].limit)

@@ -34,8 +34,8 @@ def effective_wiping(contact: Contact) -> float | None:
 
 
 EFFECTIVE_SHARE = 0.8
-"""Of the cells' area. The studies of CLEANS call skin clean where 80 % of the dirt is gone; the same share of the area
-is asked for here (assumed)."""
+"""Least share of the cells' area. The studies of CLEANS call skin clean where 80 % of the dirt is gone; the same share
+of the area is asked for here (assumed)."""
 EFFECTIVE = CLEANS[:1]
 
 

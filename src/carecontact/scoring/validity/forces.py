@@ -18,12 +18,13 @@ ROUNDING_N = 0.01
 CANCELLED_N = 0.1
 """A vector sum below this under a normal sum that counts as contact: contacts that oppose one another, or no force."""
 CANCELLED_SHARE = 0.1
-"""Of a segment's contact. One arm with a closed gripper presses from one side: of 400 simulated trials, random targets
-up to 277 N among them, the ratio of the two sums was never below 0.81 or above 1.12."""
+"""Largest share of a segment's contact in which forces may cancel. One arm with a closed gripper presses from one side:
+of 400 simulated trials, random targets up to 277 N among them, the ratio of the two sums was never below 0.81 or above
+1.12."""
 CANCELLED_S = 0.01
 """Contacts may oppose one another for this long, whatever share of the contact it is: a bounce."""
 LEAST_RATIO = 0.5
-"""Of vector sum to normal sum, median over a segment's contact: below, the two are in different units."""
+"""Least ratio of vector sum to normal sum, median over a segment's contact: below, the two are in different units."""
 CUT_ROUNDING = 1e-5
 
 

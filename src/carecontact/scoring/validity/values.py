@@ -33,7 +33,7 @@ BOUNDS: dict[str, tuple[float, float, str]] = {
 """Array -> lowest and highest value [unit]. Generous: they detect another unit or another sign, not a bad trial."""
 CELLS = ("area_m2", "press_ns", "shear_ns", "slip_m3", "touch_m2s")
 ROUNDING = 1e-3
-"""By which the area in contact of a cell may exceed the cell's own, since both are sums of 32-bit floats."""
+"""Share by which the area in contact of a cell may exceed the cell's own, since both are sums of 32-bit floats."""
 
 
 def check_finite_streams(recording: Recording) -> None:

@@ -14,7 +14,7 @@ from carecontact.errors import ActionError
 
 
 def joints_of(action: Action, unit: str) -> npt.NDArray[np.float64]:
-    """The (7,) numbers of an action that gives ``joint``. Raises ActionError for another shape, type or NaN.
+    """Return the (7,) numbers of an action that gives ``joint``. Raises ActionError for another shape, type or NaN.
 
     Args:
         unit: of the numbers, for the message.

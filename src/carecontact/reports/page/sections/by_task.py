@@ -86,7 +86,7 @@ def _names(page: Page) -> dict[str, str]:
 
 
 def _beside(page: Page, task_id: str, rate: str) -> list[tuple[str, str]]:
-    """What the policies beside the run passed, those that passed something; blind replay always."""
+    """Return what the policies beside the run passed, those that passed something; blind replay always."""
     found: list[tuple[str, str]] = []
     names = _names(page)
     for other in page.baselines.baselines if page.baselines else ():

@@ -100,7 +100,7 @@ def _bodies(headers: Sequence[Header]) -> list[Caveat]:
 
 
 def _alive(headers: Sequence[Header]) -> list[Caveat]:
-    """What the person does by itself, whether a command or the protocol's file asked for it."""
+    """Return what the person does by itself, whether a command or the protocol's file asked for it."""
     asked = [h.spec.protocol.person.alive for h in headers]
     texts = {
         "breathes": any(alive.breathing for alive in asked),
@@ -155,7 +155,7 @@ BLIND = ("zero-action", "hover", "random", "replay", "replay-registered", "mean-
 
 
 def _blind_but(policy: str) -> str:
-    """The shipped blind baselines, without the policy of the run."""
+    """Return the shipped blind baselines, without the policy of the run."""
     *first, last = (name for name in BLIND if name != policy)
     return f"{', '.join(first)} and {last}"
 
@@ -175,7 +175,7 @@ def _incomplete(page: Page) -> list[Caveat]:
 
 
 def _isolation(page: Page) -> list[Caveat]:
-    """Trials whose policy ran with less isolation than there is, or was opened more than it needs."""
+    """Return trials whose policy ran with less isolation than there is, or was opened more than it needs."""
     reached = {tuple(text.split("; ", 1)) for text in page.kept.get("caveats", {}).values()}
     less = sorted({level for level, *_ in reached if level != "full"})
     opened = sorted({option for _, *options in reached for option in options})
@@ -187,7 +187,7 @@ def _isolation(page: Page) -> list[Caveat]:
 
 
 def _variation(headers: Sequence[Header]) -> list[tuple[str, str]]:
-    """What a seed changes, and so what the trials of a task can differ in."""
+    """Return what a seed changes, and so what the trials of a task can differ in."""
     angles = sorted({h.spec.protocol.randomization.comfort_arm_deg for h in headers})
     if not angles:
         return []

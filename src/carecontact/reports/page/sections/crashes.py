@@ -62,7 +62,7 @@ def crashes_section(page: Page) -> dict[str, Any] | None:
 
 
 def crashes(scores: Sequence[TrialScore]) -> list[Crash]:
-    """One row for each reason, in the order of the trials."""
+    """Return one row for each reason, in the order of the trials."""
     groups: dict[str, list[TrialScore]] = {}
     for score in scores:
         if score.is_crash:

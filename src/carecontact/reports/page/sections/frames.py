@@ -1,4 +1,4 @@
-"""For each task, the contact at the peak of its hardest trial, with force, indentation and region drawn in."""
+"""The contact at the peak of the hardest trial of each task, with force, indentation and region drawn in."""
 
 from __future__ import annotations
 
@@ -67,7 +67,8 @@ MISSED = 'class="skin miss"'
 
 
 def peak_frame(score: TrialScore, recording: Recording) -> PeakFrame | None:
-    """The picture stored at peak force; None if the trial stored none. Raises RecordingError for a damaged one."""
+    """Return the picture stored at peak force; None if the trial stored none. Raises RecordingError for a damaged
+    one."""
     if "report/peak_rgb" not in recording.arrays:
         return None
     moment = peak_moment(recording)

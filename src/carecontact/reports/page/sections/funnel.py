@@ -42,7 +42,7 @@ class Step:
     name: str
     meaning: str
     style: str
-    """Of the bar."""
+    """Style of the bar."""
     k: int
     n: int
     low: float
@@ -116,8 +116,8 @@ def funnel(scores: Sequence[TrialScore], baselines: Baselines | None = None) -> 
 
 
 def drawn_beside(baselines: Baselines | None) -> list[Passed]:
-    """The policies whose bars stand beside the run's, MOST_BESIDE at most: all of few; of more, the best blind baseline,
-    blind replay, those that were named, the state machine and the best ceiling, as far as they are there."""
+    """Return the policies whose bars stand beside the run's, MOST_BESIDE at most: all of few; of more, the best blind
+    baseline, blind replay, those that were named, the state machine and the best ceiling, as far as they are there."""
     rows = [] if baselines is None else list(baselines.baselines)
     if baselines is None or len(rows) <= MOST_BESIDE:
         return rows
@@ -131,7 +131,7 @@ def drawn_beside(baselines: Baselines | None) -> list[Passed]:
 
 
 def funnel_svg(steps: Sequence[Step], *, intervals: bool = True) -> str:
-    """Bars of the observed rates on a 0-100 % axis, with the policies beside them.
+    """Return bars of the observed rates on a 0-100 % axis, with the policies beside them.
 
     Args:
         intervals: whether the intervals are drawn, as whiskers, and told.

@@ -77,7 +77,7 @@ def _beside(page: Page) -> str:
 
 
 def _nothing_beside(page: Page) -> str:
-    """What the reader can do where no blind policy stands beside the run; ``_commands`` say how."""
+    """Return what the reader can do where no blind policy stands beside the run; ``_commands`` say how."""
     if not page.judged or not page.kept_scores:
         return page.kept_scores
     return (
@@ -113,7 +113,7 @@ def beside_blind(baselines: Baselines | None) -> str:
 
 
 def _rates(method: Passed, blind: Passed, who: str) -> str:
-    """Over the trials that both have; where there is none, over those of each."""
+    """Return how much each passed of the trials that both have, or of its own trials where there is no such trial."""
     passed = blind.rates["safety_gated"].k
     if not blind.n_pairs:
         own = method.rates["safety_gated"]
@@ -140,7 +140,7 @@ def _which(method: str, name: str, blind: Passed, difference: RateDifference, ov
 
 
 def verdict(scores: Sequence[TrialScore], *, missing: int = 0) -> str:
-    """The sentence on all trials of a run. ``missing``: planned trials without a score."""
+    """Return the sentence on all trials of a run. ``missing``: planned trials without a score."""
     so_far = _verdict(scores)
     if not missing:
         return so_far
@@ -182,7 +182,8 @@ def _every(n: int) -> str:
 
 
 def _before_crash(crashed: Sequence[TrialScore], *, quiet: bool = False) -> str:
-    """What these trials did to the person before they crashed. ``quiet``: say nothing of a force below the gate."""
+    """Return what these trials did to the person before they crashed. ``quiet``: say nothing of a force below the
+    gate."""
     over = sum(bool(s.over_limit) for s in crashed)
     touched = sum(not s.crashed_untouched for s in crashed)
     k, what = (over, "a force above the safety gate") if over else (touched, "it touched the person")

@@ -1,4 +1,4 @@
-"""Where the numbers come from."""
+"""The table of what the numbers come from: versions, hashes and settings."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _pace(kept: Sequence[list[float] | None]) -> list[tuple[str, str]]:
 
 
 def _distinct(values: Iterable[str]) -> str:
-    """The values in order; beyond three, how many they are."""
+    """Return the values in order; beyond three, how many they are."""
     found = sorted(set(values))
     if len(found) > 3:
         return f"{len(found)} different values, the first {found[0]}"

@@ -44,7 +44,7 @@ TEMPLATE = """\
 
 
 UNTOUCHED = ""
-"""In place of the panel of a trial in which the robot pressed nothing."""
+"""Stands for the panel of a trial in which the robot pressed nothing."""
 
 
 def keep_trace(score: TrialScore, recording: Recording, kept: Kept) -> None:

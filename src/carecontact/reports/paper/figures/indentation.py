@@ -54,7 +54,7 @@ def pairs(recording: Recording) -> tuple[Any, Any]:
 
 
 def binned(depth: Any, force: Any) -> tuple[Any, Any]:
-    """Medians of the force in bins of the depth that hold enough of it."""
+    """Return medians of the force in bins of the depth that hold enough of it."""
     number = np.floor(depth / BIN_MM).astype(int)
     kept = [k for k in range(number.max(initial=-1) + 1) if (number == k).sum() >= FEWEST]
     return np.array([(k + 0.5) * BIN_MM for k in kept]), np.array([np.median(force[number == k]) for k in kept])

@@ -23,7 +23,7 @@ MODES = (
     "safety_truncation", "time_limit", "process_failure", "outside_band", "joint_beyond_range",
 )  # fmt: skip
 LINES = ("-", "--", ":", "-.")
-"""Of the tasks of one method over one region."""
+"""Line styles of the tasks over one region."""
 NEAR_MM = 250.0
 """Tool paths are drawn where they are within this distance of the region's middle, along it and across it."""
 MODE_COLOURS = (
@@ -56,7 +56,7 @@ class Panel:
     action: str = ""
     """Empty: all."""
     value: Callable[[TrialScore], float | None]
-    """Of a trial; None: it has none, and is no point."""
+    """Return the value of a trial; None: the trial has none and is no point."""
     spread: Callable[[TrialScore], float | None] = lambda score: None
     """Half the length of a thin bar through the point."""
 
@@ -237,7 +237,7 @@ def _failures(panel: Any, methods: Sequence[Method]) -> None:
 
 
 def _number(panel: Any, x: float, place: int, count: int, colour: str, *, wide: bool) -> None:
-    """In the bar, or above one that is too narrow for it."""
+    """Write the count into the bar, or above a bar that is too narrow for it."""
     ink = "white" if wide and colour in ("#0072B2", "#D55E00", "#000000") else "black"
     y, align = (place, "center") if wide else (place - 0.27, "bottom")
     panel.text(x, y, str(count), ha="center", va=align, color=ink, fontsize=7 if wide else 6)

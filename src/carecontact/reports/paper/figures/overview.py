@@ -59,7 +59,7 @@ def _box(axes: Axes, x: float, y: float, width: float, title: str, text: str, *,
 
 
 def _side(name: str, other: str) -> tuple[float, float]:
-    """The middle of the edge that looks at the other box."""
+    """Return the middle of the edge that looks at the other box."""
     x, y, width = BOXES[name][:3]
     return (x + width if BOXES[other][0] > x else x), y + HEIGHT / 2
 

@@ -15,7 +15,8 @@ PAIR = ("state-machine", "voxposer")
 
 
 def contrasts(methods: Sequence[Method], paper: Paper, *, note: str | None = None) -> Table | None:
-    """Of the paper's two methods if both are there, else of the first two; None where there is one method only."""
+    """Return the tests between the paper's two methods if both are there, and otherwise between the first two; None
+    where there is only one method."""
     if len(methods) < 2:
         return None
     by_policy = {method.policy: method for method in reversed(methods)}

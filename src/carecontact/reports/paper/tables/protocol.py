@@ -17,7 +17,8 @@ UNITS = {"s": "s", "n": "N", "m": "m"}
 
 
 def protocol_table(protocol: Protocol, paper: Paper, methods: Sequence[Method]) -> Table:
-    """Counts are those of the trials of ``methods``, beside those that the protocol plans."""
+    """Return the table of the protocol. Counts are those of the trials of ``methods``, beside those that the protocol
+    plans."""
     gates, limits = protocol.gates, protocol.limits
     ours = {
         "Assets": f"one bed and robot for all methods; {_drawn(protocol)}",
@@ -47,7 +48,7 @@ def protocol_table(protocol: Protocol, paper: Paper, methods: Sequence[Method]) 
 
 
 def _counts(protocol: Protocol, methods: Sequence[Method]) -> dict[str, str]:
-    """What ran, of what the protocol plans."""
+    """Return what ran, of what the protocol plans."""
     seeds, tasks = len(protocol.randomization.seeds), len(protocol.tasks)
     ran = [[score.task_id for score in method.scores] for method in methods]
     return {

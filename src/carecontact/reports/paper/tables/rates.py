@@ -11,7 +11,7 @@ from carecontact.reports.paper.table import ABSENT, Table
 from carecontact.stats import wilson_interval
 
 Rate = tuple[float, float | None, float | None]
-"""Per cent, and its interval where there is one."""
+"""A rate in percent, and its interval where there is one."""
 NUMBERS = (
     "method", "rate", "passed", "trials", "percent", "percent_low", "percent_high", "paper_percent",
     "paper_percent_low", "paper_percent_high",

@@ -41,5 +41,5 @@ def scores(methods: Sequence[Method], paper: Paper, *, note: str | None = None) 
 
 
 def _shown(id_: str, value: float) -> str:
-    """As many digits as the paper prints."""
+    """Return a value with as many digits as the paper prints."""
     return f"{value:.2e}" if id_ == "C2" else f"{value:.3f}" if id_ == "C4" else f"{value:.2f}"
