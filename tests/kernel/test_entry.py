@@ -15,7 +15,7 @@ from tests.kernel.sheets import BOX, CYLINDER, ELLIPSOID, Array, Sheet, sheet, t
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 LAYER_M, ENTRY_M = BUILDS["person-v2"].layer_m, BUILDS["person-v2"].entry_m
-PILE_M = 0.0025
+PILE_M = 0.004
 """Depth over which a soft tool's surface stiffens (``PILE`` in ``c/contact.c``)."""
 CAP: dict[str, Any] = {"bottom_m": 0.012, "type": ELLIPSOID, "size": [0.012, 0.019, 0.012]}
 PAD: dict[str, Any] = {"bottom_m": 0.006, "type": BOX, "size": [0.015, 0.020, 0.006]}
