@@ -85,6 +85,18 @@ def test_skin_that_is_let_in_pays_for_its_energy(tool: dict[str, Any], press_n: 
     assert missing < 0.015
 
 
+def test_a_rim_that_digs_in_loses_little() -> None:
+    """Where the surface turns under the skin, friction keeps its energy, and a turn of the normal is no allowance."""
+    half = np.radians(20) / 2
+    nose = PAD | {
+        "bottom_m": float(0.015 * np.sin(2 * half) + 0.006 * np.cos(2 * half)),
+        "quat": [float(np.cos(half)), 0.0, float(np.sin(half)), 0.0],
+    }
+    made, missing = dragged(nose, 4.0, 0.2, entry_m=ENTRY_M)
+    assert made < 0.001
+    assert missing < 0.021
+
+
 def test_the_tool_s_way_uses_an_allowance_up_and_rest_does_not() -> None:
     made, rest = let_in()
     before = dict(allowances(made))
