@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from carecontact.protocols import load_protocol, overridden
 from carecontact.validation.pressing import person_bench, tool
 from carecontact.validation.rig import CAP, Rig, robot_tool
 from carecontact.validation.subject import Subject
+from carecontact.world.human.versions import BUILDS
 
 
 @pytest.fixture(scope="module")
@@ -38,3 +40,16 @@ def test_the_rig_s_tool_is_the_mitt(subject: Subject, with_mitt: Subject) -> Non
     assert (made.name, made.size_m, made.height_m) == ("mitt", PANDA_MITT.tip.half_m, PANDA_MITT.tip.half_m[2])
     rig = Rig(with_mitt, "forearm", made, joints="slides")
     assert rig.model.geom_user[rig.model.body("tool").geomadr[0], 0] == PANDA_MITT.tip.give_m3_n
+
+
+def test_bench_and_rig_touch_as_the_protocol_s_person_is_touched(subject: Subject) -> None:
+    newer = Subject(load_protocol("bathing-v3-draft"))
+    build = BUILDS[newer.protocol.person.version]
+    for of, wanted in ((subject, None), (newer, [build.layer_m, build.entry_m])):
+        made = (
+            of.scene("forearm").model, person_bench(of, "forearm", tool(of)).model,
+            Rig(of, "forearm", CAP, joints="slides").model,
+        )  # fmt: skip
+        for model in made:
+            number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "forearm/contact")
+            assert (None if number < 0 else model.numeric(number).data.tolist()) == wanted

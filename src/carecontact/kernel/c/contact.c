@@ -16,8 +16,8 @@ static const double OVERHANGS = -0.3;
 // forces at 0.3 to 2 mm are nearest with this: with 1/8 they are 10 to 25 % too high, with 1/2 as much too low.
 static const double ARRIVES = 0.25;
 // [m] A tool whose surface gives way, such as the pile of a mitt, is compressed by so much where it has become twice as
-// stiff. Assumed: half of what a pile of 5 mm can give.
-static const double PILE = 0.0025;
+// stiff. Assumed: about as thick as the pile is (3 to 5 mm).
+static const double PILE = 0.004;
 // [m] On the roundest rim, a point that ends this far from where its gap was measured is wrong by a tenth of a micrometre.
 static const double REVIEW = 2e-5;
 
