@@ -23,7 +23,8 @@ from carecontact.sim.simulation import Settled, Simulation
 QUICK_TRIAL_S = 0.1
 """Length [s] of the policies' trials in the quick form: one observation, with the robot parked."""
 QUICK_ACTIONS_PER_LOOK = 3
-"""In the quick form, presses with images observe every 0.15 s. All other presses observe at every action."""
+"""Actions for each look in the quick form, where presses with images observe every 0.15 s. All other presses observe at
+every action."""
 BLIND = PolicyCard(name="every policy", control_hz=CONTROL_HZ)
 
 

@@ -60,7 +60,7 @@ def audit_schema(trials: list[Watched]) -> Part:
 
 
 def failed_at(error: str) -> list[str]:
-    """The keys that the policy's end refused, if its trial failed for that reason; otherwise ``trial``."""
+    """Return the keys that the policy's end refused, if its trial failed for that reason; otherwise ``trial``."""
     refused = _REFUSED.search(reason(error))
     return ["trial"] if refused is None else [f"{refused[1]}.{key}" for key in refused[2].split(", ")]
 

@@ -71,7 +71,7 @@ class Watched:
     look_times_s: list[float] = field(default_factory=list[float])
     """Time of each observation, as it was sent."""
     told: dict[str, Any] = field(default_factory=dict[str, Any])
-    """For a witness: everything that had reached its process by the time of its reset."""
+    """Everything that had reached the process of a witness by the time of its reset."""
 
     @property
     def card(self) -> PolicyCard | None:

@@ -72,7 +72,8 @@ class Scrub(Behaviour[ScrubGate]):
         )
 
     def lost(self, contact: Contact, gate: ScrubGate, result: Gate) -> bool:
-        """For this action, half of the required share of contact counts as a good part of the time."""
+        """Whether contact was lost; for this action, half of the required share of contact counts as a good part of the
+        time."""
         if result.best is None:
             return False
         target_on = contact.on[result.best.start : result.best.stop, contact.target]

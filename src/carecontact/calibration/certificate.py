@@ -62,7 +62,7 @@ class Content(Part):
     terms: list[str]
     """One line for each term that the law could have: whether it lowered the error on held-out trials."""
     damping: str
-    """Where the damping comes from."""
+    """Origin of the damping."""
     stiffness: dict[str, Value]
     """Stiffness of the calibrated simulation, mean over trials [N/mm]."""
     measured_stiffness: dict[str, float]
@@ -91,7 +91,7 @@ class Certificate(Part):
     version: str
     content: Content
     sha256: str
-    """Of ``content`` as canonical JSON: sorted keys, no spaces."""
+    """Hash of ``content`` as canonical JSON: sorted keys, no spaces."""
     made: str
     """Date and time of the calibration; the hash does not cover it."""
 

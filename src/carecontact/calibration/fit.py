@@ -28,7 +28,7 @@ BOOTSTRAP_SEED = 20250101
 MIN_LOOP = 0.5
 """Damping counts as identified if half the width of its interval is below this share of its value."""
 LEAST_TRIALS = 3
-"""With fewer trials, no term can be chosen, and the law keeps ``UNCHOSEN``."""
+"""Least number of trials with which a term can be chosen; with fewer, the law keeps ``UNCHOSEN``."""
 UNCHOSEN = ("rise",)
 LEAST_GAIN = 0.02
 """A term is added only if it lowers the held-out squared error by at least this share."""

@@ -1,4 +1,4 @@
-"""Where rays meet the triangles of a surface."""
+"""Computes where rays meet the triangles of a surface."""
 
 from __future__ import annotations
 

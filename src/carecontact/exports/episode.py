@@ -43,7 +43,7 @@ class Episode:
 
 
 def episode_of(recording: Recording, *, force: bool = False) -> Episode:
-    """The trial's episode. No quantity of the scorer is in it unless ``force`` asks for one.
+    """Return the trial's episode. No quantity of the scorer is in it unless ``force`` asks for one.
 
     Args:
         force: adds ``scorer.force``, the norm of the robot's summed force on each body segment [N], which no policy
@@ -80,7 +80,8 @@ def episode_of(recording: Recording, *, force: bool = False) -> Episode:
 
 
 def _action(recording: Recording) -> Stream:
-    """The target of each action; where an action kept the last target, that one, and before any the tool's own pose."""
+    """Return the target of each action; where an action kept the last target, that one, and before any the tool's own
+    pose."""
     if "actions/joint" in recording.arrays:
         return Stream(names=JOINTS, values=_filled(recording["actions/joint"], np.zeros(7)))
     return Stream(names=POSE, values=_filled(recording["actions/pose_tcp_in_base"], _tool(recording)[0]))

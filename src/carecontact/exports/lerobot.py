@@ -123,7 +123,8 @@ class Dataset:
         }
 
     def _stats(self) -> dict[str, Any]:
-        """Of every column over all rows; of images over every eighth pixel each way of every image, in [0, 1]."""
+        """Return statistics of every column over all rows; of images over every eighth pixel each way of every image,
+        in [0, 1]."""
         stats = {key: _statistics(np.concatenate(parts)) for key, parts in self._columns.items()}
         for camera, parts in self._pixels.items():
             found = _statistics(np.concatenate(parts) / 255.0)

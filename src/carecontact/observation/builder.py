@@ -91,7 +91,7 @@ class RawReadings:
 
 
 def assemble(values: Mapping[str, Any], views: Mapping[str, Mapping[str, Any]]) -> Observation:
-    """The allowlist: the only caller of Observation's constructor in a trial.
+    """Make an observation of the allowed fields: the only caller of Observation's constructor in a trial.
 
     Raises ObservationError naming any key that a policy may not see.
     """

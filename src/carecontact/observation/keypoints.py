@@ -38,7 +38,7 @@ class KeyPoints:
 
 class KeypointEstimator(TypingProtocol):
     def estimate(self, rgb: U8) -> KeyPoints:
-        """From one (H, W, 3) image alone."""
+        """Estimate key points from one (H, W, 3) image alone."""
         ...
 
 

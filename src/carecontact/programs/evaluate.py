@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from carecontact.contract.protocol import Protocol
 
 PORT = 8765
-"""Where a policy object is served. It is always the same one, because it stands in the recordings: with another port,
-another call could not go on with the same run."""
+"""Port at which a policy object is served. It is always the same one, because it stands in the recordings: with another
+port, another call could not go on with the same run."""
 
 
 def evaluate(

@@ -18,7 +18,7 @@ LIBRARIES: tuple[FrameLibrary, ...] = get_args(FrameLibrary)
 
 
 def frame(scores: Sequence[TrialScore], *, library: FrameLibrary | None = None) -> Any:
-    """One row for each trial; see ``Run.trials``.
+    """Return one row for each trial; see ``Run.trials``.
 
     Raises DependencyError if the library or pyarrow is not installed, and ConfigError for another library's name.
     """

@@ -84,7 +84,8 @@ class Run:
         return Recordings(self.path if self.path.is_dir() else self.path.parent)
 
     def trials(self, library: FrameLibrary | None = None) -> Any:
-        """One row for each trial, with the columns of ``results.parquet`` (docs/scoring.md), ordered by task and seed.
+        """Return one row for each trial, with the columns of ``results.parquet`` (docs/scoring.md), ordered by task and
+        seed.
 
         Args:
             library: ``"pandas"``, ``"polars"`` or ``"pyarrow"``; by default pandas if it is installed, else polars.
@@ -116,7 +117,7 @@ class Recordings(Mapping[str, "Recording"]):
         self._folder = folder
 
     def __getitem__(self, trial_id: str) -> Recording:
-        """The trial's header and its arrays by path, such as ``["scorer/normal_force"]`` (docs/python.md).
+        """Return the trial's header and its arrays by path, such as ``["scorer/normal_force"]`` (docs/python.md).
 
         Raises NoRecordingError, which is a ConfigError and a KeyError, for a trial that has no recording here, and
         RecordingError for a file that is damaged.

@@ -31,7 +31,7 @@ def check_names(what: str, names: Iterable[str], valid: tuple[str, ...]) -> None
 
 
 def check_pair(what: str, names: tuple[str, ...], valid: tuple[str, ...]) -> None:
-    """As ``check_names``, for two different names."""
+    """Check two different names as ``check_names`` does."""
     check_names(what, names, valid)
     if len(set(names)) != 2 or len(names) != 2:
         raise ConfigError(f"{what}: expected two different names, got {', '.join(names)}; valid: {', '.join(valid)}")

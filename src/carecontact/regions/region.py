@@ -21,7 +21,7 @@ class Tube:
     closed_by: tuple[str, str]
     """Segments, without their side, whose surface closes the rigid ends: the one nearer the trunk, then the other."""
     near_end_from: float = -0.03
-    """Where the nearer rigid end begins, as a share of the same line; negative: before the joint."""
+    """Place where the nearer rigid end begins, as a share of the same line; negative: before the joint."""
     beside_trunk: bool = False
     """Whether the trunk can be in the way of a hand that comes from above. On bodies where it is, the region lies
     nearer the next joint (``world.human.clearance``)."""
@@ -48,7 +48,7 @@ class LimbSight:
     """How a policy finds a region of a limb in an image: between two joints of one side."""
 
     joints: tuple[str, str]
-    """Without their side, nearer the trunk first."""
+    """Names of the joints without their side, the one nearer the trunk first."""
     ahead: tuple[float, float] = (0.0, 0.0)
     """The pose estimator marks joints short of their centres, or beyond: what is added to the first and the second
     joint, as shares of the line between them. Means over rendered persons from above (seeds below 1000); a property of
@@ -67,13 +67,13 @@ class TrunkSight:
     """How a policy finds a region of the trunk in an image: between the middles of two pairs of joints."""
 
     joints: tuple[str, str]
-    """Without their side, nearer the feet first."""
+    """Names of the joints without their side, the one nearer the feet first."""
     ahead: tuple[float, float] = (0.0, 0.0)
     """As in ``LimbSight``."""
     middle: float
     """Middle of the region as a share of the line between the two pairs."""
     length: float
-    """Of the region, as a share of that line's length."""
+    """Length of the region, as a share of that line's length."""
 
     def __post_init__(self) -> None:
         """Raises ConfigError for ``joints`` that are not two of JOINTS."""
@@ -89,7 +89,7 @@ class Region:
     neighbourhood: tuple[str, ...]
     """Segments on which success may be earned, where a protocol does not say otherwise."""
     shape: Tube | Belly | None = None
-    """Of the soft shell. None: the region is rigid, which means the whole segment with its rigid surface. A rigid
+    """Shape of the soft shell. None: the region is rigid, which means the whole segment with its rigid surface. A rigid
     region needs no row of tissue, and nothing of indentation is scored on it."""
     words: tuple[str, ...] = ()
     """What ``rules-v1`` takes for the region in an instruction, apart from its side. Empty: ``rules-v1`` refuses the
@@ -100,8 +100,8 @@ class Region:
     """Direction of the close-up's view in the world [deg]: from the bed and the feet, where the robot does not stand in
     the way."""
     scripted_along_m: float = 0.0
-    """Where validation makes its scripted contacts, along the region's axis from the middle that it has on a body whose
-    trunk is not in the way [m]."""
+    """Places at which validation makes its scripted contacts, along the region's axis from the middle that it has on a
+    body whose trunk is not in the way [m]."""
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a segment that no body has, a neighbourhood without one, ``words`` that are one text,
@@ -126,7 +126,7 @@ class Region:
 
     @property
     def side(self) -> Literal["right", "left", "none"]:
-        """Of the body, the person's own."""
+        """Side of the body, as the person calls it."""
         if self.segment.startswith("right_"):
             return "right"
         return "left" if self.segment.startswith("left_") else "none"

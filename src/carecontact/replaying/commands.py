@@ -11,7 +11,7 @@ from carecontact.recording.schema import Recording
 
 
 def recorded_actions(recording: Recording) -> list[Action]:
-    """The executed actions of a trial, in their order.
+    """Return the executed actions of a trial, in their order.
 
     Stiffness, damping and feedforward are those in force, so that an action which kept them gives them again.
     """
@@ -22,7 +22,7 @@ def _action(recording: Recording, row: int) -> Action:
     arrays = recording.arrays
 
     def at(path: str) -> Any:
-        """The entry of this action, None where nothing was commanded."""
+        """Return the entry of this action, None where nothing was commanded."""
         if path not in arrays or np.isnan(arrays[path][row]).any():
             return None
         return np.array(arrays[path][row])

@@ -196,7 +196,7 @@ class _Run:
             self._simulation.refresh()
 
     def go(self, step: int) -> F64:
-        """The integration state at a step, which is not before the last one's."""
+        """Return the integration state at a step, which is not before the last one's."""
         due = sorted({*self._look_steps, *self._action_steps.tolist(), step})
         for end in (d for d in due if self._at < d <= step):
             self._command()

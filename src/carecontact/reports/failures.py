@@ -25,7 +25,7 @@ MODE_MEANING = {
     "insufficient_progress": (
         "touched, but the touch was too short, the push too small, or the strokes or turns too few"
     ),
-    "outside_band": "what was asked for was done, but too hard, too lightly or too far",
+    "outside_band": "done, but too hard, too lightly or too far",
     "wrong_share": "gate met, but too much of the contact lay elsewhere",
     "time_limit": "still under way when the time ran out",
     "joint_beyond_range": (

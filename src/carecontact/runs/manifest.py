@@ -55,7 +55,7 @@ class Manifest(BaseModel):
     """Hash of the secret on which every draw of every trial here depends, written before the first trial; empty for a
     run on published seeds."""
     salt: str = ""
-    """That secret, once its owner has revealed it."""
+    """The secret, once its owner has revealed it."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,7 @@ from carecontact.scoring.result import TrialScore
 
 RESULTS_NAME = "results.json"
 MAX_BYTES = 256 << 20
-"""Of unpacked scores; 140 trials have less than 2 MB."""
+"""Largest size of unpacked scores; 140 trials have less than 2 MB."""
 GZIP = b"\x1f\x8b"
 """First bytes of a file that gzip packed (RFC 1952)."""
 

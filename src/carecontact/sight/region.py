@@ -1,4 +1,4 @@
-"""Where a body region is, from one observation: key points give its joints, and the point cloud gives its surface.
+"""Finds where a body region is from one observation: key points give its joints, and the point cloud gives its surface.
 
 The joints lie a little under the surface that the camera sees. The line between them is moved onto the middle of the
 visible limb, and the top surface above that line is read from the person's points.

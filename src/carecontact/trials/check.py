@@ -43,7 +43,8 @@ class Check:
     on_finding: Callable[[Finding], None]
     weights: Path | None = None
     pictures: Path | None = None
-    """Where the pictures that are sent are written, for the deep check (``trials.deep``); None: without it."""
+    """Folder into which the pictures that are sent are written, for the deep check (``trials.deep``); None: without
+    it."""
     warnings: int = 0
     """Number of warnings so far."""
     times: dict[str, float] = field(default_factory=dict[str, float])

@@ -13,13 +13,14 @@ EVIDENCE_CHARACTERS = 4000
 
 
 def harness_error_recording(spec: TrialSpec, *, kind: str, message: str) -> Recording:
-    """A zero-length recording with ``ended="harness_error"`` and the evidence in its failure. It counts neither for
-    nor against the policy."""
+    """Return a zero-length recording with ``ended="harness_error"`` and the evidence in its failure. It counts neither
+    for nor against the policy."""
     return _without_data(spec, ended="harness_error", kind=kind, message=message)
 
 
 def killed_by_policy_recording(spec: TrialSpec, *, message: str) -> Recording:
-    """A zero-length recording with ``ended="process_failure"``: a trial whose process dies whenever its policy runs."""
+    """Return a zero-length recording with ``ended="process_failure"``: a trial whose process dies whenever its policy
+    runs."""
     return _without_data(spec, ended="process_failure", kind=POLICY_KILLED, message=message)
 
 
@@ -44,7 +45,7 @@ def _without_data(spec: TrialSpec, *, ended: EndReason, kind: str, message: str)
 
 
 def tail(text: str, *, characters: int = EVIDENCE_CHARACTERS) -> str:
-    """The end of a text, cut at a line."""
+    """Return the end of a text, cut at a line."""
     if len(text) <= characters:
         return text.strip()
     cut = text[-characters:]

@@ -13,4 +13,4 @@ class Finding:
     level: Level
     topic: str
     text: str
-    """Its first line stands beside level and topic, the others below it."""
+    """Text, whose first line stands beside level and topic, and whose other lines stand below it."""

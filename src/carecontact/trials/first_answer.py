@@ -19,7 +19,7 @@ from carecontact.trials.finding import Finding
 F64 = npt.NDArray[np.float64]
 
 FAR_M = 0.25
-"""Of a first target from the tool: a second of the fastest motion."""
+"""Distance of a first target from the tool that counts as far: a second of the fastest motion."""
 WRONG_TURN_DEG, RIGHT_TURN_DEG = 90.0, 45.0
 """A first target that turns the tool by more, and by less if its quaternion is read as x y z w, has the other order."""
 HALF_OPEN = 0.5

@@ -22,7 +22,8 @@ from carecontact.hosting.isolation.kernel import die_with_parent, hide_memory
 from carecontact.trials import worker
 
 NEWS = struct.Struct("=q")
-"""Of a worker, through a pipe of its own: its process id, then its exit status as ``subprocess.Popen.returncode``."""
+"""News of a worker, through a pipe of its own: its process id, then its exit status as
+``subprocess.Popen.returncode``."""
 TOLD_FD = 3
 """The request's ``told_fd`` in a forked worker; the socket has this number in the server."""
 NEEDED = (

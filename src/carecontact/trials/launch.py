@@ -146,7 +146,7 @@ class ForkedProcess:
         return self.returncode
 
     def _next(self) -> int | None:
-        """The next number; None if the server is gone, or silent for so long that it has to go."""
+        """Return the next number; None if the server is gone, or silent for so long that it has to go."""
         if not select.select([self._news], [], [], PATIENCE_S)[0]:
             self._server.kill()
         piece = os.read(self._news, NEWS.size)

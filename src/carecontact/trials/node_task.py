@@ -136,7 +136,8 @@ def _carried_out(task: NodeTask, node: str) -> NodeDone:
 
 @cache
 def _launcher(command: tuple[str, ...]) -> Launcher:
-    """Of all trials that this process of the cluster runs; what it forks from ends with this process."""
+    """Return the launcher of all trials that this process of the cluster runs; its fork server ends with this
+    process."""
     return Launcher(command)
 
 

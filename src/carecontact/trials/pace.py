@@ -28,7 +28,7 @@ a pace has the third."""
 WARM_S = 0.1
 """Some ten times what it takes to make and send a message with every modality of one camera."""
 MAX_PACE_S = 5.0
-"""With the 1,500 observations that a trial can have at most, 2 of the supervisor's 4 hours."""
+"""Longest pace: with the 1,500 observations that a trial can have at most, it takes 2 of the supervisor's 4 hours."""
 
 
 def check_pace(pace_s: float | None) -> None:

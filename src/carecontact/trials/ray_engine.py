@@ -115,7 +115,7 @@ class RayTrials:
         self._remote: Any = self._ray.remote(num_cpus=1, num_gpus=self.gpus, max_retries=0)(carry_out)
 
     def slots(self) -> int:
-        """One trial for each core of the nodes that are there now."""
+        """Return one trial for each core of the nodes that are there now."""
         return max(1, int(self._ray.cluster_resources().get("CPU", 0)))
 
     def count(self) -> int:

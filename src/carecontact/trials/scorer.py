@@ -20,7 +20,8 @@ from carecontact.scoring.result import TrialScore
 SHARE = 4
 """Cores for each process: a trial takes some ten times as long as its score."""
 FEW = 24
-"""For fewer trials, a process that first has to import everything costs more than it saves."""
+"""Least number of trials for another process: for fewer, a process that first has to import everything costs more than
+it saves."""
 
 
 class Scorer:

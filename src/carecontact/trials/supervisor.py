@@ -192,7 +192,7 @@ class Run:
         return len(self._waiting)
 
     def slots(self) -> int:
-        """How many the engine can run at once, just now."""
+        """Return how many the engine can run at once, just now."""
         return self._engine.slots()
 
     def advance(self, jobs: int | None) -> bool:

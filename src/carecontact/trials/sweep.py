@@ -99,7 +99,8 @@ def _advance(opened: Sequence[_Open], policies: Sequence[SweptPolicy], jobs: int
 def _following(
     waiting: Sequence[Cell], opened: Sequence[_Open], policies: Sequence[SweptPolicy], jobs: int | None
 ) -> Cell | None:
-    """The next cell whose trials could begin now; None while those of the open cells will take all that is free."""
+    """Return the next cell whose trials could begin now; None while those of the open cells will take all that is
+    free."""
     if not opened:
         return next(iter(waiting), None)
     busy, still = _busy(opened), Counter[int]()
@@ -125,5 +126,5 @@ def _busy(opened: Sequence[_Open]) -> Counter[int]:
 
 
 def _room(policy: SweptPolicy, busy: int) -> float:
-    """How many more trials of the policy may run."""
+    """Return how many more trials of the policy may run."""
     return inf if policy.jobs is None else policy.jobs - busy

@@ -57,7 +57,7 @@ class Workers:
     weights: Path | None
     pace_s: float | None
     launcher: Launcher
-    """Its maker closes it, because it may also start the workers of other runs."""
+    """The launcher; its maker closes it, because it may also start the workers of other runs."""
     trial_limit_s: float
     losses: Losses
     """Trials that this command or an earlier one lost to a signal."""

@@ -1,4 +1,4 @@
-"""Where the robot may stand beside the bed, and what a place must let it do."""
+"""The places where the robot may stand beside the bed, and what a place must let it do."""
 
 from __future__ import annotations
 

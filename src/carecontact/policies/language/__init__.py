@@ -1,1 +1,1 @@
-"""From an instruction to an intent, and from an intent to one of several options: rules or a language model."""
+"""Makes an intent of an instruction, and chooses one of several options for an intent: by rules or a language model."""

@@ -18,7 +18,7 @@ _WANTED = "expected http:// or https:// with a host and no query, such as http:/
 
 @dataclass(frozen=True, kw_only=True)
 class Address:
-    """Where the endpoint is, and what must not be shown of it."""
+    """The place of the endpoint, and what must not be shown of it."""
 
     url: str = field(repr=False)
     key: str = field(repr=False)

@@ -47,7 +47,7 @@ class Intent(BaseModel):
     action: ActionVerb
     region: RegionName
     side: Side
-    """Of the body, the person's own; ``none`` for the abdomen."""
+    """Side of the body, as the person calls it; ``none`` for the abdomen."""
     manner: Manner
 
 
@@ -63,7 +63,7 @@ class Option:
     depth_m: float
     """Commanded beyond the surface that is seen."""
     speed_m_s: float
-    """Of the tool while it touches or is about to."""
+    """Speed of the tool while it touches or is about to."""
 
 
 class LanguageBackend(Protocol):

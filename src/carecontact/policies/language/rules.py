@@ -86,7 +86,7 @@ class Rules:
 
 
 def _plain(instruction: str) -> str:
-    """In small letters and single spaces. Raises LanguageError for a negation."""
+    """Return the text in small letters and with single spaces. Raises LanguageError for a negation."""
     text = re.sub(r"\s+", " ", instruction.lower().replace("\u2019", "'")).strip()
     negated = [word for word in NEGATIONS if _contains(text, word)]
     if negated:

@@ -1,4 +1,4 @@
-"""From the text of a policy's argument ``language`` to the language backend that it names."""
+"""Finds the language backend that the text of a policy's argument ``language`` names."""
 
 from __future__ import annotations
 

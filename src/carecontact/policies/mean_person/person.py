@@ -1,4 +1,4 @@
-"""Where the regions of a protocol's persons are on average, in the overhead camera's frame."""
+"""The places of the regions of a protocol's persons on average, in the overhead camera's frame."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class MeanRegion(BaseModel):
 
     centre_in_camera: tuple[float, float, float]
     axis_in_camera: tuple[float, float, float]
-    """From proximal to distal (abdomen: to cranial), of any length."""
+    """Axis from proximal to distal (abdomen: to cranial), of any length."""
     radius_m: float
     half_length_m: float
     profile_m: tuple[tuple[float, float], ...]

@@ -1,4 +1,4 @@
-"""From a plan to the targets until the next look: skips what leads back, keeps to the maps' speeds and turns."""
+"""Makes a plan's targets until the next look: skips what leads back, keeps to the maps' speeds and turns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a query to the program that a language model writes for it."""
+"""Asks a language model for the program that answers a query."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From maps to a path: costs over the voxels and a greedy walk down them.
+"""Makes a path of maps: costs over the voxels and a greedy walk down them.
 
 It follows the release's planners.py and what interfaces.py does to the avoidance map before; docs/voxposer.md lists the
 differences.

@@ -1,4 +1,5 @@
-"""Where the skin was seen before the arm came near, from which voxposer-phased concludes that the tool touches."""
+"""Remembers where the skin was seen before the arm came near, from which voxposer-phased concludes that the tool
+touches."""
 
 from __future__ import annotations
 

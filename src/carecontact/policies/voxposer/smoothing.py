@@ -1,4 +1,4 @@
-"""From a walk over voxels to waypoints: smoothed, cut before a sharp bend, thinned out, and ended in a target voxel.
+"""Makes waypoints of a walk over voxels: smoothed, cut before a sharp bend, thinned out, and ended in a target voxel.
 
 The steps are those of the release's planners.py, to which fixed_values.py gives the lines.
 """

@@ -1,4 +1,4 @@
-"""Where a camera near the contact stands so that nothing hides the skin that is touched.
+"""Chooses where a camera near the contact stands, so that nothing hides the skin that is touched.
 
 The robot reaches over the person, and limbs have a far side, so that no side of a region is always clear. Rays decide:
 they go from the skin round each recorded contact to the places where the camera could stand.
@@ -94,7 +94,7 @@ def _touched(recording: Recording, segment: str) -> F64 | None:
 
 
 def _spots(recording: Recording, segment: str) -> list[Spot]:
-    """The stored states in which a segment is touched, and the one nearest to its peak force."""
+    """Return the stored states in which a segment is touched, and the one nearest to its peak force."""
     column = recording.header.segments.index(segment)
     force = recording["scorer/normal_force"][:, column]
     if not force.any():

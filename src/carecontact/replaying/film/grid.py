@@ -89,8 +89,8 @@ class SkinGrid:
 
 
 def _crossings(value: F64, faces: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int64], F64]:
-    """Where whole numbers of a value at the vertices cross triangles: (L, 2, 2) vertices of the two edges, and (L, 2)
-    where on them."""
+    """Return where whole numbers of a value at the vertices cross triangles: (L, 2, 2) vertices of the two edges, and
+    (L, 2) where on them."""
     low, high = np.ceil(value[faces].min(1)), np.floor(value[faces].max(1))
     pairs, shares = [], []
     for level in range(int(low.min()), int(high.max()) + 1):
@@ -106,7 +106,7 @@ def _crossings(value: F64, faces: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np
 
 
 def eye_of(made: mujoco.MjvScene, size: tuple[int, int]) -> Eye:
-    """The camera that MuJoCo will draw a prepared scene with: the mean of its two eyes."""
+    """Return the camera that MuJoCo will draw a prepared scene with: the mean of its two eyes."""
     left, right = made.camera[0], made.camera[1]
     position = (np.array(left.pos) + np.array(right.pos)) / 2
     forward, up = np.array(left.forward, np.float64), np.array(left.up, np.float64)

@@ -23,7 +23,7 @@ THREADS = "LP_NUM_THREADS"
 """Environment variable with the number of threads of Mesa's software renderer; 0 draws in the calling thread."""
 
 _what: Picturing | None = None
-"""In a drawing process: what all frames have in common."""
+"""What all frames have in common, in a drawing process."""
 
 
 def drawn(what: Picturing, batches: Iterable[list[Moment]], *, jobs: int) -> Generator[Picture, None, None]:

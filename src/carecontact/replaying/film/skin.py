@@ -36,7 +36,7 @@ GAP_M = 3e-4
 
 
 def film_scene(scene: Scene, region: str) -> Scene:
-    """The same world with a finer skin round a region; its states fit those of ``scene``."""
+    """Return the same world with a finer skin round a region; its states fit those of ``scene``."""
     body, protocol = scene.body, scene.protocol
     spec, _, hinges, regions, frames = build_spec(protocol, target=None, skin=False)
     segments = {REGIONS[region].segment, *REGIONS[region].neighbourhood}
@@ -83,7 +83,7 @@ class FilmSkin:
         return vertices, normals
 
     def placed(self, data: mujoco.MjData) -> tuple[F64, F64]:
-        """Vertices and normals (V, 3) in the world, without a prepared scene."""
+        """Return vertices and normals (V, 3) in the world, without a prepared scene."""
         return self._dented(data, skin_in_world(self._model, data))
 
     def _dented(self, data: mujoco.MjData, vertices: F64) -> tuple[F64, F64]:

@@ -36,7 +36,7 @@ KEY_AZIMUTH_DEG = float(np.degrees(np.arctan2(KEY_DIRECTION[1], KEY_DIRECTION[0]
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Where a film's camera is at one moment."""
+    """The place of a film's camera at one moment."""
 
     look_at: F64
     """(3,) [m]"""

@@ -30,7 +30,7 @@ class RegionMap:
     pressure_kpa: F64
     """(P, C) mean over the period"""
     toward: str
-    """Where the first coordinate grows to."""
+    """Words for the direction in which the first coordinate grows."""
 
     def at(self, time_s: float) -> tuple[F64, npt.NDArray[np.bool_]]:
         """Return the (C,) pressure [kPa] in the control period at a time, and (C,) which cells were touched until
@@ -86,7 +86,7 @@ def story_of(recording: Recording) -> Story:
 
 
 def _events(contact: Contact, duration_s: float) -> list[Event]:
-    """Those of the trial's page, between the start and how the trial ended."""
+    """Return those of the trial's page, between the start and how the trial ended."""
     ended = contact.recording.header.ended
     found = [Event(time_s=0.0, text="start"), *events(contact)]
     if ended not in TOLD_ENDS:

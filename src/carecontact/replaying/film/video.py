@@ -56,7 +56,7 @@ def write_mp4(path: Path, frames: Iterable[Picture], *, fps: float, comment: Cal
 
 
 def comment_of(path: Path) -> str | None:
-    """The comment that a video was written with; None for no video or an unreadable one."""
+    """Return the comment that a video was written with; None for no video or an unreadable one."""
     av = pyav()
     try:
         with av.open(str(path)) as file:

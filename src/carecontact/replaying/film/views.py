@@ -32,7 +32,7 @@ class Camera:
 
 
 def view_names(protocol: Protocol) -> list[str]:
-    """What ``--view`` takes under this protocol."""
+    """Return what ``--view`` takes under this protocol."""
     return [CONTACT, ORBIT, *protocol.cameras]
 
 

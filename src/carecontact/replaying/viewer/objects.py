@@ -29,7 +29,7 @@ class Solid:
     body: str
     """Name of the body; empty: the world."""
     archetype: Any
-    """Of Rerun."""
+    """Archetype of Rerun."""
 
 
 def solids(model: mujoco.MjModel, rerun: Any) -> Iterator[Solid]:
@@ -121,7 +121,7 @@ class SkinPart:
 
 
 def skin_parts(skin: FilmSkin, colours: npt.NDArray[np.uint8]) -> list[SkinPart]:
-    """The skin in two kinds of parts: those over soft tissue, which can be dented, and the rest."""
+    """Return the skin in two kinds of parts: those over soft tissue, which can be dented, and the rest."""
     dented = skin.dentable[skin.faces].any(1)
     parts = []
     for name, faces in (("dented", skin.faces[dented]), ("rest", skin.faces[~dented])):

@@ -63,7 +63,7 @@ def save(recording: Recording, path: Path, *, fps: float) -> Found:
 
 
 def blueprint(recording: Recording) -> Any:
-    """The world beside force, pressure, cameras and joints."""
+    """Return the world beside force, pressure, cameras and joints."""
     rrb: Any = import_module("rerun.blueprint")
     cameras = sorted({m[2] for path in recording.arrays if (m := FRAME.fullmatch(path))})
     plots = [
@@ -215,8 +215,8 @@ class _Writer:
             self._log(f"world/cloud/{camera}", rr.Points3D(points, colors=colours, radii=[0.0025]))
 
     def _cloud(self, depth: Any, rgb: Any, name: str) -> tuple[F64, Any]:
-        """Points of a depth image in the world, and their colours. The pose of the camera is that of the last state
-        shown."""
+        """Return points of a depth image in the world, and their colours. The pose of the camera is that of the last
+        state shown."""
         camera = self._recording.header.spec.protocol.cameras[name]  # pyright: ignore[reportArgumentType]
         focal = 0.5 * camera.height / np.tan(0.5 * np.radians(camera.fovy_deg))
         rows, columns = (a.ravel() for a in np.mgrid[: depth.shape[0] : CLOUD_STRIDE, : depth.shape[1] : CLOUD_STRIDE])

@@ -14,7 +14,7 @@ from carecontact.recording.schema import Recording
 from carecontact.regions import REGIONS
 
 HZ = 100.0
-"""Of the plotted quantities; of each interval the largest sample is kept, so that no peak of force is lost."""
+"""Rate of the plotted quantities; of each interval the largest sample is kept, so that no peak of force is lost."""
 
 
 @dataclass(frozen=True, kw_only=True)

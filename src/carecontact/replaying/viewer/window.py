@@ -19,7 +19,7 @@ SETTINGS = "XDG_CONFIG_HOME"
 
 
 def command(path: Path) -> list[str]:
-    """How the viewer is started: its server listens on the loopback address, at a free port.
+    """Return how the viewer is started: its server listens on the loopback address, at a free port.
 
     Raises DependencyError where the viewer is not installed.
     """

@@ -59,13 +59,13 @@ def mode_text(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) ->
         return cause_text(score)
     if score.failure_mode == "no_target_contact" and not contact.force_norm.any():
         return "the robot never touched the person"
-    held = {"insufficient_progress": _held(contact), "outside_band": "what was asked for was done"}
+    held = {"insufficient_progress": _held(contact), "outside_band": "done, but too hard, too lightly or too far"}
     missed = [part for part in gates if not part.met]
     if score.failure_mode not in held or not missed:
         return MODE_MEANING.get(score.failure_mode or "", "")
     first, which = missed[0], "namely" if len(missed) == 1 else "first"
     told = f"“{first.name}”: {first.reached}, {first.needed} needed"
-    return spaced(f"{held[score.failure_mode]}, but the trial missed {counted(len(missed), 'gate')}, {which} {told}")
+    return spaced(f"{held[score.failure_mode]}; the trial missed {counted(len(missed), 'gate')}, {which} {told}")
 
 
 def _held(contact: Contact) -> str:
