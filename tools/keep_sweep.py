@@ -33,7 +33,7 @@ Seeds {seeds}, {trials} trials of each policy on each level. [What it means](REA
 `tools/keep_sweep.py` wrote this page from a run of [the plan](../../examples/cluster/results.toml), and keeps the
 scores of every trial beside it.
 """
-TOP_CHANGED = """# {protocol}: other {what}
+TOP_CHANGED = """# {protocol}: sweep of {what}
 
 Seeds {seeds}, {trials} trials in each cell. [What it means](README.md#what-the-result-depends-on);
 [the protocol](../bathing-wide.md); [the baselines](../baselines.md); [intervals and orders](../statistics.md).

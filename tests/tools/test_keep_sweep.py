@@ -81,7 +81,7 @@ def test_a_changed_protocol_has_a_page_of_its_own_and_stands_beside_no_run(sweep
         (sweep / "cells" / name).rename(sweep / "cells" / f"{name}_200_abcd")
     assert main([str(sweep), "--changed", "stiffness", "--out", str(kept)]) == 0
     page = (kept / "bathing-wide-v1-stiffness.md").read_text()
-    assert page.startswith("# bathing-wide-v1: other stiffness\n\nSeeds 0 to 1, 2 trials in each cell.")
+    assert page.startswith("# bathing-wide-v1: sweep of stiffness\n\nSeeds 0 to 1, 2 trials in each cell.")
     assert "examples/cluster/stiffness.toml" in page
     folder = kept / "sensitivity" / "bathing-wide-v1-stiffness"
     assert [file.name for file in sorted(folder.iterdir())] == ["a_200.json.gz", "b_200.json.gz", "c_200.json.gz"]

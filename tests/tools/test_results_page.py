@@ -142,10 +142,11 @@ def test_the_rates_under_a_changed_protocol_are_those_of_the_kept_scores(scores:
     run = read_scores(scores)
     first, passed = run.scores[0], sum(score.safety_gated for score in run.scores)
     value = scores.name.removesuffix(".json.gz").rpartition("_")[2]
-    title = re.escape(first.policy_title) + r"(?: \(\w+\))?"
-    row = rf"\| {title} \| bathing-wide-v1 L2 \| {value} \| {len(run.scores)} \| {passed}/{len(run.scores)} \|"
+    title = re.escape(first.policy_title) + r"(?: \(\w+\))?(?: \| bathing-wide-v1 L2)?"
+    row = rf"\| {title} \| {value.replace('-', '[- _]')} \| {len(run.scores)} \| {passed}/{len(run.scores)} \|"
     assert re.search(row, (RESULTS / f"{scores.parent.name}.md").read_text())
-    assert depends_on()[first.policy][value] == str(passed)
+    if not value.startswith("all-but"):
+        assert depends_on(scores.parent.name)[first.policy][value] == str(passed)
 
 
 @pytest.mark.parametrize(
@@ -160,11 +161,16 @@ def test_under_the_protocols_own_value_the_same_recordings_come_out(scores: Path
     assert {s.recording_sha256 for s in run.scores} <= hashes
 
 
-def depends_on() -> dict[str, dict[str, str]]:
-    """Return the table of results/README.md on what the result depends on: policy, changed value, passed trials."""
+def depends_on(sweep: str) -> dict[str, dict[str, str]]:
+    """Return the table of results/README.md on what a sweep changed: policy, changed value, passed trials."""
     section = (RESULTS / "README.md").read_text().partition("## What the result depends on")[2].partition("\n## ")[0]
-    lines = section.splitlines()
+    values, _, factors = section.partition("### One factor at a time")
+    lines = (factors if sweep.endswith("factors") else values).splitlines()
     rows = [[cell.strip().strip("`") for cell in line.split("|")[1:-1]] for line in lines if line.startswith("|")]
+    if sweep.endswith("factors"):
+        names = ["none" if row[0] == "none" else f"only-{row[0].replace(' ', '-')}" for row in rows[2:]]
+        return {policy: dict(zip(names, cells, strict=True))
+                for policy, *cells in zip(*([rows[0], *rows[2:]]), strict=True)}  # fmt: skip
     columns = {"human-published": "400", **{name: name.removesuffix(" N/m") for name in rows[0]}}
     found = {row[0]: {columns[name]: cell for name, cell in zip(rows[0], row, strict=True)} for row in rows[2:]}
     return {policy: cells | {"human-published": cells["400"]} for policy, cells in found.items()}
