@@ -57,7 +57,7 @@ def test_a_file_without_base_and_most_fields_is_told_so_in_one_line(tmp_path: Pa
         load_protocol(written(tmp_path, HEAD + "frozen = false\n"))
     assert str(caught.value).endswith(
         'mine.toml: add base = "bathing-v2" (valid: bathing-v2, bathing-droid-draft, '
-        "bathing-wide-v1, FILE.toml), or give all fields; 11 "
+        "bathing-v3-draft, bathing-wide-v1, bathing-wide-v2-draft, FILE.toml), or give all fields; 11 "
         "are missing: physics, phases, randomization, scene, cameras, impedance, person, tasks, contact, gates, limits"
     )
 
@@ -130,7 +130,7 @@ def test_hash_does_not_change_with_comments_spacing_or_spelling(tmp_path: Path, 
     plain = "\n".join(line for line in text.splitlines() if line and not line.startswith("#"))
     noisy = "# ünïcode\n" + re.sub(r"(?m)^(\w+) = ", r"\1   =\t", plain.replace("\n[", "\n\n# a section\n["))
     respelled = re.sub(r"(?m)^(\w+) = (\d+\.\d+)$", lambda found: f"{found[1]} = {float(found[2]):.9e}", plain)
-    assert respelled != plain
+    assert respelled != plain or not re.search(r"\d\.\d", plain)
     expected = load_levels(name)
     for other in (plain, noisy, respelled):
         loaded = load_levels(written(tmp_path, other))

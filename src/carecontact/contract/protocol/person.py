@@ -97,10 +97,10 @@ PersonVersion = Literal["person-v1", "person-v2"]
 
 class Person(Section):
     body: str
-    version: PersonVersion = "person-v1"
     tissue_set: str
     tissue: dict[RegionName, Tissue]
     """One row for each soft region of the protocol, and no other (``Protocol.soft_regions``)."""
+    version: PersonVersion = "person-v1"
     alive: Alive = Alive()
     shoulder_rotation_deg: Annotated[float, Field(ge=-80, le=0)] = 0.0
     """How far the right upper arm is turned outward in the lying pose (below zero), which bends the elbow along the
