@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
+from carecontact.episode.randomization import calibration
 from carecontact.errors import ConfigError
-from carecontact.protocols import shipped_protocols
+from carecontact.protocols import load_protocol, shipped_protocols
 from carecontact.reports.compare.blind_floor import role_in
 from carecontact.reports.compare.comparison import compare_runs
 from carecontact.reports.compare.paired_lines import RateLine
@@ -159,6 +160,21 @@ def test_under_the_protocols_own_value_the_same_recordings_come_out(scores: Path
     twins = [read_scores(path) for path in (RESULTS / "bathing-wide-v1-L2").glob(f"{run.scores[0].policy}*.json.gz")]
     hashes = {s.recording_sha256 for twin in twins for s in twin.scores}
     assert {s.recording_sha256 for s in run.scores} <= hashes
+
+
+def test_the_table_of_the_cameras_error_is_that_of_the_draws_and_the_kept_scores() -> None:
+    protocol = load_protocol("bathing-wide-v1", level="L2")
+    error_mm = {seed: 1000 * calibration(protocol, seed)["overhead"][2, 3] for seed in range(1000, 1027)}
+    group = {seed: -1 if error < -2 else int(error > 2) for seed, error in error_mm.items()}
+    lines = (RESULTS / "README.md").read_text().partition("| the camera believes")[2].splitlines()[2:5]
+    for which, line in zip((-1, 0, 1), lines, strict=True):
+        seeds = [seed for seed in group if group[seed] == which]
+        cells = [cell.strip() for cell in line.split("|")[2:-1]]
+        assert cells[0] == str(len(seeds))
+        for level, cell in zip(("L1", "L2", "L3"), cells[1:], strict=True):
+            scores = read_scores(RESULTS / f"bathing-wide-v1-{level}" / "state-machine.json.gz").scores
+            mine = [score.safety_gated for score in scores if score.seed in seeds]
+            assert cell == f"{sum(mine)} of {len(mine)}"
 
 
 def depends_on(sweep: str) -> dict[str, dict[str, str]]:

@@ -19,7 +19,8 @@ from carecontact.sight import PerceptionFailure
 
 OVER_S, WAIT_S = 2.0, 3.0
 """Above the region and, back where the robot was parked, before the policy is asked: a trigger on an approach, or one
-early movement of the person, has passed by then. The policy is left with two thirds of a trial of 30 s."""
+early movement of the person, has passed by then. The policy is left with some 17 s of a
+trial of 30 s, which is too short for long scrubs."""
 
 
 class FeintAndWait:

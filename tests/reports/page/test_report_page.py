@@ -661,6 +661,15 @@ def test_without_blind_replay_the_best_blind_baseline_stands_in_the_head(tmp_pat
     )
 
 
+def test_the_head_names_the_best_blind_baseline_and_not_a_weaker_replay() -> None:
+    def run(policy: str, passed: int) -> list[TrialScore]:
+        return [make_score("T1", seed, policy=policy, **({} if seed < passed else FAILED)) for seed in range(8)]
+
+    said = beside_blind(beside(run("mine", 6), run("replay", 1), run("mean-person", 5)))
+    assert said.startswith("On the 8 trials that both have, mine passed 6 and the best blind baseline, mean-person, 5. ")
+    assert "does not show which is better" in said
+
+
 def test_a_success_above_the_safety_gate_is_no_failure_and_is_told(tmp_path: Path) -> None:
     unsafe = make_score("T1", 0, safety_gated=False, over_limit={"right_forearm": 1.5})
     path = write_report(tmp_path, scores=[unsafe], recordings=_no_recording, skipped={})

@@ -92,14 +92,14 @@ def _commands(page: Page) -> tuple[str, ...]:
 
 
 def beside_blind(baselines: Baselines | None) -> str:
-    """Whether the policy is better than actions repeated blindly, or, where no such run stands beside it, than the best
-    baseline of the floor; empty without any."""
+    """Return whether the policy is better than the best baseline of the floor; empty without any. To be better than
+    another blind baseline, replay for example, does not show that a policy looks."""
     if baselines is None:
         return ""
     best = baselines.floor[ALL].policy if ALL in baselines.floor else ""
     best_is_blind = ALL in baselines.floor and baselines.floor[ALL].blind
     rows = {row.policy: row for row in baselines.baselines}
-    blind = rows.get(REPLAY, rows.get(best))
+    blind = rows.get(best, rows.get(REPLAY))
     if blind is None or blind.above is None:
         return ""
     method, difference = baselines.method.policy, blind.above["safety_gated"]
