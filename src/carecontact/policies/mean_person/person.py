@@ -55,7 +55,15 @@ def read_person(path: Path | None) -> MeanPerson:
     try:
         return MeanPerson.model_validate_json((kept if path is None or kept.is_file() else path).read_bytes())
     except OSError as error:
-        raise ConfigError(f"mean person {path or FILE}: {error.strerror}; make it with tools/mean_person.py") from None
+        shipped = sorted(
+            file.name.removesuffix(".json")
+            for file in resources.files(__package__ or __name__).iterdir()
+            if file.name.endswith(".json")
+        )
+        raise ConfigError(
+            f"mean person {path or FILE}: {error.strerror}; valid: {', '.join(shipped)}, or a file that "
+            "tools/mean_person.py wrote"
+        ) from None
     except ValidationError as error:
         first = error.errors()[0]
         raise ConfigError(f"mean person {path or FILE}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
