@@ -80,7 +80,7 @@ def test_another_file_is_read_and_a_wrong_one_named(tmp_path: Path) -> None:
     path.write_text("{}")
     with pytest.raises(ConfigError, match=r"mine\.json: made_by"):
         read_person(path)
-    with pytest.raises(ConfigError, match="valid: bathing-wide-L1, .*, or a file that tools/mean_person.py wrote"):
+    with pytest.raises(ConfigError, match=r"valid: bathing-wide-L1, .*, or a file that tools/mean_person\.py wrote"):
         read_person(tmp_path / "none.json")
 
 
