@@ -704,7 +704,7 @@ def test_the_head_leads_with_the_trials_that_both_have() -> None:
     assert said.startswith(
         "On the 3 trials that both have, mine passed 2 and blind replay, which looks at nothing, 1. "
     )
-    assert said.endswith("On all 20 trials of these tasks that blind replay has, it passed 9.")
+    assert said.endswith(" Blind replay passed 9 of all 20 trials of these tasks that it has.")
     assert " of 20" not in said
     elsewhere = [score.model_copy(update={"seed": score.seed + 50}) for score in replay]
     assert beside_blind(beside(method, elsewhere)).startswith(

@@ -197,6 +197,16 @@ def test_values_of_the_paper_beside_runs_of_other_rules_have_a_note(known: bool,
         assert "in gates, the person, what the seed draws" in found["rates"].notes[-1]
 
 
+def test_fewer_trials_than_the_papers_have_a_note(tables: dict[str, Table]) -> None:
+    few = RunScores(scores=[make_score(task, seed, policy="state-machine") for task in ("T1", "T2") for seed in (0, 1)])
+    found = {table.name: table for table in tables_of([few], load_protocol())}
+    for name in ("rates", "scores", "tests", "anatomy"):
+        if name in found:
+            assert "A run here has 4 trials of 2 of the 7 tasks" in found[name].markdown()
+        assert "A run here has" not in tables[name].markdown()
+    assert "rates" in found
+
+
 def test_a_row_of_another_length_than_the_head_is_a_mistake() -> None:
     with pytest.raises(ValueError, match="table x: 1 cells under 2 heads"):
         Table(name="x", caption="", head=("a", "b"), rows=(("1",),))

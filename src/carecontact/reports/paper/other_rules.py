@@ -1,10 +1,11 @@
-"""What the tables say where the paper's values are of other rules than the runs."""
+"""What the tables say where the paper's values are of other rules, or of more trials, than those of the runs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from carecontact.contract.protocol import Protocol
+from carecontact.errors import counted
 from carecontact.protocols import load_protocol
 from carecontact.reports.paper.method import Method
 from carecontact.reports.text import listed
@@ -13,6 +14,8 @@ REPEATS = "bathing-v2"
 """The protocol with the paper's rules, as far as the paper states them."""
 EARLIER = "bathing-v1"
 """The same rules with an earlier tissue."""
+PAPER_TRIALS, PAPER_TASKS = 140, 7
+"""Trials of each of the paper's methods, and tasks."""
 PARTS = {
     "gates": "gates", "limits": "force limits", "person": "the person", "variation": "what the seed draws",
     "scene": "the scene", "tasks": "tasks", "phases": "the phases of a trial", "physics": "physics",
@@ -22,7 +25,8 @@ PARTS = {
 
 
 def other_rules(methods: Sequence[Method], protocol: Protocol | None) -> str | None:
-    """Return a note for tables with the paper's values; None where the runs have the rules of the paper.
+    """Return a note for tables with the paper's values; None where the runs have the rules of the paper and as many
+    trials.
 
     Args:
         protocol: what the runs ran; None if it is unknown, and then its name decides.
@@ -37,6 +41,12 @@ def other_rules(methods: Sequence[Method], protocol: Protocol | None) -> str | N
         paper = load_protocol(REPEATS)
         parts = [name for part, name in PARTS.items() if getattr(protocol, part) != getattr(paper, part)]
         differs = f"which differs from {REPEATS}, the one with the paper's rules, in {listed(parts)}" if parts else None
-    if differs is None:
-        return None
-    return f"These runs are of {first.protocol_title}, {differs}: the paper's values are of other trials."
+    notes = [f"These runs are of {first.protocol_title}, {differs}: the paper's values are of other trials."]
+    fewest = min((method.scores for method in methods if method.scores), key=len)
+    if len(fewest) < PAPER_TRIALS:
+        tasks = len({score.task_id for score in fewest})
+        notes.append(
+            f"A run here has {counted(len(fewest), 'trial')} of {tasks} of the {PAPER_TASKS} tasks: the paper's values "
+            f"are over {PAPER_TRIALS} trials of all tasks."
+        )
+    return " ".join(notes[differs is None :]) or None

@@ -109,7 +109,7 @@ def beside_blind(baselines: Baselines | None) -> str:
     said = f"{_rates(baselines.method, blind, who)} {_which(method, name, blind, difference, baselines.over)}"
     if blind.whole is None:
         return said
-    return f"{said} On all {blind.whole.n} trials of these tasks that {name} has, it passed {blind.whole.k}."
+    return f"{said} {name[0].upper()}{name[1:]} passed {blind.whole.k} of all {blind.whole.n} trials of these tasks that it has."
 
 
 def _rates(method: Passed, blind: Passed, who: str) -> str:
