@@ -40,7 +40,7 @@ def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["run", "--policy", "hover", "--out", "r", "--seeds", "44"], "valid: 0-19"),
         (
             ["run", "--policy", "hover", "--out", "r", "--protocol", "p"],
-            "no protocol named 'p'; valid: bathing-droid-draft, bathing-v2, bathing-wide-v1",
+            "no protocol named 'p'; valid: bathing-droid-draft, bathing-v2, bathing-v3-draft, bathing-wide-v1",
         ),
         (["run", "--policy", "hover", "--out", "r", "--jobs", "0"], "must be at least 1"),
         (["run", "--policy", "hover", "--out", "broken.py"], "this is a file"),
@@ -85,7 +85,16 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     ("what", "expected"),
     [
         ("tasks", ["T1", "T2", "T3", "T4", "T5", "T6", "T7"]),
-        ("protocols", ["bathing-droid-draft", "bathing-v2", *4 * ["bathing-wide-v1"]]),
+        (
+            "protocols",
+            [
+                "bathing-droid-draft",
+                "bathing-v2",
+                "bathing-v3-draft",
+                *4 * ["bathing-wide-v1"],
+                *4 * ["bathing-wide-v2-draft"],
+            ],
+        ),
         ("metrics", sorted(METRICS)),
         ("segments", [*SEGMENTS, *LIMB_PARTS, *JOINTS]),
     ],

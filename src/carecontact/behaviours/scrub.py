@@ -90,9 +90,9 @@ class Scrub(Behaviour[ScrubGate]):
         if best is None:
             return "there was no contact episode to judge"
         return (
-            f"the best episode had {mm(best.stroke_m)} of {mm(gate.stroke_m)} stroke, {mm(best.extent_m)} of "
-            f"{mm(gate.extent_m)} extent, {best.reversals} of {reversals(gate.reversals)} and was on for "
-            f"{best.on_share:.0%} of {gate.on_share:.0%}"
+            f"in the best contact, the tool moved {mm(best.stroke_m)} along the skin ({mm(gate.stroke_m)} needed), "
+            f"covered {mm(best.extent_m)} ({mm(gate.extent_m)}), had {reversals(best.reversals)} "
+            f"({gate.reversals}), and touched for {best.on_share:.0%} of the time ({gate.on_share:.0%})"
         )
 
     def parts(self, contact: Contact, gate: ScrubGate, result: Gate) -> list[GatePart]:

@@ -85,9 +85,12 @@ def _aimed_right(contact: Contact, gate: Gate, mode: FailureMode, path: Commande
         lost = [float(contact.time_s[stop]) for stop in _losses(contact)]
         inside = sum(path.inside_at(t) for t in lost)
         cause: Attribution = "execution" if 2 * inside > len(lost) else "planning"
+        if len(lost) == 1:
+            side = "on or under" if inside else "above"
+            return cause, f"Contact was lost once, while the commanded target lay {side} the surface of the {region}."
         return cause, (
-            f"Contact was lost {_times(len(lost))}, {inside} of them while the commanded target lay on or under "
-            f"the surface of the {region}."
+            f"Contact was lost {_times(len(lost))}; in {inside} of them, the commanded target lay on or under the "
+            f"surface of the {region}."
         )
     if mode == "insufficient_progress" and (asked := _requested(contact, path)):
         return "execution", f"{where} and asked for {asked}, but {_shortfall(contact, gate, mode)}."
