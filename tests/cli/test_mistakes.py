@@ -61,7 +61,7 @@ MISTAKES = {
     "a protocol without its base": (
         ["protocol", "show", "alone.toml"],
         'alone.toml: add base = "bathing-v2" (valid: bathing-v2, bathing-droid-draft, '
-        "bathing-wide-v1, FILE.toml), or give all fields; 12 ",
+        "bathing-v3-draft, bathing-wide-v1, bathing-wide-v2-draft, FILE.toml), or give all fields; 12 ",
     ),
     "a protocol file without its ending": (
         ["protocol", "verify", "alone"],
