@@ -1,6 +1,6 @@
 """Cost of a large tool under the robot, beside the cap's, as JSON on standard output.
 
-    python benchmarks/pad.py [--newton 10 20] [--regions forearm abdomen]
+    python benchmarks/pad.py [--newton 10 20] [--regions forearm abdomen] [--protocol NAME]
 
 A box of 30 x 40 x 12 mm lies where the cap was, its face in the tool centre point. Both scrub the region, the arm held,
 as in the check ``smoothness`` of ``carecontact validate``. The time is that of all that a control period does, in CPU
@@ -65,8 +65,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--newton", type=float, nargs="+", default=[10.0, 20.0])
     parser.add_argument("--regions", nargs="+", default=REGIONS, choices=REGIONS)
+    parser.add_argument("--protocol", help="default: the main protocol")
     arguments = parser.parse_args()
-    protocol, rows = load_protocol(), []
+    protocol, rows = load_protocol(*([arguments.protocol] if arguments.protocol else [])), []
     cap, pad = Subject(protocol), Subject(protocol, make_scene=with_pad)
     for region in arguments.regions:
         for newton in arguments.newton:

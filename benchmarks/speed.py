@@ -1,10 +1,12 @@
 """Speed of the physics, of a whole trial and of the command line, as JSON on standard output.
 
-    python benchmarks/speed.py [--task T3] [--without-trial] [--before CHECKOUT]
+    python benchmarks/speed.py [--protocol NAME] [--task T3] [--without-trial]
+                               [--before CHECKOUT] [--protocol-before NAME]
 
 Timings on a shared machine wander: physics is the best of several batches in CPU seconds of this process, and the ratio
 of contact to rest is taken in the same run. ``--before`` measures the physics of another checkout of this project in
-turn with this one's, so that old and new stand beside each other. Physics is measured at the protocol's step and in the
+turn with this one's, so that old and new stand beside each other; with ``--protocol-before``, which may differ from
+``--protocol``, this checkout can also stand beside itself. Physics is measured at the protocol's step and in the
 fast mode, with the share of each stage of a step in contact: what limits it.
 """
 
@@ -125,27 +127,31 @@ def stage_shares(simulation: Simulation) -> dict[str, float]:
     return {stage: round(sum(spent[name] for name in row) / total, 3) for stage, row in STAGES.items()}
 
 
-def beside(checkout: Path) -> list[dict[str, object]]:
+def beside(checkout: Path, protocols: dict[str, str | None]) -> list[dict[str, object]]:
     """Physics of another checkout and of this one, region by region in turn, each in a process of its own."""
     rows = []
     for region in REGIONS:
         pair = {}
         for name, root in (("before", checkout), ("now", Path(__file__).resolve().parents[1])):
+            asked = "" if protocols[name] is None else repr(protocols[name])
             code = (
                 f"import sys; sys.path.insert(0, {str(root / 'benchmarks')!r}); import json, speed; "
-                f"print(json.dumps(speed.physics(speed.load_protocol(), {region!r})))"
+                f"print(json.dumps(speed.physics(speed.load_protocol({asked}), {region!r})))"
             )
             environment = {**os.environ, "PYTHONPATH": str(root / "src")}
             done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, env=environment)
             pair[name] = json.loads(done.stdout)
         ratio = pair["before"]["us_per_step_contact"] / pair["now"]["us_per_step_contact"]
-        rows.append({"region": region, "before_over_now_in_contact": round(ratio, 2), **pair})
+        scrubs = pair["before"]["us_per_step_scrub"] / pair["now"]["us_per_step_scrub"]
+        ratios = {"before_over_now_in_contact": round(ratio, 2), "before_over_now_in_scrub": round(scrubs, 2)}
+        rows.append({"region": region, **ratios, **pair})
     return rows
 
 
-def whole_trial(task: str) -> dict[str, object]:
+def whole_trial(task: str, protocol: Protocol) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "carecontact.cli", "run", "--policy", "state-machine", "--tasks", task]
+        command += ["--protocol", protocol.id]
         start = time.perf_counter()
         subprocess.run([*command, "--seeds", "0", "--jobs", "1", "--out", folder], check=True, capture_output=True)
         wall = time.perf_counter() - start
@@ -165,11 +171,13 @@ def help_seconds() -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--protocol", help="of all measurements (default: the main protocol)")
     parser.add_argument("--task", default="T3", help="task of the whole trial")
     parser.add_argument("--without-trial", action="store_true")
     parser.add_argument("--before", type=Path, help="another checkout to measure beside this one")
+    parser.add_argument("--protocol-before", help="of the other checkout's physics (default: as --protocol)")
     arguments = parser.parse_args()
-    protocol = load_protocol()
+    protocol = load_protocol(*([arguments.protocol] if arguments.protocol else []))
     out: dict[str, object] = {
         "mujoco": mujoco.__version__, "cores": os.cpu_count(), "load_before": os.getloadavg()[0],
         "physics": [physics(protocol, region) for region in REGIONS],
@@ -177,9 +185,10 @@ def main() -> None:
         "help_s": help_seconds(),
     }  # fmt: skip
     if arguments.before:
-        out["beside"] = beside(arguments.before.resolve())
+        before = arguments.protocol_before or arguments.protocol
+        out["beside"] = beside(arguments.before.resolve(), {"before": before, "now": arguments.protocol})
     if not arguments.without_trial:
-        out["trial"] = whole_trial(arguments.task)
+        out["trial"] = whole_trial(arguments.task, protocol)
     print(json.dumps(out, indent=2))
 
 

@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import brentq
 
 from carecontact.contract.protocol import Tissue
+from carecontact.sim.simulation import UNSOLVED_M
 from carecontact.world.human.versions import BUILDS
 from tests.kernel.sheets import BOX, CYLINDER, ELLIPSOID, Array, Sheet, sheet, tissue
 
@@ -159,3 +160,13 @@ def test_a_region_of_person_v1_has_no_such_numbers() -> None:
     names = [{made.model.numeric(k).name for k in range(made.model.nnumeric)} for made in (plain, new)]
     assert names[1] - names[0] == {"sheet/contact"}
     assert plain.model.npluginstate == new.model.npluginstate
+
+
+@pytest.mark.parametrize(("half_m", "unsolved"), [(0.02, False), (0.06, True)])
+def test_a_tool_over_more_points_than_the_state_has_rows_for_marks_the_step(half_m: float, unsolved: bool) -> None:
+    # A row of person-v2 takes more than twice the room that the state keeps for a point.
+    box: dict[str, Any] = {"bottom_m": 0.01, "type": BOX, "size": [half_m, half_m, 0.01]}
+    made = Sheet(belly(), sheet(half_m=0.05), layer_m=LAYER_M, entry_m=ENTRY_M, **box)
+    row = made.hold(0.002, steps=5)
+    assert (row["left_m"] > UNSOLVED_M) == unsolved
+    assert row["points"] > 0

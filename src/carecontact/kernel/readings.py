@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -28,6 +29,8 @@ centre of pressure in world coordinates, the largest indentation, the largest pr
 of contact points, the number of sweeps of the solver, and the largest change in the last sweep. If the region keeps a
 ledger of energy, the row also has the energy at the end of the step, and the energy that dampers and friction dissipate
 during it."""
+
+_ROW_SIZE = ROW.itemsize // 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,23 +66,22 @@ class Readings:
         first, size = int(model.plugin_stateadr[self.instance]), int(model.plugin_statenum[self.instance])
         n, cells = len(vertices), int(triangles[:, 4].max(initial=-1)) + 1
         at = np.cumsum([first + HEAD, 3 * n, 3 * n, HELD_SIZE * POINTS_EACH * len(triangles), CELL_SIZE * cells])
-        self._first = first
         self._u, self._rate = slice(at[0], at[1]), slice(at[1], at[2])
-        self._cells, self._ring = slice(at[3], at[4]), slice(at[4], first + size)
-        if size != at[4] - first + RING_ROWS * ROW.itemsize // 8:
+        self._cells = slice(at[3], at[4])
+        self.steps_at = first
+        """Index in ``plugin_state`` of the number of steps."""
+        self.rows_at = int(at[4]) + np.arange(RING_ROWS * _ROW_SIZE).reshape(RING_ROWS, _ROW_SIZE)
+        """(RING_ROWS, numbers in a row) index in ``plugin_state`` of the ring buffer's rows"""
+        if size != at[4] - first + RING_ROWS * _ROW_SIZE:
             raise SceneError(f"the state of {name} has {size} numbers, which is not what its mesh needs")
+        self._ring = Rings((self,))
 
     def last(self, data: mujoco.MjData, count: int) -> npt.NDArray[np.void]:
         """Return (count,) rows of the last physics steps, the oldest first, with the fields of ROW.
 
         Raises SceneError if ``count`` is more than the ring buffer holds or than there were steps.
         """
-        state = data.plugin_state
-        made = int(state[self._first])
-        if not 0 < count <= min(RING_ROWS, made):
-            raise SceneError(f"count {count}: expected 1 to {min(RING_ROWS, made)}, the steps that {self.name} keeps")
-        ring = state[self._ring].view(ROW)
-        return ring[(made - count + np.arange(count)) % RING_ROWS]
+        return self._ring.last(data, count)[:, 0]
 
     def now(self, data: mujoco.MjData) -> npt.NDArray[np.void]:
         """Return the row () of the last forward pass, with the fields of ROW."""
@@ -101,7 +103,7 @@ class Readings:
         """Set the displacement and rate of the vertices, both (N, 3) or broadcast to it; the next step goes on from
         them."""
         self.displacement(data)[:], self.rate(data)[:] = displacement, rate
-        data.plugin_state[self._first + 1] = 1.0
+        data.plugin_state[self.steps_at + 1] = 1.0
 
     def vertices(self, data: mujoco.MjData) -> Array:
         """Return (N, 3) the positions of the vertices in the bone's frame [m]."""
@@ -118,3 +120,27 @@ class Readings:
             ctypes.c_void_p(data._address), ctypes.c_int(self.instance), ctypes.c_void_p(out.ctypes.data)
         )
         return out
+
+
+class Rings:
+    """Reads the last steps of several regions of one model at once, which all make a step together."""
+
+    def __init__(self, regions: Sequence[Readings]) -> None:
+        self._names = ", ".join(region.name for region in regions)
+        self._made = regions[0].steps_at if regions else None
+        # (RING_ROWS, R, numbers in a row)
+        self._rows = np.stack([region.rows_at for region in regions], 1) if regions else np.zeros((1, 0, 0), np.int64)
+
+    def last(self, data: mujoco.MjData, count: int) -> npt.NDArray[np.void]:
+        """Return (count, R) rows of the last physics steps, the oldest first, with the fields of ROW.
+
+        Raises SceneError if ``count`` is more than the ring buffers hold or than there were steps.
+        """
+        if self._made is None:
+            return np.zeros((count, 0), ROW)
+        state = data.plugin_state
+        made = int(state[self._made])
+        if not 0 < count <= min(RING_ROWS, made):
+            raise SceneError(f"count {count}: expected 1 to {min(RING_ROWS, made)}, the steps that {self._names} keep")
+        steps = np.arange(made - count, made) % RING_ROWS
+        return state.take(self._rows.take(steps, 0)).view(ROW)[..., 0]

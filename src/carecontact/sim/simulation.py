@@ -12,7 +12,7 @@ from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import SceneError, SettleError
 from carecontact.kernel.life import Life
-from carecontact.kernel.readings import ROW, Readings
+from carecontact.kernel.readings import Readings, Rings
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS
 from carecontact.sim.cartesian_control import CartesianControl
@@ -35,7 +35,8 @@ SOLVER_WARNINGS = (
 )  # fmt: skip
 
 UNSOLVED_M = 1e-5
-"""The tissue counts as unsolved where a vertex still moved farther than this in the solver's last sweep."""
+"""The tissue counts as unsolved where a vertex still moved farther than this in the solver's last sweep, or where more
+points touched than the region's state has rows for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +96,7 @@ class Simulation:
         self._base = self.model.body(PANDA.base_body)
         self.tissue = {name: Readings(self.model, name) for name in scene.regions}
         """What each soft region feels."""
+        self._rings = Rings(list(self.tissue.values()))
         self.life = Life(self.model) if Life.exists(self.model) else None
         """What the person does by itself; None where it never does anything."""
         self._read = _Columns(self.history, scene.hinges, self.protocol)
@@ -300,9 +302,7 @@ class Simulation:
     def _samples(self, count: int) -> Samples:
         _, values = self.history.last(self.data, count)
         self.normal_sum_truncated |= self._read.overfull(values)
-        # As plain numbers, since numpy stacks rows with fields ten times as slowly.
-        rows = [tissue.last(self.data, count).view(np.float64).reshape(count, -1) for tissue in self.tissue.values()]
-        felt = np.stack(rows, 1).view(ROW)[..., 0] if rows else np.zeros((count, 0), ROW)
+        felt = self._rings.last(self.data, count)
         self._unsolved |= bool((felt["left_m"] > UNSOLVED_M).any())
         return self._read.samples((self._steps + np.arange(count)) * self.model.opt.timestep, values, felt)
 

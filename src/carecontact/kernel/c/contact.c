@@ -157,8 +157,11 @@ void contact_find(Region* r, const State* s, const Law* law, double dt) {
   int meets[2] = {0, 0};
   for (int k = 0; k < r->ntool; k++) meets[r->tool[k].faced] |= r->tool[k].near;
   for (int k = 0; k < (int)*s->holds; k++) r->held_of[(int)s->held[r->held_size * k]] = k;
-  for (int q = 0; q < r->npoint; q++)
-    if (r->moves[r->point[q].corner[0]] == CLOSE && meets[r->point[q].third]) find_one(r, s, law, dt, q);
+  for (int t = 0; t < r->npoint / POINTS_EACH; t++) {
+    if (r->moves[r->first_corner[t]] != CLOSE) continue;
+    for (int q = POINTS_EACH * t; q < POINTS_EACH * (t + 1); q++)
+      if (meets[r->point[q].third]) find_one(r, s, law, dt, q);
+  }
   for (int k = 0; k < (int)*s->holds; k++) r->held_of[(int)s->held[r->held_size * k]] = -1;
   if (meets[0] && meets[1]) share_out(r);
 }

@@ -5,11 +5,12 @@
 // wall, or because another part of the surface becomes the one that it is measured from. Such depth comes from nowhere.
 // It is the point's allowance, and does not count in the layer at first: the layer is only as deep as the tool has pressed.
 //
-// The tool's way over the skin uses the allowance up, by a factor of e in each length `entry`. With it the layer grows
-// deeper, and the tool pays: in each step, it is braked by pressure times the fall of the allowance over its way. This
-// force acts between tool and bone: it is that of a ramp of the tool, over which the skin is let in, and the skin's
-// tissue does not feel it. A tool that stands or goes straight in uses up nothing. An allowance below zero, after a depth
-// has vanished at once, gives back in the same way.
+// The tool's way over the skin uses the allowance up: a way s in one step leaves the share entry / (entry + s) of it, which
+// over many short steps is a factor of e in each length `entry`. With it the layer grows deeper, and the tool pays: in
+// each step, it is braked by pressure times the fall of the allowance over its way. This force acts between tool and bone:
+// it is that of a ramp of the tool, over which the skin is let in, and the skin's tissue does not feel it. A tool that
+// stands or goes straight in uses up nothing. An allowance below zero, after a depth has vanished at once, gives back in
+// the same way.
 #include <math.h>
 #include <string.h>
 
@@ -42,7 +43,7 @@ void entry_allow(const Law* law, Contact* c, int exact) {
   for (int k = 0; k < 3; k++) way[k] = c->shift[k] - along * c->normal[k];
   double far = sqrt(dot(way, way));
   if (c->allowed != 0 && far > STANDS) {
-    double falls = c->allowed / (law->entry + far);  // per way; the exponential, implicitly
+    double falls = c->allowed / (law->entry + far);  // per way
     for (int k = 0; k < 3; k++) c->drag[k] = falls * way[k] / far;
     c->allowed -= falls * far;
   }

@@ -119,6 +119,7 @@ static void place_points(Region* r, const double* row) {
     int which = q % POINTS_EACH;
     const double* triangle = row + TRIANGLE_SIZE * (q / POINTS_EACH);
     r->point[q].third = which > 0;
+    r->first_corner[q / POINTS_EACH] = (int)triangle[TRIANGLE_CORNER];
     place_point(r, r->point + q, triangle, SHARES[which], triangle[TRIANGLE_AREA] / (which ? 3 : 1));
   }
   for (int i = 0, at = 0; i < r->nvertex; at += r->vertex[i++].uses) r->vertex[i].use = at;
@@ -179,10 +180,10 @@ static int refers_well(const Region* r, const char* key, const double* edge, int
   return !wrong;
 }
 
-enum { ARRAYS = 22 };
+enum { ARRAYS = 23 };
 
 static void arrays_of(const Region* r, void* all[ARRAYS]) {
-  void* each[ARRAYS] = {r->vertex, r->point, r->contact, r->rim, r->neighbour, r->neighbour_weight, r->live,
+  void* each[ARRAYS] = {r->vertex, r->point, r->first_corner, r->contact, r->rim, r->neighbour, r->neighbour_weight, r->live,
                         r->live_contact, r->live_corner, r->window, r->held_of, r->moves, r->hit, r->in_patch,
                         r->patch, r->px, r->py, r->pz, r->u, r->rate, r->balance, r->force};
   memcpy(all, each, sizeof each);
@@ -193,6 +194,7 @@ static int allocate(Region* r, int nedge) {
   size_t n = (size_t)r->nvertex, q = (size_t)r->npoint, e = 2 * (size_t)nedge;
   r->vertex = calloc(n, sizeof(Vertex));
   r->point = calloc(q, sizeof(Point));
+  r->first_corner = calloc(q / POINTS_EACH, sizeof(int));
   r->contact = calloc(q, sizeof(Contact));
   r->neighbour = calloc(e, sizeof(int));
   r->neighbour_weight = calloc(e, sizeof(double));
@@ -347,8 +349,13 @@ void region_commit(Region* r, State* s, double dt) {
   }
   for (int i = 0; i < r->ncontact; i++) {
     const Contact* c = r->contact + i;
-    if (!c->touching || (int)*s->holds == held_rows(r)) continue;
+    if (!c->touching) continue;
     *s->awake = 1;
+    // Without a row, a point loses its friction: the step is marked as one that was not solved.
+    if ((int)*s->holds == held_rows(r)) {
+      r->row[ROW_LEFT] = mjMAXVAL;
+      continue;
+    }
     double* row = s->held + r->held_size * (int)(*s->holds)++;
     row[0] = c->point;
     memcpy(row + 1, c->traction, 3 * sizeof(double));

@@ -135,6 +135,7 @@ typedef struct {
   int held_size;        // numbers in a row of the state's friction
   Vertex* vertex;
   Point* point;
+  int* first_corner;        // (npoint / POINTS_EACH) of each triangle, side by side for the search
   Tool* tool;
   int* neighbour;
   double* neighbour_weight;
@@ -167,8 +168,8 @@ typedef struct {
   double *steps, *awake, *u, *rate, *holds, *held, *cells, *ring;
 } State;
 
-// The state has room for HELD_SIZE numbers for every point. Longer rows share this room: no tool touches four ninths of a
-// region's points at once, and points beyond would begin anew in each step.
+// The state has room for HELD_SIZE numbers for every point. Longer rows share this room: no shipped tool touches four
+// ninths of a region's points at once. Where one does, the points beyond begin anew in each step, and ROW_LEFT says so.
 enum { HELD_SIZE = 4, HELD_LONG = 9 };
 
 int state_size(int nvertex, int ntriangle, int ncell);

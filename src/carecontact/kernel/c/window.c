@@ -37,6 +37,14 @@ static double patch_distance(const Patch* p, const Tool* tool, double moved) {
   return tool_distance(tool, p->middle) - p->radius - moved - 1e-6;
 }
 
+// Whether every vertex of a patch at this distance may move and none can touch, so that none has to be looked at.
+static int all_move(const Patch* p, const Tool* tool, double away, double reach, double moved) {
+  double wide = 2 * (p->radius + moved + 1e-6), centre[3];
+  if (away < NEARLY + p->span || away + wide >= reach) return 0;
+  for (int k = 0; k < 3; k++) centre[k] = p->middle[k] - tool->centre[k];
+  return sqrt(dot(centre, centre)) + wide < tool->bound + reach;
+}
+
 // What the vertices of a patch do because of a tool; returns the distance of the nearest, or `nearest` if that is less.
 static double look_at(Region* r, const State* s, const Tool* tool, const Patch* p, double reach, double nearest) {
   // Floats first: they tell the many vertices far away from the few whose distance is worth computing.
@@ -69,10 +77,11 @@ static void look_around(Region* r, const State* s, Tool* tool, double reach, dou
     const Patch* p = r->patch + k;
     double away = patch_distance(p, tool, moved);
     if (away >= most(reach, NEARLY + p->span)) continue;
-    if (away >= NEARLY) look_at(r, s, tool, p, reach, nearest);
+    int together = all_move(p, tool, away, reach, moved);
+    if (away >= NEARLY && !together) look_at(r, s, tool, p, reach, nearest);
     for (int j = p->first; j < p->first + p->count; j++) {
-      int i = r->in_patch[j];
-      if (r->hit[i] > r->moves[i]) r->moves[i] = r->hit[i];
+      int i = r->in_patch[j], hit = together ? MOVES : r->hit[i];
+      if (hit > r->moves[i]) r->moves[i] = (unsigned char)hit;
     }
   }
 }
