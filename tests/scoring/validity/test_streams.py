@@ -56,7 +56,7 @@ def part_of_vectors(recording: Recording) -> None:
 WRONG: dict[str, tuple[Change, str]] = {
     "forces in kN": (
         times(FORCE, 1e-3),
-        r"on right_forearm .* is 0.001 of scorer/normal_force, .*valid: 0.5 and above",
+        r"on right_forearm .* is 0.001 of scorer/normal_force, .*valid: 0.2 and above",
     ),
     "a tenth of the forces": (times(FORCE, 0.1), r"is 0.1 of scorer/normal_force, median over 750 samples of contact"),
     "no vectors": (times(FORCE, 0.0), r"is 0 of scorer/normal_force, median over 750 samples"),
