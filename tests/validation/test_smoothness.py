@@ -100,6 +100,18 @@ def test_a_rattling_scrub_fails_also_where_the_miss_is_known() -> None:
         assert result.fails_as_known is known
 
 
+@pytest.mark.parametrize(("periods", "missed"), [(2, set()), (5, {"share"}), (9, {"share", "deviation"})])
+def test_where_the_tool_takes_the_skin_along_there_is_no_friction_to_judge(periods: int, missed: set[str]) -> None:
+    """In so many of nine periods, no cell slides: that counts as not sliding, and not as friction."""
+    still = np.arange(9) < periods
+    done = Scrub(
+        time_s=np.arange(1000) * 0.002, force_n=np.full(1000, 15.0), steady=np.ones(1000, bool),
+        friction=np.where(still, np.nan, 0.5), sliding=np.where(still, 0.0, 1.0),
+    )  # fmt: skip
+    measures = done.measures("belly", wanted=15.0, friction=0.5, known_noise=False, known_motion=False)
+    assert {m.name.partition(": ")[2].partition(" ")[0] for m in measures if m.met is False} == missed
+
+
 def test_a_scrub_that_never_moved_meets_no_limit_of_noise() -> None:
     time = np.arange(100) * 0.002
     none = np.zeros(0)

@@ -63,9 +63,10 @@ class Scrub:
     """(n,) whether the tool moves at speed."""
     friction: Array
     """(k,) ratio of tangential to normal force of the cells that the tool slides over, in every target period at
-    speed."""
+    speed; NaN where it slides over none."""
     sliding: Array
-    """(k,) share of the normal force that these cells bear."""
+    """(k,) share of the normal force that these cells bear. Where it is 0 in half of the periods or more, the tool does
+    not slide enough, whatever its friction is elsewhere."""
 
     def measures(
         self, name: str, *, wanted: float, friction: float, known_noise: bool, known_motion: bool
@@ -81,7 +82,8 @@ class Scrub:
         time, force, steady = self.time_s, self.force_n, self.steady
         high = force - low_pass(force, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=1 / (time[1] - time[0]), zero_phase=True)
         noise, mean = (high[steady].std(), force[steady].mean()) if steady.any() else (np.nan, np.nan)
-        rubs, slides = (np.median(of) if of.size else np.nan for of in (self.friction, self.sliding))
+        rubbed = self.friction[~np.isnan(self.friction)]
+        rubs, slides = (np.median(of) if of.size else np.nan for of in (rubbed, self.sliding))
         return [
             Measure(name=f"{name}: force noise above 20 Hz, rms", value=float(noise), unit="N", limit=NOISE_LIMIT_N,
                     known=known_noise),
