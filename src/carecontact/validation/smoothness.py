@@ -50,7 +50,7 @@ SAMPLE_HZ, DROP_SHARE, DROP_N = 500.0, 0.3, 0.3
 SERVO_S, SERVO_RAD_S = 2.0, 6.0
 FRICTION_LIMIT_PERCENT, SLIDING_LIMIT_PERCENT = 2.0, 50.0
 KNOWN_NOISE = {("abdomen", 15.0)}
-KNOWN_MOTION = KNOWN_NOISE | {("upper_arm", 5.0), ("upper_arm", 15.0)}
+KNOWN_MOTION = KNOWN_NOISE | {("upper_arm", 15.0)}
 """Regions and forces at which shipped persons are known to miss the limit of noise, and those of how the tool moved
 (docs/validation.md)."""
 
