@@ -5,11 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from carecontact.contract.embodiment import ToolName
 from carecontact.kernel.readings import Cells
+from carecontact.protocols import load_protocol
+from carecontact.sim.simulation import Samples, Simulation
 from carecontact.validation import smoothness
+from carecontact.validation.moves import surface_point
+from carecontact.validation.passive_response import lock_arm
 from carecontact.validation.result import CheckResult, Measure
-from carecontact.validation.smoothness import Scrub, dropouts, sliding_friction
-from carecontact.validation.subject import Subject
+from carecontact.validation.smoothness import HALF_WAY_M, Ends, Scrub, dropouts, room, scrub, sliding_friction
+from carecontact.validation.subject import HOVER_M, Subject
 from tests.validation.defects import ActsInContactOnly, frictionless, slippery
 
 
@@ -95,6 +100,18 @@ def test_a_rattling_scrub_fails_also_where_the_miss_is_known() -> None:
         assert result.fails_as_known is known
 
 
+@pytest.mark.parametrize(("periods", "missed"), [(2, set()), (5, {"share"}), (9, {"share", "deviation"})])
+def test_where_the_tool_takes_the_skin_along_there_is_no_friction_to_judge(periods: int, missed: set[str]) -> None:
+    """In so many of nine periods, no cell slides: that counts as not sliding, and not as friction."""
+    still = np.arange(9) < periods
+    done = Scrub(
+        time_s=np.arange(1000) * 0.002, force_n=np.full(1000, 15.0), steady=np.ones(1000, bool),
+        friction=np.where(still, np.nan, 0.5), sliding=np.where(still, 0.0, 1.0),
+    )  # fmt: skip
+    measures = done.measures("belly", wanted=15.0, friction=0.5, known_noise=False, known_motion=False)
+    assert {m.name.partition(": ")[2].partition(" ")[0] for m in measures if m.met is False} == missed
+
+
 def test_a_scrub_that_never_moved_meets_no_limit_of_noise() -> None:
     time = np.arange(100) * 0.002
     none = np.zeros(0)
@@ -107,6 +124,87 @@ def test_a_scrub_that_never_moved_meets_no_limit_of_noise() -> None:
         "force noise above 20 Hz, rms",
         "share of the time at speed",
     }
+
+
+@given(st.floats(0.0, 0.1), st.floats(0.0, 0.1))
+def test_the_way_is_as_long_and_as_near_as_there_is_room(before: float, beyond: float) -> None:
+    ends = Ends.within(-before, beyond)
+    assert -before - 1e-12 <= ends.low_m <= ends.high_m <= beyond + 1e-12
+    assert ends.high_m - ends.low_m == pytest.approx(min(2 * HALF_WAY_M, before + beyond))
+    if min(before, beyond) >= HALF_WAY_M:
+        assert (ends.low_m, ends.high_m) == (-HALF_WAY_M, HALF_WAY_M)
+
+
+@given(st.floats(0.025, 0.08), st.floats(0.025, 0.08))
+def test_a_tool_that_lags_behind_turns_at_the_ends_of_its_way(up: float, down: float) -> None:
+    """A tool that follows the target at so great a distance, and stays where it is until the target has passed it."""
+    ends = Ends.within(-0.02, 0.03)
+    target = tool = 0.0
+    turned: list[float] = []
+    before = ends.turns
+    while before < 8:
+        target += 0.002 * ends.direction
+        tool = max(tool, target - up) if ends.direction > 0 else min(tool, target + down)
+        ends.moved(target, tool)
+        if ends.turns > before:
+            before = ends.turns
+            turned.append(tool)
+    # The target moves by 2 mm at a time.
+    assert sorted(turned[-2:]) == pytest.approx([-0.02, 0.03], abs=0.0025)
+
+
+def with_tool(tool: ToolName, *, body: str) -> Subject:
+    rules = load_protocol("bathing-v3-draft")
+    return Subject(
+        rules.model_copy(
+            update={
+                "person": rules.person.model_copy(update={"body": body}),
+                "scene": rules.scene.model_copy(update={"tool": tool}),
+            }
+        )
+    )
+
+
+def test_a_mitt_has_less_room_before_the_elbow_than_a_cap_and_is_put_back() -> None:
+    """By half of what it is longer along the arm: 27 mm and 13 mm."""
+    high: dict[ToolName, float] = {}
+    for tool in ("caps", "mitt"):
+        simulation = with_tool(tool, body="woman-old-light").hovering("upper_arm")
+        behind, ahead = (surface_point(simulation, "upper_arm", (off, 0.0)) for off in (-0.03, 0.03))
+        slope = (ahead - behind) / 0.06
+        before = simulation.data.geom_xpos.copy()
+        # As deep as if it had been pressed.
+        _, high[tool] = room(simulation, lambda off, slope=slope: off * slope - [0, 0, HOVER_M + 0.01])
+        np.testing.assert_array_equal(simulation.data.geom_xpos, before)
+    assert 0.0 < high["mitt"] < high["caps"] - 0.008
+
+
+def test_a_mitt_that_scrubs_a_short_arm_stays_on_its_soft_skin() -> None:
+    """Round the same middle as the cap, it ran into the elbow with 60 N and rattled there."""
+    simulation = with_tool("mitt", body="woman-old-light").hovering("upper_arm")
+    lock_arm(simulation)
+    met: set[str] = set()
+    advance = simulation.advance
+
+    def watched(steps: int) -> list[Samples]:
+        samples = advance(steps)
+        met.update(rigid_contacts(simulation))
+        return samples
+
+    simulation.advance = watched
+    done = scrub(simulation, 15.0, strokes=2, region="upper_arm")
+    assert met == set()
+    assert done.force_n.max() < 25.0
+    missed = [m.name for m in done.measures("arm", wanted=15.0, friction=0.5, known_noise=False, known_motion=False)
+              if m.met is False]  # fmt: skip
+    assert missed == []
+
+
+def rigid_contacts(simulation: Simulation) -> set[str]:
+    """Names of the geoms that the robot touches where no soft skin covers them."""
+    model = simulation.model
+    names = {model.geom(g).name for contact in simulation.data.contact for g in contact.geom}
+    return {name for name in names if name.startswith("human_hull_")}
 
 
 def test_every_region_is_scrubbed_with_both_forces(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:

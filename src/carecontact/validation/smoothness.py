@@ -7,9 +7,11 @@ about a millimetre before it slips.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -18,7 +20,7 @@ from carecontact.kernel.readings import Cells
 from carecontact.regions import REGIONS
 from carecontact.scoring.filters import low_pass
 from carecontact.sim.simulation import Samples, Simulation
-from carecontact.validation.moves import DOWN, axes, in_base, scripted_along_m, skin_points, surface_point
+from carecontact.validation.moves import DOWN, axes, in_base, skin_points, surface_point
 from carecontact.validation.passive_response import lock_arm
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.scores import force_norm
@@ -30,12 +32,16 @@ if TYPE_CHECKING:
 TITLE = "Smoothness of scrubbing"
 FORCES_N, QUICK_FORCES_N = (5.0, 15.0), (5.0,)
 SPEED_M_S, STROKES, QUICK_STROKES = 0.10, 4, 2
-HALF_STROKE_M, LIGHT_HALF_STROKE_M, LIGHT_N = 0.095, 0.060, 5.0
-"""Half of the way of the target, and the same for a mean force of LIGHT_N or less. Damping and friction keep the tool
-behind the target, by about 45 mm with 15 N, so that the tool covers about 50 mm to each side with either force. A
-longer way would lead onto the bones of elbow and shoulder."""
-COVERED_M = 0.07
-"""From the middle of the stroke to the farthest skin that the tool covers: half of its way and half of its width."""
+HALF_WAY_M = 0.050
+"""How far the tool goes to each side of the stroke's middle, where there is room for it."""
+LEAD_M, LONGEST_LEAD_M = 0.022, 0.10
+"""How far beyond the end of the tool's way the target turns, at first and at most. Damping and friction keep the tool
+behind the target by 23 to 55 mm: how far it went corrects the lead."""
+CLEAR_M, SCAN_M = 0.002, 0.001
+"""What is kept free between hand and bone, by about as much as the tool misses the ends of its way, and the step in
+which ``room`` looks for it."""
+LEARNING_TURNS = 5
+"""After so many turns, both leads were corrected twice; from there on counts."""
 STEADY = 0.7
 """Share of the speed above which the tool counts as scrubbing. Below, it reverses, where a jump of the force is
 real."""
@@ -44,7 +50,7 @@ SAMPLE_HZ, DROP_SHARE, DROP_N = 500.0, 0.3, 0.3
 SERVO_S, SERVO_RAD_S = 2.0, 6.0
 FRICTION_LIMIT_PERCENT, SLIDING_LIMIT_PERCENT = 2.0, 50.0
 KNOWN_NOISE = {("abdomen", 15.0)}
-KNOWN_MOTION = KNOWN_NOISE | {("upper_arm", 5.0), ("upper_arm", 15.0)}
+KNOWN_MOTION = KNOWN_NOISE | {("upper_arm", 15.0)}
 """Regions and forces at which shipped persons are known to miss the limit of noise, and those of how the tool moved
 (docs/validation.md)."""
 
@@ -57,9 +63,10 @@ class Scrub:
     """(n,) whether the tool moves at speed."""
     friction: Array
     """(k,) ratio of tangential to normal force of the cells that the tool slides over, in every target period at
-    speed."""
+    speed; NaN where it slides over none."""
     sliding: Array
-    """(k,) share of the normal force that these cells bear."""
+    """(k,) share of the normal force that these cells bear. Where it is 0 in half of the periods or more, the tool does
+    not slide enough, whatever its friction is elsewhere."""
 
     def measures(
         self, name: str, *, wanted: float, friction: float, known_noise: bool, known_motion: bool
@@ -75,7 +82,8 @@ class Scrub:
         time, force, steady = self.time_s, self.force_n, self.steady
         high = force - low_pass(force, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=1 / (time[1] - time[0]), zero_phase=True)
         noise, mean = (high[steady].std(), force[steady].mean()) if steady.any() else (np.nan, np.nan)
-        rubs, slides = (np.median(of) if of.size else np.nan for of in (self.friction, self.sliding))
+        rubbed = self.friction[~np.isnan(self.friction)]
+        rubs, slides = (np.median(of) if of.size else np.nan for of in (rubbed, self.sliding))
         return [
             Measure(name=f"{name}: force noise above 20 Hz, rms", value=float(noise), unit="N", limit=NOISE_LIMIT_N,
                     known=known_noise),
@@ -125,25 +133,26 @@ def dropouts(time_s: Array, force_n: Array) -> npt.NDArray[np.bool_]:
 def scrub(simulation: Simulation, newton: float, *, strokes: int, region: str) -> Scrub:
     """Scrub back and forth over a region's skin at a mean force [N].
 
-    The middle of the stroke is the place of scripted contacts, or as near to it as the tool can go to and fro without
-    leaving the soft region. The target follows the skin's profile at rest under the tool. The measured force controls
-    its depth, slowly enough (about 1 Hz) not to follow the noise.
+    The middle of the stroke is the place of scripted contacts, or as near to it as this tool has room to go to and fro;
+    where it has less room than that, the stroke is shorter. The target follows the skin's profile at rest under the
+    tool. The measured force controls its depth, slowly enough (about 1 Hz) not to follow the noise.
     """
     stiffness = simulation.protocol.impedance.translational_n_m
     along, across = axes(simulation, region)
-    outermost = float(simulation.scene.frames[region].size_m[0]) / 2 - COVERED_M
-    top = surface_point(simulation, region, (min(0.0, outermost - scripted_along_m(simulation.scene, region)), 0.0))
+    top = surface_point(simulation, region)
     skin = skin_points(simulation, region) - top
     line = (np.abs(skin @ across) < 0.012) & (skin[:, 2] > -0.03)
     profile = np.polynomial.Polynomial.fit(skin[line] @ along, skin[line, 2], 3)
     period, dt = simulation.protocol.physics.target_period_s, simulation.model.opt.timestep
     tip = simulation.data.site(PANDA.tcp_site)
-    depth, half_m = newton / stiffness, LIGHT_HALF_STROKE_M if newton <= LIGHT_N else HALF_STROKE_M
+    depth = newton / stiffness
+
+    def at() -> float:
+        return float((tip.xpos - top) @ along)
 
     def go(place: float) -> list[Samples]:
         nonlocal depth
-        under = float(profile((tip.xpos - top) @ along))
-        goal = top + place * along + [0, 0, under - depth]
+        goal = top + place * along + [0, 0, float(profile(at())) - depth]
         simulation.set_goal(np.r_[in_base(simulation, goal), DOWN], period)
         samples = simulation.advance(round(period / dt))
         depth += SERVO_RAD_S * period * (newton - force_norm(samples, REGIONS[region].segment).mean()) / stiffness
@@ -151,24 +160,93 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int, region: str) -
 
     for _ in range(round(SERVO_S / period)):
         go(0.0)
+    start = at()
+    low, high = room(simulation, lambda off: off * along + [0, 0, float(profile(start + off) - profile(start))])
+    ends = Ends.within(start + low, start + high)
     samples: list[Samples] = []
     rubbed: list[tuple[float, float]] = []
-    place, direction = 0.0, 1.0
-    for _ in range(round(strokes * 2 * half_m / SPEED_M_S / period)):
-        place += direction * SPEED_M_S * period
+    place = 0.0
+    while ends.turns < LEARNING_TURNS + strokes:
+        place += ends.direction * SPEED_M_S * period
         before = simulation.tissue[region].cells(simulation.data)
         new = go(place)
         after = simulation.tissue[region].cells(simulation.data)
-        samples += new
-        if new[-1].tcp_speed[-1] > STEADY * SPEED_M_S:
-            rubbed.append(sliding_friction(before, after, speed_m_s=float(new[-1].tcp_speed.mean())))
-        if abs(place) >= half_m - 1e-9:
-            direction = -np.sign(place)
+        if ends.turns >= LEARNING_TURNS:
+            samples += new
+            if new[-1].tcp_speed[-1] > STEADY * SPEED_M_S:
+                rubbed.append(sliding_friction(before, after, speed_m_s=float(new[-1].tcp_speed.mean())))
+        ends.moved(place, at())
     time, speed = (np.concatenate([getattr(s, name) for s in samples]) for name in ("time_s", "tcp_speed"))
     return Scrub(
         time_s=time - time[0], force_n=force_norm(samples, REGIONS[region].segment), steady=speed > STEADY * SPEED_M_S,
         friction=np.array([friction for friction, _ in rubbed]), sliding=np.array([share for _, share in rubbed]),
     )  # fmt: skip
+
+
+@dataclass(kw_only=True)
+class Ends:
+    """Where the target turns, so that the tool, which it leads, turns at the ends of its way.
+
+    Places are along the stroke, from the place of scripted contacts.
+    """
+
+    low_m: float
+    high_m: float
+    lead_m: dict[int, float]
+    """Direction, 1 or -1 -> how far beyond the end of the tool's way the target turns."""
+    direction: int = 1
+    turns: int = 0
+    farthest_m: float = -np.inf
+    """Of the tool since the target last turned, in the direction in which the target went before."""
+
+    @classmethod
+    def within(cls, low_m: float, high_m: float) -> Ends:
+        """Return a way as long and as near to 0 as a tool has that can go from ``low_m`` to ``high_m``."""
+        half = min(HALF_WAY_M, (high_m - low_m) / 2)
+        middle = min(max(0.0, low_m + half), high_m - half)
+        return cls(low_m=middle - half, high_m=middle + half, lead_m={1: LEAD_M, -1: LEAD_M})
+
+    def moved(self, target_m: float, tool_m: float) -> None:
+        """Take note of where target and tool are, and turn the target if it is time."""
+        now, before = self.direction, -self.direction
+        self.farthest_m = max(self.farthest_m, before * tool_m)
+        if now * target_m < now * self._end_m(now) + self.lead_m[now]:
+            return
+        if self.turns:
+            short = before * self._end_m(before) - self.farthest_m
+            self.lead_m[before] = min(max(0.0, self.lead_m[before] + short), LONGEST_LEAD_M)
+        self.direction, self.turns, self.farthest_m = before, self.turns + 1, now * tool_m
+
+    def _end_m(self, direction: int) -> float:
+        return self.high_m if direction > 0 else self.low_m
+
+
+def room(simulation: Simulation, moved: Callable[[float], Array]) -> tuple[float, float]:
+    """Return how far [m] to either side the hand, as it is, could be moved before it is within CLEAR_M of anything
+    rigid that no soft skin covers, such as elbow or chest; at most a whole way.
+
+    Args:
+        moved: distance along the stroke [m] -> the hand's displacement (3,) in the world [m].
+    """
+    model, data = simulation.model, simulation.data
+    geoms = range(model.ngeom)
+    wrist = model.body("robot_hand").id
+    hand = [g for g in geoms if model.geom_bodyid[g] == wrist and model.geom_contype[g]]
+    rigid = [g for g in geoms if model.geom_conaffinity[g] & 1 and not model.geom(g).name.startswith("human_core_")]
+    now = data.geom_xpos[hand].copy()
+
+    def free(off: float) -> bool:
+        data.geom_xpos[hand] = now + moved(off)
+        return all(
+            mujoco.mj_geomDistance(model, data, mine, its, CLEAR_M, None) >= CLEAR_M for mine in hand for its in rigid
+        )
+
+    steps = range(1, round(2 * HALF_WAY_M / SCAN_M) + 1)
+    low, high = (
+        side * SCAN_M * (next((k for k in steps if not free(side * k * SCAN_M)), steps.stop) - 1) for side in (-1, 1)
+    )
+    data.geom_xpos[hand] = now
+    return low, high
 
 
 def sliding_friction(before: Cells, after: Cells, *, speed_m_s: float) -> tuple[float, float]:
