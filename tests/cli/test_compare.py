@@ -341,3 +341,23 @@ def test_one_trial_paired_is_one_trial(runs: Path, capsys: pytest.CaptureFixture
         scored(Path(name))
     assert main(["compare", "a", "b"]) == 0
     assert "\n1 trial paired, 1 task, 1 seed\n" in capsys.readouterr().out
+
+
+def test_two_runs_say_who_is_no_method(capsys: pytest.CaptureFixture[str]) -> None:
+    kept = Path(__file__).resolve().parents[2] / "docs" / "results" / "bathing-wide-v1-L2"
+    runs = [str(kept / f"{name}.json.gz") for name in ("oracle", "replay")]
+    assert main(["compare", *runs]) == 0
+    told = capsys.readouterr().out
+    assert "189 trials; given the simulation: a ceiling, and no method\n" in told
+    assert "189 trials; a blind baseline, and no method\n" in told
+
+
+def test_the_tasks_of_baselines_are_safety_gated_like_their_difference(capsys: pytest.CaptureFixture[str]) -> None:
+    kept = Path(__file__).resolve().parents[2] / "docs" / "results" / "bathing-v2"
+    method, blind = (str(kept / f"{name}.json.gz") for name in ("voxposer", "random"))
+    assert main(["compare", method, "--baseline", blind]) == 0
+    told = capsys.readouterr().out
+    row = next(line for line in told.splitlines() if line.startswith("random (blind)"))
+    assert " 9.3 " in row, "random reaches some successes"
+    assert row.split()[-7:] == ["0/20"] * 7, "none of which is safe and on the region"
+    assert "T1, T2, ...: safety-gated / trials" in told

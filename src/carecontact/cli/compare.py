@@ -80,11 +80,15 @@ class Compare:
 
     def _compare_two(self, scored: Sequence[RunScores]) -> Comparison:
         from carecontact.cli.comparison_text import print_comparison
+        from carecontact.reports.compare.blind_floor import role_in
         from carecontact.reports.compare.comparison import compare_runs
         from carecontact.reports.text import crashed_text
 
         comparison = compare_runs(*scored, per_task=self.per_task)
-        print_comparison(comparison, *self.runs, crashed=[crashed_text(run.scores) for run in scored])
+        print_comparison(
+            comparison, *self.runs, crashed=[crashed_text(run.scores) for run in scored],
+            roles=[role_in(run.scores) for run in scored],
+        )  # fmt: skip
         if self.out is not None:
             print(f"comparison: {_write(comparison.as_json(), self.out / COMPARISON)}")
         return comparison

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from carecontact.errors import counted
 
 if TYPE_CHECKING:
+    from carecontact.policies.registry import Role
     from carecontact.reports.compare.comparison import Comparison, RunInfo
     from carecontact.reports.compare.paired_lines import Line, RateLine, ScoreLine
 
@@ -19,7 +20,18 @@ WIDTH = 174
 """Least width of the terminal [columns] at which a table is printed."""
 
 
-def print_comparison(comparison: Comparison, a: Path, b: Path, *, crashed: Sequence[str] = ("", "")) -> None:
+ROLE_WORDS = {
+    "privileged": "given the simulation: a ceiling, and no method",
+    "blind": "a blind baseline, and no method",
+    "probe": "a probe, and no method",
+}
+"""Role of a policy -> what is said of it; a method needs no word."""
+
+
+def print_comparison(
+    comparison: Comparison, a: Path, b: Path, *, crashed: Sequence[str] = ("", ""),
+    roles: Sequence[Role] = ("method", "method"),
+) -> None:  # fmt: skip
     """Print the comparison of two runs.
 
     Args:
@@ -27,6 +39,7 @@ def print_comparison(comparison: Comparison, a: Path, b: Path, *, crashed: Seque
         a: place of the run A.
         b: place of the run B.
         crashed: the trials in which the policy crashed, for A and for B; empty if there are none.
+        roles: the roles of both policies.
     """
     from carecontact.contract.protocol import protocol_title
     from carecontact.protocols.frozen_state import drifted_sha256
@@ -38,11 +51,12 @@ def print_comparison(comparison: Comparison, a: Path, b: Path, *, crashed: Seque
     _say(f"{protocol_title(comparison.protocol_id, comparison.overrides)} ({comparison.protocol_sha256[:12]})")
     if not comparison.overrides and (why := drifted_sha256(comparison.protocol_id, comparison.protocol_sha256)):
         _say(f"protocol: {why}")
-    for name, folder, info, alone, of_run in (
-        ("A", a, comparison.a, pairing.unpaired_a, crashed[0]),
-        ("B", b, comparison.b, pairing.unpaired_b, crashed[1]),
+    for name, folder, info, alone, of_run, role in (
+        ("A", a, comparison.a, pairing.unpaired_a, crashed[0], roles[0]),
+        ("B", b, comparison.b, pairing.unpaired_b, crashed[1], roles[1]),
     ):
-        _say(f"{name}: {_run_text(info, folder)}{f'; {of_run}' if of_run else ''}{_alone_text(alone)}")
+        remarks = "".join(f"; {remark}" for remark in (ROLE_WORDS.get(role), of_run) if remark)
+        _say(f"{name}: {_run_text(info, folder)}{remarks}{_alone_text(alone)}")
     tasks, seeds = counted(len(pairing.tasks), "task"), counted(len(pairing.seeds), "seed")
     _say(f"{counted(pairing.n, 'trial')} paired, {tasks}, {seeds}")
     _print_lines(comparison.overall)

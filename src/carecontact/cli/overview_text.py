@@ -145,7 +145,7 @@ def print_baselines(found: Baselines, letter: str) -> None:
         print(f"{blind}, safety-gated: {best.policy} {best.rate.k}/{best.rate.n}; of each task: {places}")
     print(
         f"rates in percent of trials, with 95 % intervals {INTERVALS_OVER[found.over]} where there are six seeds; "
-        "difference: of the safety-gated rates, in percentage points; T1, T2, ...: successes / trials"
+        "difference: of the safety-gated rates, in percentage points; T1, T2, ...: safety-gated / trials"
     )
 
 
@@ -155,7 +155,7 @@ def _baseline_cells(row: Passed, tasks: Sequence[str]) -> list[str]:
     rates = [_interval(100 * p.k / p.n, 100 * p.low, 100 * p.high, seeds=row.seeds) for p in row.rates.values()]
     above = NOT_DEFINED if row.above is None else _points(row.above["safety_gated"], row.above_seeds or 0)
     pairs = NOT_DEFINED if row.n_pairs is None else str(row.n_pairs)
-    counts = [row.per_task.get(task, {}).get("success") for task in tasks]
+    counts = [row.per_task.get(task, {}).get("safety_gated") for task in tasks]
     return [
         row.policy + ROLE_WORDS.get(row.role, ""), str(row.n), *rates, above, pairs,
         *(NOT_DEFINED if count is None else f"{count[0]}/{count[1]}" for count in counts),
