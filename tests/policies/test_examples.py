@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carecontact.contract.action import Action
 from carecontact.contract.trial import TrialSpec
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
+from carecontact.policies.state_machine.policy import StateMachine
 from carecontact.protocols import load_protocol
 from carecontact.recording import canonical_hash
 from carecontact.trials.trial import run_trial
@@ -45,3 +47,17 @@ def test_my_policy_raises_the_tool_and_ends() -> None:
     np.testing.assert_allclose(rise[:, 2], 0.005 * np.arange(1, 11), atol=1e-12)
     np.testing.assert_allclose(np.delete(rise, 2, axis=1), 0, atol=1e-12)
     assert end.done
+
+
+def test_press_deeper_lowers_the_state_machines_targets_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    pose = np.array([0.5, 0.1, 0.3, 0.0, 1.0, 0.0, 0.0])
+    plan = [*[Action(pose_tcp_in_base=pose)] * 12, Action(done=True)]
+    monkeypatch.setattr(StateMachine, "act", lambda self, observation: plan)
+    policy = importlib.import_module("press_deeper").PressDeeper(by_m=0.006)
+    *moves, end = policy.act(synthetic_observation())
+    lowered = pose - np.array([move.pose_tcp_in_base for move in moves])
+    np.testing.assert_allclose(lowered[:, 2], 0.0006 * np.minimum(np.arange(1, 13), 10), atol=1e-12)
+    np.testing.assert_allclose(np.delete(lowered, 2, axis=1), 0, atol=1e-12)
+    assert end.done
+    assert policy.card.name == "press-deeper"

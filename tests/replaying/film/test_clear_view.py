@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import mujoco
@@ -23,20 +25,26 @@ def world(pressed: Recording) -> tuple[mujoco.MjModel, FilmSkin]:
     return scene.model, FilmSkin(scene)
 
 
+@contextmanager
+def board_at(model: mujoco.MjModel, place: np.ndarray, half_sizes_m: list[float]) -> Iterator[None]:
+    """Put the world's wall, as a board of this size, at a place (3,) [m]."""
+    board = model.geom("wall")
+    kept = board.pos.copy(), board.size.copy()
+    board.pos, board.size = place.tolist(), half_sizes_m
+    model.geom_rbound[board.id] = float(np.linalg.norm(half_sizes_m))
+    try:
+        yield
+    finally:
+        board.pos, board.size = kept
+
+
 def test_the_camera_goes_to_another_side_when_something_stands_before_it(
     pressed: Recording, world: tuple[mujoco.MjModel, FilmSkin]
 ) -> None:
     model, skin = world
     free = clear_view(pressed, model, skin)
-    board = model.geom("wall")
-    kept = board.pos.copy(), board.size.copy()
-    board.pos = (0.7 * eye_place(free) + 0.3 * free.look_at).tolist()
-    board.size = [0.12, 0.12, 0.12]
-    model.geom_rbound[board.id] = 0.21
-    try:
+    with board_at(model, 0.7 * eye_place(free) + 0.3 * free.look_at, [0.12, 0.12, 0.12]):
         other = clear_view(pressed, model, skin)
-    finally:
-        board.pos, board.size = kept
     assert np.linalg.norm(eye_place(other) - eye_place(free)) > 0.2
     way = eye_place(other) - other.look_at
     offset = 0.7 * (eye_place(free) - free.look_at)
@@ -80,15 +88,8 @@ def test_a_push_under_a_hand_is_shown_from_a_flat_view(
     """The hand that pushes from the side is above the contact, as far as a view from above could look past it."""
     model, skin = world
     moved, place, normal = pushed_from_the_side(pressed, model, skin)
-    board = model.geom("wall")
-    kept = board.pos.copy(), board.size.copy()
-    board.pos = (place + 0.1 * normal + [0.0, 0.0, 0.06]).tolist()
-    board.size = [0.25, 0.25, 0.01]
-    model.geom_rbound[board.id] = 0.36
-    try:
+    with board_at(model, place + 0.1 * normal + [0.0, 0.0, 0.06], [0.25, 0.25, 0.01]):
         shown = clear_view(moved, model, skin)
-    finally:
-        board.pos, board.size = kept
     way = eye_place(shown) - place
     assert way @ normal > 0
     assert np.degrees(np.arcsin(way[2] / np.linalg.norm(way))) < 20
