@@ -5,16 +5,20 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from carecontact.calibration import replay
 from carecontact.calibration.certificate import Content, Value, content_sha256, read_certificate
 from carecontact.calibration.content import hardly_identified
 from carecontact.cli import main
 from carecontact.kernel import found
 from carecontact.protocols import load_protocol
 from carecontact.protocols.tissue_sets import load_tissue_set
+from carecontact.sim.bench import Bench
+from carecontact.world.human.versions import BUILDS, Build
 from tests.calibration.conftest import HEADER, save
 
 
@@ -38,6 +42,27 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     trials = save(folder / "trials.csv", presses(3))
     assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(folder / "out")]) == 0
     return folder
+
+
+@pytest.mark.parametrize(("protocol", "person"), [("bathing-v2", None), ("bathing-v3-draft", "person-v2")])
+def test_presses_are_replayed_with_the_contact_of_the_protocols_person(
+    protocol: str, person: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the fit, and when the certificate is verified."""
+    built: list[Build] = []
+
+    class Kept(Bench):
+        def __init__(self, **arguments: Any) -> None:
+            built.append(arguments["build"])
+            super().__init__(**arguments)
+
+    monkeypatch.setattr(replay, "Bench", Kept)
+    trials, out = save(tmp_path / "trials.csv", presses(1)), tmp_path / "out"
+    command = ["calibrate", str(trials), "--region", "forearm", "--out", str(out), "--protocol", protocol]
+    assert main(command) == 0
+    assert read_certificate(out / "certificate.json").content.versions.get("person") == person
+    assert main(["calibrate", str(trials), "--verify", str(out / "certificate.json")]) == 0
+    assert built == [BUILDS["person-v2" if person else "person-v1"]] * 2
 
 
 def test_certificate_says_what_was_found(made: Path) -> None:

@@ -162,6 +162,29 @@ def test_a_region_of_person_v1_has_no_such_numbers() -> None:
     assert plain.model.npluginstate == new.model.npluginstate
 
 
+@pytest.mark.parametrize("entry_m", [0.0, ENTRY_M], ids=["person-v1", "person-v2"])
+def test_a_vertex_that_is_not_a_number_marks_every_step_from_then_on(entry_m: float) -> None:
+    made = Sheet(belly(), sheet(), layer_m=entry_m and LAYER_M, entry_m=entry_m, **CAP)
+    assert made.hold(0.004, steps=5)["left_m"] <= UNSOLVED_M
+    made.felt.displacement(made.data)[np.argmax(made.felt.displacement(made.data)[:, 0]), 1] = np.nan
+    mujoco.mj_step(made.model, made.data, 3)
+    assert (made.felt.last(made.data, 3)["left_m"] > UNSOLVED_M).all()
+
+
+@pytest.mark.parametrize(
+    ("numeric", "number", "value"),
+    [("law", 3, 1e300), ("law", 8, np.nan), ("law", 10, np.inf), ("contact", 0, -0.001), ("contact", 1, np.nan),
+     ("options", 2, 0.0)],
+    ids=["overflow", "friction nan", "thickness inf", "layer below 0", "entry nan", "no sweep"],
+)  # fmt: skip
+def test_numbers_that_no_step_can_be_made_with_mark_it(numeric: str, number: int, value: float) -> None:
+    made = Sheet(belly(), sheet(), layer_m=LAYER_M, entry_m=ENTRY_M, **CAP)
+    made.hold(0.004, steps=5)
+    made.model.numeric(f"sheet/{numeric}").data[number] = value
+    mujoco.mj_step(made.model, made.data, 2)
+    assert not made.felt.last(made.data, 1)["left_m"] <= UNSOLVED_M
+
+
 @pytest.mark.parametrize(("half_m", "unsolved"), [(0.02, False), (0.06, True)])
 def test_a_tool_over_more_points_than_the_state_has_rows_for_marks_the_step(half_m: float, unsolved: bool) -> None:
     # A row of person-v2 takes more than twice the room that the state keeps for a point.

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from carecontact.recording.schema import SEGMENTS
@@ -16,6 +17,28 @@ from tests.sim.conftest import surface
 FOREARM = SEGMENTS.index("right_forearm")
 OUTWARD_M_S = 5.0
 """Of the skin under the tool, as if it had been kicked from within."""
+
+
+def test_skin_that_is_not_a_number_is_a_warning(pressing: Simulation) -> None:
+    pressing.advance(10)
+    assert pressing.solver_warnings() == []
+    displaced = pressing.tissue["forearm"].displacement(pressing.data)
+    displaced[np.argmax(displaced[:, 0]), 0] = np.nan
+    pressing.advance(10)
+    assert pressing.solver_warnings() == ["TISSUE"]
+
+
+def test_a_change_that_is_not_a_number_is_a_warning(pressing: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
+    last = pressing._rings.last
+
+    def spoilt(data: mujoco.MjData, count: int) -> npt.NDArray[np.void]:
+        rows = last(data, count)
+        rows["left_m"][0] = np.nan
+        return rows
+
+    monkeypatch.setattr(pressing._rings, "last", spoilt)
+    pressing.advance(10)
+    assert pressing.solver_warnings() == ["TISSUE"]
 
 
 def test_every_step_of_a_period_is_kept_bit_for_bit(pressing: Simulation) -> None:

@@ -19,6 +19,7 @@ from carecontact.contract.protocol import Protocol, Tissue
 from carecontact.errors import ConfigError
 from carecontact.world.human.build import tissue_of
 from carecontact.world.human.library import load_body
+from carecontact.world.human.versions import BUILDS
 
 CERTIFICATE, ROW, FIGURE = "certificate.json", "tissue.toml", "calibration.png"
 
@@ -37,7 +38,8 @@ def calibrate(
     Args:
         region: name of a soft region of the protocol.
         body: name of the body whose surface is pressed.
-        rules: the protocol whose mesh, mass and thickness the tissue keeps.
+        rules: the protocol whose mesh, mass and thickness the tissue keeps, and with whose version of the person the
+            presses are replayed.
 
     Raises ConfigError for every fault that the user can fix.
     """
@@ -50,7 +52,7 @@ def calibrate(
     laws = identify(curves)
     groups = group_curves(curves)
     on_progress(f"identified: {laws[0].law.name}; {len(groups)} presses to replay")
-    replay = Replay(body=person, region=region, tissue=row, groups=groups)
+    replay = Replay(body=person, region=region, tissue=row, groups=groups, build=BUILDS[rules.person.version])
     fit = fit_law(curves, replay=replay, on_progress=on_progress)
     content = make_content(file, curves, laws, replay, fit, region=region, body=body, rules=rules)
     out.mkdir(parents=True, exist_ok=True)

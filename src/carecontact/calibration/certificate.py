@@ -12,6 +12,8 @@ from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError
 
 VERSION = "carecontact-calibration-2"
+PERSON, PERSON_V1 = "person", "person-v1"
+"""Name of the person's version among ``Content.versions``, and the version of certificates that do not have it."""
 BAND = {"response_share_of_peak": 0.02, "error_change": 0.01}
 """``--verify`` fails where a replayed force differs by more than this share of its peak, or an error by this much."""
 

@@ -35,8 +35,8 @@ SOLVER_WARNINGS = (
 )  # fmt: skip
 
 UNSOLVED_M = 1e-5
-"""The tissue counts as unsolved where a vertex still moved farther than this in the solver's last sweep, or where more
-points touched than the region's state has rows for."""
+"""The tissue counts as unsolved where a vertex still moved farther than this in the solver's last sweep, where more
+points touched than the region's state has rows for, and where the tissue's law or a result is not a finite number."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,7 +303,8 @@ class Simulation:
         _, values = self.history.last(self.data, count)
         self.normal_sum_truncated |= self._read.overfull(values)
         felt = self._rings.last(self.data, count)
-        self._unsolved |= bool((felt["left_m"] > UNSOLVED_M).any())
+        # Not `>`: what is not a number is unsolved too.
+        self._unsolved |= bool((~(felt["left_m"] <= UNSOLVED_M)).any())
         return self._read.samples((self._steps + np.arange(count)) * self.model.opt.timestep, values, felt)
 
 

@@ -65,7 +65,9 @@ def random_trial(simulation: Simulation, region: str, rng: np.random.Generator) 
         simulation.set_goal(np.r_[in_base(simulation, rng.uniform(low, high)), DOWN], 0.02)
         samples = simulation.advance(round(NEW_TARGET_S / simulation.model.opt.timestep))
         force = np.concatenate([np.linalg.norm(s.force, axis=2).max(1) for s in samples])
-        if simulation.solver_warnings() or not (np.isfinite(force).all() and np.isfinite(simulation.data.qpos).all()):
+        data = simulation.data
+        finite = all(np.isfinite(numbers).all() for numbers in (force, data.qpos, data.plugin_state))
+        if simulation.solver_warnings() or not finite:
             return float("nan"), False
         peak = max(peak, float(force.max()))
     return peak, True

@@ -67,6 +67,13 @@ Law law_read(const mjModel* m, const Region* r) {
                contact ? contact[CONTACT_LAYER] : 0, contact ? contact[CONTACT_ENTRY] : 0};
 }
 
+int law_sound(const Law* law) {
+  const double* number = (const double*)law;
+  double sum = 0;
+  for (size_t k = 0; k < sizeof *law / sizeof *number; k++) sum += fabs(number[k]);
+  return isfinite(sum) && law->layer >= 0 && law->entry >= 0;
+}
+
 static double distance(const double a[3], const double b[3]) {
   double away[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
   return sqrt(dot(away, away));
@@ -257,6 +264,17 @@ int region_init(const mjModel* m, int instance, Region* r) {
   r->contact_address = has_numeric(m, key, "contact") ? numeric(m, key, "contact", CONTACT_SIZE) : -1;
   r->held_size = r->contact_address < 0 ? HELD_SIZE : HELD_LONG;
   if (vertices < 0 || edges < 0 || triangles < 0 || r->law_address < 0 || r->option_address < 0) return -1;
+  if (has_numeric(m, key, "contact") && r->contact_address < 0) return -1;
+  Law law = law_read(m, r);
+  if (!law_sound(&law)) {
+    mju_warning("carecontact.tissue: %s/law or %s/contact has a number that is not finite or below what it may be", key,
+                key);
+    return -1;
+  }
+  if (!(m->numeric_data[r->option_address + OPTION_SWEEPS] >= 1)) {
+    mju_warning("carecontact.tissue: %s/options allows the solver no sweep", key);
+    return -1;
+  }
   const double *edge = m->numeric_data + edges, *triangle = m->numeric_data + triangles;
   if (!refers_well(r, key, edge, nedge, triangle, ntriangle) || allocate(r, nedge)) return -1;
   for (int i = 0; i < r->nvertex; i++) {
@@ -301,6 +319,8 @@ void region_step(const mjModel* m, mjData* d, Region* r, const State* s) {
   memset(r->row, 0, sizeof r->row);
   memset(r->force, 0, sizeof(double) * (size_t)r->nv);
   r->ready = 1;
+  // The numbers may have been changed in the compiled model.
+  if (!law_sound(&law)) r->row[ROW_LEFT] = mjMAXVAL;
   window_find(m, d, r, s, option[OPTION_REACH]);
   contact_forget(r);
   // Without a vertex that may move no point can touch, and most of the time no tool is near.

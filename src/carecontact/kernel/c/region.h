@@ -21,7 +21,7 @@ enum {
   ROW_AREA = 9,       // in contact [m^2]
   ROW_POINTS = 10,    // contact points
   ROW_SWEEPS = 11,    // of the solver
-  ROW_LEFT = 12,      // largest change in the last sweep [m]
+  ROW_LEFT = 12,      // largest change in the last sweep [m]; mjMAXVAL where the step was not solved
   // The energy of the step, where the option asks for it [J]:
   ROW_STORED = 13,    // in anchors, coupling, membrane and contact layer, at its end
   ROW_KINETIC = 14,   // of the shell, at its end
@@ -59,6 +59,7 @@ enum { TRIANGLE_CORNER = 0, TRIANGLE_AREA = 3, TRIANGLE_CELL = 4, TRIANGLE_SIZE 
 // of its area bears on one of them only.
 enum { POINTS_EACH = 4 };
 
+// All of them are doubles, which law_sound adds up.
 typedef struct {
   double a, b, c, damping, damping_growth, mass, coupling, membrane, friction, contact, thickness;
   double layer, entry;  // of person-v2: depth over which the contact layer stiffens, way over which skin is let in [m]
@@ -101,8 +102,10 @@ typedef struct {
   double area;           // that it bears for [m^2]
   double at[3];          // where it was at the start of the step
   double normal[3];      // of the tool, outward
-  double gap;            // negative inside; continued from `seen` to the start of the step as if the tool were flat [m]
-  double stands_off;     // of the gap: how far the point stands off a round tool
+  // How far the point is from bearing, negative where the layer is pressed: its distance to the tool, negative inside, plus
+  // `stands_off` and `allowed`; continued from `seen` to the start of the step as if the tool were flat [m].
+  double gap;
+  double stands_off;     // how far the point stands off a round tool [m]
   double allowed;        // its allowance at the step's end: depth in the tool that is not in the layer (entry.c) [m]
   double drag[3];        // the fall of the allowance over the tool's way, along this way
   double seen[3];        // how far it had moved where the gap was measured [m]
@@ -185,6 +188,8 @@ void region_commit(Region* r, State* s, double dt);
 
 // The parts of a step, one file each.
 Law law_read(const mjModel* m, const Region* r);
+// Whether a step can be made with these numbers: all are finite, and none of person-v2's is negative.
+int law_sound(const Law* law);
 void patches_make(Region* r);
 void window_find(const mjModel* m, const mjData* d, Region* r, const State* s, double reach);
 // Adds a contact to those of the step, and to its three vertices'; forgets all.

@@ -1,8 +1,8 @@
 // One implicit step of the shell: inertia, anchors with their dampers, coupling and membrane, contact and friction.
 //
 // Block Gauss-Seidel over the vertices of the window: each block is the three unknowns of a vertex, solved with the
-// tangent of its own forces while its neighbours stand still. Contact is a stiff elastic layer at each point: pressure
-// k_c times the depth, and friction that sticks with the same stiffness and slips at the friction coefficient times the
+// tangent of its own forces while its neighbours stand still. Contact is a stiff elastic layer at each point: its pressure
+// is that of layer.h, and its friction sticks with the layer's stiffness k and slips at the friction coefficient times the
 // pressure (Coulomb, by return mapping).
 #include <math.h>
 #include <string.h>
@@ -149,7 +149,7 @@ void solve(Region* r, const State* s, const Law* law, double dt, double toleranc
     if (r->moves[i] == CLOSE) carry(r, i, ahead);
   }
   int sweep = 0, reviewed = 0;
-  double worst = 0;
+  double worst = mjMAXVAL;
   while (sweep < sweeps) {
     double share = sweep < PATIENCE ? 1 : CAUTION;
     worst = 0;
@@ -158,11 +158,14 @@ void solve(Region* r, const State* s, const Law* law, double dt, double toleranc
     if (worst < tolerance && (reviewed++ || !contact_review(r, law))) break;
   }
   for (int i = 0; i < r->ncontact; i++) respond(law, r->contact + i);
+  double sum = 0;
   for (int k = 0; k < r->nwindow; k++)
     for (int j = 0; j < 3; j++) {
       int at = 3 * r->window[k] + j;
       r->rate[at] = (r->u[at] - s->u[at]) / dt;
+      sum += r->rate[at];
     }
   r->row[ROW_SWEEPS] = sweep;
-  r->row[ROW_LEFT] = worst;
+  // A comparison with a number that is not one is false, so that neither `worst` nor a contact shows it. The sum does.
+  r->row[ROW_LEFT] = most(r->row[ROW_LEFT], isfinite(sum) ? worst : mjMAXVAL);
 }

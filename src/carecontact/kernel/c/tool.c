@@ -224,9 +224,8 @@ static int narrow(const double n[3], double o, const double x[3], const double v
   return *enters < *leaves;
 }
 
-// How far x lies outside a box or cylinder with rounded edges (exact), or outside the softened hull of a mesh
-// (softness times the logarithm of the sum of exponentials of the half-spaces' distances over softness), and its
-// gradient. All are convex.
+// How far a point lies outside a box or cylinder whose edges are rounded with the radius `edge`, and the gradient of this
+// distance. q is how far the point lies past each face, if the faces are drawn in by `edge`. Convex, and exact outside.
 static double outside_rounded(const double q[3], double edge, double toward[3]) {
   double out = 0, farthest = -mjMAXVAL;
   int nearest = 0;
@@ -263,6 +262,8 @@ static double outside_cylinder(const double size[3], const double x[3], double g
   return away;
 }
 
+// How far x lies outside the softened hull of a mesh, and the gradient: softness times the logarithm of the sum of
+// exponentials of the half-spaces' distances over softness. Convex.
 static double outside_hull(const Tool* tool, const double x[3], double gradient[3]) {
   double farthest = -mjMAXVAL, sum = 0;
   for (int k = 0; k < tool->nplane; k++) farthest = most(farthest, dot(tool->plane + 4 * k, x) - tool->plane[4 * k + 3]);
@@ -490,7 +491,8 @@ double tool_round(const Tool* tool, const double point[3], double normal[3], dou
     *bend = (fabs(x[2]) > tool->size[1] ? 2 : 1) / tool->size[0];
     return value;
   }
-  // Curvatures of the ellipsoid of this shape through the point, and from there of its own, which is smaller or larger.
+  // The ellipsoid of the tool's shape through the point is the tool's own, some factor larger or smaller. `steep` contains
+  // this factor, so that `bend` is the sum of the curvatures of the tool's own surface between its centre and the point.
   for (int k = 0; k < 3; k++) {
     inverse[k] = 1 / (tool->size[k] * tool->size[k]);
     sum += inverse[k];
