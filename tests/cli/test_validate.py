@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from carecontact.cli import main
-from carecontact.validation import energy
+from carecontact.validation import energy, sensitivity, stability
 from carecontact.validation.result import CheckResult, Measure
 
 
@@ -76,7 +76,20 @@ def test_a_known_miss_is_a_failure_that_is_told_apart(
     told = " ".join(capsys.readouterr().out.split())
     assert "FAIL Passive" in told
     assert "missed (known)" in told
-    assert "FAILED (1 of 13 checks), by nothing but what docs/validation.md names" in told
+    assert "FAILED: 1 of the 1 check that ran (of 13), by nothing but what docs/validation.md names" in told
     record = json.loads((tmp_path / "out" / "validation.json").read_text())
     assert record["passed"] is False
     assert record["checks"][0]["measures"][0]["known"] is True
+
+
+def test_the_last_line_says_how_many_of_the_checks_that_ran_failed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for module, value in ((energy, 0.5), (stability, 1.5), (sensitivity, 0.5)):
+        monkeypatch.setattr(module, "run", lambda subject, *, quick, value=value: verdict(value))
+        monkeypatch.setattr(module, "draw", lambda result, figure: figure.subplots())
+    arguments = ["validate", "--quick", "--out", str(tmp_path / "out"), "--checks"]
+    assert main([*arguments, "energy,stability,sensitivity"]) == 1
+    assert capsys.readouterr().out.splitlines()[-1].startswith("FAILED: 1 of the 3 checks that ran (of 13); ")
+    assert main([*arguments, "energy,sensitivity"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("passed: the 2 checks that ran (of 13); ")

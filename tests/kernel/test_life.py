@@ -246,7 +246,7 @@ def test_a_state_restored_in_the_middle_goes_on_bit_for_bit(when_s: float) -> No
     """In mid-breath, and in the middle of a movement and of a withdrawal that is about to begin."""
     for world, doings in (
         (breathing_sheet, BREATH),
-        (arm, replace(MOVES, pull=Pull(force_n=0.5, for_s=0.05, delay_s=0.6, duration_s=0.5, shift_rad=-SHIFT))),
+        (arm, replace(MOVES, pull=Pull(force_n=1.0, for_s=0.05, delay_s=0.6, duration_s=0.5, shift_rad=-SHIFT))),
     ):
         model, data = world()
         Life(model).wake(data, doings)
@@ -285,3 +285,41 @@ def test_the_state_of_a_person_who_is_awake_needs_a_world_that_knows_what_it_doe
     Life(fresh).wake(other, MOVES)
     mujoco.mj_setState(fresh, other, state, STATE)
     Life(fresh).check_known(other)
+
+
+def test_the_state_of_a_person_who_does_something_else_is_refused() -> None:
+    model, data = arm()
+    Life(model).wake(data, MOVES)
+    state = run(model, data, 0.1)[-1]
+    fresh, other = arm()
+    Life(fresh).wake(other, replace(MOVES, tone=0.15))
+    mujoco.mj_setState(fresh, other, state, STATE)
+    with pytest.raises(SceneError, match="the person of this world woke with other doings"):
+        Life(fresh).check_known(other)
+
+
+@pytest.mark.parametrize(
+    ("doings", "told"),
+    [
+        (replace(BREATH, breath_hz=np.nan), "breath: every number must be finite"),
+        (replace(BREATH, breath_hz=50.0), r"frequency_hz: .* both in 0.05 to 1, got \[50, 50\]"),
+        (replace(BREATH, breath_m=(0.5, 0.0)), "abdomen_m: .* in 0 to 0.03"),
+        (replace(BREATH, phase=-0.1), "phase: expected 0 to 1, got -0.1"),
+        (replace(BREATH, inspiration_share=0.0), "inspiration_share: .* greater than or equal to 0.2"),
+        (Doings(tone=1.5), "tone: expected 0 to 1"),
+        (Doings(moves=(replace(MOVES.moves[0], duration_s=0.01),)), "duration_s: .* in 0.4 to 5"),
+        (Doings(moves=(replace(MOVES.moves[0], shift_rad=np.full(4, 3.0)),)), "shift_rad: expected -1 to 1, got 3"),
+        (Doings(moves=MOVES.moves * 65), "with 65 moves; expected at most 64"),
+        (Doings(pull=Pull(force_n=1e4, for_s=0.05, delay_s=0.1, duration_s=0.5, shift_rad=SHIFT)), "force_n: "),
+    ],
+)
+def test_doings_that_no_protocol_could_ask_for_wake_nobody(doings: Doings, told: str) -> None:
+    model, data = arm()
+    with pytest.raises(SceneError, match=told):
+        Life(model).wake(data, doings)
+    assert not data.plugin_state.any()
+
+
+def test_a_person_may_hold_its_breath() -> None:
+    model, data = breathing_sheet()
+    Life(model).wake(data, replace(BREATH, breath_hz=0.0))

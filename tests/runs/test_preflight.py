@@ -36,6 +36,7 @@ def test_the_shipped_protocol_can_run() -> None:
             r"joint 4 at 0 is outside the robot's -3.0718 to",
         ),
         ("contact", {"peak_filter_hz": 250.0}, r"contact.peak_filter_hz: 250"),
+        ("limits", {"pack": "nonexistent"}, r"limits.pack: no limit pack named 'nonexistent'; valid: .*behrens-2021"),
     ],
 )
 def test_what_would_fail_every_trial_is_told_before(section: str, values: dict[str, Any], told: str) -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Set
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +12,7 @@ from carecontact.kernel.readings import Cells
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.validation import smoothness
+from carecontact.validation.known_misses import ScrubLimit
 from carecontact.validation.moves import surface_point
 from carecontact.validation.passive_response import lock_arm
 from carecontact.validation.result import CheckResult, Measure
@@ -81,19 +84,20 @@ def test_friction_is_that_of_the_cells_over_which_the_tool_slides() -> None:
     assert share == 0.0
 
 
-def rattling(**known: bool) -> list[Measure]:
+def rattling(known: Set[ScrubLimit]) -> list[Measure]:
     """A steady scrub whose force swings by 1 N at 50 Hz."""
     time = np.arange(1000) * 0.002
     done = Scrub(
         time_s=time, force_n=15 + np.sin(2 * np.pi * 50 * time), steady=np.ones(1000, bool), friction=np.full(9, 0.5),
         sliding=np.ones(9),
     )  # fmt: skip
-    return done.measures("belly", wanted=15.0, friction=0.5, **known)
+    return done.measures("belly", wanted=15.0, friction=0.5, known=known)
 
 
 def test_a_rattling_scrub_fails_also_where_the_miss_is_known() -> None:
-    for known in (False, True):
-        measures = tuple(rattling(known_noise=known, known_motion=False))
+    limits: tuple[tuple[ScrubLimit, bool], ...] = (("friction", False), ("noise", True))
+    for limit, known in limits:
+        measures = tuple(rattling({limit}))
         result = CheckResult(check="smoothness", title="made up", measures=measures)
         assert [m.name for m in result.missed] == ["belly: force noise above 20 Hz, rms"]
         assert not result.passed
@@ -108,7 +112,7 @@ def test_where_the_tool_takes_the_skin_along_there_is_no_friction_to_judge(perio
         time_s=np.arange(1000) * 0.002, force_n=np.full(1000, 15.0), steady=np.ones(1000, bool),
         friction=np.where(still, np.nan, 0.5), sliding=np.where(still, 0.0, 1.0),
     )  # fmt: skip
-    measures = done.measures("belly", wanted=15.0, friction=0.5, known_noise=False, known_motion=False)
+    measures = done.measures("belly", wanted=15.0, friction=0.5)
     assert {m.name.partition(": ")[2].partition(" ")[0] for m in measures if m.met is False} == missed
 
 
@@ -118,7 +122,7 @@ def test_a_scrub_that_never_moved_meets_no_limit_of_noise() -> None:
     still = Scrub(
         time_s=time, force_n=np.full(100, 5.0), steady=np.zeros(100, bool), friction=none, sliding=none
     )  # fmt: skip
-    missed = {m.name for m in still.measures("belly", wanted=5.0, friction=0.5, known_noise=False, known_motion=False)
+    missed = {m.name for m in still.measures("belly", wanted=5.0, friction=0.5)
               if m.met is False}  # fmt: skip
     assert {name.partition(": ")[2] for name in missed} >= {
         "force noise above 20 Hz, rms",
@@ -195,7 +199,7 @@ def test_a_mitt_that_scrubs_a_short_arm_stays_on_its_soft_skin() -> None:
     done = scrub(simulation, 15.0, strokes=2, region="upper_arm")
     assert met == set()
     assert done.force_n.max() < 25.0
-    missed = [m.name for m in done.measures("arm", wanted=15.0, friction=0.5, known_noise=False, known_motion=False)
+    missed = [m.name for m in done.measures("arm", wanted=15.0, friction=0.5)
               if m.met is False]  # fmt: skip
     assert missed == []
 

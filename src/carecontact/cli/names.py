@@ -35,6 +35,7 @@ class List:
             "bodies",
             "tissue",
             "metrics",
+            "limits",
             "all",
         ],
         tyro.conf.Positional,
@@ -181,6 +182,12 @@ def _metrics(protocol: str) -> list[tuple[str, str]]:
     return _rows(METRICS, meaning)
 
 
+def _limits(protocol: str) -> list[tuple[str, str]]:
+    from carecontact.scoring.limits import LIMIT_PACKS
+
+    return _rows(LIMIT_PACKS, lambda row: f"Pack of limits [{row.unit}]: {row.title}, {row.status}")
+
+
 def _rows(registry: Registry[T], meaning: Callable[[T], str]) -> list[tuple[str, str]]:
     """Return one line for each row. A name that cannot be loaded is listed with the reason."""
     found: list[tuple[str, str]] = []
@@ -195,5 +202,5 @@ def _rows(registry: Registry[T], meaning: Callable[[T], str]) -> list[tuple[str,
 KINDS = {
     "tasks": _tasks, "actions": _actions, "regions": _regions, "segments": _segments, "spaces": _spaces,
     "controls": _controls, "policies": _policies, "protocols": _protocols, "bodies": _bodies, "tissue": _tissue,
-    "metrics": _metrics,
+    "metrics": _metrics, "limits": _limits,
 }  # fmt: skip

@@ -118,12 +118,17 @@ class Validate:
         if self.verbose or missed:
             rows = [(r, m) for r in validation.results for m in r.measures] if self.verbose else missed
             console.print(_table(rows))
-        some = "" if len(names) == len(CHECKS) else f" ({len(names)} of {len(CHECKS)} checks)"
         failed = [result for result in validation.results if not result.passed]
         known = bool(failed) and all(result.fails_as_known for result in failed)
         why = ", by nothing but what docs/validation.md names" if known else ""
-        print(f"{'passed' if validation.passed else 'FAILED'}{some}{why}: {folder / 'validation.json'}")
+        print(f"{_verdict(len(failed), ran=len(names), of=len(CHECKS))}{why}; {folder / 'validation.json'}")
         return validation
+
+
+def _verdict(failed: int, *, ran: int, of: int) -> str:
+    """Return how many checks failed, of those that ran, and of how many there are where not all ran."""
+    checks = f"{of} checks" if ran == of else f"{ran} check{'s' * (ran > 1)} that ran (of {of})"
+    return f"FAILED: {failed} of the {checks}" if failed else f"passed: the {checks}"
 
 
 def _line(result: CheckResult) -> str:

@@ -8,12 +8,15 @@ and that of ``turns_<joint>`` is a torque [N m].
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
+from pydantic import ValidationError
 
+from carecontact.contract.protocol import Breathing, Repositioning, Withdrawal
 from carecontact.errors import SceneError
 from carecontact.kernel import library
 
@@ -27,6 +30,9 @@ JOINTS = ("right_upper_arm_abduction", "right_upper_arm_flexion", "right_upper_a
 """Joints that the muscles move."""
 MOST_MOVES = 64
 """Largest number of changes of posture in a trial."""
+LARGEST_TURN_RAD = 1.0
+"""Largest change of a joint's angle in one movement. The protocol's largest movement of the wrist, 0.15 m, turns a
+shoulder by a third of this."""
 AWAKE, BEGAN, POSTURE, BASE, REST, WANT, PULLED, PULL_TIME, WORK, STATE_SIZE = 0, 1, 2, 6, 10, 14, 25, 27, 30, 32
 
 
@@ -76,6 +82,41 @@ class Doings:
     moves: tuple[Move, ...] = ()
     """The changes of posture in the order of their times, at most MOST_MOVES."""
     pull: Pull | None = None
+
+    def check(self) -> None:
+        """Raises SceneError for a value that is not finite, or beyond what a protocol's fields allow. A person may hold
+        its breath, which no protocol asks for: then ``breath_hz`` is 0."""
+        if len(self.moves) > MOST_MOVES:
+            raise SceneError(f"the person cannot wake with {len(self.moves)} moves; expected at most {MOST_MOVES}")
+        for name, values in self.numbers().items():
+            if not np.isfinite(values).all():
+                raise SceneError(f"the person cannot wake: {name}: every number must be finite, got {values}")
+        belly, chest = self.breath_m
+        hz = self.breath_hz or Breathing().frequency_hz[0]
+        for name, low, value, high in (
+            ("phase", 0.0, self.phase, 1.0), ("tone", 0.0, self.tone, 1.0), ("help", 0.0, self.help, 1.0),
+            *(("moves: time_s", 0.0, move.time_s, np.inf) for move in self.moves),
+            *(("moves: lift_rad", -LARGEST_TURN_RAD, move.lift_rad, LARGEST_TURN_RAD) for move in self.moves),
+            *(
+                ("shift_rad", -LARGEST_TURN_RAD, angle, LARGEST_TURN_RAD)
+                for does in (*self.moves, *filter(None, [self.pull])) for angle in does.shift_rad
+            ),
+        ):  # fmt: skip
+            if not low <= value <= high:
+                raise SceneError(f"the person cannot wake: {name}: expected {low:g} to {high:g}, got {value:g}")
+        try:
+            Breathing(
+                frequency_hz=(hz, hz), abdomen_m=(belly, belly), chest_m=(chest, chest),
+                inspiration_share=self.inspiration_share,
+            )  # fmt: skip
+            for move in self.moves:
+                Repositioning(duration_s=(move.duration_s, move.duration_s))
+            if (p := self.pull) is not None:
+                Withdrawal(force_n=(p.force_n, p.force_n), for_s=p.for_s, delay_s=p.delay_s, duration_s=p.duration_s)
+        except ValidationError as error:
+            first = error.errors()[0]
+            field = ".".join(map(str, first["loc"]))
+            raise SceneError(f"the person cannot wake: {field}: {first['msg']}, got {first['input']}") from None
 
     def numbers(self) -> dict[str, Array]:
         """Return the custom numerics that the plugin reads: name without the prefix NAME -> values."""
@@ -137,13 +178,14 @@ class Life:
     def wake(self, data: mujoco.MjData, doings: Doings) -> None:
         """Let the person begin to breathe and move now, from the present posture and at the given phase of a breath.
 
-        Changes ``data`` and the numerics of the model.
+        Changes ``data`` and the numerics of the model. Raises SceneError as ``Doings.check``.
         """
+        doings.check()
         for name, values in doings.numbers().items():
             self._model.numeric(f"{NAME}/{name}").data[:] = values
         state = data.plugin_state[self._state]
         state[:] = 0
-        state[[AWAKE, BEGAN]] = 1.0, data.time
+        state[[AWAKE, BEGAN]] = self._digest(), data.time
         for k, address in self._joints.items():
             state[[first + k for first in (POSTURE, BASE, REST, WANT)]] = data.qpos[address]
         height, rate = breath(doings, 0.0)
@@ -156,17 +198,29 @@ class Life:
     def check_known(self, data: mujoco.MjData) -> None:
         """Check that this model knows what the person in a state does: ``Doings`` are in the model, not in the state.
 
-        Raises SceneError if the person in the state is awake and this model's person never woke.
+        Raises SceneError if the person in the state is awake, and this model's person never woke or woke with other
+        doings.
         """
+        awake = data.plugin_state[self._state][AWAKE]
+        if awake in (0.0, self._digest()):
+            return
         asleep = all(
             np.array_equal(self._model.numeric(f"{NAME}/{name}").data, values)
             for name, values in Doings().numbers().items()
         )
-        if asleep and data.plugin_state[self._state][AWAKE]:
-            raise SceneError(
-                "the state is of a person who is awake, and nobody woke the person of this world; call "
-                "life.wake(data, doings) with the same doings before the state is restored"
-            )
+        fault = "nobody woke the person of this world" if asleep else "the person of this world woke with other doings"
+        raise SceneError(
+            f"the state is of a person who is awake, and {fault}; call life.wake(data, doings) with the same doings "
+            "before the state is restored"
+        )
+
+    def _digest(self) -> float:
+        """Return a whole number above 0 that differs between models whose persons do different things.
+
+        The state holds it in AWAKE, where the plugin asks for nothing but whether it is 0.
+        """
+        numbers = b"".join(self._model.numeric(f"{NAME}/{name}").data.tobytes() for name in Doings().numbers())
+        return float(1 + int.from_bytes(hashlib.sha256(numbers).digest()[:6], "big"))
 
     def breath_m(self, data: mujoco.MjData) -> Array:
         """Return (2,) how far each of PARTS has moved outward [m], which is 0 if the person does not breathe."""

@@ -22,6 +22,9 @@ def check_protocol(protocol: Protocol) -> None:
     except (ConfigError, UnknownNameError) as error:
         faults.append(f"person.body: {error}")
     faults += rate_faults(protocol)
+    if protocol.limits.pack not in LIMIT_PACKS:
+        # Its name is written beside every score, where it says whose limits they are.
+        faults.append(f"limits.pack: {UnknownNameError(LIMIT_PACKS.kind, protocol.limits.pack, LIMIT_PACKS)}")
     limits = zip(PANDA.joint_low_rad, PANDA.joint_high_rad, strict=True)
     for joint, (angle, (low, high)) in enumerate(zip(protocol.scene.parked_joint_rad, limits, strict=True), start=1):
         if not low <= angle <= high:

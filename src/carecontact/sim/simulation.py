@@ -267,9 +267,12 @@ class Simulation:
         """Continue from a vector of ``integration_state`` at a new t = 0; the impedance target stays where it was.
 
         ``comfort_arm_deg`` is the angle at which the person was laid: the joints' rest angles are not in the state, and
-        neither is what a person does by itself. Raises SceneError for the state of a person who is awake where nobody
-        woke the person of this world.
+        neither is what a person does by itself. Raises SceneError for a state of another size, and for the state of a
+        person who is awake where nobody woke the person of this world, or somebody did with other doings.
         """
+        size = mujoco.mj_stateSize(self.model, int(mujoco.mjtState.mjSTATE_INTEGRATION))
+        if np.shape(state) != (size,):
+            raise SceneError(f"the state of this world has {size} numbers; the given one has shape {np.shape(state)}")
         self._rest_joints_at(comfort_arm_deg)
         mujoco.mj_setState(self.model, self.data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
         if self.life is not None:

@@ -19,6 +19,7 @@ from carecontact.kernel.life import PARTS, Doings, Life
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.sim.true_skin import skin_in_world
+from carecontact.validation.known_misses import known_of_breath
 from carecontact.validation.result import Array, Measure
 from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
 from carecontact.world.human.breathing import breath_body
@@ -72,20 +73,17 @@ def measures(living: Subject, doings: Doings) -> Iterator[Measure]:
     """Yield what is seen of a breath against its declared size.
 
     Over the rim of the chest's plates, where the movement fades, no size is declared: there the limit does not decide.
-    Of person-v1, shipped bodies are known to miss the limit over the rim of the belly, and heavy ones over the middle
-    of the chest.
     """
     found = breathe(living, doings)
-    fades = BUILDS[living.protocol.person.version].breath_margin_m is None
     for part, size in zip(PARTS, doings.breath_m, strict=True):
         name = f"{part}, {doings.breath_hz:g} Hz, {1000 * size:g} mm"
         off, inner, depth = abs(found.skin_m[part] - size), found.inner[part], abs(found.depth_off_m[part])
         yield Measure(name=f"{name}: visible skin of the inner area against the declared size", unit="mm",
                       value=1000 * float(off[inner].max()), limit=SIZE_LIMIT_MM,
-                      known=fades and part == "chest")  # fmt: skip
+                      known=known_of_breath(living.protocol, part, "inner"))  # fmt: skip
         yield Measure(name=f"{name}: visible skin of the whole area against the declared size", unit="mm",
-                      value=1000 * float(off.max()), limit=SIZE_LIMIT_MM, known=fades,
-                      decides=part == REGION)  # fmt: skip
+                      value=1000 * float(off.max()), limit=SIZE_LIMIT_MM, decides=part == REGION,
+                      known=known_of_breath(living.protocol, part, "whole"))  # fmt: skip
         yield Measure(name=f"{name}: share of the area within {SIZE_LIMIT_MM:g} mm", unit="%",
                       value=100 * float((1000 * off <= SIZE_LIMIT_MM).mean()))  # fmt: skip
         yield Measure(name=f"{name}: depth image, median place against the declared size", unit="mm",

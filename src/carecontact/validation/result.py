@@ -25,8 +25,8 @@ class Measure:
     decides: bool = True
     """Whether the limit decides. If not, it is shown, but missing it does not fail the check."""
     known: bool = False
-    """Whether the shipped persons are known to miss the limit (docs/validation.md). Missing it fails the check all the
-    same; it is told apart from a miss that nobody knows of."""
+    """Whether this person is known to miss the limit (``known_misses``). Missing it fails the check all the same; it is
+    told apart from a miss that nobody knows of."""
 
     @property
     def met(self) -> bool | None:
@@ -72,8 +72,7 @@ class CheckResult:
 
     @property
     def fails_as_known(self) -> bool:
-        """Whether the check was finished and has failed by nothing but limits that the shipped persons are known to
-        miss."""
+        """Whether the check was finished and has failed by nothing but limits that this person is known to miss."""
         return self.error is None and bool(self.missed) and all(m.known for m in self.missed)
 
     def regions(self, curve: str) -> list[str]:

@@ -7,7 +7,7 @@ about a millimetre before it slips.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from carecontact.kernel.readings import Cells
 from carecontact.regions import REGIONS
 from carecontact.scoring.filters import low_pass
 from carecontact.sim.simulation import Samples, Simulation
+from carecontact.validation.known_misses import ScrubLimit, known_of_scrub
 from carecontact.validation.moves import DOWN, axes, in_base, skin_points, surface_point
 from carecontact.validation.passive_response import lock_arm
 from carecontact.validation.result import Array, CheckResult, Measure
@@ -49,10 +50,6 @@ NOISE_ABOVE_HZ, NOISE_LIMIT_N = 20.0, 0.15
 SAMPLE_HZ, DROP_SHARE, DROP_N = 500.0, 0.3, 0.3
 SERVO_S, SERVO_RAD_S = 2.0, 6.0
 FRICTION_LIMIT_PERCENT, SLIDING_LIMIT_PERCENT = 2.0, 50.0
-KNOWN_NOISE = {("abdomen", 15.0)}
-KNOWN_MOTION = KNOWN_NOISE | {("upper_arm", 15.0)}
-"""Regions and forces at which shipped persons are known to miss the limit of noise, and those of how the tool moved
-(docs/validation.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,15 +66,14 @@ class Scrub:
     not slide enough, whatever its friction is elsewhere."""
 
     def measures(
-        self, name: str, *, wanted: float, friction: float, known_noise: bool, known_motion: bool
+        self, name: str, *, wanted: float, friction: float, known: Set[ScrubLimit] = frozenset()
     ) -> list[Measure]:
         """Return what the scrub measured. Without a step at speed, nothing of it is a number, and no limit is met.
 
         Args:
             wanted: mean force that the scrub was to have [N].
             friction: the declared coefficient.
-            known_noise, known_motion: whether shipped persons are known to miss the limit of noise here, or those of
-                how the tool moved.
+            known: the limits that this person is known to miss in this scrub.
         """
         time, force, steady = self.time_s, self.force_n, self.steady
         high = force - low_pass(force, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=1 / (time[1] - time[0]), zero_phase=True)
@@ -86,16 +82,17 @@ class Scrub:
         rubs, slides = (np.median(of) if of.size else np.nan for of in (rubbed, self.sliding))
         return [
             Measure(name=f"{name}: force noise above 20 Hz, rms", value=float(noise), unit="N", limit=NOISE_LIMIT_N,
-                    known=known_noise),
+                    known="noise" in known),
             Measure(name=f"{name}: single-step dropouts", value=float(dropouts(time, force)[steady].sum()), limit=0.0),
             Measure(name=f"{name}: deviation of the mean force from the target force", unit="%", limit=25.0,
-                    value=float(100 * abs(mean / wanted - 1)), known=known_motion),
+                    value=float(100 * abs(mean / wanted - 1)), known="mean force" in known),
             Measure(name=f"{name}: share of the time at speed", value=float(100 * steady.mean()), unit="%",
-                    limit=25.0, side="at least", known=known_motion),
+                    limit=25.0, side="at least", known="time at speed" in known),
             Measure(name=f"{name}: share of the force under which the tool slides", unit="%",
                     limit=SLIDING_LIMIT_PERCENT, side="at least", value=float(100 * slides)),
             Measure(name=f"{name}: deviation of the sliding friction from the declared one", unit="%",
-                    limit=FRICTION_LIMIT_PERCENT, value=float(100 * abs(rubs / friction - 1)), known=known_motion),
+                    limit=FRICTION_LIMIT_PERCENT, value=float(100 * abs(rubs / friction - 1)),
+                    known="friction" in known),
         ]  # fmt: skip
 
 
@@ -109,7 +106,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
             done = scrub(simulation, wanted, strokes=QUICK_STROKES if quick else STROKES, region=region)
             measures += done.measures(
                 f"{region} scrubbed with {wanted:.0f} N", wanted=wanted, friction=subject.tissue(region).friction,
-                known_noise=(region, wanted) in KNOWN_NOISE, known_motion=(region, wanted) in KNOWN_MOTION,
+                known=known_of_scrub(subject.protocol, region, wanted),
             )  # fmt: skip
             curves[f"{region}/{wanted:.0f} N"] = np.stack([done.time_s, done.force_n, done.steady.astype(np.float64)])
     return CheckResult(check="smoothness", title=TITLE, measures=tuple(measures), curves=curves)

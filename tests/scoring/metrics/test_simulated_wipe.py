@@ -1,4 +1,7 @@
-"""Three passes of a round tool over a flat sheet, simulated, beside what a hand computes of Pasternak's foundation."""
+"""Three passes of a round tool over a flat sheet, simulated, beside what a hand computes of Pasternak's foundation.
+
+With person-v2's contact, whose pressure is no linear function of depth, finite differences take the hand's place.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.linalg import solve_banded
 from scipy.optimize import brentq
 from scipy.special import ive, k0, k1
 
+from carecontact.contract.protocol import Tissue
 from carecontact.kernel.region import Mesh
 from carecontact.recording import Recording
 from carecontact.scoring import METRICS
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.touched_cells import MMHG_PA, SLID_M
+from carecontact.world.human.versions import BUILDS
 from tests.kernel.sheets import SPHERE, Sheet, sheet, tissue
 from tests.scoring.synthetic import make_recording
 
@@ -85,11 +91,11 @@ def bed() -> Mesh:
     return replace(mesh, cells=np.where(inside, column[:, 0] * ACROSS + column[:, 1], -1))
 
 
-def stroke() -> np.ndarray:
+def stroke(deep_m: float = DEPTH_M, speed_m_s: float = SPEED_M_S) -> np.ndarray:
     """(n, 2) down, over the sheet, up and back."""
-    down, steps = np.linspace(0.001, -DEPTH_M, 50), round(WAY_M / SPEED_M_S / DT_S)
+    down, steps = np.linspace(0.001, -deep_m, 50), round(WAY_M / speed_m_s / DT_S)
     over = np.linspace(-WAY_M / 2, WAY_M / 2, steps)
-    parts = ((-WAY_M / 2, down), (over, -DEPTH_M), (WAY_M / 2, down[::-1]), (over[::-6], CLEAR_M))
+    parts = ((-WAY_M / 2, down), (over, -deep_m), (WAY_M / 2, down[::-1]), (over[::-6], CLEAR_M))
     return np.concatenate([np.stack(np.broadcast_arrays(x, z), 1) for x, z in parts])
 
 
@@ -114,13 +120,16 @@ class Wiped:
         return make_recording(duration=len(force) * DT_S, normal={"right_forearm": force}, extra=arrays)
 
 
-@pytest.fixture(scope="module")
-def wiped() -> Wiped:
+def wipe(law: Tissue, radius_m: float, stroke: np.ndarray, *, layer_m: float = 0.0, entry_m: float = 0.0) -> Wiped:
+    """Wipe three times with a ball over a sheet with this law and this contact (``world.human.versions``)."""
     mesh = bed()
     edge = mesh.places[mesh.triangles]
     area = np.linalg.norm(np.cross(edge[:, 1] - edge[:, 0], edge[:, 2] - edge[:, 0]), axis=1) / 2
-    world = Sheet(LAW, mesh, bottom_m=RADIUS_M, type=SPHERE, size=[RADIUS_M, 0, 0])
-    path = np.concatenate([stroke()] * 3)
+    world = Sheet(
+        law, mesh, bottom_m=radius_m, type=SPHERE, size=[radius_m, 0, 0], layer_m=layer_m, entry_m=entry_m
+    )  # fmt: skip
+    path = np.concatenate([stroke] * 3)
+    path = path[: len(path) // PERIOD_STEPS * PERIOD_STEPS]
     sums, force = [world.felt.cells(world.data)], []
     for part in np.split(path, len(path) // PERIOD_STEPS):
         force += [float(row["normal_n"]) for row in world.move(part)]
@@ -133,6 +142,11 @@ def wiped() -> Wiped:
         },
         force_n=np.array(force),
     )
+
+
+@pytest.fixture(scope="module")
+def wiped() -> Wiped:
+    return wipe(LAW, RADIUS_M, stroke())
 
 
 def value(metric: str, recording: Recording) -> float:
@@ -161,3 +175,52 @@ def test_three_passes_at_23_mmhg_clean_the_strip_and_two_do_not(wiped: Wiped) ->
     clean = value("effective_wiping@1", wiped.recording()) * wiped.area_m2.sum()
     assert clean == pytest.approx(by_hand().swept_m2(SLID_M), rel=0.05)
     assert value("effective_wiping@1", wiped.recording(strokes=2)) == 0.0
+
+
+NEWEST = BUILDS["person-v2"]
+FOREARM = tissue(
+    a_n_m3=2.066e6, c_n_m5=0.0, coupling_length_m=0.005, damping_ns_m3=2.99e4, contact_n_m3=5e7, membrane_n_m=175
+)
+"""The stiffness, coupling and damping of a shipped forearm, without the law's growth with depth."""
+
+
+def by_differences(law: Tissue, radius_m: float, deep_m: float, layer_m: float, *, rings: int = 3000) -> Hand:
+    """A ball at a depth by finite differences over the radius: sheet and contact layer push back, and the layer's
+    stiffness grows as k (1 + (c / layer)^2) with its compression c."""
+    far = 0.12
+    r = (np.arange(rings) + 0.5) * far / rings
+    step = far / rings
+    tension = law.a_n_m3 * law.coupling_length_m**2
+    depth = deep_m - (radius_m - np.sqrt(np.maximum(radius_m**2 - r**2, 0.0)))
+    depth[r > 0.99 * radius_m] = -1.0
+    outer, inner = (tension * (r + side * step / 2) / (r * step**2) for side in (1, -1))
+    sheet_m, touched, stiff = np.zeros(rings), depth > 0, np.zeros(rings)
+    assert law.contact_n_m3 is not None
+    for _ in range(300):
+        squeezed = np.where(touched, np.maximum(depth - sheet_m, 0.0), 0.0)
+        stiff = np.where(touched, law.contact_n_m3 * (1 + (squeezed / layer_m) ** 2), 0.0)
+        bands = np.zeros((3, rings))
+        bands[0, 1:], bands[1], bands[2, :-1] = -outer[:-1], law.a_n_m3 + stiff + outer + inner, -inner[1:]
+        sheet_m = 0.5 * sheet_m + 0.5 * solve_banded((1, 1), bands, stiff * depth)
+        touched = depth > sheet_m
+    pressure = stiff * (depth - sheet_m) * touched
+    return Hand(contact_m=float(r[touched].max(initial=0.0)), force_n=float(2 * np.pi * (pressure * r).sum() * step))
+
+
+@pytest.mark.parametrize(
+    ("radius_m", "deep_m", "law", "speed_m_s"), [(0.12, 0.003, LAW, 0.1), (0.03, 0.004, FOREARM, 0.02)]
+)
+def test_person_v2_wipes_the_strip_and_has_the_pressure_of_finite_differences(
+    radius_m: float, deep_m: float, law: Tissue, speed_m_s: float
+) -> None:
+    """The smaller ball goes slowly, because its forearm has all of its damping, which the solution has not."""
+    path = stroke(deep_m, speed_m_s)
+    found = wipe(law, radius_m, path, layer_m=NEWEST.layer_m, entry_m=NEWEST.entry_m)
+    deep, often = np.unique(np.round(-path[:, 1], 7), return_counts=True)
+    hands = [(by_differences(law, radius_m, d, NEWEST.layer_m), times) for d, times in zip(deep, often, strict=True)
+             if d > 0]  # fmt: skip
+    strip = value("coverage@1", found.recording()) * found.area_m2.sum()
+    assert strip == pytest.approx(hands[-1][0].swept_m2(SLID_M), rel=0.04)
+    force = sum(hand.force_n * times for hand, times in hands)
+    area = sum(np.pi * hand.contact_m**2 * times for hand, times in hands)
+    assert value("pressure_mean@1", found.recording()) == pytest.approx(force / area / 1000, rel=0.04)

@@ -20,7 +20,7 @@ class MeasureAnswer(Part):
     decides: bool | None = None
     met: bool | None = None
     known: bool | None = None
-    """Whether the shipped persons are known to miss this limit. Missing it fails the check all the same."""
+    """Whether this person is known to miss this limit. Missing it fails the check all the same."""
 
 
 class CheckAnswer(Part):
