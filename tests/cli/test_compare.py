@@ -343,7 +343,8 @@ def test_one_trial_paired_is_one_trial(runs: Path, capsys: pytest.CaptureFixture
     assert "\n1 trial paired, 1 task, 1 seed\n" in capsys.readouterr().out
 
 
-def test_two_runs_say_who_is_no_method(capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_runs_say_who_is_no_method(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
     kept = Path(__file__).resolve().parents[2] / "docs" / "results" / "bathing-wide-v1-L2"
     runs = [str(kept / f"{name}.json.gz") for name in ("oracle", "replay")]
     assert main(["compare", *runs]) == 0
@@ -352,7 +353,10 @@ def test_two_runs_say_who_is_no_method(capsys: pytest.CaptureFixture[str]) -> No
     assert "189 trials; a blind baseline, and no method\n" in told
 
 
-def test_the_tasks_of_baselines_are_safety_gated_like_their_difference(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_tasks_of_baselines_are_safety_gated_like_their_difference(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
     kept = Path(__file__).resolve().parents[2] / "docs" / "results" / "bathing-v2"
     method, blind = (str(kept / f"{name}.json.gz") for name in ("voxposer", "random"))
     assert main(["compare", method, "--baseline", blind]) == 0
