@@ -2,6 +2,7 @@
 
     python tools/keep_sweep.py runs/results [--out docs/results]
     python tools/keep_sweep.py runs/stiffness --changed stiffness [--out docs/results]
+    python tools/keep_sweep.py runs/ensemble --scores-only ensemble [--out docs/results]
 
 The folder is that of a finished ``carecontact sweep``. Writes PROTOCOL.md, which is the sweep's tables under a heading,
 and packs the scores of each cell into ``PROTOCOL-LEVEL/POLICY.json.gz``, where ``carecontact compare`` and the report
@@ -9,8 +10,9 @@ find the shipped policies and the blind baselines that stand beside a run. Where
 one level, POLICY.json.gz has the one that passed most trials, and the others have their arguments in the name.
 
 ``--changed NAME`` is for a sweep that changes something in the protocol, of which no cell stands beside anybody's run.
-It writes PROTOCOL-NAME.md, and the scores into ``sensitivity/PROTOCOL-NAME/CELL.json.gz``. The same cells give the same
-files.
+It writes PROTOCOL-NAME.md, and the scores into ``sensitivity/PROTOCOL-NAME/CELL.json.gz``. ``--scores-only NAME`` is
+for a sweep whose tables stand on another page: it writes the scores alone, into ``sensitivity/NAME-CELL.json.gz``. The
+same cells give the same files.
 """
 
 from __future__ import annotations
@@ -128,25 +130,41 @@ def keep_changed(sweep: Path, out: Path, what: str) -> list[Path]:
     return files
 
 
+def keep_scores(sweep: Path, out: Path, name: str) -> list[Path]:
+    """Write the scores of a sweep whose tables stand on another page, and return the files. Raises what ``cells_of``
+    raises."""
+    files: list[Path] = []
+    for cell, run in cells_of(sweep).items():
+        files.append(out / "sensitivity" / f"{name}-{cell.rpartition('_')[0]}.json.gz")
+        files[-1].parent.mkdir(parents=True, exist_ok=True)
+        pack_results(files[-1], run)
+    return files
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sweep", type=Path)
     parser.add_argument("--out", type=Path, default=Path("docs/results"))
-    parser.add_argument("--changed", metavar="NAME", help="what the sweep changed in the protocol")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--changed", metavar="NAME", help="what the sweep changed in the protocol")
+    what.add_argument("--scores-only", metavar="NAME", help="write no page; NAME begins the names of the files")
     options = parser.parse_args(arguments)
     try:
-        files = (
-            keep_changed(options.sweep, options.out, options.changed)
-            if options.changed
-            else keep(options.sweep, options.out)
-        )
+        if options.changed:
+            files = keep_changed(options.sweep, options.out, options.changed)
+        elif options.scores_only:
+            files = keep_scores(options.sweep, options.out, options.scores_only)
+        else:
+            files = keep(options.sweep, options.out)
     except CarecontactError as error:
         print(f"keep_sweep: {error}", file=sys.stderr)
         return 2
     except OSError as error:
         print(f"keep_sweep: {error.filename}: {error.strerror}", file=sys.stderr)
         return 2
-    print(f"{files[0]} and {len(files) - 1} files of scores")
+    print(
+        f"{len(files)} files of scores" if options.scores_only else f"{files[0]} and {len(files) - 1} files of scores"
+    )
     return 0
 
 

@@ -14,6 +14,7 @@ from carecontact import __version__
 from carecontact.cli import BROKEN_PIPE, main
 from carecontact.regions.anatomy import JOINTS, LIMB_PARTS, SEGMENTS
 from carecontact.scoring import METRICS
+from carecontact.scoring.limits import LIMIT_PACKS
 
 SOURCES = str(Path(carecontact_package.__file__).parents[1])
 BROKEN = "class Broken:\n    def __init__(self):\n        raise RuntimeError('no weights here')\n"
@@ -96,6 +97,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
             ],
         ),
         ("metrics", sorted(METRICS)),
+        ("limits", sorted(LIMIT_PACKS)),
         ("segments", [*SEGMENTS, *LIMB_PARTS, *JOINTS]),
     ],
 )

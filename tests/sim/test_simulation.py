@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from carecontact.errors import SceneError
 from carecontact.recording.schema import SEGMENTS
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import Scene
@@ -186,3 +187,11 @@ def test_force_is_that_of_tissue_and_of_contacts(pressing: Simulation) -> None:
         normal += wrench[0]
     assert samples.force[-1, FOREARM] == pytest.approx(total, abs=1e-9)
     assert samples.normal[-1, FOREARM] == pytest.approx(normal, abs=1e-9)
+
+
+def test_a_state_of_another_size_is_refused(pressing: Simulation) -> None:
+    state = pressing.integration_state()
+    told = rf"the state of this world has {state.size} numbers; the given one has shape \({state.size - 1},\)"
+    with pytest.raises(SceneError, match=told):
+        pressing.restore(state[:-1], comfort_arm_deg=52.5)
+    np.testing.assert_array_equal(pressing.integration_state(), state)

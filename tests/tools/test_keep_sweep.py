@@ -87,3 +87,17 @@ def test_a_changed_protocol_has_a_page_of_its_own_and_stands_beside_no_run(sweep
     assert [file.name for file in sorted(folder.iterdir())] == ["a_200.json.gz", "b_200.json.gz", "c_200.json.gz"]
     beside, _ = beside_kept(read_scores(folder / "c_200.json.gz"), [], folders=[kept])
     assert beside is None
+
+
+def test_the_scores_alone_make_no_page(sweep: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a_1", "b_2", "c_3"):
+        (sweep / "cells" / name[0]).rename(sweep / "cells" / name)
+    kept = tmp_path / "kept"
+    assert main([str(sweep), "--out", str(kept), "--scores-only", "people"]) == 0
+    assert capsys.readouterr().out == "3 files of scores\n"
+    files = {str(file.relative_to(kept)) for file in kept.rglob("*") if file.is_file()}
+    assert files == {f"sensitivity/people-{name}.json.gz" for name in "abc"}
+    assert [score.safety_gated for score in read_scores(kept / "sensitivity" / "people-a.json.gz").scores] == [
+        True,
+        False,
+    ]

@@ -15,6 +15,9 @@ from carecontact.protocols import load_protocol, shipped_protocols
 from carecontact.reports.compare.blind_floor import role_in
 from carecontact.reports.compare.comparison import compare_runs
 from carecontact.reports.compare.paired_lines import RateLine
+from carecontact.reports.sweep.band_texts import flip_rows, spread_rows
+from carecontact.reports.sweep.bands import Bands, bands
+from carecontact.reports.sweep.table import CellScores
 from carecontact.runs.run_scores import RunScores
 from carecontact.runs.stored_scores import read_scores
 from tests.reports.synthetic_run import make_score
@@ -199,6 +202,32 @@ def test_the_table_of_the_cameras_error_is_that_of_the_draws_and_the_kept_scores
             scores = read_scores(RESULTS / f"{run}.json.gz").scores
             mine = [score.safety_gated for score in scores if score.seed in seeds]
             assert cell == f"{sum(mine)} of {len(mine)}"
+
+
+def people() -> Bands:
+    """The bands of examples/cluster/ensemble.toml from its kept scores."""
+    cells: list[CellScores] = []
+    for path in sorted(RESULTS.glob("sensitivity/ensemble-*.json.gz")):
+        policy, body, friction = path.name.removesuffix(".json.gz").removeprefix("ensemble-").split("_")
+        scores = read_scores(path).scores
+        assert {(s.policy, len(scores)) for s in scores} == {(policy, 6)}
+        values = {"body": body, "friction": friction}
+        cells.append(CellScores(label=policy, values=values, folder="", planned=6, scores=scores))
+    assert len(cells) == 32
+    found = bands(cells, "safety_gated", ranked=["state-machine", "voxposer", "voxposer-phased", "replay"])
+    assert found is not None
+    return found
+
+
+def test_the_page_of_the_person_says_how_much_it_matters_who_is_simulated() -> None:
+    found = people()
+    assert {one.n for one in found.spreads} == {24}
+    page = (ROOT / "docs" / "person.md").read_text().partition("## Does it matter who is simulated?")[2]
+    named = {name: f"`{name}`" for name in ("state-machine", "voxposer", "voxposer-phased", "replay")}
+    for row in (*spread_rows(found, named), *flip_rows(found)):
+        # Neither task is a push, so that C2 is defined for none.
+        assert row[4] == "NA"
+        assert f"| {' | '.join(row[:4] + row[5:])} |" in page
 
 
 def depends_on(sweep: str) -> dict[str, dict[str, str]]:
