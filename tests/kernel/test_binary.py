@@ -49,6 +49,18 @@ def test_a_mark_is_found_among_other_bytes(tmp_path: Path) -> None:
     assert binary.mark_in(file) is None
 
 
+def test_a_binary_that_is_cut_off_is_told_before_it_is_loaded(elsewhere: Path) -> None:
+    """Its mark may still be there, and loading it would end the process."""
+    here = binary.platform_here()
+    file = binary.library_file(here)
+    if file.suffix != ".so":
+        pytest.skip("only ELF says where it ends")
+    assert elsewhere in file.parents
+    assert binary.fault(here) is None
+    file.write_bytes(file.read_bytes()[:-1])
+    assert binary.fault(here) == f"is cut off: {file}"
+
+
 def test_the_script_runs_without_the_package_and_finds_nothing_wrong() -> None:
     done = subprocess.run(
         [sys.executable, "-I", "-S", binary.__file__], capture_output=True, text=True, check=False, cwd="/"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import platform
 import re
+import struct
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,8 @@ from version to version."""
 ZIG = "0.16.0"
 """Version of the package `ziglang`. Its C compiler makes every binary, because others round some expressions
 differently."""
+ELF_HEADER = 64
+"""Length of the header of an ELF file of 64 bits."""
 FLAGS = (
     "-std=c17", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-fPIC", "-g0",
     "-Wall", "-Wextra", "-Wshadow", "-Werror",
@@ -93,6 +96,20 @@ def mark_in(file: Path) -> str | None:
     return found[0].decode() if found else None
 
 
+def is_cut_off(file: Path) -> bool:
+    """Return whether an ELF file of 64 bits ends before its table of sections does, which the linker writes last.
+
+    Loading such a file can end the process without a message. Other files give False: macOS checks its own.
+    """
+    content = file.read_bytes()
+    if content[:5] != b"\x7fELF\2":
+        return False
+    if len(content) < ELF_HEADER:
+        return True
+    table, size, count = (*struct.unpack_from("<Q", content, 0x28), *struct.unpack_from("<HH", content, 0x3A))
+    return len(content) < table + size * count
+
+
 def fault(name: str) -> str | None:
     """Return why a platform's binary cannot be used, as the end of a sentence about it, or None if it can."""
     if name not in PLATFORMS:
@@ -102,6 +119,8 @@ def fault(name: str) -> str | None:
         return f"is missing: {file}"
     if mark_in(file) != mark(name):
         return f"does not belong to the C sources beside it: {file}"
+    if is_cut_off(file):
+        return f"is cut off: {file}"
     return None
 
 

@@ -28,7 +28,8 @@ TOLERANCE_M = 1e-6
 """The solver stops when no vertex moves farther than this in a sweep. With a tenth of it, measured peaks changed by
 less than 0.1 %."""
 SWEEPS = 60
-"""Largest number of sweeps of the solver in a step. Scrubs take 3 to 20 (measured)."""
+"""Largest number of sweeps of the solver in a step. In scrubs, half of the steps take one or two, 95 % at most four,
+and the most was 13 (measured)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +144,8 @@ def add_region(
             contype has bit 1.
         ledger: whether to keep the energy of every step (``Readings``), which takes a tenth of the solver's time.
         layer_m: depth in the contact layer at which its pressure is twice that of a linear layer; 0: it is linear.
-        entry_m: way of the tool over which skin that it meets from the side comes to bear; 0: it bears nothing.
+        entry_m: way of the tool over which skin that it has not pressed comes to bear. 0: beside an upright wall such
+            skin bears nothing, and once the wall is no longer upright to it, all at once.
 
     Raises DependencyError if the compiled tissue is missing.
     """

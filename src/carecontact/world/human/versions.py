@@ -18,9 +18,10 @@ class Build:
     layer_m: float = 0.0
     """Depth in the contact layer at which its pressure is twice that of a linear layer, [m]. 0: the layer is linear."""
     entry_m: float = 0.0
-    """Way of a tool over which skin that it has not pressed comes to bear, by a factor of e, [m]. 0: such skin bears at
-    once. Chosen for a cap that scrubs the belly with 15 N: with 2 to 3 mm its force rattles, and with 8 mm its mean is
-    10 to 15 % off the one asked for."""
+    """Way of a tool over which skin that it has not pressed comes to bear, by a factor of e, [m]. 0: beside an upright
+    wall such skin bears nothing, and once the wall is no longer upright to it, all at once. Chosen for a cap that
+    scrubs the belly with 15 N: with 2 to 3 mm its force rattles, and with 8 mm its mean is 10 to 15 % off the one asked
+    for."""
     parted: bool = False
     """Whether the hulls of neighbouring plates meet in planes (``parting``). False: they overlap, and both plates carry
     what lies there."""
