@@ -287,17 +287,6 @@ def test_the_state_of_a_person_who_is_awake_needs_a_world_that_knows_what_it_doe
     Life(fresh).check_known(other)
 
 
-def test_the_state_of_a_person_who_does_something_else_is_refused() -> None:
-    model, data = arm()
-    Life(model).wake(data, MOVES)
-    state = run(model, data, 0.1)[-1]
-    fresh, other = arm()
-    Life(fresh).wake(other, replace(MOVES, tone=0.15))
-    mujoco.mj_setState(fresh, other, state, STATE)
-    with pytest.raises(SceneError, match="the person of this world woke with other doings"):
-        Life(fresh).check_known(other)
-
-
 @pytest.mark.parametrize(
     ("doings", "told"),
     [

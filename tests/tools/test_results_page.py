@@ -166,6 +166,18 @@ def test_under_the_protocols_own_value_the_same_recordings_come_out(scores: Path
     assert {s.recording_sha256 for s in run.scores} <= hashes
 
 
+@pytest.mark.parametrize("level", ["L0", "L1", "L2", "L3"])
+def test_the_oracle_passes_every_trial_of_the_check(level: str) -> None:
+    """docs/bathing-wide.md: 189 of 189 on each level."""
+    run, test = (
+        read_scores(RESULTS / path)
+        for path in (f"check/oracle-{level}.json.gz", f"bathing-wide-v1-{level}/oracle.json.gz")
+    )
+    assert {(s.task_id, s.seed) for s in run.scores} == {(f"T{t}", seed) for t in range(1, 8) for seed in range(27, 54)}
+    assert all(s.safety_gated for s in run.scores)
+    assert {s.protocol_sha256 for s in run.scores} == {s.protocol_sha256 for s in test.scores}
+
+
 SAME = {"none": "L0", "all": "L3"}
 """Cells of the sweep of factors that are a level of the protocol as it is."""
 

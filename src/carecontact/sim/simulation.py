@@ -268,7 +268,7 @@ class Simulation:
 
         ``comfort_arm_deg`` is the angle at which the person was laid: the joints' rest angles are not in the state, and
         neither is what a person does by itself. Raises SceneError for a state of another size, and for the state of a
-        person who is awake where nobody woke the person of this world, or somebody did with other doings.
+        person who is awake where nobody woke the person of this world.
         """
         size = mujoco.mj_stateSize(self.model, int(mujoco.mjtState.mjSTATE_INTEGRATION))
         if np.shape(state) != (size,):
