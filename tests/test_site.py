@@ -77,7 +77,7 @@ def test_a_linked_file_of_the_repository_is_there(site: Path) -> None:
 
 @pytest.mark.parametrize(
     ("words", "page_found"),
-    [("indentation", "scoring.html"), ("--shard", "cluster.html"), ("safety gate", "glossary.html")],
+    [("indentation", "scoring.html"), ("--shard", "cluster.html"), ("contact episode", "glossary.html")],
 )
 def test_the_search_works_on_pages_that_are_opened_from_a_folder(
     site: Path, tmp_path: Path, words: str, page_found: str
