@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.protocol import Protocol
-from carecontact.kernel.readings import Readings
+from carecontact.kernel.readings import Readings, Rings
 from carecontact.kernel.region import set_law
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.subject import Subject
@@ -108,12 +108,12 @@ def uncoupled(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     return _with_laws(build_scene(protocol, target=target, skin=skin), coupling_length_m=0.0, membrane_n_m=0.0)
 
 
-class PushedTheWrongWay(Readings):
+class PushedTheWrongWay(Rings):
     """Reads the force on the bone with its sign turned round, as a kernel would give it that pushed bone and tool the
     wrong way."""
 
     def last(self, data: mujoco.MjData, count: int) -> npt.NDArray[np.void]:
-        rows = super().last(data, count).copy()
+        rows = super().last(data, count)
         rows["force_n"] *= -1
         return rows
 
@@ -131,13 +131,14 @@ class PushedAtItsOrigin(Readings):
 class ReadsWrong(Subject):
     """A sound person whose simulations read the tissue wrongly."""
 
-    def __init__(self, protocol: Protocol, readings: type[Readings]) -> None:
+    def __init__(self, protocol: Protocol, *, readings: type[Readings] = Readings, rings: type[Rings] = Rings) -> None:
         super().__init__(protocol)
-        self._readings = readings
+        self._readings, self._rings = readings, rings
 
     def hovering(self, region: str) -> Simulation:
         simulation = super().hovering(region)
         simulation.tissue.update({name: self._readings(simulation.model, name) for name in simulation.tissue})
+        simulation._rings = self._rings(list(simulation.tissue.values()))
         return simulation
 
 

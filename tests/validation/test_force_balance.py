@@ -22,7 +22,8 @@ def test_force_balances_by_independent_paths(short_form: Callable[[str], CheckRe
 
 def test_a_force_on_the_bone_with_the_wrong_sign_is_found() -> None:
     missed = {
-        m.name: m.value for m in force_balance.run(ReadsWrong(load_protocol(), PushedTheWrongWay), quick=True).missed
+        m.name: m.value
+        for m in force_balance.run(ReadsWrong(load_protocol(), rings=PushedTheWrongWay), quick=True).missed
     }
     assert missed == {
         "forearm: contact against anchors": pytest.approx(200, abs=2),
@@ -32,6 +33,6 @@ def test_a_force_on_the_bone_with_the_wrong_sign_is_found() -> None:
 
 
 def test_a_bone_that_is_pushed_without_a_moment_is_found() -> None:
-    missed = [m for m in force_balance.run(ReadsWrong(load_protocol(), PushedAtItsOrigin), quick=True).missed]
+    missed = [m for m in force_balance.run(ReadsWrong(load_protocol(), readings=PushedAtItsOrigin), quick=True).missed]
     assert [m.name for m in missed] == ["forearm: moment on the bone against the anchors' moment, over the force"]
     assert missed[0].value > 30

@@ -9,6 +9,7 @@ import pytest
 
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import SceneError
+from carecontact.kernel.region import set_law
 from carecontact.protocols import load_protocol
 from carecontact.sim.simulation import Simulation
 from carecontact.validation import knocks
@@ -63,7 +64,8 @@ class GivesWay(Simulation):
 
     def advance(self, steps: int):
         if self.time_s > 0.05:
-            self.model.numeric("abdomen/law").data[:] = 0.0
+            tissue = self.scene.regions["abdomen"].tissue
+            set_law(self.model, "abdomen", tissue.model_copy(update={"contact_n_m3": 0.0}))
         return super().advance(steps)
 
 
