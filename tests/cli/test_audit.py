@@ -36,16 +36,19 @@ def test_nothing_leaks_to_any_registered_policy(tmp_path: Path, capsys: pytest.C
     assert counts["frozen frames"]["fields of the world scrambled"] > 100
 
 
-def test_named_tasks_and_another_person(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    named = ["--policy", "zero-action", "--tasks", "T1,T3", "--seed", "5"]
+def test_named_tasks_and_another_person_on_the_hardest_level(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    named = ["--protocol", "bathing-wide-v1", "--level", "L3", "--policy", "hover", "--tasks", "T1,T3", "--seed", "5"]
     assert main(["audit", "--quick", *named, "-o", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
-    assert printed.startswith("bathing-v2, seed 5, man-adult, quick: zero-action\n")
+    assert printed.startswith("bathing-wide-v1 L3, seed 5, man-adult-light, quick: hover\n")
     # Both tasks are on the forearm, which is pressed once, with a card that names each policy once.
-    assert printed.count("running two presses on the forearm with the card of zero-action\n") == 1
+    assert printed.count("running two presses on the forearm with the card of hover\n") == 1
     assert printed.count("running two presses") == 1
     said = json.loads((tmp_path / "audit.json").read_text())
-    assert (said["protocol"]["id"], said["protocol"]["level"], said["protocol"]["seed"]) == ("bathing-v2", "", 5)
+    of = said["protocol"]
+    assert (of["id"], of["level"], of["seed"]) == ("bathing-wide-v1 L3", "L3", 5)
     rows = [(row["task"], row["observations"], row["recomputed"]) for row in said["trials"]]
     assert rows == [("T1", 1, 1), ("T3", 1, 1)]
 

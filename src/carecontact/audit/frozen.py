@@ -43,12 +43,11 @@ def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruc
     findings: list[Finding] = []
     fields = changed = images = 0
     mujoco.mj_forward(simulation.model, simulation.data)
-    scrambled_model = copy.deepcopy(simulation.model)
-    _scramble(scrambled_model, HIDDEN_OF_MODEL, np.random.default_rng(0))
+    other_model = scrambled_model(simulation.model, np.random.default_rng(0))
     keypoints = MediaPipePose()
     with (
         SceneRenderer(simulation.model, protocol=simulation.protocol) as renderer,
-        SceneRenderer(scrambled_model, protocol=simulation.protocol) as other,
+        SceneRenderer(other_model, protocol=simulation.protocol) as other,
     ):
         for card in cards:
             frames = _Frames()
@@ -111,6 +110,18 @@ def scrambled(simulation: Simulation, rng: np.random.Generator, *, keep: Callabl
     return data
 
 
+def scrambled_model(model: mujoco.MjModel, rng: np.random.Generator) -> mujoco.MjModel:
+    """Return a copy of the model with random numbers in all fields of HIDDEN_OF_MODEL.
+
+    None is below 1, so that a world can still be made: the compiled tissue refuses a model whose solver makes less than
+    one sweep.
+    """
+    model = copy.deepcopy(model)
+    for name in HIDDEN_OF_MODEL:
+        _draw(getattr(model, name), rng, low=1.0)
+    return model
+
+
 def _encoders(model: mujoco.MjModel) -> Callable[[str], Any]:
     """Return which indices of each field hold the robot's own readings and the calibrated cameras."""
     joints = [model.joint(name) for name in PANDA.joints]
@@ -135,13 +146,8 @@ def _arrays(data: mujoco.MjData) -> dict[str, np.ndarray]:
     return found
 
 
-def _scramble(model: mujoco.MjModel, fields: tuple[str, ...], rng: np.random.Generator) -> None:
-    for name in fields:
-        _draw(getattr(model, name), rng)
-
-
-def _draw(array: np.ndarray, rng: np.random.Generator) -> None:
-    array[...] = rng.uniform(0.5, 2.0, array.shape)
+def _draw(array: np.ndarray, rng: np.random.Generator, *, low: float = 0.5) -> None:
+    array[...] = rng.uniform(low, 2.0, array.shape)
 
 
 class _Frames:
