@@ -527,6 +527,19 @@ def test_a_wrong_argument_is_told_without_a_traceback(launch: Launch, arguments:
     assert _children() == []
 
 
+def test_a_policy_can_refuse_the_value_of_an_argument_without_a_traceback(launch: Launch) -> None:
+    source = (
+        "from carecontact.errors import ConfigError\n"
+        "class P(Base):\n"
+        "    def __init__(self, donor: str):\n"
+        "        raise ConfigError(f'donor {donor}: no such file')\n"
+    )
+    error = _failure(launch(source, arguments={"donor": "nothing.npz"}), at="start")
+    assert (error.kind, str(error).endswith("donor nothing.npz: no such file")) == ("argument", True)
+    assert "Traceback" not in str(error)
+    assert _children() == []
+
+
 def test_output_is_kept(launch: Launch) -> None:
     process = launch("class P(Base):\n    def reset(self, i): print('heard', i)")
     process.start()

@@ -178,6 +178,19 @@ def test_the_oracle_passes_every_trial_of_the_check(level: str) -> None:
     assert {s.protocol_sha256 for s in run.scores} == {s.protocol_sha256 for s in test.scores}
 
 
+@pytest.mark.parametrize(("level", "passed"), [("L2", 24), ("L3", 20)])
+def test_what_a_blind_policy_passes_of_the_check(level: str, passed: int) -> None:
+    """docs/bathing-wide.md: 13 and 11 %."""
+    run, test = (
+        read_scores(RESULTS / path)
+        for path in (f"check/mean-person-{level}.json.gz", f"bathing-wide-v1-{level}/oracle.json.gz")
+    )
+    assert {(s.task_id, s.seed) for s in run.scores} == {(f"T{t}", seed) for t in range(1, 8) for seed in range(27, 54)}
+    assert sum(s.safety_gated for s in run.scores) == passed
+    assert {s.policy_title for s in run.scores} == {"mean-person person=bathing-wide-L2"}
+    assert {s.protocol_sha256 for s in run.scores} == {s.protocol_sha256 for s in test.scores}
+
+
 SAME = {"none": "L0", "all": "L3"}
 """Cells of the sweep of factors that are a level of the protocol as it is."""
 

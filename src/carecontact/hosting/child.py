@@ -11,7 +11,8 @@ from collections.abc import Mapping
 from typing import NotRequired, TypedDict, cast
 
 from carecontact.contract.policy import Policy
-from carecontact.hosting.arguments import ArgumentError, bind, load_factory
+from carecontact.errors import ConfigError
+from carecontact.hosting.arguments import bind, load_factory
 from carecontact.hosting.stack import give_stack
 from carecontact.hosting.wall import raise_wall
 from carecontact.hosting.wire.server import serve_policy
@@ -77,7 +78,8 @@ def main(options: Options) -> None:
             raise_wall()
             sys.path[:0] = options["search_path"]
             policy = _construct(options["target"], {**arguments, **options["language"]})
-        except ArgumentError as error:
+        except ConfigError as error:
+            # Its message is for who gave the arguments, be it ours or the policy's own.
             tell({"error": str(error), "kind": "argument"})
             return
         except (Exception, SystemExit) as error:
