@@ -20,7 +20,7 @@ import pytest
 from carecontact.recording import read_recording
 from carecontact.recording.reader import read_verified
 
-TRIALS, KILLS, HANGUPS = 12, 15, 2
+TRIALS, KILLS, HANGUPS = 40, 50, 5
 """Even: half of the trials are of one task, half of another."""
 STRETCH = 3.0
 """How much longer the attacks take, all together, than the undisturbed run: each throws away what had begun, and the
@@ -188,6 +188,7 @@ def test_what_was_killed_at_random_is_finished_by_the_same_command(
     trials, hangups = given("KILL_TRIALS", TRIALS), given("KILL_HANGUPS", HANGUPS)
     undisturbed, temporary = tmp_path / "undisturbed", tmp_path / "temporary"
     temporary.mkdir()
+    shared = set(Path("/dev/shm").iterdir())
     kills, began = given("KILL_KILLS", KILLS), time.monotonic()
     subprocess.run(command(undisturbed, trials), check=True, stdout=subprocess.DEVNULL, env=within(temporary))
     longest_s = 2.0 * STRETCH * (time.monotonic() - began) / (kills + hangups)
@@ -201,5 +202,6 @@ def test_what_was_killed_at_random_is_finished_by_the_same_command(
     assert hashes(attack.out) == hashes(undisturbed)
     assert {path.name for path in attack.out.iterdir()} == {path.name for path in undisturbed.iterdir()}
     assert not list(temporary.iterdir())
+    assert set(Path("/dev/shm").iterdir()) <= shared
     told = {"kills": attack.killed, "of the command": attack.supervisors, "commands": attack.commands}
     record_property("random kills", {**told, "trials": trials, "done meanwhile": attack.meanwhile})

@@ -58,7 +58,7 @@ class FakeRay(types.ModuleType):
         self.exceptions = types.SimpleNamespace(RayError=RayError, RayTaskError=RayTaskError)
         self.tasks: list[Any] = []
         self.answers: dict[str, list[Any]] = {}
-        self.cpus, self.cancelled, self.began = 2.0, list[str](), dict[str, Any]()
+        self.cpus, self.gpus, self.cancelled, self.began = 2.0, 0.0, list[str](), dict[str, Any]()
         self.refusal: Exception | None = None
 
     def is_initialized(self) -> bool:
@@ -70,11 +70,11 @@ class FakeRay(types.ModuleType):
         self.began = options
 
     def remote(self, **options: Any) -> Remote:
-        assert options == {"num_cpus": 1, "num_gpus": 0.0, "max_retries": 0}
+        assert options == {"num_cpus": 1, "num_gpus": options["num_gpus"], "max_retries": 0}
         return Remote(self)
 
     def cluster_resources(self) -> dict[str, float]:
-        return {"CPU": self.cpus}
+        return {"CPU": self.cpus, "GPU": self.gpus}
 
     def wait(self, refs: list[str], **options: Any) -> tuple[list[str], list[str]]:
         return refs, []
@@ -179,7 +179,11 @@ def test_as_many_trials_begin_as_the_cluster_has_cores_now(ray: FakeRay, tmp_pat
     ray.cpus = 0
     assert engine.slots() == 1
     engine.start(SPECS[0])
-    assert engine.waiting() == {"T1-s000": "waits for a node: the cluster has no core"}
+    assert engine.waiting() == {"T1-s000": "waits: the cluster has no core"}
+    ray.cpus, engine.gpus = 3, 0.25
+    assert engine.waiting() == {"T1-s000": "waits: the cluster has no node with the GPUs that --gpus 0.25 reserves"}
+    ray.gpus = 1.0
+    assert engine.waiting() == {}
     assert engine.count() == 1
     engine.kill_all()
     assert engine.count() == 0
@@ -246,6 +250,10 @@ def test_what_keeps_from_a_cluster_is_one_sentence(ray: FakeRay, monkeypatch: py
     ray.refusal = ValueError("Package size (700MiB) exceeds the maximum size of 512.00MiB")
     with pytest.raises(ConfigError, match=r"the current folder cannot go to the nodes .*700MiB.*or serve the policy"):
         check_engine("ray", PolicySetup(ref=PolicyRef.parse("mine:P")), gpus=0)
+    monkeypatch.setenv("RAY_ADDRESS", "banana")
+    ray.refusal = ValueError("Invalid address format: banana")
+    with pytest.raises(ConfigError, match=r"RAY_ADDRESS 'banana' cannot be used: Invalid .*expected HOST:PORT"):
+        check_engine("ray", hover, gpus=0)
     with pytest.raises(ConfigError, match="--record: not with --engine ray"):
         check_engine("ray", replace(hover, record="file"), gpus=0)
     with pytest.raises(ConfigError, match="--gpus: only --engine ray"):

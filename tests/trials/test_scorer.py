@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
+import psutil
 import pytest
 
 from carecontact.recording import write_recording
@@ -59,3 +60,25 @@ def test_each_score_is_told(folder: Path, scorer: Scorer) -> None:
     scorer.wait()
     assert sorted(told) == ["T1-s000", "T1-s001", "T2-s000"]
     assert [scorer.score_of(path) is None for path in paths] == [False, False, False, True]
+
+
+def test_no_policy_can_reach_what_the_scoring_processes_share(folder: Path) -> None:
+    def shared() -> set[str]:
+        return {line.split()[-1] for line in Path("/proc/self/maps").read_text().splitlines() if "/dev/shm/" in line}
+
+    before = shared()
+    with closing(Scorer(1, trials=FEW)) as scorer:
+        assert scorer.score_of(folder / "T1-s000.h5") is not None
+        assert shared() == before
+
+
+def test_a_scoring_process_that_dies_costs_one_score(folder: Path) -> None:
+    before = set(psutil.Process().children())
+    with closing(Scorer(1, trials=FEW)) as scorer:
+        assert scorer.score_of(folder / "T1-s000.h5") is not None
+        (process,) = set(psutil.Process().children()) - before
+        process.kill()
+        assert scorer.score_of(folder / "T1-s001.h5") is None
+        assert scorer.score_of(folder / "T2-s000.h5") is not None
+        (process,) = set(psutil.Process().children()) - before
+    assert not process.is_running()

@@ -13,7 +13,7 @@ from typing import TextIO
 
 from carecontact import __version__
 from carecontact.errors import CarecontactError, ConfigError
-from carecontact.hosting.isolation.kernel import hide_memory, hide_options
+from carecontact.own_process import hide_memory, hide_options
 
 REPEATABLE = ("--set", "--policy-arg", "--policy-env", "--policy-read", "--policy-write")
 """Options that a command line may hold several times."""

@@ -55,8 +55,10 @@ class List:
         for kind in kinds:
             if self.what == "all":
                 print(f"{kind}:")
-            for name, meaning in KINDS[kind](self.rules.protocol):
-                print(f"{indent}{name:24} {meaning}".rstrip())
+            rows = KINDS[kind](self.rules.protocol)
+            width = max((24, *(len(name) for name, _ in rows)))
+            for name, meaning in rows:
+                print(f"{indent}{name:{width}} {meaning}".rstrip())
         return 0
 
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 from carecontact.errors import RecordingError
 from carecontact.recording import read_verified
+from carecontact.runs.scoring_pool import ScoringLostError, ScoringPool
 from carecontact.scoring.result import TrialScore
 from carecontact.scoring.score import score_recording
 
@@ -45,17 +43,11 @@ def score_files(paths: Sequence[Path], *, jobs: int) -> Iterator[ScoredFile | st
     if jobs <= 1:
         yield from map(score_file, paths)
         return
-    # Started afresh: a fork copies the locks of whatever threads the numerical libraries hold.
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=leave_interrupts_to_the_parent)
-    try:
-        yield from pool.map(score_file, paths, chunksize=max(1, len(paths) // (8 * jobs)))
-    except BrokenProcessPool:
-        raise RecordingError(
-            f"{paths[0].parent}: a scoring process died; score again with --jobs 1 to see at which recording"
-        ) from None
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def leave_interrupts_to_the_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with closing(ScoringPool(jobs)) as pool:
+        given = [pool.submit(path) for path in paths]
+        try:
+            yield from (each.result() for each in given)
+        except ScoringLostError:
+            raise RecordingError(
+                f"{paths[0].parent}: a scoring process died; score again with --jobs 1 to see at which recording"
+            ) from None

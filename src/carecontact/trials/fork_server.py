@@ -18,7 +18,7 @@ from contextlib import suppress
 from importlib import import_module
 
 from carecontact.errors import DependencyError
-from carecontact.hosting.isolation.kernel import die_with_parent, hide_memory
+from carecontact.own_process import die_with_parent, hide_memory
 from carecontact.trials import worker
 
 NEWS = struct.Struct("=q")

@@ -69,6 +69,11 @@ def connect(*policies: PolicyRef) -> None:
                 f"--engine ray: the current folder cannot go to the nodes with the policy: {error}; give the command "
                 "in a folder that holds the policy alone, or serve the policy (docs/cluster.md)"
             ) from None
+        if isinstance(error, ValueError):
+            raise ConfigError(
+                f"--engine ray: RAY_ADDRESS {where!r} cannot be used: {' '.join(str(error).split())[:200]}; expected "
+                "HOST:PORT of the cluster's head, such as 192.0.2.7:6379"
+            ) from None
         raise
 
 
@@ -138,9 +143,14 @@ class RayTrials:
         return [self._ended(self._running.pop(ref), ref) for ref in ready]
 
     def waiting(self) -> dict[str, str]:
-        if self._ray.cluster_resources().get("CPU", 0) >= 1:
+        there = self._ray.cluster_resources()
+        if there.get("CPU", 0) < 1:
+            lacks = "core"
+        elif there.get("GPU", 0) < self.gpus:
+            lacks = f"node with the GPUs that --gpus {self.gpus:g} reserves"
+        else:
             return {}
-        return {spec.trial_id: "waits for a node: the cluster has no core" for spec in self._running.values()}
+        return {spec.trial_id: f"waits: the cluster has no {lacks}" for spec in self._running.values()}
 
     def kill_all(self) -> None:
         for ref in self._running:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
-from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import CancelledError, Future
 from contextlib import suppress
-from multiprocessing import get_context
 from pathlib import Path
 from threading import Event
 
 from carecontact.errors import RecordingError
-from carecontact.hosting.isolation.kernel import die_with_parent, hide_memory
 from carecontact.recording import stored_sha256
-from carecontact.runs.score_files import ScoredFile, leave_interrupts_to_the_parent, score_file
+from carecontact.runs.score_files import ScoredFile
+from carecontact.runs.scoring_pool import ScoringLostError, ScoringPool
 from carecontact.scoring.result import TrialScore
 
 SHARE = 4
@@ -36,11 +33,7 @@ class Scorer:
             cores: number of cores that trials and scores share.
             trials: how many there may be.
         """
-        self._pool: Executor = ThreadPoolExecutor(1)
-        if trials >= FEW:
-            self._pool = ProcessPoolExecutor(
-                max(1, cores // SHARE), mp_context=get_context("spawn"), initializer=_alone, initargs=(os.getpid(),)
-            )
+        self._pool = ScoringPool(max(1, cores // SHARE) if trials >= FEW else 0)
         self._given: dict[Path, Future[ScoredFile | str]] = {}
         self._told: list[Event] = []
 
@@ -54,16 +47,15 @@ class Scorer:
         told = Event()
 
         def tell(given: Future[ScoredFile | str]) -> None:
-            with suppress(BrokenProcessPool, CancelledError):
+            with suppress(ScoringLostError, CancelledError):
                 if not isinstance(found := given.result(), str):
                     then(found.score)
             told.set()
 
         self._given.pop(path, None)
-        with suppress(BrokenProcessPool):
-            self._given[path] = self._pool.submit(score_file, path)
-            self._told.append(told)
-            self._given[path].add_done_callback(tell)
+        self._given[path] = self._pool.submit(path)
+        self._told.append(told)
+        self._given[path].add_done_callback(tell)
 
     def fill(self, paths: Iterable[Path]) -> None:
         """Give those recordings that it does not have."""
@@ -82,14 +74,14 @@ class Scorer:
         try:
             found = given.result()
             same = not isinstance(found, str) and stored_sha256(path) == found.score.recording_sha256
-        except (BrokenProcessPool, CancelledError, RecordingError):
+        except (ScoringLostError, CancelledError, RecordingError):
             return None
         return found if same and not isinstance(found, str) else None
 
     def score_of(self, path: Path) -> TrialScore | None:
         """Wait for the score of a recording; None where it cannot be scored."""
         self.fill([path])
-        with suppress(KeyError, BrokenProcessPool, CancelledError):
+        with suppress(KeyError, ScoringLostError, CancelledError):
             found = self._given[path].result()
             return None if isinstance(found, str) else found.score
         return None
@@ -101,11 +93,4 @@ class Scorer:
 
     def close(self) -> None:
         """Leave what has not begun unscored."""
-        self._pool.shutdown(cancel_futures=True)
-
-
-def _alone(parent: int) -> None:
-    """What keeps a policy on this machine from a trial's process keeps it from one that scores, too."""
-    die_with_parent(parent)
-    hide_memory()
-    leave_interrupts_to_the_parent()
+        self._pool.close()

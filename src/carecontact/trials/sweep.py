@@ -27,7 +27,7 @@ class SweptPolicy:
     setup: PolicySetup
     card: PolicyCard | None
     jobs: int | None
-    """Most trials at once; None: no limit."""
+    """Most trials at once of this policy and of those behind the same address; None: no limit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +92,7 @@ def run_cells(
 def _advance(opened: Sequence[_Open], policies: Sequence[SweptPolicy], jobs: int | None) -> None:
     """Give every open cell, in the order of the plan, as many trials as the slots and its policy allow."""
     for each in opened:
-        free = min(_free(opened, jobs), _room(policies[each.cell.policy], _busy(opened)[each.cell.policy]))
+        free = min(_free(opened, jobs), _room(each.cell, policies, _busy(opened, policies)))
         each.run.advance(each.run.running + int(max(0, free)))
 
 
@@ -103,28 +103,35 @@ def _following(
     free."""
     if not opened:
         return next(iter(waiting), None)
-    busy, still = _busy(opened), Counter[int]()
+    busy, taken = _busy(opened, policies), 0.0
     for each in opened:
-        still[each.cell.policy] += each.run.waiting
-    taken = sum(min(many, _room(policies[policy], busy[policy])) for policy, many in still.items())
+        will = max(0.0, min(each.run.waiting, _room(each.cell, policies, busy)))
+        busy[_served_as(each.cell, policies)] += int(will)
+        taken += will
     if _free(opened, jobs) <= taken or len(opened) >= MOST_OPEN:
         return None
-    busy += still
-    return next((cell for cell in waiting if _room(policies[cell.policy], busy[cell.policy]) > 0), None)
+    return next((cell for cell in waiting if _room(cell, policies, busy) > 0), None)
 
 
 def _free(opened: Sequence[_Open], jobs: int | None) -> int:
     return (opened[0].run.slots() if jobs is None else jobs) - sum(each.run.running for each in opened)
 
 
-def _busy(opened: Sequence[_Open]) -> Counter[int]:
-    """Policy -> its trials that run."""
-    busy = Counter[int]()
+def _served_as(cell: Cell, policies: Sequence[SweptPolicy]) -> str | int:
+    """Return what the limit of trials at once is about: the address of a server, or the policy's place in the plan."""
+    ref = policies[cell.policy].setup.ref
+    return ref.text if ref.kind == "remote" else cell.policy
+
+
+def _busy(opened: Sequence[_Open], policies: Sequence[SweptPolicy]) -> Counter[str | int]:
+    """Server or policy -> its trials that run."""
+    busy = Counter[str | int]()
     for each in opened:
-        busy[each.cell.policy] += each.run.running
+        busy[_served_as(each.cell, policies)] += each.run.running
     return busy
 
 
-def _room(policy: SweptPolicy, busy: int) -> float:
-    """Return how many more trials of the policy may run."""
-    return inf if policy.jobs is None else policy.jobs - busy
+def _room(cell: Cell, policies: Sequence[SweptPolicy], busy: Counter[str | int]) -> float:
+    """Return how many more trials of the cell's policy may run."""
+    jobs = policies[cell.policy].jobs
+    return inf if jobs is None else jobs - busy[_served_as(cell, policies)]

@@ -15,7 +15,7 @@ import traceback
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from carecontact.hosting.isolation.kernel import die_with_parent, hide_memory
+from carecontact.own_process import die_with_parent, hide_memory
 
 if TYPE_CHECKING:
     from carecontact.trials.trial import Look

@@ -10,10 +10,10 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from carecontact.hosting.isolation.allowlist import rights
-from carecontact.hosting.isolation.kernel import die_with_parent, drop_capabilities
 from carecontact.hosting.isolation.landlock import SCOPES_SINCE, restrict, version
 from carecontact.hosting.isolation.limits import can_close_limits, close_limits
 from carecontact.hosting.isolation.unlisted import UnlistedFolders
+from carecontact.own_process import die_with_parent, drop_capabilities
 
 if TYPE_CHECKING:
     from carecontact.hosting.child import Options
