@@ -211,6 +211,21 @@ def test_what_no_checksum_covers_is_small(tmp_path: Path, image: bytes) -> None:
         write_recording(make_recording(extra={"wall/hidden": large}), path)
 
 
+def test_little_can_hide_beside_the_arrays(tmp_path: Path, image: bytes) -> None:
+    path = tmp_path / "T1-s000.h5"
+    path.write_bytes(image + bytes(1 << 19))
+    read_recording(path)
+    path.write_bytes(image + bytes(20 << 20))
+    with pytest.raises(RecordingError, match="bytes beside the arrays"):
+        read_recording(path)
+    path.write_bytes(image)
+    with h5py.File(path, "r+") as file:
+        for n in range(40):
+            file.attrs[f"note {n}"] = "x" * 60_000
+    with pytest.raises(RecordingError, match="bytes beside the arrays"):
+        read_recording(path)
+
+
 def test_links_are_refused(tmp_path: Path, image: bytes) -> None:
     path = tmp_path / "T1-s000.h5"
     path.write_bytes(image)

@@ -14,7 +14,15 @@ from carecontact.recording.canonical import canonical_digest
 from carecontact.recording.check import check_header, check_recording
 from carecontact.recording.migration import RawRecording, check_version, migrate
 from carecontact.recording.schema import SCHEMA_VERSION, Header, Recording
-from carecontact.recording.stored_file import check_sizes, find_datasets, load, opened, read_bytes, root_datasets
+from carecontact.recording.stored_file import (
+    check_sizes,
+    check_structure,
+    find_datasets,
+    load,
+    opened,
+    read_bytes,
+    root_datasets,
+)
 from carecontact.recording.versions import missing_suppliers
 from carecontact.recording.writer import CHECKSUM, HEADER
 
@@ -82,6 +90,7 @@ def stored_sha256(path: Path | str) -> str:
 def _read(path: Path, file: Any) -> VerifiedRecording:
     found = find_datasets(path, file)
     check_sizes(path, found)
+    check_structure(path, found)
     stored, content = read_bytes(path, found, CHECKSUM), read_bytes(path, found, HEADER)
     data = _parse_json(path, content)
     arrays = {name: item for name, item in sorted(found.items()) if name not in (CHECKSUM, HEADER)}

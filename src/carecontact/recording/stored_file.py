@@ -26,6 +26,9 @@ FREE_BYTES = 1 << 16
 MAX_CHUNK_BYTES = 256 << 20
 MAX_HEADER_BYTES = 16 << 20
 MAX_ARRAYS = 100_000
+MAX_STRUCTURE_BYTES, STRUCTURE_BYTES_PER_ARRAY = 1 << 20, 1 << 10
+"""Most bytes of a file beside its arrays, in all and for each array; no checksum covers them. A trial has 20 to 40 kB,
+some 400 bytes for each array."""
 
 
 @contextmanager
@@ -89,6 +92,17 @@ def find_datasets(path: Path, file: Any) -> dict[str, Any]:
             else:
                 raise RecordingError(f"{path}: {prefix}{name} is neither a group nor an array")
     return found
+
+
+def check_structure(path: Path, found: Mapping[str, Any]) -> None:
+    """Refuse a file with more beside its arrays than HDF5 needs: bytes that are appended or in a gap, or attributes."""
+    beside = path.stat().st_size - sum(int(item.id.get_storage_size()) for item in found.values())
+    most = MAX_STRUCTURE_BYTES + STRUCTURE_BYTES_PER_ARRAY * len(found)
+    if beside > most:
+        raise RecordingError(
+            f"{path}: {beside} bytes beside the arrays, more than the {most} that their description may take; somebody "
+            "added something to the file"
+        )
 
 
 def check_sizes(path: Path, found: Mapping[str, Any]) -> None:

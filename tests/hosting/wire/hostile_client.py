@@ -1,17 +1,17 @@
-"""The harness's end against the hostile peer, in a process whose memory is measured.
+"""The harness's end against the hostile peer, in processes whose memory is measured.
 
-``python -m tests.hosting.wire.hostile_client PORT TIMES AT_ONCE`` meets each attack at each stage that often and prints
-a JSON object: ``met``, rows of stage, attack, kind of the failure or null, and seconds of the attacked call; and
-``peak_mb``, of memory.
+``python -m tests.hosting.wire.hostile_client PORT TIMES AT_ONCE`` meets each attack at each stage that often, in AT_ONCE
+processes with one connection each, as trials have it. It prints a JSON object: ``met``, rows of stage, attack, kind of
+the failure or null, seconds of the attacked call, and the largest memory [MB] of its process so far.
 """
 
 from __future__ import annotations
 
 import json
+import multiprocessing
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from carecontact.errors import PolicyError
@@ -25,7 +25,7 @@ from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_v
 
 DEADLINE_S = 1.5
 
-Row = tuple[str, str, str | None, float]
+Row = tuple[str, str, str | None, float, float]
 
 
 class Attacked(RemotePolicy):
@@ -55,17 +55,22 @@ def meet(port: int, stage: str, attack: str) -> Row:
     except PolicyError as error:
         kind = error.kind
     policy.close()
-    return stage, attack, kind, time.monotonic() - began
+    took_s = time.monotonic() - began
+    return stage, attack, kind, took_s, memory_mb()
+
+
+def memory_mb() -> float:
+    """Not ru_maxrss: that begins with the memory of the process that started this one."""
+    status = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in status if "VmHWM" in line) / 1024
 
 
 def main(port: int, times: int, at_once: int) -> None:
-    plan = [(stage, attack) for _ in range(times) for stage in STAGES for attack in attacks_at(stage)]
-    with ThreadPoolExecutor(at_once) as pool:
-        met = list(pool.map(lambda case: meet(port, *case), plan))
-    # Not ru_maxrss: that begins with the memory of the process that started this one.
-    (peak_kb,) = [line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line]
-    peak_mb = int(peak_kb) / 1024
-    sys.stdout.write(json.dumps({"met": met, "peak_mb": peak_mb}))
+    plan = [(port, stage, attack) for _ in range(times) for stage in STAGES for attack in attacks_at(stage)]
+    # Forked, so that nothing is imported again.
+    with multiprocessing.get_context("fork").Pool(at_once) as pool:
+        met = pool.starmap(meet, plan, chunksize=1)
+    sys.stdout.write(json.dumps({"met": met}))
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
 from tests.hosting.wire.hostile import STAGES, attacks_at, hostile_server
 from tests.hosting.wire.hostile_client import DEADLINE_S, meet
 
-LATE_S, MEMORY_MB = 2.0, 512
+LATE_S, MEMORY_MB = 2.0, 256
 AT_ONCE = 24
 """Most of the attacks wait for a deadline, so that many can be met at the same time."""
 
@@ -38,10 +38,11 @@ def test_every_call_ends_in_time_and_names_the_failure(
     # A peer whose handshake never ends reaches no stage behind it.
     for stage in ("card", "reset", "act"):
         assert {row[2] for row in found["met"] if row[0] == stage} >= {"died", "garbage", "oversize", "timeout"}
-    assert found["peak_mb"] < MEMORY_MB
+    peak_mb = max(row[4] for row in found["met"])
+    assert peak_mb < MEMORY_MB
     record_property("met", len(found["met"]))
     record_property("slowest", max(row[3] for row in found["met"]))
-    record_property("peak_mb", found["peak_mb"])
+    record_property("peak_mb", peak_mb)
 
 
 def test_a_flood_of_large_messages_is_not_kept() -> None:
