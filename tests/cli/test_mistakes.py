@@ -11,6 +11,7 @@ from carecontact.cli import main
 from carecontact.errors import PolicyError
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
+from tests.hosting.served import WITHOUT_WAITING
 from tests.policies.synthetic import SESSION, synthetic_observation
 
 POLICY = """
@@ -116,6 +117,7 @@ def test_a_mistake_is_one_line_that_says_what_to_do(
     mistake: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("carecontact.hosting.remote.FIRST_PAUSE_S", WITHOUT_WAITING)
     Path("my_policy.py").write_text(POLICY)
     Path("gone.toml").write_text(HEIR.replace("bathing-v2", "no.toml"))
     Path("field.toml").write_text(HEIR + "phsyics.dt_s = 0.004\n")

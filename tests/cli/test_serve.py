@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import socket
+from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,7 +19,7 @@ from carecontact.errors import ConfigError
 from carecontact.recording import read_recording
 from carecontact.trials.request import TrialRequest
 from tests.cli.test_run_and_demo import fake
-from tests.hosting.served import served
+from tests.hosting.served import WITHOUT_WAITING, served
 
 __all__ = ["fake"]
 
@@ -65,6 +67,7 @@ def test_a_dialects_key_comes_from_its_own_variable(monkeypatch: pytest.MonkeyPa
 def test_a_server_that_is_not_there_is_told_before_anything_runs(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    fake.setattr("carecontact.hosting.remote.FIRST_PAUSE_S", WITHOUT_WAITING)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     assert main([*RUN, f"ws://127.0.0.1:{port}"]) == 2
@@ -75,6 +78,23 @@ def test_a_server_that_is_not_there_is_told_before_anything_runs(
         assert main([*RUN, f"ws://127.0.0.1:{port}", *option]) == 2
         assert "give them to `carecontact serve` there" in capsys.readouterr().err
     assert not Path("r").exists()
+
+
+def test_a_run_waits_for_a_server_that_starts_later(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    with ExitStack() as servers:
+
+        def sleep(pause_s: float) -> None:
+            servers.enter_context(served("class P(Base): pass", tmp_path, port=port))
+
+        fake.setattr("carecontact.hosting.remote.time", SimpleNamespace(sleep=sleep))
+        assert main([*RUN, f"ws://127.0.0.1:{port}"]) == 0
+    assert f"nothing listens at 127.0.0.1:{port}; start the policy's server there first; trying again for" in (
+        capsys.readouterr().out
+    )
 
 
 def test_a_server_that_stays_away_ends_the_run_with_status_2_and_says_how_to_go_on(

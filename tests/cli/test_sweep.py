@@ -20,6 +20,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.runs import score_folder
 from carecontact.trials import supervisor
 from carecontact.trials.supervisor import EventKind, Run, TrialEvent
+from tests.hosting.served import WITHOUT_WAITING
 
 FAKE = (sys.executable, str(Path(__file__).parents[1] / "trials" / "fake_worker.py"))
 PLAN = """
@@ -227,6 +228,7 @@ def test_a_stopped_sweep_has_a_table_on_request(fake: pytest.MonkeyPatch, capsys
 
 
 def test_a_server_that_no_trial_needs_may_be_away(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    fake.setattr("carecontact.hosting.remote.FIRST_PAUSE_S", WITHOUT_WAITING)
     Path("p.toml").write_text(PLAN.replace('"zero-action"', '"ws://127.0.0.1:9"'))
     assert main(["sweep", "p.toml", "--out", "s"]) == 2
     assert capsys.readouterr().err.startswith("error: plan p.toml: policies: ws://127.0.0.1:9 does not answer")

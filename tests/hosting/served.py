@@ -11,6 +11,10 @@ from pathlib import Path
 
 from tests.hosting.conftest import PREAMBLE
 
+WITHOUT_WAITING = 1e9
+"""In place of the first pause [s] of ``hosting.remote``: longer than any deadline, so that nobody waits for a server
+that is away."""
+
 
 @contextmanager
 def served(

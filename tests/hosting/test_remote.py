@@ -151,7 +151,7 @@ def test_a_trial_waits_for_a_server_that_is_not_there_yet(tmp_path: Path, monkey
         port = listener.getsockname()[1]
     with pytest.raises(UnreachableError, match=f"failed at start: nothing listens at 127.0.0.1:{port}"):
         at(port).start()
-    pauses: list[float] = []
+    pauses, told = list[float](), list[str]()
     with ExitStack() as stack:
 
         def sleep(pause_s: float) -> None:
@@ -161,9 +161,11 @@ def test_a_trial_waits_for_a_server_that_is_not_there_yet(tmp_path: Path, monkey
 
         monkeypatch.setattr("carecontact.hosting.remote.time", SimpleNamespace(sleep=sleep))
         with at(port, first_deadline_s=60) as policy:
-            policy.patient = True
+            policy.on_wait, policy.patient = told.append, True
             assert policy.start() == PolicyCard(name="under-test")
     assert pauses == [0.5, 1, 2, 4, 5, 5]
+    assert len(told) == 1
+    assert told[0].startswith(f"nothing listens at 127.0.0.1:{port}; start the policy's server there first; trying ")
 
 
 def test_a_trial_waits_no_longer_than_its_deadline() -> None:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import os
-import select
 import signal
 import sys
 from collections.abc import Sequence
 from types import FrameType
-from typing import TextIO
 
 from carecontact import __version__
+from carecontact.cli.streams import drop_if_gone, drop_output, prepare_streams
 from carecontact.errors import CarecontactError, ConfigError
 from carecontact.own_process import hide_memory, hide_options
 
@@ -26,10 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status. Errors that the user can fix give one message and status 2."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     hide_options(arguments)
-    _open_closed()
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        # A name out of a file or of a policy may hold what no terminal can show.
-        sys.stdout.reconfigure(errors="backslashreplace")
+    prepare_streams()
     if arguments == ["--version"]:
         print(f"carecontact {__version__}")
         return 0
@@ -95,20 +90,8 @@ def _ended(as_json: bool, error: str, message: str, status: int) -> int:
 def _nobody_reads() -> int:
     """Drop the output that is still buffered: its reader has gone, and Python would try to write it again at its
     end."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    drop_output(sys.stdout.fileno())
     return BROKEN_PIPE
-
-
-def _open_closed() -> None:
-    """Open standard output and standard error to nowhere for a command that was started without them.
-
-    This must happen first: otherwise the next file that is opened gets their number, and what libraries print goes into
-    that file.
-    """
-    if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison]
-        sys.stdout = open(os.devnull, "w")
-    if sys.stderr is None:  # pyright: ignore[reportUnnecessaryComparison]
-        sys.stderr = open(os.devnull, "w")
 
 
 def _readable(arguments: Sequence[str]) -> None:
@@ -137,22 +120,8 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     for each in _stopping():
         signal.signal(each, signal.SIG_IGN)
     for stream in (sys.__stdout__, sys.__stderr__):
-        _drop_if_gone(stream)
+        drop_if_gone(stream)
     raise KeyboardInterrupt
-
-
-def _drop_if_gone(stream: TextIO | None) -> None:
-    """Drop further output if the terminal is gone or nobody reads the pipe any more, so that printing does not fail.
-
-    The function asks the system and writes nothing, because a terminal that is full and not read would keep the writer
-    waiting."""
-    if stream is None:
-        return
-    watch = select.poll()
-    # Without any event asked for, only hang-ups and errors are told.
-    watch.register(stream.fileno(), 0)
-    if watch.poll(0):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _stopping() -> list[signal.Signals]:

@@ -100,7 +100,7 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
     shipped = setup.ref.kind == "registered" and POLICIES.package(setup.ref.text) is None
     if shipped and not (setup.arguments or setup.environment or setup.language):
         return None
-    conversation.on_wait = lambda line: print(line, flush=True)
+    conversation.on_wait, conversation.patient = lambda line: print(line, flush=True), True
     try:
         with conversation:
             return conversation.start()

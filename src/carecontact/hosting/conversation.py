@@ -49,7 +49,8 @@ class PolicyConversation(ABC):
     """
 
     on_wait: Callable[[str], None] | None = None
-    """Called every WAIT_REPORT_S seconds while the policy is silent, with one line; another thread calls it."""
+    """Called with one line every WAIT_REPORT_S seconds while the policy is silent, by another thread; and as soon as a
+    conversation that is ``patient`` begins to wait."""
     isolation: str | None = None
     """How far the policy's process is isolated (``isolation.fence``); None before its start and for a policy on another
     host."""

@@ -67,6 +67,8 @@ class RemotePolicy(PolicyConversation):
                 losses += isinstance(error, LostError)
                 if losses == MOST_LOSSES or left() <= pause_s:
                     raise
+                if pause_s == FIRST_PAUSE_S and self.on_wait is not None:
+                    self.on_wait(f"{self._shown(str(error))}; trying again for {left():.0f} s")
             self._drop()
             time.sleep(pause_s)
             pause_s, again = min(2 * pause_s, LONGEST_PAUSE_S), self._steps

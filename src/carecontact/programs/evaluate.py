@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -167,6 +168,7 @@ def _card(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
     if is_privileged(setup.ref):
         return None
     conversation = open_policy(setup, first_deadline_s=deadline_s, deadline_s=deadline_s)
+    conversation.on_wait, conversation.patient = logging.getLogger(__name__).warning, True
     try:
         with conversation:
             return conversation.start()

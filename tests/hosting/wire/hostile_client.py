@@ -1,8 +1,8 @@
 """The harness's end against the hostile peer, in processes whose memory is measured.
 
-``python -m tests.hosting.wire.hostile_client PORT TIMES AT_ONCE`` meets each attack at each stage that often, in AT_ONCE
-processes with one connection each, as trials have it. It prints a JSON object: ``met``, rows of stage, attack, kind of
-the failure or null, seconds of the attacked call, and the largest memory [MB] of its process so far.
+``python -m tests.hosting.wire.hostile_client PORT TIMES AT_ONCE`` meets each attack at each stage that often, in
+AT_ONCE processes with one connection each, as a trial has. It prints a JSON object: ``met``, rows of stage, attack,
+kind of the failure or null, seconds of the attacked call, and the largest memory [MB] of its process so far.
 """
 
 from __future__ import annotations
