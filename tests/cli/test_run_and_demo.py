@@ -16,8 +16,8 @@ from carecontact.cli.changes import differences
 from carecontact.cli.demo import missing_successes
 from carecontact.protocols import protocol_file
 from carecontact.recording import Recording, read_recording, write_recording
-from carecontact.runs import score_files as score_files_of_runs
 from carecontact.runs import score_folder, score_run
+from carecontact.runs.score_files import score_file
 from carecontact.trials import supervisor
 from tests.protocols.held import ship_frozen
 
@@ -61,9 +61,8 @@ def test_run_scores_reports_and_goes_on(fake: pytest.MonkeyPatch, capsys: pytest
 
 def test_a_trial_that_ran_is_scored_once(fake: pytest.MonkeyPatch) -> None:
     again, computed, score_files = list[Path](), list[Path](), score_folder.score_files
-    score_file = score_files_of_runs.score_file
     fake.setattr(score_folder, "score_files", lambda paths, **more: again.extend(paths) or score_files(paths, **more))
-    fake.setattr(score_files_of_runs, "score_file", lambda path: computed.append(path) or score_file(path))
+    fake.setattr("carecontact.runs.score_files.score_file", lambda path: computed.append(path) or score_file(path))
     assert main(["run", "--policy", "hover", "--tasks", "T1,T2", "--seeds", "0", "--out", "r", "--json"]) == 0
     assert again == []
     assert sorted(path.name for path in computed) == ["T1-s000.h5", "T2-s000.h5"]

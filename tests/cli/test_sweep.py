@@ -20,7 +20,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.runs import score_folder
 from carecontact.trials import supervisor
 from carecontact.trials.supervisor import EventKind, Run, TrialEvent
-from tests.hosting.served import WITHOUT_WAITING
+from tests.hosting.served import WITHOUT_WAITING, served
 
 FAKE = (sys.executable, str(Path(__file__).parents[1] / "trials" / "fake_worker.py"))
 PLAN = """
@@ -251,6 +251,33 @@ def test_one_noise_salt_serves_all_cells_that_have_noise(
     assert [manifest.get("noise_salt") for manifest in manifests.values()] == [None, None, salt, salt]
 
 
+def test_the_other_policies_go_on_without_a_server_that_stays_away(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    fake.setenv("FAKE_PLAN", json.dumps({"T1-s001": "unreached_server"}))
+    with served("class P(Base): pass", tmp_path) as (port, _):
+        Path("p.toml").write_text(PLAN.replace('"hover"', f'"ws://127.0.0.1:{port}"'))
+        assert main(["sweep", "p.toml", "--out", "s", "--jobs", "1"]) == 2
+        assert capsys.readouterr().err == (
+            "error: nothing listens there; then give the same command again for the trials that are missing\n"
+        )
+        assert [row["trials"] for row in rows()] == ["1", "2", "0", "2"]
+        fake.setenv("FAKE_PLAN", "{}")
+        assert main(["sweep", "p.toml", "--out", "s"]) == 0
+    assert [row["trials"] for row in rows()] == ["2"] * 4
+    assert ran() == 6 + 3
+
+
+def test_policies_behind_one_address_share_its_limit(fake: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with served("class P(Base): pass", tmp_path) as (port, _):
+        entry = f'"ws://127.0.0.1:{port}"\njobs = 1\nlabel = '
+        Path("p.toml").write_text(PLAN.replace('"hover"', f'{entry}"a"').replace('"zero-action"', f'{entry}"b"'))
+        most = most_at_once(fake)
+        assert main(["sweep", "p.toml", "--out", "s", "--jobs", "4"]) == 0
+    assert list(most.values()) == [1]
+    assert [row["trials"] for row in rows()] == ["2"] * 4
+
+
 def test_a_policy_may_be_given_folders(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     Path("p.toml").write_text(PLAN.replace('"zero-action"', '"zero-action"\nread = ["weights"]'))
     assert main(["sweep", "p.toml", "--out", "s"]) == 2
@@ -262,8 +289,8 @@ def test_a_policy_may_be_given_folders(fake: pytest.MonkeyPatch, capsys: pytest.
     assert readable == [[str(Path("weights").resolve())]] * 4
 
 
-def test_a_policy_has_no_more_trials_at_once_than_its_plan_says(fake: pytest.MonkeyPatch) -> None:
-    Path("p.toml").write_text(PLAN.replace('"zero-action"', '"zero-action"\njobs = 1'))
+def most_at_once(fake: pytest.MonkeyPatch) -> Counter[str]:
+    """Policy -> most trials of it that run at the same time from now on."""
     running, most = Counter[str](), Counter[str]()
     made = supervisor.open_run
 
@@ -278,6 +305,12 @@ def test_a_policy_has_no_more_trials_at_once_than_its_plan_says(fake: pytest.Mon
         return made(specs, **{**options, "on_event": told})
 
     fake.setattr(supervisor, "open_run", opened)
+    return most
+
+
+def test_a_policy_has_no_more_trials_at_once_than_its_plan_says(fake: pytest.MonkeyPatch) -> None:
+    Path("p.toml").write_text(PLAN.replace('"zero-action"', '"zero-action"\njobs = 1'))
+    most = most_at_once(fake)
     assert main(["sweep", "p.toml", "--out", "s", "--jobs", "4"]) == 0
     assert most["zero-action"] == 1
     assert most["hover"] > 1

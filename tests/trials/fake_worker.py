@@ -136,7 +136,7 @@ def main() -> int:
         (out.parents[3] / "later").mkdir()
         (out.parents[3] / "later" / "manifest.json").touch()
         write(spec, out, "good")
-    elif does == "unreached":
+    elif does == "unreached" or (does == "unreached_server" and "://" in spec.policy):
         from carecontact.trials.worker import UNREACHED
 
         out.with_name(UNREACHED).write_text("nothing listens there")
@@ -149,7 +149,7 @@ def main() -> int:
         time.sleep(3)
         write(spec, out, "good")
     elif does != "nothing":
-        write(spec, out, does)
+        write(spec, out, "good" if does == "unreached_server" else does)
     return 0
 
 

@@ -64,7 +64,7 @@ class Sweep:
     def __call__(self) -> int:
         """Return 1 if the harness failed in any trial or one could not be scored, else 3 if a policy crashed in one.
 
-        Raises ConfigError for a wrong plan, and where the server of a policy stays out of reach."""
+        Raises ConfigError for a wrong plan and, at the end, if the server of a policy stayed out of reach."""
         from carecontact.cli.cell_scores import computed, stored
         from carecontact.cli.sweep_progress import SweepProgress
         from carecontact.runs.shard import Shard
@@ -94,9 +94,14 @@ class Sweep:
         (self.out / CELLS).mkdir(parents=True, exist_ok=True)
         began = time.monotonic()
         progress = SweepProgress(cells=len(mine), trials=trials)
-        self._run(mine, policies, progress)
+        unreached = self._run(mine, policies, progress)
         progress.say_throughput(time.monotonic() - began)
-        return self._table(plan, cells, stored) or progress.status()
+        status = self._table(plan, cells, stored) or progress.status()
+        if unreached:
+            raise ConfigError(
+                f"{'; '.join(unreached)}; then give the same command again for the trials that are missing"
+            )
+        return status
 
     def _planned(self, plan: Plan) -> tuple[list[Cell], list[PolicySetup]]:
         """Return the planned cells. Mistakes in the plan itself are found here, before the first trial."""
@@ -158,7 +163,8 @@ class Sweep:
         folder = self._folder(cell)
         return sum(not (folder / f"{spec.trial_id}.h5").is_file() for spec in cell.specs)
 
-    def _run(self, cells: Sequence[Cell], policies: Sequence[SweptPolicy], progress: SweepProgress) -> None:
+    def _run(self, cells: Sequence[Cell], policies: Sequence[SweptPolicy], progress: SweepProgress) -> list[str]:
+        """Return why policies could not be reached, once for each reason."""
         from carecontact.cli.cell_scores import store
         from carecontact.trials.scorer import Scorer
         from carecontact.trials.sweep import run_cells
@@ -168,7 +174,7 @@ class Sweep:
         trials = sum(len(cell.specs) for cell in cells)
         # One thread writes the results, so that no trial waits for them.
         with closing(Scorer(cores, trials=trials)) as scorer, ThreadPoolExecutor(1) as writer:
-            written: list[Future[None]] = []
+            written, unreached = list[Future[None]](), dict[str, None]()
 
             def take(cell: Cell, event: TrialEvent) -> None:
                 progress.take(cell, event)
@@ -177,11 +183,11 @@ class Sweep:
 
             def done(cell: Cell, summary: RunSummary) -> None:
                 if summary.unreached is not None:
-                    raise ConfigError(
-                        f"the sweep stops in {cell.name}: {summary.unreached}; give the same command again"
-                    )
+                    unreached.setdefault(summary.unreached)
                 progress.done(cell, summary)
-                written.append(writer.submit(store, self._folder(cell), anew=bool(summary.ran), scorer=scorer))
+                if summary.ended:
+                    anew = bool(summary.ran)
+                    written.append(writer.submit(store, self._folder(cell), anew=anew, scorer=scorer))
 
             run_cells(
                 cells, policies, folder=self._folder, jobs=self.parallel.jobs, on_event=take, on_done=done,
@@ -191,6 +197,7 @@ class Sweep:
             )  # fmt: skip
             for each in written:
                 each.result()
+        return list(unreached)
 
     def _table(self, plan: Plan, cells: Sequence[Cell], read: Callable[[Path], RunScores | None]) -> int:
         """Write the table of all cells. Return 1 if a recording could not be scored.

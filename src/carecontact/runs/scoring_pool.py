@@ -10,6 +10,7 @@ import os
 import socket
 import subprocess
 import sys
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -36,9 +37,20 @@ class ScoringPool:
         self._own = local()
         self._started: list[_Process] = []
 
-    def submit(self, path: Path) -> Future[ScoredFile | str]:
-        """Return what will have the result of ``score_file``, or ScoringLostError."""
-        return self._threads.submit(self._score, path)
+    def submit(
+        self, path: Path, *, then: Callable[[ScoredFile | str], None] = lambda found: None
+    ) -> Future[ScoredFile | str]:
+        """Return what will have the result of ``score_file``, or ScoringLostError.
+
+        ``then``: called with the result before the future has it, in the pool's thread.
+        """
+
+        def score() -> ScoredFile | str:
+            found = self._score(path)
+            then(found)
+            return found
+
+        return self._threads.submit(score)
 
     def close(self) -> None:
         """Leave unscored what is not scored yet, and end the processes."""

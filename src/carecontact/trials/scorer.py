@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import CancelledError, Future
 from contextlib import suppress
 from pathlib import Path
-from threading import Event
 
 from carecontact.errors import RecordingError
 from carecontact.recording import stored_sha256
@@ -35,7 +34,7 @@ class Scorer:
         """
         self._pool = ScoringPool(max(1, cores // SHARE) if trials >= FEW else 0)
         self._given: dict[Path, Future[ScoredFile | str]] = {}
-        self._told: list[Event] = []
+        self._begun: list[Future[ScoredFile | str]] = []
 
     def give(self, path: Path, *, then: Callable[[TrialScore], None] = lambda score: None) -> None:
         """Score a recording that will not change any more; nobody waits. Where a process died, it stays unscored.
@@ -44,18 +43,12 @@ class Scorer:
             then: called with the score, in another thread.
         """
 
-        told = Event()
+        def tell(found: ScoredFile | str) -> None:
+            if not isinstance(found, str):
+                then(found.score)
 
-        def tell(given: Future[ScoredFile | str]) -> None:
-            with suppress(ScoringLostError, CancelledError):
-                if not isinstance(found := given.result(), str):
-                    then(found.score)
-            told.set()
-
-        self._given.pop(path, None)
-        self._given[path] = self._pool.submit(path)
-        self._told.append(told)
-        self._given[path].add_done_callback(tell)
+        self._given[path] = self._pool.submit(path, then=tell)
+        self._begun.append(self._given[path])
 
     def fill(self, paths: Iterable[Path]) -> None:
         """Give those recordings that it does not have."""
@@ -69,28 +62,32 @@ class Scorer:
         None where it was not given, could not be scored, or the file has become another one: score it then as if there
         were no ``Scorer``, which also says what is wrong.
         """
-        if (given := self._given.pop(path, None)) is None:
-            return None
-        try:
-            found = given.result()
-            same = not isinstance(found, str) and stored_sha256(path) == found.score.recording_sha256
-        except (ScoringLostError, CancelledError, RecordingError):
-            return None
-        return found if same and not isinstance(found, str) else None
+        given = self._given.pop(path, None)
+        found = None if given is None else _score_in(given)
+        with suppress(RecordingError):
+            if found is not None and stored_sha256(path) == found.score.recording_sha256:
+                return found
+        return None
 
     def score_of(self, path: Path) -> TrialScore | None:
         """Wait for the score of a recording; None where it cannot be scored."""
         self.fill([path])
-        with suppress(KeyError, ScoringLostError, CancelledError):
-            found = self._given[path].result()
-            return None if isinstance(found, str) else found.score
-        return None
+        found = _score_in(self._given[path])
+        return None if found is None else found.score
 
     def wait(self) -> None:
         """Wait until every recording is scored and its score told."""
-        for told in self._told:
-            told.wait()
+        for each in self._begun:
+            _score_in(each)
 
     def close(self) -> None:
         """Leave what has not begun unscored."""
         self._pool.close()
+
+
+def _score_in(given: Future[ScoredFile | str]) -> ScoredFile | None:
+    """Wait for a score; None where there is none, its process died, or the pool was closed before."""
+    with suppress(ScoringLostError, CancelledError):
+        found = given.result()
+        return None if isinstance(found, str) else found
+    return None

@@ -29,10 +29,16 @@ class SweptPolicy:
     jobs: int | None
     """Most trials at once of this policy and of those behind the same address; None: no limit."""
 
+    @property
+    def place(self) -> str | int:
+        """What ``jobs`` limits: the address of a server, or a policy of the plan."""
+        return self.setup.ref.text if self.setup.ref.kind == "remote" else id(self)
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Open:
     cell: Cell
+    policy: SweptPolicy
     run: Run
     kept: ExitStack
 
@@ -48,6 +54,8 @@ def run_cells(
     options: Mapping[str, Any],
 ) -> None:
     """Run what the cells' folders still lack. On KeyboardInterrupt the workers are killed; finished trials stay.
+
+    If the server of a policy stays out of reach, no further cell of this server begins; the others go on.
 
     Args:
         folder: where a cell is.
@@ -68,15 +76,18 @@ def run_cells(
                 on_event=lambda event: on_event(cell, event), launcher=launcher, **options,
             )
         )  # fmt: skip
-        return _Open(cell=cell, run=run, kept=kept)
+        return _Open(cell=cell, policy=policy, run=run, kept=kept)
 
     try:
         while waiting or opened:
-            _advance(opened, policies, jobs)
+            _advance(opened, jobs)
             for ended in [each for each in opened if not (each.run.waiting or each.run.running)]:
                 opened.remove(ended)
                 ended.kept.close()
-                on_done(ended.cell, ended.run.summary())
+                summary = ended.run.summary()
+                if summary.unreached is not None:
+                    waiting = [cell for cell in waiting if policies[cell.policy].place != ended.policy.place]
+                on_done(ended.cell, summary)
             following = _following(waiting, opened, policies, jobs)
             if following is not None:
                 waiting.remove(following)
@@ -89,10 +100,10 @@ def run_cells(
         launcher.close()
 
 
-def _advance(opened: Sequence[_Open], policies: Sequence[SweptPolicy], jobs: int | None) -> None:
+def _advance(opened: Sequence[_Open], jobs: int | None) -> None:
     """Give every open cell, in the order of the plan, as many trials as the slots and its policy allow."""
     for each in opened:
-        free = min(_free(opened, jobs), _room(each.cell, policies, _busy(opened, policies)))
+        free = min(_free(opened, jobs), _room(each.policy, _busy(opened)))
         each.run.advance(each.run.running + int(max(0, free)))
 
 
@@ -103,35 +114,28 @@ def _following(
     free."""
     if not opened:
         return next(iter(waiting), None)
-    busy, taken = _busy(opened, policies), 0.0
+    busy, taken = _busy(opened), 0.0
     for each in opened:
-        will = max(0.0, min(each.run.waiting, _room(each.cell, policies, busy)))
-        busy[_served_as(each.cell, policies)] += int(will)
+        will = max(0.0, min(each.run.waiting, _room(each.policy, busy)))
+        busy[each.policy.place] += int(will)
         taken += will
     if _free(opened, jobs) <= taken or len(opened) >= MOST_OPEN:
         return None
-    return next((cell for cell in waiting if _room(cell, policies, busy) > 0), None)
+    return next((cell for cell in waiting if _room(policies[cell.policy], busy) > 0), None)
 
 
 def _free(opened: Sequence[_Open], jobs: int | None) -> int:
     return (opened[0].run.slots() if jobs is None else jobs) - sum(each.run.running for each in opened)
 
 
-def _served_as(cell: Cell, policies: Sequence[SweptPolicy]) -> str | int:
-    """Return what the limit of trials at once is about: the address of a server, or the policy's place in the plan."""
-    ref = policies[cell.policy].setup.ref
-    return ref.text if ref.kind == "remote" else cell.policy
-
-
-def _busy(opened: Sequence[_Open], policies: Sequence[SweptPolicy]) -> Counter[str | int]:
-    """Server or policy -> its trials that run."""
+def _busy(opened: Sequence[_Open]) -> Counter[str | int]:
+    """``SweptPolicy.place`` -> trials that run there."""
     busy = Counter[str | int]()
     for each in opened:
-        busy[_served_as(each.cell, policies)] += each.run.running
+        busy[each.policy.place] += each.run.running
     return busy
 
 
-def _room(cell: Cell, policies: Sequence[SweptPolicy], busy: Counter[str | int]) -> float:
-    """Return how many more trials of the cell's policy may run."""
-    jobs = policies[cell.policy].jobs
-    return inf if jobs is None else jobs - busy[_served_as(cell, policies)]
+def _room(policy: SweptPolicy, busy: Counter[str | int]) -> float:
+    """Return how many more trials of the policy may run."""
+    return inf if policy.jobs is None else policy.jobs - busy[policy.place]

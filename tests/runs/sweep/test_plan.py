@@ -134,7 +134,7 @@ def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
         ("[200, 400]", "[]", r"axes\.stiffness: expected at least 1 of them"),
         ("[200, 400]", "[200, 200]", r"axes\.stiffness: 200 is there twice"),
         ("phases.time_limit_s", "person.body", r"set\.person\.body: the axis body varies it; give only one"),
-        ('label = "again"', 'label = "hover"', "policies: 'hover' is there twice"),
+        ('label = "again"', 'label = "hover"', "'hover' is there twice"),
         ("[axes]", "[axes", "not TOML"),
     ],
 )

@@ -134,7 +134,7 @@ def cells_of(
     """
     labels = [label for label, *_ in policies]
     if twice := next((label for label in labels if labels.count(label) > 1), None):
-        raise ConfigError(f"policies: {twice!r} is there twice; give each a label of its own")
+        raise ConfigError(f"{twice!r} is there twice; give each a label of its own")
     return [
         Cell(
             policy=number,
